@@ -8,6 +8,7 @@ from igtl_gateway.clock import Clock, SystemClock
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.tcp import TcpEdge
 from igtl_gateway.gateway import Gateway
+from igtl_gateway.gateway.core import is_kept
 from igtl_gateway.gateway.session import Core
 from igtl_gateway.passage import Link, Lock, Passage, Publisher, Subscription, is_compiled
 from igtl_gateway.passage.streams import OnPassed, PassageStreams
@@ -39,7 +40,7 @@ class BridgePassage:
         self._recorder: Recorder | None = None
         self.recorder_lock = Lock()
         self._nowhere = Publisher(_NOWHERE)
-        self.streams = PassageStreams(passage, self, self._number_of, on_passed)
+        self.streams = PassageStreams(passage, self, self._number_of, on_passed, is_kept)
         if isinstance(gateway, Gateway):
             gateway.fast_path.native = self.streams
 

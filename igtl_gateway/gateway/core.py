@@ -192,7 +192,7 @@ class Gateway:
 
     def keep(self, entry: Entry) -> bool:
         """Return whether a full send queue must not drop this OpenIGTLink message."""
-        return _is_kept(entry.type)
+        return is_kept(entry.type)
 
     @property
     def due_ns(self) -> int | None:
@@ -221,5 +221,6 @@ class Gateway:
 
 
 @lru_cache(maxsize=1_024)  # called for every message
-def _is_kept(igtl_type: str) -> bool:
+def is_kept(igtl_type: str) -> bool:
+    """Return whether a full send queue must not drop messages of this type."""
     return igtl_type in _KEPT_TYPES or split_query(igtl_type) is not None

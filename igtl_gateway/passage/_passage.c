@@ -22,7 +22,7 @@
 #include <time.h>
 #include <unistd.h>
 
-#include "../convert/_poses.h"
+#include "../convert/_places.h"
 #include "../edges/ros/_rcl.h"
 #include "../record/_queue.h"
 
@@ -32,6 +32,8 @@
 #define MAX_LINKS 64
 #define CHUNK_BYTES (64 * 1024)
 #define LARGEST_OUTPUT (64 * 1024)
+#define LARGEST_INPUT (32 * 1024) /* what is larger takes too long for a thread of the middleware */
+#define MAX_PLACES 70             /* of a sample, see express.py */
 #define OBSERVATIONS 256
 #define EVENTS 32
 #define LOCK_NS 2000000 /* the longest wait of a thread of the middleware */
@@ -226,8 +228,12 @@ typedef struct {
 
 /* One output of a stream. */
 struct output {
-    uint8_t *template;
+    uint8_t *template;           /* of bulk to OpenIGTLink: the bytes before the content */
     ssize_t size, at, digits_at; /* at: of the stamp (to ROS), of the numbers (to OpenIGTLink) */
+    uint8_t *tail;               /* of bulk to OpenIGTLink: the bytes after the content */
+    ssize_t tail_size;
+    struct ros_form form;        /* of bulk to ROS */
+    char keep;                   /* a full send queue must not drop it */
     uint64_t number;             /* of its stream in the recorder's queue */
     uint64_t sent;               /* messages */
     Publisher *publisher;
@@ -247,6 +253,10 @@ struct Stream {
     ssize_t at, place_at;
     struct igtl_poses from_igtl;
     struct ros_poses from_ros;
+    int is_bulk; /* texts, points and clouds: these instead of the two above */
+    struct igtl_bulk bulk_from_igtl;
+    struct ros_bulk bulk_from_ros;
+    ssize_t places[MAX_PLACES];
     int own;
     struct output outputs[MAX_OUTPUTS];
     int output_count;
@@ -377,32 +387,52 @@ static void publish(Passage *self, Publisher *publisher, uint8_t *cdr, ssize_t s
         add(&publisher->failed);
 }
 
+/* Build what is constant for a message of bulk; 0: it must go to Python. */
+static int prepare_bulk(Stream *stream, struct ros_form *form, struct output *output, const uint8_t *data, ssize_t size)
+{
+    const struct igtl_bulk *bulk = &stream->bulk_from_igtl;
+    *form = output->form;
+    return prepare_form(form, data + bulk->at, size - bulk->at - bulk->tail) && form->size <= LARGEST_OUTPUT;
+}
+
 /* Pass a whole message on; 0, and nothing has happened: it must go to Python.  The caller has the sequence lock. */
 static int pass_to_ros(Passage *self, Stream *stream, const uint8_t *data, ssize_t size)
 {
     int64_t stamp_ns, now_ns = time_of_input(self, &stamp_ns);
     double pose[7], place[3];
-    if (!now_ns || !pose_from_igtl(&stream->from_igtl, data, size, pose))
+    int is_bulk = stream->is_bulk;
+    if (!now_ns || (is_bulk ? size > LARGEST_INPUT || !bulk_from_igtl_fits(&stream->bulk_from_igtl, data, size)
+                            : !pose_from_igtl(&stream->from_igtl, data, size, pose)))
         return 0;
     int64_t source_ns = ticks_to_ns(get_u64(data + TICKS_AT));
     int64_t shown_ns = stream->own && source_ns > 0 ? source_ns : stamp_ns;
     struct output *built[MAX_OUTPUTS];
-    ssize_t bytes = size;
-    int count = 0, heard[MAX_OUTPUTS];
+    struct ros_form forms[MAX_OUTPUTS];
+    ssize_t bytes = size, sizes[MAX_OUTPUTS];
+    int count = 0, wanted = 0, heard[MAX_OUTPUTS];
     for (int i = 0; i < stream->output_count; i++) {
         struct output *output = &stream->outputs[i];
         int hears = output->publisher->pointer && has_subscriber(self, output->publisher);
         if (!hears && !self->builds_all)
             continue;
+        wanted++;
+        if (is_bulk && !prepare_bulk(stream, &forms[count], output, data, size))
+            return 0;
+        sizes[count] = is_bulk ? forms[count].size : output->size;
+        if (!sizes[count])
+            continue; /* the row does not apply */
+        forms[count].out = scratch_of(self, count);
         heard[count] = hears;
-        bytes += output->size;
+        bytes += sizes[count];
         built[count++] = output;
     }
-    for (int i = 0; i < 3; i++)
+    if (is_bulk && (!wanted || !bulk_from_igtl(&stream->bulk_from_igtl, data, size, forms, count, shown_ns)))
+        return 0; /* without a subscriber, only the full path checks it */
+    for (int i = 0; i < 3 && !is_bulk; i++)
         place[i] = get_f32(data + stream->place_at + 4 * i);
     if (!begin_record(self, stream, built, count, bytes))
         return 0;
-    if (!passes_guard(&stream->guard, stamp_ns, shown_ns, place)) {
+    if (!passes_guard(&stream->guard, stamp_ns, shown_ns, is_bulk ? NULL : place)) {
         end_record(self);
         return 0;
     }
@@ -413,17 +443,19 @@ static int pass_to_ros(Passage *self, Stream *stream, const uint8_t *data, ssize
     for (int i = 0; i < count; i++) {
         struct output *output = built[i];
         uint8_t *cdr = scratch_of(self, i);
-        memcpy(cdr, output->template, output->size);
-        put_ros_pose(cdr, output->size, output->at, shown_ns, pose);
+        if (!is_bulk) {
+            memcpy(cdr, output->template, output->size);
+            put_ros_pose(cdr, output->size, output->at, shown_ns, pose);
+        }
         if (heard[i])
-            publish(self, output->publisher, cdr, output->size);
+            publish(self, output->publisher, cdr, sizes[i]);
         else if (output->publisher->pointer)
             add(&output->publisher->unheard);
         output->sent++;
     }
     record(self, stream->number, seq, stamp_ns, source_ns, data, size);
     for (int i = 0; i < count; i++)
-        record(self, built[i]->number, seq + 1 + i, stamp_ns + 1 + i, shown_ns, scratch_of(self, i), built[i]->size);
+        record(self, built[i]->number, seq + 1 + i, stamp_ns + 1 + i, shown_ns, scratch_of(self, i), sizes[i]);
     end_record(self);
     stream->received++;
     if (count || self->builds_all)
@@ -442,6 +474,7 @@ struct unsent {
     uint8_t *data;
     ssize_t size, sent;
     char *channel;
+    char keep;
 };
 
 struct Link {
@@ -590,7 +623,7 @@ static int lock_links(Stream *stream)
 }
 
 /* Send a message; what the kernel does not take is Python's.  The caller has the lock of the link. */
-static void send_to_link(Link *self, const uint8_t *message, ssize_t size, const char *channel)
+static void send_to_link(Link *self, const uint8_t *message, ssize_t size, const struct output *output)
 {
     ssize_t sent = send(self->fd, message, size, MSG_DONTWAIT | MSG_NOSIGNAL);
     if (sent == size) {
@@ -600,7 +633,8 @@ static void send_to_link(Link *self, const uint8_t *message, ssize_t size, const
     }
     self->clear = 0;
     self->unsent.data = copied(message, size);
-    self->unsent.channel = strdup(channel);
+    self->unsent.channel = strdup(output->channel);
+    self->unsent.keep = output->keep;
     self->unsent.size = size;
     self->unsent.sent = sent > 0 ? sent : 0;
     note_link(self);
@@ -608,33 +642,56 @@ static void send_to_link(Link *self, const uint8_t *message, ssize_t size, const
 
 /* -- ROS to OpenIGTLink ------------------------------------------------------------------------------------------------ */
 
+/* Build the messages of bulk; 0: it must go to Python. */
+static int build_bulk(Passage *self, Stream *stream, const struct found *found, int64_t shown_ns, ssize_t *sizes)
+{
+    struct igtl_form forms[MAX_OUTPUTS];
+    for (int i = 0; i < stream->output_count; i++) {
+        const struct output *output = &stream->outputs[i];
+        sizes[i] = output->size + found->size + output->tail_size;
+        if (sizes[i] > LARGEST_OUTPUT)
+            return 0;
+        forms[i] = (struct igtl_form){output->template, output->tail, output->size, output->tail_size, output->digits_at,
+                                      scratch_of(self, i)};
+    }
+    return bulk_from_ros(&stream->bulk_from_ros, found, forms, stream->output_count, shown_ns);
+}
+
 /* As pass_to_ros. */
 static int pass_to_igtl(Passage *self, Stream *stream, const uint8_t *cdr, ssize_t size, int64_t source_ns)
 {
     int64_t stamp_ns, header_ns, now_ns = time_of_input(self, &stamp_ns);
     double numbers[12], place[3];
-    if (!now_ns || !pose_from_ros(&stream->from_ros, cdr, size, &header_ns, numbers))
+    struct found found = {0};
+    int is_bulk = stream->is_bulk, count = stream->output_count;
+    if (!now_ns || (is_bulk ? size > LARGEST_INPUT || !find_in_ros(&stream->bulk_from_ros, cdr, size, &found)
+                            : !pose_from_ros(&stream->from_ros, cdr, size, &header_ns, numbers)))
         return 0;
+    if (is_bulk)
+        header_ns = found.header_ns;
     int64_t said_ns = header_ns ? header_ns : source_ns;
     int64_t shown_ns = stream->own && said_ns > 0 ? said_ns : stamp_ns;
     struct output *built[MAX_OUTPUTS];
-    ssize_t bytes = size;
-    int count = stream->output_count;
+    ssize_t bytes = size, sizes[MAX_OUTPUTS];
     for (int i = 0; i < count; i++) {
-        struct output *output = &stream->outputs[i];
-        if (!fits_digits(output->digits_at, header_ns))
+        built[i] = &stream->outputs[i];
+        sizes[i] = built[i]->size;
+        if (!fits_digits(built[i]->digits_at, header_ns))
             return 0;
-        built[i] = output;
-        bytes += output->size;
     }
-    memcpy(place, cdr + stream->place_at, sizeof place);
+    if (is_bulk && !build_bulk(self, stream, &found, shown_ns, sizes))
+        return 0;
+    for (int i = 0; i < count; i++)
+        bytes += sizes[i];
+    if (!is_bulk)
+        memcpy(place, cdr + stream->place_at, sizeof place);
     if (!begin_record(self, stream, built, count, bytes))
         return 0;
     if (!lock_links(stream)) {
         end_record(self);
         return 0;
     }
-    if (!passes_guard(&stream->guard, stamp_ns, shown_ns, place)) {
+    if (!passes_guard(&stream->guard, stamp_ns, shown_ns, is_bulk ? NULL : place)) {
         unlock_links(stream, count, 0);
         end_record(self);
         return 0;
@@ -644,26 +701,28 @@ static int pass_to_igtl(Passage *self, Stream *stream, const uint8_t *cdr, ssize
     self->seq += 1 + count;
     self->stamp_ns = stamp_ns + count;
     for (int i = 0; i < count; i++) {
-        struct output *output = &stream->outputs[i];
+        struct output *output = built[i];
         uint8_t *message = scratch_of(self, i);
-        memcpy(message, output->template, output->size);
-        put_u64(message + TICKS_AT, ns_to_ticks(shown_ns));
-        put_igtl_pose(message, output->size, output->at, stream->from_ros.bytes, output->digits_at, numbers, header_ns);
+        if (!is_bulk) {
+            memcpy(message, output->template, output->size);
+            put_u64(message + TICKS_AT, ns_to_ticks(shown_ns));
+            put_igtl_pose(message, output->size, output->at, stream->from_ros.bytes, output->digits_at, numbers, header_ns);
+        }
         for (int k = 0; k < output->link_count; k++)
-            send_to_link(output->links[k], message, output->size, output->channel);
+            send_to_link(output->links[k], message, sizes[i], output);
         output->sent++;
     }
     unlock_links(stream, count, 0);
     record(self, stream->number, seq, stamp_ns, source_ns, cdr, size);
     for (int i = 0; i < count; i++)
-        record(self, stream->outputs[i].number, seq + 1 + i, stamp_ns + 1 + i, shown_ns, scratch_of(self, i),
-               stream->outputs[i].size);
+        record(self, built[i]->number, seq + 1 + i, stamp_ns + 1 + i, shown_ns, scratch_of(self, i), sizes[i]);
     end_record(self);
     stream->received++;
     stream->converted++;
     stream->latest_seq = seq;
     stream->latest_stamp_ns = stamp_ns;
     stream->latest_source_ns = source_ns;
+    stream->latest_size = size;
     memcpy(stream->latest, cdr, size);
     return 1;
 }
@@ -734,7 +793,8 @@ static void on_message(const void *user_data, size_t events)
         return;
     }
     /* A thread that publishes with the sequence lock may be called for a subscription of its own node. */
-    int passes = !has_sequence(passage) && __atomic_load_n(&self->stream, __ATOMIC_RELAXED);
+    int passes = !has_sequence(passage) && __atomic_load_n(&self->stream, __ATOMIC_RELAXED) &&
+                 self->message.length <= LARGEST_INPUT; /* the next one is as large as the last */
     self->taker = passes ? TAKING : WITH_PYTHON;
     pthread_mutex_unlock(&self->state);
     while (passes) {
@@ -782,6 +842,7 @@ static void stream_dealloc(Stream *self)
     for (int i = 0; i < self->output_count; i++) {
         struct output *output = &self->outputs[i];
         free(output->template);
+        free(output->tail);
         free(output->channel);
         Py_XDECREF((PyObject *)output->publisher);
         for (int k = 0; k < output->link_count; k++)
@@ -899,8 +960,7 @@ static Stream *new_stream(Passage *passage, const char *sample, Py_ssize_t size)
     memset((char *)self + offsetof(Stream, passage), 0, sizeof *self - offsetof(Stream, passage));
     self->passage = (Passage *)Py_NewRef((PyObject *)passage);
     self->sample = copied(sample, size);
-    self->latest = copied(sample, size);
-    self->latest_size = size;
+    self->latest = malloc(size > LARGEST_INPUT ? size : LARGEST_INPUT);
     if (!self->sample || !self->latest) {
         Py_DECREF(self);
         PyErr_NoMemory();
@@ -926,6 +986,15 @@ static struct output *new_output(Stream *self, const char *template, Py_ssize_t 
     self->output_count++;
     output->size = size, output->at = at, output->digits_at = digits_at, output->number = number;
     return output;
+}
+
+static PyObject *add_to_link(Stream *stream)
+{
+    Stream **bucket = &stream->link->streams[bucket_of(stream->names)];
+    stream->next = *bucket;
+    *bucket = stream;
+    stream->link->stream_count++;
+    return (PyObject *)stream;
 }
 
 static PyObject *passage_to_ros(Passage *self, PyObject *args)
@@ -968,14 +1037,82 @@ static PyObject *passage_to_ros(Passage *self, PyObject *args)
             goto failed;
         output->publisher = (Publisher *)Py_NewRef((PyObject *)publisher);
     }
-    Stream **bucket = &link->streams[bucket_of(stream->names)];
-    stream->next = *bucket;
-    *bucket = stream;
-    link->stream_count++;
-    return (PyObject *)stream;
+    return add_to_link(stream);
 failed:
     Py_DECREF(stream);
     return NULL;
+}
+
+static PyObject *passage_to_ros_bulk(Passage *self, PyObject *args)
+{
+    Link *link;
+    const char *names, *sample;
+    Py_ssize_t names_size, size, at, tail;
+    int check_crc, own;
+    double times, by;
+    unsigned long long number;
+    PyObject *outputs;
+    if (!PyArg_ParseTuple(args, "O!y#y#nnppddKO!", &Link_Type, &link, &names, &names_size, &sample, &size, &at, &tail,
+                          &check_crc, &own, &times, &by, &number, &PyTuple_Type, &outputs))
+        return NULL;
+    if (names_size != NAMES_BYTES || tail < 0 || at + tail != size || at < HEADER_SIZE + (sample[1] == 2 ? EXTENDED_SIZE : 0)) {
+        PyErr_SetString(PyExc_ValueError, "to_ros_bulk: a sample that is not all but the content");
+        return NULL;
+    }
+    Stream *stream = new_stream(self, sample, size);
+    if (!stream)
+        return NULL;
+    stream->link = (Link *)Py_NewRef((PyObject *)link);
+    memcpy(stream->names, names, NAMES_BYTES);
+    stream->is_bulk = 1;
+    stream->bulk_from_igtl = (struct igtl_bulk){stream->sample, at, tail, check_crc, times, by};
+    stream->own = own, stream->number = number;
+    for (Py_ssize_t i = 0; i < PyTuple_GET_SIZE(outputs); i++) {
+        const char *template;
+        Py_ssize_t room, stamp_at, width_at;
+        int form;
+        Publisher *publisher;
+        if (!PyArg_ParseTuple(PyTuple_GET_ITEM(outputs, i), "iy#nnKO!", &form, &template, &room, &stamp_at, &width_at,
+                              &number, &Publisher_Type, &publisher))
+            goto failed;
+        if (form < TEXT || form > CLOUD || stamp_at < 0 || width_at < 0 ||
+            (form != TEXT && (room < 32 || stamp_at + 8 > room || width_at + 4 > room))) {
+            PyErr_SetString(PyExc_ValueError, "to_ros_bulk: a form without room for stamp and width");
+            goto failed;
+        }
+        struct output *output = new_output(stream, template, room, stamp_at, 0, number);
+        if (!output)
+            goto failed;
+        output->form = (struct ros_form){.form = form, .template = output->template, .room = room, .stamp_at = stamp_at,
+                                         .width_at = width_at};
+        output->publisher = (Publisher *)Py_NewRef((PyObject *)publisher);
+    }
+    return add_to_link(stream);
+failed:
+    Py_DECREF(stream);
+    return NULL;
+}
+
+/* Add the links that an output goes to; 0: an exception is set. */
+static int add_links(struct output *output, const char *channel, PyObject *links)
+{
+    if (PyTuple_GET_SIZE(links) > MAX_LINKS) {
+        PyErr_SetString(PyExc_ValueError, "to_igtl: more links than the passage has room for");
+        return 0;
+    }
+    if (!(output->channel = strdup(channel))) {
+        PyErr_NoMemory();
+        return 0;
+    }
+    for (Py_ssize_t k = 0; k < PyTuple_GET_SIZE(links); k++) {
+        PyObject *link = PyTuple_GET_ITEM(links, k);
+        if (!PyObject_TypeCheck(link, &Link_Type)) {
+            PyErr_SetString(PyExc_TypeError, "to_igtl: not a link");
+            return 0;
+        }
+        output->links[output->link_count++] = (Link *)Py_NewRef(link);
+    }
+    return 1;
 }
 
 static PyObject *passage_to_igtl(Passage *self, PyObject *args)
@@ -1008,25 +1145,67 @@ static PyObject *passage_to_igtl(Passage *self, PyObject *args)
         if (!PyArg_ParseTuple(PyTuple_GET_ITEM(outputs, i), "y#nnKsO!", &template, &length, &at, &digits_at, &number,
                               &channel, &PyTuple_Type, &links))
             goto failed;
-        if (at < HEADER_SIZE || at + bytes > length || digits_at + STAMP_DIGITS > length ||
-            PyTuple_GET_SIZE(links) > MAX_LINKS) {
-            PyErr_SetString(PyExc_ValueError, "to_igtl: an output without room for the numbers, or with too many links");
+        if (at < HEADER_SIZE || at + bytes > length || digits_at + STAMP_DIGITS > length) {
+            PyErr_SetString(PyExc_ValueError, "to_igtl: an output without room for the numbers");
             goto failed;
         }
         struct output *output = new_output(stream, template, length, at, digits_at, number);
-        if (!output)
+        if (!output || !add_links(output, channel, links))
             goto failed;
-        if (!(output->channel = strdup(channel))) {
-            PyErr_NoMemory();
+    }
+    __atomic_store_n(&subscription->stream, stream, __ATOMIC_RELAXED);
+    return (PyObject *)stream;
+failed:
+    Py_DECREF(stream);
+    return NULL;
+}
+
+static PyObject *passage_to_igtl_bulk(Passage *self, PyObject *args)
+{
+    Subscription *subscription;
+    const char *sample;
+    Py_ssize_t size;
+    int form, own;
+    double times, by;
+    unsigned long long number;
+    PyObject *places, *outputs;
+    if (!PyArg_ParseTuple(args, "O!y#O!ipddKO!", &Subscription_Type, &subscription, &sample, &size, &PyTuple_Type, &places,
+                          &form, &own, &times, &by, &number, &PyTuple_Type, &outputs))
+        return NULL;
+    Py_ssize_t count = PyTuple_GET_SIZE(places);
+    if (form < TEXT || form > CLOUD || form == POINT || count > MAX_PLACES || (form != TEXT && (count < 6 || count % 2))) {
+        PyErr_SetString(PyExc_ValueError, "to_igtl_bulk: invalid form or places");
+        return NULL;
+    }
+    Stream *stream = new_stream(self, sample, size);
+    if (!stream)
+        return NULL;
+    stream->subscription = (Subscription *)Py_NewRef((PyObject *)subscription);
+    stream->is_bulk = 1, stream->own = own, stream->number = number;
+    struct ros_bulk *bulk = &stream->bulk_from_ros;
+    *bulk = (struct ros_bulk){.sample = stream->sample, .size = size, .form = form, .times = times, .by = by};
+    if (form != TEXT && !read_places(places, bulk, stream->places, count))
+        goto failed;
+    for (Py_ssize_t i = 0; i < PyTuple_GET_SIZE(outputs); i++) {
+        const char *head, *tail, *channel;
+        Py_ssize_t at, rest, digits_at;
+        int keep;
+        PyObject *links;
+        if (!PyArg_ParseTuple(PyTuple_GET_ITEM(outputs, i), "y#y#nKspO!", &head, &at, &tail, &rest, &digits_at, &number,
+                              &channel, &keep, &PyTuple_Type, &links))
+            goto failed;
+        if (at < HEADER_SIZE || (digits_at > 0 && digits_at + STAMP_DIGITS > rest)) {
+            PyErr_SetString(PyExc_ValueError, "to_igtl_bulk: an output without room for header or stamp");
             goto failed;
         }
-        for (Py_ssize_t k = 0; k < PyTuple_GET_SIZE(links); k++) {
-            PyObject *link = PyTuple_GET_ITEM(links, k);
-            if (!PyObject_TypeCheck(link, &Link_Type)) {
-                PyErr_SetString(PyExc_TypeError, "to_igtl: not a link");
-                goto failed;
-            }
-            output->links[output->link_count++] = (Link *)Py_NewRef(link);
+        struct output *output = new_output(stream, head, at, at, digits_at, number);
+        if (!output || !add_links(output, channel, links))
+            goto failed;
+        output->keep = (char)keep;
+        output->tail_size = rest;
+        if (!(output->tail = copied(tail, rest))) {
+            PyErr_NoMemory();
+            goto failed;
         }
     }
     __atomic_store_n(&subscription->stream, stream, __ATOMIC_RELAXED);
@@ -1143,8 +1322,9 @@ static PyObject *link_take_unsent(Link *self, PyObject *nothing)
     (void)nothing;
     if (!self->unsent.data)
         Py_RETURN_NONE;
-    PyObject *found = Py_BuildValue("y#ns", (const char *)self->unsent.data, (Py_ssize_t)self->unsent.size,
-                                    (Py_ssize_t)self->unsent.sent, self->unsent.channel ? self->unsent.channel : "");
+    PyObject *found = Py_BuildValue("y#nsO", (const char *)self->unsent.data, (Py_ssize_t)self->unsent.size,
+                                    (Py_ssize_t)self->unsent.sent, self->unsent.channel ? self->unsent.channel : "",
+                                    self->unsent.keep ? Py_True : Py_False);
     if (found) {
         free(self->unsent.data);
         free(self->unsent.channel);
@@ -1183,7 +1363,7 @@ static int link_set_clear(Link *self, PyObject *value, void *closure)
 static PyMethodDef link_methods[] = {
     {"read_natively", (PyCFunction)link_read_natively, METH_VARARGS, "Read in the native thread, at most this number of messages."},
     {"read_by_python", (PyCFunction)link_read_by_python, METH_NOARGS, "Return what was read of an unfinished message, and errno."},
-    {"take_unsent", (PyCFunction)link_take_unsent, METH_NOARGS, "Return a message, the bytes sent of it, and its stream, or None."},
+    {"take_unsent", (PyCFunction)link_take_unsent, METH_NOARGS, "Return a message, the bytes sent of it, its stream, and whether it is to be kept; or None."},
     {"close", (PyCFunction)link_close, METH_NOARGS, "Report nothing more."},
     {NULL, NULL, 0, NULL},
 };
@@ -1510,6 +1690,8 @@ static PyMethodDef passage_methods[] = {
     {"__enter__", (PyCFunction)passage_enter, METH_NOARGS, "Take the sequence lock."},
     {"__exit__", (PyCFunction)passage_exit, METH_VARARGS, "Release the sequence lock."},
     {"to_ros", (PyCFunction)passage_to_ros, METH_VARARGS, "Add a stream from a link; with the sequence lock."},
+    {"to_ros_bulk", (PyCFunction)passage_to_ros_bulk, METH_VARARGS, "As to_ros, of texts, points and clouds."},
+    {"to_igtl_bulk", (PyCFunction)passage_to_igtl_bulk, METH_VARARGS, "As to_igtl, of texts, points and clouds."},
     {"to_igtl", (PyCFunction)passage_to_igtl, METH_VARARGS, "Add the stream of a subscription; with the sequence lock."},
     {"use_rcl", (PyCFunction)passage_use_rcl, METH_VARARGS, "Set the addresses of take, publish and count of subscribers."},
     {"record_into", (PyCFunction)passage_record_into, METH_VARARGS, "Put entries into the queue of a recorder."},
@@ -1547,6 +1729,7 @@ static struct PyModuleDef definition = {PyModuleDef_HEAD_INIT, "_passage", "See 
 PyMODINIT_FUNC PyInit__passage(void)
 {
     begin_bytes();
+    begin_bulk(1);
     PyObject *module = PyModule_Create(&definition);
     PyTypeObject *types[] = {&Lock_Type, &Passage_Type, &Link_Type, &Subscription_Type, &Publisher_Type, &Stream_Type};
     const char *names[] = {"Lock", "Passage", "Link", "Subscription", "Publisher", "Stream"};

@@ -60,7 +60,7 @@ class Link:
     def __init__(self, passage: Passage, number: int, descriptor: int, sending: Lock, /) -> None: ...
     def read_natively(self, room: int, /) -> None: ...
     def read_by_python(self) -> tuple[bytes, int]: ...
-    def take_unsent(self) -> tuple[bytes, int, str] | None: ...
+    def take_unsent(self) -> tuple[bytes, int, str, bool] | None: ...
     def close(self) -> None: ...
 
 class Subscription:
@@ -109,6 +109,34 @@ class Passage:
         by: float,
         number: int,
         outputs: tuple[tuple[bytes, int, int, int, str, tuple[Link, ...]], ...],
+        /,
+    ) -> Stream: ...
+    def to_ros_bulk(
+        self,
+        link: Link,
+        names: bytes,
+        sample: bytes,
+        at: int,
+        tail: int,
+        check_crc: bool,
+        own: bool,
+        times: float,
+        by: float,
+        number: int,
+        outputs: tuple[tuple[int, bytes, int, int, int, Publisher], ...],
+        /,
+    ) -> Stream: ...
+    def to_igtl_bulk(
+        self,
+        subscription: Subscription,
+        sample: bytes,
+        places: tuple[int, ...],
+        form: int,
+        own: bool,
+        times: float,
+        by: float,
+        number: int,
+        outputs: tuple[tuple[bytes, bytes, int, int, str, bool, tuple[Link, ...]], ...],
         /,
     ) -> Stream: ...
     def use_rcl(self, take: int, publish: int, subscribers: int, /) -> None: ...

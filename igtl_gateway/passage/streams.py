@@ -7,8 +7,9 @@ the subscription that it comes from, and the publishers or the links that it goe
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Any, Protocol
 
+from igtl_gateway.convert.express import CLOUD, POINT, POINTS, TEXT
 from igtl_gateway.gateway.fastpath.common import Key
 from igtl_gateway.gateway.fastpath.compiled_to_igtl import CompiledToIgtl
 from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos
@@ -16,6 +17,9 @@ from igtl_gateway.gateway.guarded_stream import GuardedStream
 from igtl_gateway.gateway.outcome import CONVERTED, UNSUBSCRIBED
 from igtl_gateway.passage import Link, Passage, Publisher, Stream, Subscription
 from igtl_gateway.session.entry import Entry, Kind
+
+#: Conversions of bulk that can pass natively: the others are of large messages.
+_FORMS = frozenset({TEXT, POINT, POINTS, CLOUD})
 
 #: Kind, channel, type and links of entries → number of their stream in the recorder's queue; None: it has none.
 NumberOf = Callable[[Kind, str, str, tuple[int, ...]], int | None]
@@ -54,13 +58,22 @@ class PassageStreams:
     Args:
         number_of: see ``NumberOf``.
         on_passed: see ``OnPassed``; called when counts are taken over.
+        keep: OpenIGTLink type → whether a full send queue must not drop its messages.
     """
 
-    def __init__(self, passage: Passage, edges: NativeEdges, number_of: NumberOf, on_passed: OnPassed) -> None:
+    def __init__(
+        self,
+        passage: Passage,
+        edges: NativeEdges,
+        number_of: NumberOf,
+        on_passed: OnPassed,
+        keep: Callable[[str], bool],
+    ) -> None:
         self._passage = passage
         self._edges = edges
         self._number_of = number_of
         self._on_passed = on_passed
+        self._keep = keep
         self._copies: dict[Key, _Copy] = {}
         self._tries: dict[Key, int] = {}  # messages that Python has passed since the streams were compiled
 
@@ -123,19 +136,19 @@ class PassageStreams:
 
     def _copy_to_ros(self, link_number: int, names: bytes, compiled: CompiledToRos) -> _Copy | None:
         link = self._edges.link(link_number)
-        if not compiled.is_plain_pose or link is None or compiled.place_at is None:
-            return None
         number = self._number_of(Kind.IGTL_IN, compiled.channel, compiled.type, (link_number,))
+        if not compiled.is_plain or link is None or number is None:
+            return None
         outputs = []
-        for topic, ros_type, (template, stamp_at), _ in compiled.outputs:
+        for topic, ros_type, form, _ in compiled.outputs:
             publisher = self._edges.publisher(topic, ros_type)
             own_number = self._number_of(Kind.ROS_OUT, topic, ros_type, ())
-            if publisher is None or own_number is None:
+            if publisher is None or own_number is None or (not compiled.place_at and form[0] not in _FORMS):
                 return None
-            outputs.append((template, stamp_at, own_number, publisher))
-        if number is None:
-            return None
-        native = self._passage.to_ros(
+            outputs.append((*form, own_number, publisher))
+        place = (compiled.place_at,) if compiled.place_at else ()
+        add: Callable[..., Stream] = self._passage.to_ros if place else self._passage.to_ros_bulk
+        native = add(
             link,
             names,
             compiled.sample,
@@ -143,7 +156,7 @@ class PassageStreams:
             compiled.check_crc,
             compiled.own,
             *compiled.ratio,
-            compiled.place_at,
+            *place,
             number,
             tuple(outputs),
         )
@@ -152,23 +165,22 @@ class PassageStreams:
     def _copy_to_igtl(self, topic: str, ros_type: str, compiled: CompiledToIgtl) -> _Copy | None:
         subscription = self._edges.subscription(topic, ros_type)
         number = self._number_of(Kind.ROS_IN, topic, ros_type, ())
-        if not compiled.is_pose or subscription is None or number is None:
+        if subscription is None or number is None or not (compiled.is_pose or compiled.size in _FORMS):
             return None
-        outputs = []
-        for (output, _, _), (template, at, digits_at) in zip(compiled.outputs, compiled.forms, strict=True):
+        outputs: list[tuple[Any, ...]] = []
+        for (output, _, _), form in zip(compiled.outputs, compiled.forms, strict=True):
             links = [self._edges.link(one) for one in output.links]
             own_number = self._number_of(Kind.IGTL_OUT, output.channel, output.type, output.links)
             there = tuple(link for link in links if link is not None)
             if len(there) < len(links) or own_number is None:
                 return None
-            outputs.append((template, at, digits_at, own_number, output.channel, there))
-        first_end, second, end = compiled.names
-        native = self._passage.to_igtl(
+            keep = () if compiled.is_pose else (self._keep(output.type),)
+            outputs.append((*form, own_number, output.channel, *keep, there))
+        add: Callable[..., Stream] = self._passage.to_igtl if compiled.is_pose else self._passage.to_igtl_bulk
+        native = add(
             subscription,
             compiled.sample,
-            first_end,
-            second,
-            end,
+            *(compiled.names if compiled.is_pose else (compiled.names,)),
             compiled.size,
             compiled.own,
             *compiled.ratio,

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import os
 import random
 import socket
 import struct
+import tempfile
 import threading
 import time
 from collections import Counter
@@ -14,7 +16,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
 
 from igtl_gateway.app import bridge as app
 from igtl_gateway.app.bridge import Bridge, BridgeOptions
@@ -35,9 +40,12 @@ from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.framer import Framer
+from igtl_gateway.wire.point import Points
+from igtl_gateway.wire.polydata import PolyData
 from igtl_gateway.wire.text import Status
 from igtl_gateway.wire.text import String as StringBody
 from igtl_gateway.wire.transform import Position, Transform
+from tests.gateway.fastpath.test_cache import igtl_bulk, igtl_messages, ros_bulk, ros_messages
 from tests.passage.middleware import Middleware, RosEdge
 
 pytestmark = pytest.mark.skipif(not is_compiled(), reason="the package was installed without its native passage")
@@ -304,6 +312,72 @@ def _odd_message(rng: random.Random, step: int) -> bytes:
     if rng.random() < 0.02:
         data[rng.choice([50, 60, len(data) - 1])] ^= 1
     return bytes(data)
+
+
+XYZ = tuple(rosmsg.PointField(name, 4 * place, 7, 1) for place, name in enumerate("xyz"))
+
+
+@pytest.mark.parametrize("kind", ["text", "point", "cloud"])
+def test_texts_points_and_small_clouds_pass_natively(
+    kind: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    path, topic = tmp_path / "session.mcap", "/igtl/out/bulk"
+    rows = (ToIgtlRow(topic=topic, type="POINT"),) if kind == "point" else ()
+    config = Config(to_igtl=rows).watched()
+    with scene(monkeypatch, config, path) as here:
+        peer = here.connect()
+        for number in range(100):
+            content: Any
+            places = np.full((1 + number % 7, 3), number, np.float32)
+            if number == 90:
+                places[0, 0] = math.nan
+            if kind == "text":
+                here.send_ros(rosmsg.String("für" if number == 90 else f"text {number}"), topic)
+                name, content = "STRING", StringBody.of(f"text {number}")
+            else:
+                data, count = places.tobytes(), len(places)
+                header = Header(time.time_ns(), "base")
+                here.send_ros(rosmsg.PointCloud2(header, 1, count, XYZ, False, 12, 12 * count, data, True), topic)
+                swapped: Any = places.astype(">f4")
+                point = kind == "point"
+                name, content = ("POINT", Points.of(swapped)) if point else ("POLYDATA", PolyData(swapped))
+            peer.send(join(encode(Message(name, "Bulk", content, ns_to_ticks(time.time_ns())))))
+            time.sleep(0.001)
+        wait_for(lambda: here.received("ros_in") == 100 and here.received("igtl_in") == 100)
+        assert here.native >= 1
+    check_recording(path, config, here.bridge.losses)
+
+
+def _is_possible(step: Any) -> bool:
+    """Return whether a step does not break the stream of bytes, and has a stamp that a recording can hold."""
+    if step[0] == "igtl":
+        return int.from_bytes(step[1][42:50], "big") == len(step[1]) - 58
+    return bool(step[-1] >= 0)
+
+
+steps = st.lists(
+    st.one_of(igtl_messages(), ros_messages(), igtl_bulk(), ros_bulk()).filter(_is_possible), min_size=10, max_size=40
+)
+
+
+@settings(max_examples=int(os.environ.get("PASSAGE_SESSIONS", "8")), deadline=None, derandomize=True, phases=[Phase.generate])
+@given(steps)
+def test_sessions_of_the_fast_path_are_what_the_full_path_gives(steps: list[Any]) -> None:
+    with pytest.MonkeyPatch.context() as monkeypatch, tempfile.TemporaryDirectory() as folder:
+        path, config = Path(folder) / "session.mcap", Config().watched()
+        with scene(monkeypatch, config, path) as here:
+            peers = [here.connect(), here.connect()]
+            for _ in range(3):  # a stream passes natively from its third message on
+                for kind, *step in steps:
+                    if kind == "igtl":
+                        data, link = step
+                        peers[link - 1].send(data)
+                    else:
+                        topic, ros_type, cdr, source_ns = step
+                        here.ros.deliver(topic, ros_type, cdr, source_ns)
+            expected = 3 * sum(kind == "igtl" for kind, *_ in steps)
+            wait_for(lambda: here.received("igtl_in") == expected and not here.middleware.waiting())
+        check_recording(path, config, here.bridge.losses)
 
 
 # -- its borders -------------------------------------------------------------------------------------------------------

@@ -172,8 +172,8 @@ class Sender:
     def _take_unsent(self) -> None:
         """``take_unsent`` under the lock."""
         if self._native and not self._native.clear and (unsent := self._native.take_unsent()):
-            data, sent, stream = unsent
-            if not self._queue(QueuedMessage((data,), len(data), stream, False), sent):
+            data, sent, stream, keep = unsent
+            if not self._queue(QueuedMessage((data,), len(data), stream, keep), sent):
                 self.outbox.dropped[stream] += 1
 
     def _settle(self) -> None:

@@ -32,7 +32,7 @@ class CompiledToIgtl:
         sample, names, size, forms, peers, ratio, own, latest, watched: the arguments.
         outputs: output, number of links and counts of each form.
         count: counts of the topic.
-        is_pose: the native passage can take it.
+        is_pose: it is a stream of poses, not of bulk.
     """
 
     def __init__(

@@ -44,7 +44,7 @@ class CompiledToRos:
         outputs: topic, ROS type, form and counts of each output.
         channel, type: of the stream.
         count: counts of the stream.
-        is_plain_pose: a pose of which no topic is latched: the native passage can take it.
+        is_plain: no topic is latched, and no later message depends on it: the native passage can take it.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class CompiledToRos:
         self._waiting, self._latched = waiting
         self._volume = volume
         self._defer = defer
-        self.is_plain_pose = place_at is not None and not self._latched
+        self.is_plain = not self._latched and volume is None
 
     def __call__(
         self, seq: int, stamp_ns: int, payload: Sequence[Buffer], links: tuple[int, ...], ask: Ask | None
