@@ -886,7 +886,7 @@ static int bulk_from_ros(const struct ros_bulk *stream, const struct found *foun
 }
 
 /* Write head and tail of all forms around pixels that stay where they are; ``out`` has room for head and tail. */
-static void frame_pixels(const struct found *found, const struct igtl_form *forms, ssize_t count, int64_t stamp_ns)
+static inline void frame_pixels(const struct found *found, const struct igtl_form *forms, ssize_t count, int64_t stamp_ns)
 {
     for (ssize_t i = 0; i < count; i++) {
         const struct igtl_form *form = &forms[i];

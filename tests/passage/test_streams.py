@@ -360,7 +360,9 @@ steps = st.lists(
 )
 
 
-@settings(max_examples=int(os.environ.get("PASSAGE_SESSIONS", "8")), deadline=None, derandomize=True, phases=[Phase.generate])
+@settings(
+    max_examples=int(os.environ.get("PASSAGE_SESSIONS", "8")), deadline=None, derandomize=True, phases=[Phase.generate]
+)
 @given(steps)
 def test_sessions_of_the_fast_path_are_what_the_full_path_gives(steps: list[Any]) -> None:
     with pytest.MonkeyPatch.context() as monkeypatch, tempfile.TemporaryDirectory() as folder:
@@ -517,19 +519,21 @@ def test_losses_of_the_middleware_are_counted(monkeypatch: pytest.MonkeyPatch) -
 def test_a_failing_middleware_is_counted_and_hangs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     with scene(monkeypatch) as here:
         peer = here.connect()
-        for number in range(10):
-            peer.send(transform(number))
-            here.send_ros(pose(number))
-        wait_for(lambda: here.native == 2)
+        sent = 0
+        while here.native < 2:
+            peer.send(transform(sent))
+            here.send_ros(pose(sent))
+            sent += 1
+            time.sleep(0.005)
         link = here.bridge.tcp.native_link(1)
-        wait_for(lambda: link and link.is_native)
+        wait_for(lambda: link and link.is_native and here.received("igtl_in") == sent)
         here.middleware.failing = 1
-        peer.send(transform(11))
-        here.send_ros(pose(11))
-        wait_for(lambda: here.received("igtl_in") == 11 and here.ros.errors)
+        peer.send(transform(sent))
+        here.send_ros(pose(sent))
+        wait_for(lambda: here.received("igtl_in") == sent + 1 and here.ros.errors)
         here.middleware.failing = 0
-        here.send_ros(pose(12))
-        wait_for(lambda: here.received("ros_in") == 12)
+        here.send_ros(pose(sent + 1))
+        wait_for(lambda: here.received("ros_in") == sent + 2)
         here.ros.sync()
         assert here.ros.counters()["/igtl/in/ToolToBase/transform"]["failed"] == 1
         here.ros.errors.clear()
