@@ -253,7 +253,7 @@ struct Stream {
     ssize_t at, place_at;
     struct igtl_poses from_igtl;
     struct ros_poses from_ros;
-    int is_bulk; /* texts, points and clouds: these instead of the two above */
+    int is_bulk; /* strings, points and clouds: these instead of the two above */
     struct igtl_bulk bulk_from_igtl;
     struct ros_bulk bulk_from_ros;
     ssize_t places[MAX_PLACES];
@@ -1690,8 +1690,8 @@ static PyMethodDef passage_methods[] = {
     {"__enter__", (PyCFunction)passage_enter, METH_NOARGS, "Take the sequence lock."},
     {"__exit__", (PyCFunction)passage_exit, METH_VARARGS, "Release the sequence lock."},
     {"to_ros", (PyCFunction)passage_to_ros, METH_VARARGS, "Add a stream from a link; with the sequence lock."},
-    {"to_ros_bulk", (PyCFunction)passage_to_ros_bulk, METH_VARARGS, "As to_ros, of texts, points and clouds."},
-    {"to_igtl_bulk", (PyCFunction)passage_to_igtl_bulk, METH_VARARGS, "As to_igtl, of texts, points and clouds."},
+    {"to_ros_bulk", (PyCFunction)passage_to_ros_bulk, METH_VARARGS, "As to_ros, of strings, points and clouds."},
+    {"to_igtl_bulk", (PyCFunction)passage_to_igtl_bulk, METH_VARARGS, "As to_igtl, of strings, points and clouds."},
     {"to_igtl", (PyCFunction)passage_to_igtl, METH_VARARGS, "Add the stream of a subscription; with the sequence lock."},
     {"use_rcl", (PyCFunction)passage_use_rcl, METH_VARARGS, "Set the addresses of take, publish and count of subscribers."},
     {"record_into", (PyCFunction)passage_record_into, METH_VARARGS, "Put entries into the queue of a recorder."},
