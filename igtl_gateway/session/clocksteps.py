@@ -5,8 +5,8 @@ follows: there is a jump in the log.  When it is set *back* by more than ``STAND
 step and is ahead of the clock from then on; by less, it stands until the clock has caught up.  A clock that is set
 forward again first takes away what gateway time is ahead.
 
-Each step is an input of the session, a note of code ``CLOCK_STEP``.  It is noticed some hundredths of a second late, so
-a jump lies shortly before its note.
+Each step is an input of the session, a note of code ``CLOCK_STEP``.  It is noticed at once on Linux, else some
+hundredths of a second late, so a jump lies shortly before its note.
 """
 
 from __future__ import annotations
