@@ -11,12 +11,13 @@ import platform
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from igtl_gateway import __version__
 from igtl_gateway.app.commands import SERVICE, SERVICE_TYPE, CommandService
-from igtl_gateway.app.hub import Hub, Sink
+from igtl_gateway.app.hub import LARGE_BYTES, Hub, Rest, Sink
 from igtl_gateway.app.passage import BridgePassage, make_passage
 from igtl_gateway.app.recording import serve_recording
 from igtl_gateway.app.timer import Timer
@@ -365,12 +366,21 @@ class Bridge:
             text = f"{DIAGNOSTICS_TOPIC} stops: {type(error).__name__}: {error}"
             self.hub.note(Note(Level.ERROR, "internal_error", text))
 
-    def _record(self, entry: Entry) -> None:
-        if self.recorder:
-            self.recorder(entry)
+    def _record(self, entry: Entry) -> Rest | None:
+        return self.recorder.reserve(entry) if self.recorder else None
 
-    def _dispatch(self, entry: Entry) -> None:
-        """Pass an output to its edge.  The hub calls this in the order of the log, with its lock held."""
+    def _dispatch(self, entry: Entry) -> Rest | None:
+        """Pass an output to its edge.  The hub calls this in the order of the log, with its lock held.
+
+        Large outputs are passed without the lock, by the function that is returned.
+        """
+        is_output = entry.kind is Kind.IGTL_OUT or entry.kind is Kind.ROS_OUT
+        if is_output and entry.size >= LARGE_BYTES:
+            return partial(self._pass_on, entry)
+        self._pass_on(entry)
+        return None
+
+    def _pass_on(self, entry: Entry) -> None:
         if entry.kind is Kind.IGTL_OUT:
             self.tcp.send(entry.links, entry.payload, entry.channel, self.gateway.keep(entry))
         elif entry.kind is Kind.ROS_OUT and self.ros:

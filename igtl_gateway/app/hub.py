@@ -16,12 +16,19 @@ from igtl_gateway.app.sequence import Sequence as InputSequence
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.clock import Clock
 from igtl_gateway.gateway import TICK, Session
+from igtl_gateway.gateway.fastpath import Prepared
 from igtl_gateway.once import Once
 from igtl_gateway.session.clocksteps import LEAST_NS, ClockStep
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 
-Sink = Callable[[Entry], None]
+#: What a sink leaves to be done without the lock, such as the copy of a picture.
+Rest = Callable[[], None]
+Sink = Callable[[Entry], Rest | None]
+
+#: Payloads of this size on are converted before their input has its number, and sent after that: then small messages do
+#: not wait for them.
+LARGE_BYTES = 64 << 10
 
 #: Longest time between two readings of the clocks that are compared: the thread might be interrupted in between.
 _AT_ONCE_NS = LEAST_NS // 10
@@ -112,7 +119,7 @@ class Hub:
         if abs(step_ns) >= LEAST_NS:
             step = ClockStep.after(step_ns, self.sequence.ahead_ns)
             self.sequence.ahead_ns = step.ahead_ns
-            self._process(Kind.EDGE_NOTE, step.note().pack(), "", "", (), 0)
+            self._finish(self._process(Kind.EDGE_NOTE, step.note().pack(), "", "", (), 0))
 
     def _submit(
         self,
@@ -127,21 +134,33 @@ class Hub:
         if self._owner == me:
             self._waiting.append((kind, payload, channel, type_name, links, source_ns))
             return
+        prepared = None
+        if len(payload) >= LARGE_BYTES:
+            prepared = self._session.prepare(kind, payload, channel, type_name, links, source_ns)
         with self.sequence:
             self._owner = me
             try:
-                self._process(kind, payload, channel, type_name, links, source_ns)
+                rests = self._process(kind, payload, channel, type_name, links, source_ns, prepared)
                 self._process_waiting()
             finally:
                 self._owner = 0
+        self._finish(rests)
 
     def _process_waiting(self) -> None:
         while self._waiting:
-            self._process(*self._waiting.popleft())
+            self._finish(self._process(*self._waiting.popleft()))
 
     def _process(
-        self, kind: Kind, payload: Buffer, channel: str, type_name: str, links: tuple[int, ...], source_ns: int
-    ) -> None:
+        self,
+        kind: Kind,
+        payload: Buffer,
+        channel: str,
+        type_name: str,
+        links: tuple[int, ...],
+        source_ns: int,
+        prepared: Prepared | None = None,
+    ) -> list[tuple[Sink, Rest]]:
+        """Process an input; return what its sinks have left to be done without the lock."""
         now_ns = self._utc_ns() + self.sequence.ahead_ns
         if now_ns < self.sequence.last_ns:
             self._check_clock()
@@ -155,13 +174,24 @@ class Hub:
             type_name=type_name,
             links=links,
             source_ns=source_ns,
+            prepared=prepared,
         )
+        rests: list[tuple[Sink, Rest]] = []
         for sink in self._sinks:  # all entries to one sink, then the next: sending does not wait for recording
             for entry in entries:
                 try:
-                    sink(entry)
+                    if rest := sink(entry):
+                        rests.append((sink, rest))
                 except Exception as error:  # a defect of a sink must not stop the other sinks or the session
                     self._note_sink_failure(sink, error)
+        return rests
+
+    def _finish(self, rests: list[tuple[Sink, Rest]]) -> None:
+        for sink, rest in rests:
+            try:
+                rest()
+            except Exception as error:
+                self._note_sink_failure(sink, error)
 
     def _note_sink_failure(self, sink: Sink, error: Exception) -> None:
         """Submit a note about the first exception of a sink.  Only the first: the sink might also fail at this note."""

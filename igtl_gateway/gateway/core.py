@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import lru_cache
 
+from igtl_gateway.buffers import Buffer
 from igtl_gateway.config import Config
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.igtl_msgs import RawMessage
@@ -17,7 +18,7 @@ from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.commanding import Commands
 from igtl_gateway.gateway.dialogue.links import LINKS_QOS, LINKS_TOPIC, Links
 from igtl_gateway.gateway.dialogue.querying import Queries
-from igtl_gateway.gateway.fastpath import Fast, FastPath
+from igtl_gateway.gateway.fastpath import Fast, FastPath, Prepared
 from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.outcome import Bookkeeper, Finding, Outcome, Tally
 from igtl_gateway.gateway.peers import Peers
@@ -146,6 +147,18 @@ class Gateway:
             self.deadline_set()
         self.fast_path.end_full_path(entry)
         return [output.entry(entry, step) for step, output in enumerate(outputs, start=1)]
+
+    def prepare(
+        self,
+        kind: Kind,
+        payload: Buffer,
+        channel: str,
+        type_name: str,
+        links: tuple[int, ...],
+        source_ns: int,
+    ) -> Prepared | None:
+        """Convert a message before it is handled; see ``FastPath.prepare``."""
+        return self.fast_path.prepare(kind, payload, channel, type_name, links, source_ns)
 
     def collect(self) -> None:
         """Take over what the native passage has counted."""

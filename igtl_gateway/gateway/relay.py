@@ -64,6 +64,9 @@ class RelayGateway:
     def collect(self) -> None:
         """Nothing passes natively."""
 
+    def prepare(self, *_input: object) -> None:
+        """Nothing is converted."""
+
     def handle(self, entry: Entry) -> list[Entry]:
         """Return the entries that ``entry`` causes, with the numbers and nanoseconds directly after it."""
         outputs: list[Output] = []

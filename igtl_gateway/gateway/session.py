@@ -12,7 +12,7 @@ from typing import Protocol
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.config import Config
 from igtl_gateway.gateway.core import Gateway
-from igtl_gateway.gateway.fastpath import Fast
+from igtl_gateway.gateway.fastpath import Fast, Prepared
 from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.relay import RelayGateway
 from igtl_gateway.gateway.to_ros.subscribers import Ask
@@ -44,6 +44,16 @@ class Core(Protocol):
     def handle(self, entry: Entry) -> list[Entry]: ...
 
     def collect(self) -> None: ...
+
+    def prepare(
+        self,
+        kind: Kind,
+        payload: Buffer,
+        channel: str,
+        type_name: str,
+        links: tuple[int, ...],
+        source_ns: int,
+    ) -> Prepared | None: ...
 
     def subscription(self, topic: str, ros_type: str) -> Qos | None: ...
 
@@ -93,16 +103,17 @@ class Session:
         type_name: str = "",
         links: tuple[int, ...] = (),
         source_ns: int = 0,
+        prepared: Prepared | None = None,
     ) -> list[Entry]:
         """Return the entry of an input that arrived at ``now_ns`` (UTC), followed by the entries that it causes.
 
-        Channel, type and stamp of OpenIGTLink input are read from its header.
+        Channel, type and stamp of OpenIGTLink input are read from its header.  ``prepared``: result of ``prepare``.
         """
         numbers = self._numbers
         seq = numbers.seq + 1
         # stamps increase in the order of the log, even if the host's clock steps back
         stamp_ns = max(now_ns, numbers.stamp_ns + 1)
-        entries = self._fast(seq, stamp_ns, kind, payload, channel, type_name, links, source_ns)
+        entries = self._fast(seq, stamp_ns, kind, payload, channel, type_name, links, source_ns, prepared)
         if not entries:
             if kind is Kind.IGTL_IN:
                 channel, type_name, source_ns = header_names(payload[0])
@@ -110,6 +121,18 @@ class Session:
             entries = [entry, *self.gateway.handle(entry)]
         numbers.seq, numbers.stamp_ns = entries[-1].seq, entries[-1].stamp_ns
         return entries
+
+    def prepare(
+        self,
+        kind: Kind,
+        payload: Buffer,
+        channel: str,
+        type_name: str,
+        links: tuple[int, ...],
+        source_ns: int,
+    ) -> Prepared | None:
+        """Convert a large message before its turn has come, from any thread; None if that is not possible."""
+        return self.gateway.prepare(kind, payload, channel, type_name, links, source_ns)
 
     def collect(self) -> None:
         """Take over what the native passage has counted: deadlines depend on it."""

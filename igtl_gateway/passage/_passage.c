@@ -23,7 +23,7 @@
 #include <unistd.h>
 
 #include "../convert/_places.h"
-#include "../edges/ros/_rcl.h"
+#include "../edges/ros/_take.h"
 #include "../record/_queue.h"
 
 #define NAMES_BYTES 34 /* of a header: version, type, device name */
@@ -740,19 +740,13 @@ struct Subscription {
     int taker, is_pending, is_ready, failure;
     struct rcl_serialized message; /* of the taker */
     struct rcl_message_info info;
-    int is_held; /* the message was taken, and is for Python */
+    size_t last_size; /* of the last message */
+    int is_held;      /* the message was taken, and is for Python */
     /* losses, for TopicSubscription */
     uint64_t last_number;
     long long received, missing;
     Subscription *next_ready;
 };
-
-static void *allocate(size_t size, void *state) { return (void)state, malloc(size); }
-static void deallocate(void *pointer, void *state) { (void)state, free(pointer); }
-static void *reallocate(void *pointer, size_t size, void *state) { return (void)state, realloc(pointer, size); }
-static void *zero_allocate(size_t number, size_t size, void *state) { return (void)state, calloc(number, size); }
-
-static const struct rcl_allocator ALLOCATOR = {allocate, deallocate, reallocate, zero_allocate, NULL};
 
 /* Have Python take from the subscription. */
 static void note_subscription(Subscription *self)
@@ -794,7 +788,7 @@ static void on_message(const void *user_data, size_t events)
     }
     /* A thread that publishes with the sequence lock may be called for a subscription of its own node. */
     int passes = !has_sequence(passage) && __atomic_load_n(&self->stream, __ATOMIC_RELAXED) &&
-                 self->message.length <= LARGEST_INPUT; /* the next one is as large as the last */
+                 self->last_size <= LARGEST_INPUT; /* the next one is as large as the last */
     self->taker = passes ? TAKING : WITH_PYTHON;
     pthread_mutex_unlock(&self->state);
     while (passes) {
@@ -1417,7 +1411,7 @@ static PyObject *subscription_new(PyTypeObject *type, PyObject *args, PyObject *
         return NULL;
     self->passage = (Passage *)Py_NewRef((PyObject *)passage);
     self->pointer = (const void *)(uintptr_t)pointer;
-    self->message.allocator = ALLOCATOR;
+    self->message.allocator = TAKE_ALLOCATOR;
     if (begin_mutex(&self->state)) {
         Py_DECREF(self);
         return PyErr_NoMemory();
@@ -1467,16 +1461,10 @@ static PyObject *subscription_take(Subscription *self, PyObject *nothing)
         return PyErr_Format(PyExc_RuntimeError, "rcl cannot take a message (code %d)", code);
     }
     self->is_held = 0;
-    PyObject *cdr = PyBytes_FromStringAndSize(NULL, (Py_ssize_t)self->message.length);
+    self->last_size = self->message.length;
+    PyObject *cdr = python_bytes(&self->message);
     if (!cdr)
         return NULL;
-    if (self->message.length < CHUNK_BYTES) {
-        memcpy(PyBytes_AS_STRING(cdr), self->message.buffer, self->message.length);
-    } else {
-        Py_BEGIN_ALLOW_THREADS
-        memcpy(PyBytes_AS_STRING(cdr), self->message.buffer, self->message.length);
-        Py_END_ALLOW_THREADS
-    }
     return Py_BuildValue("NLK", cdr, (long long)self->info.source_ns, (unsigned long long)self->info.publication_number);
 }
 
@@ -1730,6 +1718,8 @@ PyMODINIT_FUNC PyInit__passage(void)
 {
     begin_bytes();
     begin_bulk(1);
+    if (begin_take())
+        return NULL;
     PyObject *module = PyModule_Create(&definition);
     PyTypeObject *types[] = {&Lock_Type, &Passage_Type, &Link_Type, &Subscription_Type, &Publisher_Type, &Stream_Type};
     const char *names[] = {"Lock", "Passage", "Link", "Subscription", "Publisher", "Stream"};

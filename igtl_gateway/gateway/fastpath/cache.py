@@ -21,7 +21,7 @@ from igtl_gateway.gateway.to_ros.volumes import Volumes
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import Ledger
-from igtl_gateway.wire.header import NAMES
+from igtl_gateway.wire.header import HEADER_SIZE, NAMES
 
 #: Maximum number of compiled streams in each direction; further streams take the full path.
 MAX_STREAMS = 4_096
@@ -29,9 +29,12 @@ MAX_STREAMS = 4_096
 #: Number of times that a stream is compiled until the peers change: if its messages never fit, it keeps the full path.
 MAX_COMPILED = 8
 
-#: Entry number, gateway time (UTC ns), kind, payload, channel, type, links and source stamp of an input → its entry and
-#: the entries that it causes; nothing if the input must take the full path.
-Fast = Callable[[int, int, Kind, Sequence[Buffer], str, str, tuple[int, ...], int], list[Entry] | None]
+#: A compiled stream, and what it has converted a message to.
+Prepared = tuple[CompiledToIgtl | CompiledToRos | None, Any]
+
+#: Entry number, gateway time (UTC ns), kind, payload, channel, type, links, source stamp and the result of ``prepare``
+#: of an input → its entry and the entries that it causes; nothing if the input must take the full path.
+Fast = Callable[[int, int, Kind, Sequence[Buffer], str, str, tuple[int, ...], int, Prepared | None], list[Entry] | None]
 
 
 class FastPath:
@@ -80,16 +83,19 @@ class FastPath:
         type_name: str,
         links: tuple[int, ...],
         source_ns: int,
+        prepared: Prepared | None = None,
     ) -> list[Entry] | None:
         """Return the entries of the compiled stream, if there is one that fits the message; see ``Fast``."""
         entries: list[Entry] | None = None
         native = self.native
+        stream, made = prepared or (None, None)
         if kind is Kind.ROS_IN:
             topic_key = (channel, type_name)
             if to_igtl := self.to_igtl.get(topic_key):
                 if native:
                     native.collect(topic_key)
-                entries = to_igtl(seq, stamp_ns, payload, channel, type_name, source_ns)
+                ready = made if stream is to_igtl else None
+                entries = to_igtl(seq, stamp_ns, payload, channel, type_name, source_ns, ready)
                 if entries is None:
                     self._drop(self.to_igtl, topic_key)
                 elif native and entries:
@@ -99,7 +105,8 @@ class FastPath:
             if to_ros := self.to_ros.get(device_key):
                 if native:
                     native.collect(device_key)
-                entries = to_ros(seq, stamp_ns, payload, links, self._subscribers.ask)
+                ready = made if stream is to_ros else None
+                entries = to_ros(seq, stamp_ns, payload, links, self._subscribers.ask, ready)
                 if entries is None:
                     self._drop(self.to_ros, device_key)
                 elif native and entries:
@@ -107,6 +114,29 @@ class FastPath:
         if native and not entries:
             native.collect_all()
         return entries
+
+    def prepare(
+        self,
+        kind: Kind,
+        payload: Buffer,
+        channel: str,
+        type_name: str,
+        links: tuple[int, ...],
+        source_ns: int,
+    ) -> Prepared | None:
+        """Convert a message without the sequence lock, from any thread; None if that is not possible.
+
+        The result is for ``take``, which uses it if the stream is the same then.
+        """
+        made: tuple[Any, ...] | None = None
+        stream: CompiledToIgtl | CompiledToRos | None = None
+        if kind is Kind.ROS_IN:
+            if to_igtl := self.to_igtl.get((channel, type_name)):
+                stream, made = to_igtl, to_igtl.prepare((payload,), source_ns)
+        elif kind is Kind.IGTL_IN and len(payload) >= HEADER_SIZE:
+            if to_ros := self.to_ros.get((links[0], bytes(payload[NAMES]))):
+                stream, made = to_ros, to_ros.prepare((payload,), self._subscribers.ask)
+        return (stream, made) if made else None
 
     def collect(self) -> None:
         """Take over what the native passage has counted."""

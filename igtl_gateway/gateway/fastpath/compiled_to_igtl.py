@@ -17,6 +17,8 @@ from igtl_gateway.session.ledger import Ledger
 
 #: The translation at the beginning of a pose in CDR.
 _PLACE = struct.Struct("<3d")
+#: Gateway time (UTC ns) that no message has, in place of one that is not known yet.
+_NO_TIME = 0
 
 
 class CompiledToIgtl:
@@ -68,11 +70,13 @@ class CompiledToIgtl:
         self._place, self._place_at = _PLACE if place_at else None, place_at or 0
         self.is_pose = place_at is not None
 
-    def __call__(
-        self, seq: int, stamp_ns: int, payload: Sequence[Buffer], channel: str, ros_type: str, source_ns: int
-    ) -> list[Entry] | None:
-        """Return the entries of a message; [] sends it to the full path, None also all further messages."""
-        made = self._fill(
+    def prepare(self, payload: Sequence[Buffer], source_ns: int) -> tuple[Any, ...] | None:
+        """Convert a message before it has a number; None if the result depends on its gateway time."""
+        made = self._convert(payload, source_ns, _NO_TIME) if self.own else None
+        return made if made and made[0] != _NO_TIME else None
+
+    def _convert(self, payload: Sequence[Buffer], source_ns: int, stamp_ns: int) -> tuple[Any, ...] | None:
+        return self._fill(
             payload[0],
             self.sample,
             self.names,
@@ -83,6 +87,22 @@ class CompiledToIgtl:
             self.ratio,
             self.forms,
         )
+
+    def __call__(
+        self,
+        seq: int,
+        stamp_ns: int,
+        payload: Sequence[Buffer],
+        channel: str,
+        ros_type: str,
+        source_ns: int,
+        made: tuple[Any, ...] | None = None,
+    ) -> list[Entry] | None:
+        """Return the entries of a message; [] sends it to the full path, None also all further messages.
+
+        ``made``: result of ``prepare``.
+        """
+        made = made or self._convert(payload, source_ns, stamp_ns)
         if made is None:
             return None
         shown_ns = made[0]

@@ -23,6 +23,13 @@ Volume = tuple[VolumeAssembler, Form, np.dtype[Any]]
 #: Entry, latched topic and ROS stamp (UTC ns) → what ``Subscribers.waiting`` has for the topic.
 Defer = Callable[[Entry, str, int], Any]
 
+#: Topic, ROS type, form and counts of each output.
+Outputs = tuple[tuple[str, str, tuple[Any, ...], dict[str, int]], ...]
+#: Outputs of a message, and what it was converted to.
+Prepared = tuple[Outputs, tuple[Any, ...]]
+
+#: Gateway time (UTC ns) that no message has, in place of one that is not known yet.
+_NO_TIME = 0
 #: The translation in OpenIGTLink.
 _PLACE = struct.Struct(">3f")
 
@@ -83,26 +90,52 @@ class CompiledToRos:
         self._defer = defer
         self.is_plain = not self._latched and volume is None
 
+    def prepare(self, payload: Sequence[Buffer], ask: Ask | None) -> Prepared | None:
+        """Convert a message before it has a number; None if the result depends on its gateway time, or on others."""
+        if not self.own or self._latched:
+            return None
+        outputs = self._wanted(ask)
+        if not outputs:
+            return None
+        made = self._convert(payload, outputs, _NO_TIME)
+        return (outputs, made) if made and made[1] != _NO_TIME else None
+
+    def _wanted(self, ask: Ask | None) -> Outputs:
+        """Return the outputs that have a subscriber."""
+        return self.outputs if ask is None else tuple(one for one in self.outputs if ask(one[0], one[1]))
+
+    def _convert(self, payload: Sequence[Buffer], outputs: Outputs, stamp_ns: int) -> tuple[Any, ...] | None:
+        at, size = self.places
+        forms = self._forms if outputs is self.outputs else tuple(form for _, _, form, _ in outputs)
+        return self._fill(payload[0], self.sample, at, size, self.check_crc, self.own, stamp_ns, self.ratio, forms)
+
     def __call__(
-        self, seq: int, stamp_ns: int, payload: Sequence[Buffer], links: tuple[int, ...], ask: Ask | None
+        self,
+        seq: int,
+        stamp_ns: int,
+        payload: Sequence[Buffer],
+        links: tuple[int, ...],
+        ask: Ask | None,
+        prepared: Prepared | None = None,
     ) -> list[Entry] | None:
-        """Return the entries of a message; [] sends it to the full path, None also all further messages."""
-        outputs, forms = self.outputs, self._forms
+        """Return the entries of a message; [] sends it to the full path, None also all further messages.
+
+        ``prepared``: result of ``prepare``.
+        """
+        outputs = prepared[0] if prepared else self._wanted(ask)
         later: frozenset[str] = frozenset()
         if ask is not None:
-            outputs = tuple(one for one in outputs if ask(one[0], one[1]))
-            forms = tuple(form for _, _, form, _ in outputs)
             if self._latched:
                 later = self._latched - {topic for topic, _, _, _ in outputs}
             if later and self._defer is None:
                 return []  # the full path keeps the message for the first subscriber
-            if not forms and self._place is None:
+            if not outputs and self._place is None:
                 return []  # without a subscriber, only the full path checks bulk data
         at, size = self.places
         volume = self._volume
         if volume and not volume[0].takes(volume[1]):
             return []
-        made = self._fill(payload[0], self.sample, at, size, self.check_crc, self.own, stamp_ns, self.ratio, forms)
+        made = prepared[1] if prepared else self._convert(payload, outputs, stamp_ns)
         if made is None:
             return None
         source_ns, shown_ns = made[0], made[1]
