@@ -145,7 +145,7 @@ class Gateway:
             outputs = self._accounts.fail(entry, error)
         if self.deadline_set:
             self.deadline_set()
-        self.fast_path.end_full_path(entry)
+        self.fast_path.end_full_path()
         return [output.entry(entry, step) for step, output in enumerate(outputs, start=1)]
 
     def prepare(

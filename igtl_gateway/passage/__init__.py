@@ -23,14 +23,14 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from igtl_gateway.passage._passage import Link, Lock, Passage, Publisher, Stream, Subscription
+    from igtl_gateway.passage._passage import Guard, Link, Lock, Passage, Publisher, Stream, Subscription
 else:
     try:
-        from igtl_gateway.passage._passage import Link, Lock, Passage, Publisher, Stream, Subscription
+        from igtl_gateway.passage._passage import Guard, Link, Lock, Passage, Publisher, Stream, Subscription
     except ImportError:  # installed without the C part
-        Link = Lock = Passage = Publisher = Stream = Subscription = None
+        Guard = Link = Lock = Passage = Publisher = Stream = Subscription = None
 
-__all__ = ["Link", "Lock", "Passage", "Publisher", "Stream", "Subscription", "is_compiled"]
+__all__ = ["Guard", "Link", "Lock", "Passage", "Publisher", "Stream", "Subscription", "is_compiled"]
 
 
 def is_compiled() -> bool:

@@ -36,6 +36,8 @@
 #define MAX_PLACES 70             /* of a sample, see express.py */
 #define OBSERVATIONS 256
 #define EVENTS 32
+#define MAX_LARGE_STREAMS 64
+#define MAX_LARGE_WAITING 3 /* messages; then TCP makes the peer wait */
 #define LOCK_NS 2000000 /* the longest wait of a thread of the middleware */
 
 /* As in guarded_stream.py and timing.py. */
@@ -210,15 +212,17 @@ static int has_sequence(Passage *self)
 /* -- streams ------------------------------------------------------------------------------------------------------------ */
 
 /* The state of igtl_gateway.gateway.guarded_stream.GuardedStream that a message needs. */
-struct guard {
-    char is_on, watches, judged_by_python; /* the last: an episode, a stale stream … */
+typedef struct {
+    PyObject_HEAD
+    char is_dirty;                  /* messages have changed it since the last collection */
+    char watches, judged_by_python; /* the latter: an episode, a stale stream … */
     char has_place, knows_age;
     int64_t max_age_ns, ahead_ns, last_ns, look_ns, due_ns, seen_ns, arrived_ns;
     int64_t still;
     double place[3];
     int observed; /* stamp (0: unset) and time of arrival of the looks that Python has not added to its timing */
     int64_t observations[OBSERVATIONS][2];
-};
+} Guard;
 
 typedef struct {
     PyObject_HEAD
@@ -262,7 +266,7 @@ struct Stream {
     int output_count;
     uint64_t number;
     char is_stale; /* the recorder counts streams from the start again */
-    struct guard guard;
+    Guard *guard; /* NULL: the stream is not guarded; several streams may share one */
     /* since the last collection */
     uint64_t received, converted, unheard;
     uint64_t latest_seq;
@@ -281,9 +285,9 @@ static int might_jump(const double before[3], const double after[3])
 }
 
 /* GuardedStream.passes_quickly: 1 where the message passes and is observed; 0, and nothing changes: Python judges. */
-static int passes_guard(struct guard *guard, int64_t now_ns, int64_t stamp_ns, const double place[3])
+static int passes_guard(Guard *guard, int64_t now_ns, int64_t stamp_ns, const double place[3])
 {
-    if (!guard->is_on)
+    if (!guard)
         return 1;
     if (guard->judged_by_python)
         return 0;
@@ -315,6 +319,7 @@ static int passes_guard(struct guard *guard, int64_t now_ns, int64_t stamp_ns, c
         }
     }
     guard->last_ns = stamp_ns;
+    guard->is_dirty = 1;
     return 1;
 }
 
@@ -432,7 +437,7 @@ static int pass_to_ros(Passage *self, Stream *stream, const uint8_t *data, ssize
         place[i] = get_f32(data + stream->place_at + 4 * i);
     if (!begin_record(self, stream, built, count, bytes))
         return 0;
-    if (!passes_guard(&stream->guard, stamp_ns, shown_ns, is_bulk ? NULL : place)) {
+    if (!passes_guard(stream->guard, stamp_ns, shown_ns, is_bulk ? NULL : place)) {
         end_record(self);
         return 0;
     }
@@ -477,6 +482,12 @@ struct unsent {
     char keep;
 };
 
+/* A large message that was read whole, for Python. */
+struct large {
+    struct rcl_serialized message; /* only its memory */
+    struct large *next;
+};
+
 struct Link {
     PyObject_HEAD
     Passage *passage;
@@ -489,6 +500,16 @@ struct Link {
     int failure; /* errno of the last reading; 0: none, or the peer has ended */
     uint8_t *chunk;
     ssize_t filled;
+    uint8_t *body; /* a large message that is being read; NULL: the chunk is filled */
+    ssize_t body_size, body_filled;
+    struct {
+        uint8_t names[NAMES_BYTES];
+        ssize_t most; /* bytes of a message */
+    } large_streams[MAX_LARGE_STREAMS]; /* guarded by the sequence lock */
+    int large_stream_count;
+    struct large *large, **large_end; /* guarded by the passage's events */
+    int large_waiting;                /* read, and not handled by Python yet; atomic */
+    int is_paused;                    /* too many of them; atomic */
     int64_t room; /* messages that may arrive until Python must check the rate */
     long long received_messages, received_bytes, heard_ns;
     /* sending; guarded by the lock of the sender */
@@ -541,12 +562,64 @@ static void note_link(Link *self)
 /* Give the link to Python, with what is left in the chunk from `start` on; the caller has `reading`. */
 static void give_to_python(Link *self, ssize_t start, int failure)
 {
-    self->filled -= start;
-    memmove(self->chunk, self->chunk + start, self->filled);
+    if (!self->body) {
+        self->filled -= start;
+        memmove(self->chunk, self->chunk + start, self->filled);
+    }
     self->failure = failure;
     self->reader = PYTHON;
     epoll_ctl(self->passage->epoll, EPOLL_CTL_DEL, self->fd, NULL);
     note_link(self);
+}
+
+/* The most bytes of a large message with these names; 0: Python reads it. */
+static ssize_t most_of_large(const Link *self, const uint8_t *names)
+{
+    for (int i = 0; i < self->large_stream_count; i++)
+        if (!memcmp(self->large_streams[i].names, names, NAMES_BYTES))
+            return self->large_streams[i].most;
+    return 0;
+}
+
+/* Leave a large message that was read whole to Python, and go on reading; the caller has `reading`. */
+static void end_large(Link *self)
+{
+    struct large *large = calloc(1, sizeof *large);
+    Passage *passage = self->passage;
+    if (!large) { /* Python reads it from the beginning */
+        give_to_python(self, 0, 0);
+        return;
+    }
+    large->message.buffer = self->body;
+    large->message.length = large->message.capacity = (size_t)self->body_size;
+    self->body = NULL;
+    self->received_messages++;
+    self->room--;
+    pthread_mutex_lock(&passage->events);
+    *self->large_end = large;
+    self->large_end = &large->next;
+    pthread_mutex_unlock(&passage->events);
+    if (__atomic_add_fetch(&self->large_waiting, 1, __ATOMIC_SEQ_CST) >= MAX_LARGE_WAITING) {
+        epoll_ctl(passage->epoll, EPOLL_CTL_DEL, self->fd, NULL);
+        __atomic_store_n(&self->is_paused, 1, __ATOMIC_SEQ_CST);
+    }
+    note_link(self);
+}
+
+/* Begin to read a large message, whose beginning is in the chunk; 0: Python has to read it. */
+static int begin_large(Link *self, ssize_t start, uint64_t total)
+{
+    if (!lock_sequence(self->passage))
+        return 0;
+    ssize_t most = most_of_large(self, self->chunk + start);
+    unlock_sequence(self->passage);
+    if (total > (uint64_t)most || self->room <= 0 || !(self->body = malloc(total)))
+        return 0;
+    self->body_size = (ssize_t)total;
+    self->body_filled = self->filled - start;
+    memcpy(self->body, self->chunk + start, self->body_filled);
+    self->filled = 0;
+    return 1;
 }
 
 /* Read once, and pass on what is whole. */
@@ -556,7 +629,9 @@ static void read_link(Link *self)
     pthread_mutex_lock(&self->reading);
     if (self->reader != NATIVE)
         goto done;
-    ssize_t count = recv(self->fd, self->chunk + self->filled, CHUNK_BYTES - self->filled, MSG_DONTWAIT);
+    uint8_t *place = self->body ? self->body + self->body_filled : self->chunk + self->filled;
+    ssize_t room = self->body ? self->body_size - self->body_filled : CHUNK_BYTES - self->filled;
+    ssize_t count = recv(self->fd, place, room, MSG_DONTWAIT);
     if (count < 0 && (errno == EAGAIN || errno == EINTR))
         goto done;
     if (count <= 0) {
@@ -565,6 +640,12 @@ static void read_link(Link *self)
     }
     self->heard_ns = clock_ns(CLOCK_MONOTONIC);
     self->received_bytes += count;
+    if (self->body) {
+        self->body_filled += count;
+        if (self->body_filled == self->body_size)
+            end_large(self);
+        goto done;
+    }
     self->filled += count;
     ssize_t start = 0;
     while (self->filled - start >= HEADER_SIZE) {
@@ -575,8 +656,11 @@ static void read_link(Link *self)
         int passed = 0;
         if (body <= CHUNK_BYTES - HEADER_SIZE && self->room > 0 && lock_sequence(passage)) {
             Stream *stream = stream_of(self, message);
-            passed = stream && pass_to_ros(passage, stream, message, HEADER_SIZE + (ssize_t)body);
+            int waits = self->large_waiting && most_of_large(self, message); /* for one of its stream */
+            passed = stream && !waits && pass_to_ros(passage, stream, message, HEADER_SIZE + (ssize_t)body);
             unlock_sequence(passage);
+        } else if (body > CHUNK_BYTES - HEADER_SIZE && begin_large(self, start, HEADER_SIZE + body)) {
+            goto done;
         }
         if (!passed) {
             give_to_python(self, start, 0);
@@ -691,7 +775,7 @@ static int pass_to_igtl(Passage *self, Stream *stream, const uint8_t *cdr, ssize
         end_record(self);
         return 0;
     }
-    if (!passes_guard(&stream->guard, stamp_ns, shown_ns, is_bulk ? NULL : place)) {
+    if (!passes_guard(stream->guard, stamp_ns, shown_ns, is_bulk ? NULL : place)) {
         unlock_links(stream, count, 0);
         end_record(self);
         return 0;
@@ -844,6 +928,7 @@ static void stream_dealloc(Stream *self)
     }
     Py_XDECREF((PyObject *)self->link);
     Py_XDECREF((PyObject *)self->subscription);
+    Py_XDECREF((PyObject *)self->guard);
     Py_XDECREF((PyObject *)self->passage);
     Py_TYPE(self)->tp_free((PyObject *)self);
 }
@@ -868,43 +953,52 @@ static PyObject *stream_remove(Stream *self, PyObject *nothing)
 static PyObject *stream_collect(Stream *self, PyObject *nothing)
 {
     (void)nothing;
-    struct guard *guard = &self->guard;
-    PyObject *sent = PyTuple_New(self->output_count), *latest = NULL, *place = NULL, *looks = NULL, *found = NULL;
+    PyObject *sent = PyTuple_New(self->output_count), *found = NULL;
     if (!sent)
         return NULL;
     for (int i = 0; i < self->output_count; i++) {
         PyTuple_SET_ITEM(sent, i, PyLong_FromUnsignedLongLong(self->outputs[i].sent));
         self->outputs[i].sent = 0;
     }
-    latest = self->latest_seq ? Py_BuildValue("KLLy#", (unsigned long long)self->latest_seq,
-                                              (long long)self->latest_stamp_ns, (long long)self->latest_source_ns,
-                                              (const char *)self->latest, (Py_ssize_t)self->latest_size)
-                              : Py_NewRef(Py_None);
-    place = guard->has_place ? Py_BuildValue("ddd", guard->place[0], guard->place[1], guard->place[2])
-                             : Py_NewRef(Py_None);
-    looks = PyList_New(guard->observed);
+    PyObject *latest = self->latest_seq ? Py_BuildValue("KLLy#", (unsigned long long)self->latest_seq,
+                                                        (long long)self->latest_stamp_ns,
+                                                        (long long)self->latest_source_ns, (const char *)self->latest,
+                                                        (Py_ssize_t)self->latest_size)
+                                        : Py_NewRef(Py_None);
+    if (latest)
+        found = Py_BuildValue("KKKOO", (unsigned long long)self->received, (unsigned long long)self->converted,
+                              (unsigned long long)self->unheard, sent, latest);
+    Py_DECREF(sent);
+    Py_XDECREF(latest);
+    if (found)
+        self->received = self->converted = self->unheard = self->latest_seq = 0;
+    return found;
+}
+
+static PyObject *guard_collect(Guard *guard, PyObject *nothing)
+{
+    (void)nothing;
+    PyObject *found = NULL, *looks = PyList_New(guard->observed);
+    PyObject *place = guard->has_place ? Py_BuildValue("ddd", guard->place[0], guard->place[1], guard->place[2])
+                                       : Py_NewRef(Py_None);
     for (int i = 0; looks && i < guard->observed; i++)
         PyList_SET_ITEM(looks, i, Py_BuildValue("LL", (long long)guard->observations[i][0],
                                                 (long long)guard->observations[i][1]));
-    if (latest && place && looks)
-        found = Py_BuildValue("KKKOO(LLLLLLO)O", (unsigned long long)self->received, (unsigned long long)self->converted,
-                              (unsigned long long)self->unheard, sent, latest, (long long)guard->last_ns,
-                              (long long)guard->look_ns, (long long)guard->due_ns, (long long)guard->seen_ns,
-                              (long long)guard->arrived_ns, (long long)guard->still, place, looks);
-    Py_DECREF(sent);
-    Py_XDECREF(latest);
+    if (place && looks)
+        found = Py_BuildValue("(LLLLLLO)O", (long long)guard->last_ns, (long long)guard->look_ns,
+                              (long long)guard->due_ns, (long long)guard->seen_ns, (long long)guard->arrived_ns,
+                              (long long)guard->still, place, looks);
     Py_XDECREF(place);
     Py_XDECREF(looks);
     if (found) {
-        self->received = self->converted = self->unheard = self->latest_seq = 0;
         guard->observed = 0;
+        guard->is_dirty = 0;
     }
     return found;
 }
 
-static PyObject *stream_set_guard(Stream *self, PyObject *args)
+static PyObject *guard_set(Guard *guard, PyObject *args)
 {
-    struct guard *guard = &self->guard;
     int watches, judged, knows_age;
     long long max_age_ns, ahead_ns, last_ns, look_ns, due_ns, seen_ns, arrived_ns, still;
     PyObject *place;
@@ -914,17 +1008,47 @@ static PyObject *stream_set_guard(Stream *self, PyObject *args)
     guard->has_place = place != Py_None;
     if (guard->has_place && !PyArg_ParseTuple(place, "ddd", guard->place, guard->place + 1, guard->place + 2))
         return NULL;
-    guard->is_on = 1;
     guard->watches = (char)watches, guard->judged_by_python = (char)judged, guard->knows_age = (char)knows_age;
     guard->max_age_ns = max_age_ns, guard->ahead_ns = ahead_ns, guard->last_ns = last_ns, guard->look_ns = look_ns;
     guard->due_ns = due_ns, guard->seen_ns = seen_ns, guard->arrived_ns = arrived_ns, guard->still = still;
     Py_RETURN_NONE;
 }
 
+static PyMethodDef guard_methods[] = {
+    {"collect", (PyCFunction)guard_collect, METH_NOARGS, "Return the state, and what was looked at since the last call."},
+    {"set", (PyCFunction)guard_set, METH_VARARGS, "Set the state."},
+    {NULL, NULL, 0, NULL},
+};
+
+static PyMemberDef guard_members[] = {
+    {"is_dirty", T_BOOL, offsetof(Guard, is_dirty), READONLY, "Messages have changed it since the last collection."},
+    {NULL, 0, 0, 0, NULL},
+};
+
+static PyTypeObject Guard_Type = {
+    PyVarObject_HEAD_INIT(NULL, 0).tp_name = "igtl_gateway.passage._passage.Guard",
+    .tp_basicsize = sizeof(Guard),
+    .tp_flags = Py_TPFLAGS_DEFAULT,
+    .tp_doc = "The state of a guarded stream; all methods need the sequence lock.",
+    .tp_new = PyType_GenericNew,
+    .tp_methods = guard_methods,
+    .tp_members = guard_members,
+};
+
+static PyObject *stream_guard_with(Stream *self, PyObject *guard)
+{
+    if (!PyObject_TypeCheck(guard, &Guard_Type)) {
+        PyErr_SetString(PyExc_TypeError, "guard_with: not a guard");
+        return NULL;
+    }
+    Py_XSETREF(self->guard, (Guard *)Py_NewRef(guard));
+    Py_RETURN_NONE;
+}
+
 static PyMethodDef stream_methods[] = {
     {"remove", (PyCFunction)stream_remove, METH_NOARGS, "Pass no more messages; with the sequence lock."},
     {"collect", (PyCFunction)stream_collect, METH_NOARGS, "Return the counts since the last call; with the sequence lock."},
-    {"set_guard", (PyCFunction)stream_set_guard, METH_VARARGS, "Set the state of the guard; with the sequence lock."},
+    {"guard_with", (PyCFunction)stream_guard_with, METH_O, "Check messages by a guard; with the sequence lock."},
     {NULL, NULL, 0, NULL},
 };
 
@@ -1260,6 +1384,7 @@ static PyObject *link_new(PyTypeObject *type, PyObject *args, PyObject *keywords
     self->passage = (Passage *)Py_NewRef((PyObject *)passage);
     self->sending = (Lock *)Py_NewRef((PyObject *)sending);
     self->number = number, self->fd = fd, self->reader = PYTHON, self->clear = 1;
+    self->large_end = &self->large;
     self->chunk = malloc(CHUNK_BYTES);
     if (!self->chunk || begin_mutex(&self->reading)) {
         Py_DECREF(self);
@@ -1271,6 +1396,13 @@ static PyObject *link_new(PyTypeObject *type, PyObject *args, PyObject *keywords
 static void link_dealloc(Link *self)
 {
     free(self->chunk);
+    free(self->body);
+    while (self->large) {
+        struct large *next = self->large->next;
+        free(self->large->message.buffer);
+        free(self->large);
+        self->large = next;
+    }
     free(self->unsent.data);
     free(self->unsent.channel);
     pthread_mutex_destroy(&self->reading);
@@ -1302,10 +1434,15 @@ static PyObject *link_read_by_python(Link *self, PyObject *nothing)
     lock_from_python(&self->reading);
     if (self->reader == NATIVE) {
         self->reader = PYTHON;
-        epoll_ctl(self->passage->epoll, EPOLL_CTL_DEL, self->fd, NULL);
+        if (!self->is_paused)
+            epoll_ctl(self->passage->epoll, EPOLL_CTL_DEL, self->fd, NULL);
         self->failure = 0;
     }
-    PyObject *rest = Py_BuildValue("y#i", (const char *)self->chunk, (Py_ssize_t)self->filled, self->failure);
+    self->is_paused = 0;
+    PyObject *rest = Py_BuildValue("y#i", (const char *)(self->body ? self->body : self->chunk),
+                                   (Py_ssize_t)(self->body ? self->body_filled : self->filled), self->failure);
+    free(self->body);
+    self->body = NULL;
     self->filled = 0;
     pthread_mutex_unlock(&self->reading);
     return rest;
@@ -1325,6 +1462,59 @@ static PyObject *link_take_unsent(Link *self, PyObject *nothing)
         self->unsent = (struct unsent){0};
     }
     return found;
+}
+
+static PyObject *link_add_large(Link *self, PyObject *args)
+{
+    const char *names;
+    Py_ssize_t size, most;
+    if (!PyArg_ParseTuple(args, "y#n", &names, &size, &most))
+        return NULL;
+    if (size != NAMES_BYTES) {
+        PyErr_SetString(PyExc_ValueError, "add_large: not the names of a header");
+        return NULL;
+    }
+    if (self->large_stream_count < MAX_LARGE_STREAMS && !most_of_large(self, (const uint8_t *)names)) {
+        memcpy(self->large_streams[self->large_stream_count].names, names, NAMES_BYTES);
+        self->large_streams[self->large_stream_count++].most = most;
+    }
+    Py_RETURN_NONE;
+}
+
+static PyObject *link_take_large(Link *self, PyObject *nothing)
+{
+    (void)nothing;
+    pthread_mutex_lock(&self->passage->events);
+    struct large *large = self->large;
+    if (large && !(self->large = large->next))
+        self->large_end = &self->large;
+    pthread_mutex_unlock(&self->passage->events);
+    if (!large)
+        Py_RETURN_NONE;
+    PyObject *bytes = python_bytes(&large->message);
+    free(large->message.buffer);
+    free(large);
+    return bytes;
+}
+
+/* Python has handled a large message: read on. */
+static PyObject *link_large_done(Link *self, PyObject *nothing)
+{
+    (void)nothing;
+    struct epoll_event event = {.events = EPOLLIN, .data.ptr = self};
+    __atomic_sub_fetch(&self->large_waiting, 1, __ATOMIC_SEQ_CST);
+    lock_from_python(&self->reading);
+    if (self->is_paused && self->reader == NATIVE) {
+        self->is_paused = 0;
+        epoll_ctl(self->passage->epoll, EPOLL_CTL_ADD, self->fd, &event);
+    }
+    pthread_mutex_unlock(&self->reading);
+    Py_RETURN_NONE;
+}
+
+static PyObject *link_get_pending(Link *self, void *closure)
+{
+    return (void)closure, PyLong_FromSsize_t(self->body ? self->body_filled : self->filled);
 }
 
 /* No thread looks at the link any more: to be called before its socket is closed. */
@@ -1359,6 +1549,9 @@ static PyMethodDef link_methods[] = {
     {"read_by_python", (PyCFunction)link_read_by_python, METH_NOARGS, "Return what was read of an unfinished message, and errno."},
     {"take_unsent", (PyCFunction)link_take_unsent, METH_NOARGS, "Return a message, the bytes sent of it, its stream, and whether it is to be kept; or None."},
     {"close", (PyCFunction)link_close, METH_NOARGS, "Report nothing more."},
+    {"add_large", (PyCFunction)link_add_large, METH_VARARGS, "Read large messages with these names natively, up to a size; with the sequence lock."},
+    {"take_large", (PyCFunction)link_take_large, METH_NOARGS, "Return a large message, or None; large_done must follow it."},
+    {"large_done", (PyCFunction)link_large_done, METH_NOARGS, "A large message was handled."},
     {NULL, NULL, 0, NULL},
 };
 
@@ -1368,7 +1561,7 @@ static PyMemberDef link_members[] = {
     {"received_messages", T_LONGLONG, offsetof(Link, received_messages), READONLY, NULL},
     {"received_bytes", T_LONGLONG, offsetof(Link, received_bytes), READONLY, NULL},
     {"heard_ns", T_LONGLONG, offsetof(Link, heard_ns), READONLY, "When the last bytes came (monotonic)."},
-    {"pending", T_LONGLONG, offsetof(Link, filled), READONLY, "Bytes of the unfinished message."},
+    {"large_waiting", T_INT, offsetof(Link, large_waiting), READONLY, "Large messages that were not handled yet."},
     {"sent_messages", T_LONGLONG, offsetof(Link, sent_messages), READONLY, NULL},
     {"sent_bytes", T_LONGLONG, offsetof(Link, sent_bytes), READONLY, NULL},
     {NULL, 0, 0, 0, NULL},
@@ -1380,6 +1573,7 @@ static PyObject *link_get_native(Link *self, void *closure)
 }
 
 static PyGetSetDef link_properties[] = {
+    {"pending", (getter)link_get_pending, NULL, "Bytes of the unfinished message.", NULL},
     {"is_native", (getter)link_get_native, NULL, "The native thread reads the link.", NULL},
     {"clear", (getter)link_get_clear, (setter)link_set_clear, "Nothing is queued; with the lock of the sender.", NULL},
     {NULL, NULL, NULL, NULL, NULL},
@@ -1721,8 +1915,9 @@ PyMODINIT_FUNC PyInit__passage(void)
     if (begin_take())
         return NULL;
     PyObject *module = PyModule_Create(&definition);
-    PyTypeObject *types[] = {&Lock_Type, &Passage_Type, &Link_Type, &Subscription_Type, &Publisher_Type, &Stream_Type};
-    const char *names[] = {"Lock", "Passage", "Link", "Subscription", "Publisher", "Stream"};
+    PyTypeObject *types[] = {&Lock_Type,         &Passage_Type,   &Link_Type,  &Subscription_Type,
+                             &Publisher_Type, &Stream_Type, &Guard_Type};
+    const char *names[] = {"Lock", "Passage", "Link", "Subscription", "Publisher", "Stream", "Guard"};
     for (size_t i = 0; module && i < sizeof types / sizeof *types; i++)
         if (PyType_Ready(types[i]) || PyModule_AddObjectRef(module, names[i], (PyObject *)types[i]))
             Py_CLEAR(module);

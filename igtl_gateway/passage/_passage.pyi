@@ -14,18 +14,17 @@ class Stream:
     received: int
     is_stale: bool
     def remove(self) -> None: ...
+    def collect(self) -> tuple[int, int, int, tuple[int, ...], tuple[int, int, int, bytes] | None]: ...
+    def guard_with(self, guard: Guard, /) -> None: ...
+
+class Guard:
+    """The state of a guarded stream; all methods need the sequence lock."""
+
+    is_dirty: bool
     def collect(
         self,
-    ) -> tuple[
-        int,
-        int,
-        int,
-        tuple[int, ...],
-        tuple[int, int, int, bytes] | None,
-        tuple[int, int, int, int, int, int, tuple[float, float, float] | None],
-        list[tuple[int, int]],
-    ]: ...
-    def set_guard(
+    ) -> tuple[tuple[int, int, int, int, int, int, tuple[float, float, float] | None], list[tuple[int, int]]]: ...
+    def set(
         self,
         watches: bool,
         judged_by_python: bool,
@@ -62,6 +61,10 @@ class Link:
     def read_by_python(self) -> tuple[bytes, int]: ...
     def take_unsent(self) -> tuple[bytes, int, str, bool] | None: ...
     def close(self) -> None: ...
+    large_waiting: int
+    def add_large(self, names: bytes, most: int, /) -> None: ...
+    def take_large(self) -> bytes | memoryview | None: ...
+    def large_done(self) -> None: ...
 
 class Subscription:
     last_number: int

@@ -15,11 +15,14 @@ from igtl_gateway.gateway.fastpath.compiled_to_igtl import CompiledToIgtl
 from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos
 from igtl_gateway.gateway.guarded_stream import GuardedStream
 from igtl_gateway.gateway.outcome import CONVERTED, UNSUBSCRIBED
-from igtl_gateway.passage import Link, Passage, Publisher, Stream, Subscription
+from igtl_gateway.passage import Guard, Link, Passage, Publisher, Stream, Subscription
 from igtl_gateway.session.entry import Entry, Kind
 
 #: Conversions of bulk that can pass natively: the others are of large messages.
 _FORMS = frozenset({TEXT, POINT, POINTS, CLOUD})
+
+#: Largest message, in bytes, that the passage reads for Python; the limits of the links are for what is larger.
+LARGEST_BYTES = 16 << 20
 
 #: Kind, channel, type and links of entries → number of their stream in the recorder's queue; None: it has none.
 NumberOf = Callable[[Kind, str, str, tuple[int, ...]], int | None]
@@ -45,11 +48,43 @@ class _Copy:
         self.native = native
         self.channel = channel
         self.ros_type = ros_type
-        self.watched: GuardedStream | None = compiled.watched
 
-    def set_guard(self) -> None:
-        if self.watched:
-            self.native.set_guard(*self.watched.native_state())
+
+class _Guards:
+    """The states of guarded streams in the passage.
+
+    Compiled streams may share one: a device that sends both header versions is one stream for the guard.
+    """
+
+    def __init__(self) -> None:
+        self._guards: dict[int, tuple[GuardedStream, Guard]] = {}
+
+    def of(self, watched: GuardedStream) -> Guard:
+        if id(watched) not in self._guards:
+            self._guards[id(watched)] = watched, Guard()
+        return self._guards[id(watched)][1]
+
+    def collect(self, watched: GuardedStream | None) -> None:
+        """Take over the state of a guarded stream."""
+        found = self._guards.get(id(watched))
+        if found and found[1].is_dirty:
+            found[0].after_native(*found[1].collect())
+
+    def set(self, watched: GuardedStream | None) -> None:
+        """Pass the state of a guarded stream to the passage."""
+        if found := self._guards.get(id(watched)):
+            found[1].set(*found[0].native_state())
+
+    def collect_all(self) -> None:
+        for watched, _ in self._guards.values():
+            self.collect(watched)
+
+    def set_all(self) -> None:
+        for watched, _ in self._guards.values():
+            self.set(watched)
+
+    def clear(self) -> None:
+        self._guards.clear()
 
 
 class PassageStreams:
@@ -75,6 +110,7 @@ class PassageStreams:
         self._on_passed = on_passed
         self._keep = keep
         self._copies: dict[Key, _Copy] = {}
+        self._guards = _Guards()
         self._tries: dict[Key, int] = {}  # messages that Python has passed since the streams were compiled
 
     @property
@@ -82,19 +118,21 @@ class PassageStreams:
         """Number of streams that pass natively."""
         return len(self._copies)
 
-    def collect(self, key: Key) -> None:
+    def collect(self, key: Key, stream: CompiledToRos | CompiledToIgtl) -> None:
         if (copy := self._copies.get(key)) and copy.native.received:
             self._collect(copy)
+        self._guards.collect(stream.watched)
 
     def collect_all(self) -> None:
         for copy in self._copies.values():
             if copy.native.received:
                 self._collect(copy)
+        self._guards.collect_all()
 
-    def handled(self, key: Key, stream: object) -> None:
+    def handled(self, key: Key, stream: CompiledToRos | CompiledToIgtl) -> None:
+        self._guards.set(stream.watched)
         if copy := self._copies.get(key):
             if not copy.native.is_stale:
-                copy.set_guard()
                 return
             self.drop(key)
         tries = self._tries[key] = self._tries.get(key, 0) + 1
@@ -107,35 +145,31 @@ class PassageStreams:
         else:
             return
         if copied:
-            copied.set_guard()
+            if stream.watched:
+                copied.native.guard_with(self._guards.of(stream.watched))
+                self._guards.set(stream.watched)
             self._copies[key] = copied
 
-    def handled_in_full(self, entry: Entry) -> None:
-        if not self._copies:
-            return
-        if entry.kind is Kind.ROS_IN:
-            copy = self._copies.get((entry.channel, entry.type))
-            copies = [copy] if copy else []
-        elif entry.kind is Kind.IGTL_IN:  # the same device on the same link, whatever else the header has
-            copies = [copy for key, copy in self._copies.items() if key[0] == entry.links[0]]
-        else:
-            copies = list(self._copies.values())
-        for copy in copies:
-            copy.set_guard()
+    def handled_in_full(self) -> None:
+        self._guards.set_all()
 
     def drop(self, key: Key) -> None:
         self._tries.pop(key, None)
         if copy := self._copies.pop(key, None):
             self._collect(copy)
+            self._guards.collect(copy.compiled.watched)
             copy.native.remove()
 
     def drop_all(self) -> None:
         for key in list(self._copies):
             self.drop(key)
+        self._guards.clear()
         self._tries.clear()
 
     def _copy_to_ros(self, link_number: int, names: bytes, compiled: CompiledToRos) -> _Copy | None:
         link = self._edges.link(link_number)
+        if link and not compiled.place_at:
+            link.add_large(names, LARGEST_BYTES)
         number = self._number_of(Kind.IGTL_IN, compiled.channel, compiled.type, (link_number,))
         if not compiled.is_plain or link is None or number is None:
             return None
@@ -191,7 +225,7 @@ class PassageStreams:
 
     def _collect(self, copy: _Copy) -> None:
         """Take over the counts of a stream, its latest message, and the state of its guard."""
-        received, converted, unheard, sent, latest, state, looks = copy.native.collect()
+        received, converted, unheard, sent, latest = copy.native.collect()
         if not received:
             return
         compiled = copy.compiled
@@ -216,8 +250,6 @@ class PassageStreams:
             self._on_passed(Kind.ROS_IN, received)
             self._on_passed(Kind.IGTL_OUT, sum(sent))
         _add(compiled.count, counts)
-        if copy.watched:
-            copy.watched.after_native(state, looks)
 
 
 def _add(counter: dict[str, int], numbers: dict[str, int]) -> None:

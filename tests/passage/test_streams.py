@@ -40,6 +40,7 @@ from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.framer import Framer
+from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import PolyData
 from igtl_gateway.wire.text import Status
@@ -426,6 +427,50 @@ def test_messages_in_pieces_and_in_blocks_arrive_whole(monkeypatch: pytest.Monke
             peer.send(stream[:size])
             stream = stream[size:]
         wait_for(lambda: here.received("igtl_in") == 10 + 6_000 + 2)
+
+
+def picture(number: int, side: int = 160) -> bytes:
+    pixels = bytes([number % 256]) * (side * side * 3)
+    content = Image((side, side, 1), 3, pixels, 3)
+    return join(encode(Message("IMAGE", "Camera", content, ns_to_ticks(time.time_ns()))))
+
+
+@pytest.mark.parametrize("size", [1_000, 70_000, 1 << 20])
+def test_poses_pass_while_python_handles_pictures(size: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = tmp_path / "session.mcap"
+    with scene(monkeypatch, path=path) as here:
+        peer = here.connect()
+        stream = b"".join(transform(number) + (picture(number) if number % 10 == 0 else b"") for number in range(400))
+        stream += join(encode(Message("STATUS", "Robot", Status(1, 0, "", "ok"))))
+        while stream:
+            peer.send(stream[:size])
+            stream = stream[size:]
+        wait_for(lambda: here.received("igtl_in") == 441)
+        assert here.native == 1
+        link = here.bridge.tcp.native_link(1)
+        assert link and link.received_messages > 200 and not link.large_waiting
+    check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+    inputs = [entry for entry in entries_of(path) if entry.kind is Kind.IGTL_IN]
+    assert inputs[-1].type == "STATUS", "a message of the full path has overtaken others"
+    pictures = [entry.data()[-1] for entry in inputs if entry.type == "IMAGE"]
+    assert pictures == [number % 256 for number in range(0, 400, 10)]
+
+
+def test_a_peer_that_leaves_inside_a_picture_is_noted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = tmp_path / "session.mcap"
+    with scene(monkeypatch, path=path) as here:
+        peer = here.connect()
+        for number in range(6):
+            peer.send(picture(number) + transform(number))
+            time.sleep(0.01)
+        wait_for(lambda: here.received("igtl_in") == 12)
+        peer.send(picture(7) + picture(8)[:70_000])
+        wait_for(lambda: here.received("igtl_in") == 13)
+        here.disconnect(peer)
+    notes = [Note.unpack(entry.data()) for entry in entries_of(path) if entry.kind is Kind.EDGE_NOTE]
+    (truncated,) = [note for note in notes if note.code == "truncated"]
+    assert truncated.data["received"] == 70_000
+    check_recording(path, here.bridge.gateway.config, here.bridge.losses)
 
 
 def test_other_types_and_bad_messages_go_to_python_and_the_link_comes_back(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -33,6 +33,10 @@ _LIMITS = PeerLimits()
 _NO_FILES = TlsFiles()
 
 
+def _ignore(_link: NativeLink) -> None:
+    """Nothing is read natively."""
+
+
 class TcpEdge:
     """Messages in by callback, messages out by ``send``.  Link numbers count from 1 and are never used twice.
 
@@ -79,6 +83,7 @@ class TcpEdge:
         self._reporter = Reporter(self._loop, on_note)
         self._refusals = Refusals(self._reporter)
         self._faults: Counter[str] = Counter()
+        native_reader = NativeReader(passage, self._attend, self._on_large) if passage else None
         context = LinkContext(
             self._loop,
             self._reporter,
@@ -89,8 +94,10 @@ class TcpEdge:
             on_frame,
             self._drained,
             passage,
+            native_reader.wait_large if native_reader else _ignore,
         )
-        self._native_reader = NativeReader(passage, self._attend) if passage else None
+        self._on_frame = on_frame
+        self._native_reader = native_reader
         self._registry = LinkRegistry(context, on_link)
         self._links = self._registry.links  # the same table, at hand for every message
         self._addresses = Addresses(self._registry, context, AllowList(allow), tls, reserved)
@@ -262,6 +269,10 @@ class TcpEdge:
         """The native passage has left something of a link to Python; called by its thread."""
         if link := self._links.get(number):
             self._loop.call_soon(link.attend, link.failed)
+
+    def _on_large(self, number: int, message: Part) -> None:
+        """The native passage has read a large message; called by its second thread."""
+        self._reporter.call("on_frame", self._on_frame, number, message)
 
     def _drained(self) -> None:
         self._registry.notify()

@@ -31,6 +31,7 @@ class LinkContext:
         on_frame: the edge's callback for a message.
         drained: called when a send queue has become empty.
         passage: the native passage, which reads and sends natively where it can; None: there is none.
+        wait_large: waits until large messages of a link, which the passage has read, are handled.
     """
 
     loop: Loop
@@ -41,7 +42,8 @@ class LinkContext:
     faults: Counter[str]
     on_frame: Callable[[int, Buffer], None]
     drained: Callable[[], None]
-    passage: Passage | None = None
+    passage: Passage | None
+    wait_large: Callable[[NativeLink], None]
 
 
 class NativeEnds(NamedTuple):

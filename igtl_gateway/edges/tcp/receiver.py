@@ -116,6 +116,7 @@ class Receiver:
         if self._native is None or not self._is_native or (self._native.is_native and not at_end):
             return
         rest, failure = self._native.read_by_python()
+        self._context.wait_large(self._native)
         self._is_native = False
         if not at_end:
             self._link.watch()

@@ -93,7 +93,7 @@ class FastPath:
             topic_key = (channel, type_name)
             if to_igtl := self.to_igtl.get(topic_key):
                 if native:
-                    native.collect(topic_key)
+                    native.collect(topic_key, to_igtl)
                 ready = made if stream is to_igtl else None
                 entries = to_igtl(seq, stamp_ns, payload, channel, type_name, source_ns, ready)
                 if entries is None:
@@ -104,7 +104,7 @@ class FastPath:
             device_key = (links[0], bytes(payload[0][NAMES]))
             if to_ros := self.to_ros.get(device_key):
                 if native:
-                    native.collect(device_key)
+                    native.collect(device_key, to_ros)
                 ready = made if stream is to_ros else None
                 entries = to_ros(seq, stamp_ns, payload, links, self._subscribers.ask, ready)
                 if entries is None:
@@ -143,10 +143,10 @@ class FastPath:
         if self.native:
             self.native.collect_all()
 
-    def end_full_path(self, entry: Entry) -> None:
+    def end_full_path(self) -> None:
         """Inform the native passage of an input that took the full path."""
         if self.native:
-            self.native.handled_in_full(entry)
+            self.native.handled_in_full()
 
     def _drop(self, streams: dict[Any, Any], key: Key) -> None:
         del streams[key]

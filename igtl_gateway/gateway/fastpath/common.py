@@ -8,7 +8,6 @@ from typing import Any, NamedTuple, Protocol
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.config import Config
 from igtl_gateway.qos import Qos
-from igtl_gateway.session.entry import Entry
 from igtl_gateway.session.ledger import Ledger
 
 #: Offsets of the stamp and of the frame id in CDR that begins with a std_msgs/Header.
@@ -26,16 +25,16 @@ class NativeStreams(Protocol):
     All methods are called with the sequence lock.
     """
 
-    def collect(self, key: Key) -> None:
+    def collect(self, key: Key, stream: Any) -> None:
         """Take over what the passage has counted of a stream: Python is about to handle its next message."""
 
     def collect_all(self) -> None:
         """Take over what the passage has counted: Python is about to take the full path, which depends on it."""
 
-    def handled(self, key: Key, stream: object) -> None:
+    def handled(self, key: Key, stream: Any) -> None:
         """Python has handled a message of a compiled stream by the fast path."""
 
-    def handled_in_full(self, entry: Entry) -> None:
+    def handled_in_full(self) -> None:
         """Python has handled an input by the full path."""
 
     def drop(self, key: Key) -> None:
