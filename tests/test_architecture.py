@@ -64,6 +64,7 @@ LEVELS = {
     "view": 4,
     "child": 4,
     "passage.streams": 4,
+    "passage.times": 2,
     "app": 5,
     "cli": 6,
     "testing": 6,

@@ -290,6 +290,10 @@ class Bridge:
         if self._passage:
             self._passage.collect()
 
+    def native_times(self) -> dict[str, Any]:
+        """Return where the time of messages went in the native passage; empty without one."""
+        return self._passage.times() if self._passage else {}
+
     def ledger(self) -> dict[str, Any]:
         """Return the loss ledger: the counts of the gateway by stream, and those of the edges, as JSON values."""
         self.collect()

@@ -12,6 +12,7 @@ from igtl_gateway.gateway.core import is_kept
 from igtl_gateway.gateway.session import Core
 from igtl_gateway.passage import Link, Lock, Passage, Publisher, Subscription, is_compiled
 from igtl_gateway.passage.streams import OnPassed, PassageStreams
+from igtl_gateway.passage.times import times_of
 from igtl_gateway.session.entry import Kind
 
 if TYPE_CHECKING:
@@ -57,6 +58,11 @@ class BridgePassage:
             self.streams.collect_all()
         if self._ros:
             self._ros.sync()
+
+    def times(self) -> dict[str, dict[str, dict[str, float]]]:
+        """Return where the time of messages went; see ``times_of``."""
+        with self._passage:
+            return times_of(self._passage)
 
     def stop(self) -> None:
         """Leave all messages to Python."""

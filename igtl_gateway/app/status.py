@@ -87,6 +87,7 @@ class BridgeStatus:
                 if number
             },
             "ledger": ledger,
+            "native_times": bridge.native_times(),
             "recorder": recorder
             and recorder.counters() | {"path": str(bridge.options.record), "paused": recorder.paused},
         }

@@ -240,4 +240,6 @@ class JsonOutput:
                 "bytes": bridge.summary.size,
                 "failure": bridge.summary.failure,
             }
+        if times := bridge.native_times():
+            facts["native_times"] = times
         self._print("stopped", **facts, ledger=bridge.losses)

@@ -36,6 +36,8 @@
 #define MAX_PLACES 70             /* of a sample, see express.py */
 #define OBSERVATIONS 256
 #define EVENTS 32
+#define TIMED_PHASES 5
+#define TIME_BUCKETS 256
 #define MAX_LARGE_STREAMS 64
 #define MAX_LARGE_WAITING 3 /* messages; then TCP makes the peer wait */
 #define LOCK_NS 2000000 /* the longest wait of a thread of the middleware */
@@ -172,6 +174,7 @@ typedef struct Passage {
     Lock *queue_lock;
     PyObject *queue_memory; /* keeps the mapping */
     uint8_t *scratch;       /* MAX_OUTPUTS outputs, guarded by the sequence lock */
+    uint32_t times[2][TIMED_PHASES][TIME_BUCKETS]; /* of messages to ROS and to OpenIGTLink, likewise */
     /* links and subscriptions that Python has to look at */
     pthread_mutex_t events;
     pthread_cond_t taken_over;
@@ -207,6 +210,30 @@ static void unlock_sequence(Passage *self)
 static int has_sequence(Passage *self)
 {
     return atomic_load_explicit(&self->owner, memory_order_relaxed) == this_thread();
+}
+
+/* -- where the time goes ---------------------------------------------------------------------------------------------- */
+
+/* What a message waits for.  MIDDLEWARE: from the source stamp until it is taken (to OpenIGTLink only). */
+enum { MIDDLEWARE, SEQUENCE, CONVERSION, OUTPUT, RECORDING };
+enum { TO_ROS, TO_IGTL };
+
+/* Count a time, in buckets of a quarter of a power of two. */
+static void count_time(Passage *self, int direction, int phase, int64_t ns)
+{
+    uint64_t time = ns < 8 ? 8 : (uint64_t)ns;
+    int power = 63 - __builtin_clzll(time);
+    self->times[direction][phase][4 * power + (int)(time >> (power - 2) & 3)]++;
+}
+
+/* Count the phases of a message that ends now; times are monotonic. */
+static void count_times(Passage *self, int direction, int64_t begun_ns, int64_t locked_ns, int64_t converted_ns,
+                        int64_t passed_ns)
+{
+    count_time(self, direction, SEQUENCE, locked_ns - begun_ns);
+    count_time(self, direction, CONVERSION, converted_ns - locked_ns);
+    count_time(self, direction, OUTPUT, passed_ns - converted_ns);
+    count_time(self, direction, RECORDING, clock_ns(CLOCK_MONOTONIC) - passed_ns);
 }
 
 /* -- streams ------------------------------------------------------------------------------------------------------------ */
@@ -401,9 +428,9 @@ static int prepare_bulk(Stream *stream, struct ros_form *form, struct output *ou
 }
 
 /* Pass a whole message on; 0, and nothing has happened: it must go to Python.  The caller has the sequence lock. */
-static int pass_to_ros(Passage *self, Stream *stream, const uint8_t *data, ssize_t size)
+static int pass_to_ros(Passage *self, Stream *stream, const uint8_t *data, ssize_t size, int64_t begun_ns)
 {
-    int64_t stamp_ns, now_ns = time_of_input(self, &stamp_ns);
+    int64_t stamp_ns, now_ns = time_of_input(self, &stamp_ns), locked_ns = clock_ns(CLOCK_MONOTONIC);
     double pose[7], place[3];
     int is_bulk = stream->is_bulk;
     if (!now_ns || (is_bulk ? size > LARGEST_INPUT || !bulk_from_igtl_fits(&stream->bulk_from_igtl, data, size)
@@ -445,6 +472,7 @@ static int pass_to_ros(Passage *self, Stream *stream, const uint8_t *data, ssize
     self->last_ns = now_ns;
     self->seq += 1 + count;
     self->stamp_ns = stamp_ns + count;
+    int64_t converted_ns = clock_ns(CLOCK_MONOTONIC);
     for (int i = 0; i < count; i++) {
         struct output *output = built[i];
         uint8_t *cdr = scratch_of(self, i);
@@ -458,10 +486,12 @@ static int pass_to_ros(Passage *self, Stream *stream, const uint8_t *data, ssize
             add(&output->publisher->unheard);
         output->sent++;
     }
+    int64_t passed_ns = clock_ns(CLOCK_MONOTONIC);
     record(self, stream->number, seq, stamp_ns, source_ns, data, size);
     for (int i = 0; i < count; i++)
         record(self, built[i]->number, seq + 1 + i, stamp_ns + 1 + i, shown_ns, scratch_of(self, i), sizes[i]);
     end_record(self);
+    count_times(self, TO_ROS, begun_ns, locked_ns, converted_ns, passed_ns);
     stream->received++;
     if (count || self->builds_all)
         stream->converted++;
@@ -654,10 +684,11 @@ static void read_link(Link *self)
         if (body <= CHUNK_BYTES - HEADER_SIZE && self->filled - start < HEADER_SIZE + (ssize_t)body)
             break;
         int passed = 0;
+        int64_t begun_ns = clock_ns(CLOCK_MONOTONIC);
         if (body <= CHUNK_BYTES - HEADER_SIZE && self->room > 0 && lock_sequence(passage)) {
             Stream *stream = stream_of(self, message);
             int waits = self->large_waiting && most_of_large(self, message); /* for one of its stream */
-            passed = stream && !waits && pass_to_ros(passage, stream, message, HEADER_SIZE + (ssize_t)body);
+            passed = stream && !waits && pass_to_ros(passage, stream, message, HEADER_SIZE + (ssize_t)body, begun_ns);
             unlock_sequence(passage);
         } else if (body > CHUNK_BYTES - HEADER_SIZE && begin_large(self, start, HEADER_SIZE + body)) {
             goto done;
@@ -742,9 +773,10 @@ static int build_bulk(Passage *self, Stream *stream, const struct found *found, 
 }
 
 /* As pass_to_ros. */
-static int pass_to_igtl(Passage *self, Stream *stream, const uint8_t *cdr, ssize_t size, int64_t source_ns)
+static int pass_to_igtl(Passage *self, Stream *stream, const uint8_t *cdr, ssize_t size, int64_t source_ns,
+                        int64_t begun_ns)
 {
-    int64_t stamp_ns, header_ns, now_ns = time_of_input(self, &stamp_ns);
+    int64_t stamp_ns, header_ns, now_ns = time_of_input(self, &stamp_ns), locked_ns = clock_ns(CLOCK_MONOTONIC);
     double numbers[12], place[3];
     struct found found = {0};
     int is_bulk = stream->is_bulk, count = stream->output_count;
@@ -784,6 +816,7 @@ static int pass_to_igtl(Passage *self, Stream *stream, const uint8_t *cdr, ssize
     self->last_ns = now_ns;
     self->seq += 1 + count;
     self->stamp_ns = stamp_ns + count;
+    int64_t converted_ns = clock_ns(CLOCK_MONOTONIC);
     for (int i = 0; i < count; i++) {
         struct output *output = built[i];
         uint8_t *message = scratch_of(self, i);
@@ -797,10 +830,14 @@ static int pass_to_igtl(Passage *self, Stream *stream, const uint8_t *cdr, ssize
         output->sent++;
     }
     unlock_links(stream, count, 0);
+    int64_t passed_ns = clock_ns(CLOCK_MONOTONIC);
     record(self, stream->number, seq, stamp_ns, source_ns, cdr, size);
     for (int i = 0; i < count; i++)
         record(self, built[i]->number, seq + 1 + i, stamp_ns + 1 + i, shown_ns, scratch_of(self, i), sizes[i]);
     end_record(self);
+    if (source_ns)
+        count_time(self, TO_IGTL, MIDDLEWARE, now_ns - self->ahead_ns - source_ns - (locked_ns - begun_ns));
+    count_times(self, TO_IGTL, begun_ns, locked_ns, converted_ns, passed_ns);
     stream->received++;
     stream->converted++;
     stream->latest_seq = seq;
@@ -882,10 +919,11 @@ static void on_message(const void *user_data, size_t events)
         int code;
         while ((code = passage->take(self->pointer, &self->message, &self->info, NULL)) == RCL_RET_OK) {
             int passed = 0;
+            int64_t begun_ns = clock_ns(CLOCK_MONOTONIC);
             if (lock_sequence(passage)) {
                 Stream *stream = self->stream;
                 passed = stream && pass_to_igtl(passage, stream, self->message.buffer, (ssize_t)self->message.length,
-                                                self->info.source_ns);
+                                                self->info.source_ns, begun_ns);
                 unlock_sequence(passage);
             }
             if (!passed) {
@@ -1868,7 +1906,31 @@ static PyObject *passage_set_callback(Passage *self, PyObject *args)
     return PyLong_FromLong(code);
 }
 
+/* The times of both directions: for each phase a list of (upper bound in ns, messages). */
+static PyObject *passage_times(Passage *self, PyObject *nothing)
+{
+    (void)nothing;
+    PyObject *found = PyList_New(0);
+    for (int direction = 0; found && direction < 2; direction++)
+        for (int phase = 0; found && phase < TIMED_PHASES; phase++) {
+            PyObject *row = PyList_New(0);
+            for (int bucket = 0; row && bucket < TIME_BUCKETS; bucket++) {
+                uint32_t count = self->times[direction][phase][bucket];
+                uint64_t above = (uint64_t)(5 + (bucket & 3)) << (bucket / 4 >= 2 ? bucket / 4 - 2 : 0);
+                PyObject *pair = count ? Py_BuildValue("KI", (unsigned long long)above, count) : NULL;
+                if (pair && PyList_Append(row, pair))
+                    Py_CLEAR(row);
+                Py_XDECREF(pair);
+            }
+            if (!row || PyList_Append(found, row))
+                Py_CLEAR(found);
+            Py_XDECREF(row);
+        }
+    return found;
+}
+
 static PyMethodDef passage_methods[] = {
+    {"times", (PyCFunction)passage_times, METH_NOARGS, "Return where the time went; with the sequence lock."},
     {"__enter__", (PyCFunction)passage_enter, METH_NOARGS, "Take the sequence lock."},
     {"__exit__", (PyCFunction)passage_exit, METH_VARARGS, "Release the sequence lock."},
     {"to_ros", (PyCFunction)passage_to_ros, METH_VARARGS, "Add a stream from a link; with the sequence lock."},
