@@ -177,6 +177,7 @@ def test_the_thread_of_tcp_gets_its_cpus_and_others_keep_theirs() -> None:
 _SCRIPT = """
 import os, threading
 from igtl_gateway.realtime import RealtimeOptions, message_threads
+os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))  # whatever the tests run with
 done = threading.Event()
 threading.Thread(target=done.wait, name="igtl-ros-receiver", daemon=True).start()
 options = RealtimeOptions({priority}, {lock})

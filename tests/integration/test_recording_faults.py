@@ -43,7 +43,7 @@ from tests.integration.bridge import TIMEOUT_S, Bridge, RawPeer, Result, Wire, c
 from tests.integration.load import SLACK_S, Load, counted, recover
 
 #: Soon full.
-DISK_BYTES = 256 << 10
+DISK_BYTES = 2 << 20
 
 FULL, READ_ONLY = "No space left on device", "Read-only file system"
 

@@ -42,7 +42,7 @@ EXAMPLES = """\
   # also with the C++ library and pyigtl as peers
   igtl-gateway bench --case transform image-vga --peers
   # in turns with another bridge on the same topics (docs/performance.md)
-  igtl-gateway bench --case transform --rounds 3 --against "my_bridge --port {port}"
+  igtl-gateway bench --case transform --against "my_bridge --port {port}"
   # measurements other than the transfer of messages
   igtl-gateway bench --case start-up idle replay verify
   # where the gateway spends its time
@@ -130,7 +130,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="COMMAND",
-        help="also measure another bridge, in turns with ours; {port} and {case} in the command are replaced",
+        help="also measure another bridge, in turns with ours; {port} and {case} in the command are replaced (repeatable)",
     )
     comparisons.add_argument(
         "--programs",
