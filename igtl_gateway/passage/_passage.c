@@ -895,6 +895,23 @@ static void count_received(Subscription *self)
     self->last_number = number;
 }
 
+/* Pass on a message that was taken; 0: it is Python's. */
+static int pass_taken(Subscription *self)
+{
+    Passage *passage = self->passage;
+    int passed = 0;
+    int64_t begun_ns = clock_ns(CLOCK_MONOTONIC);
+    if (self->message.length <= LARGEST_INPUT && lock_sequence(passage)) {
+        Stream *stream = self->stream;
+        passed = stream && pass_to_igtl(passage, stream, self->message.buffer, (ssize_t)self->message.length,
+                                        self->info.source_ns, begun_ns);
+        unlock_sequence(passage);
+    }
+    if (passed)
+        count_received(self);
+    return passed;
+}
+
 /* A thread of the middleware has a message for the subscription: take it here if its stream is compiled. */
 static void on_message(const void *user_data, size_t events)
 {
@@ -917,22 +934,12 @@ static void on_message(const void *user_data, size_t events)
         self->is_pending = 0;
         pthread_mutex_unlock(&self->state);
         int code;
-        while ((code = passage->take(self->pointer, &self->message, &self->info, NULL)) == RCL_RET_OK) {
-            int passed = 0;
-            int64_t begun_ns = clock_ns(CLOCK_MONOTONIC);
-            if (lock_sequence(passage)) {
-                Stream *stream = self->stream;
-                passed = stream && pass_to_igtl(passage, stream, self->message.buffer, (ssize_t)self->message.length,
-                                                self->info.source_ns, begun_ns);
-                unlock_sequence(passage);
-            }
-            if (!passed) {
+        while ((code = passage->take(self->pointer, &self->message, &self->info, NULL)) == RCL_RET_OK)
+            if (!pass_taken(self)) {
                 self->is_held = 1;
                 passes = 0;
                 break;
             }
-            count_received(self);
-        }
         pthread_mutex_lock(&self->state);
         if (code != RCL_RET_OK && code != RCL_RET_SUBSCRIPTION_TAKE_FAILED) {
             self->failure = code;
@@ -1659,7 +1666,7 @@ static void subscription_dealloc(Subscription *self)
     Py_TYPE(self)->tp_free((PyObject *)self);
 }
 
-/* Python takes the next message, until there is none. */
+/* Python takes the next message that does not pass natively, until there is none. */
 static PyObject *subscription_take(Subscription *self, PyObject *nothing)
 {
     (void)nothing;
@@ -1671,7 +1678,9 @@ static PyObject *subscription_take(Subscription *self, PyObject *nothing)
             pthread_mutex_lock(&self->state);
             self->is_pending = 0;
             pthread_mutex_unlock(&self->state);
-            code = self->passage->take(self->pointer, &self->message, &self->info, NULL);
+            while ((code = self->passage->take(self->pointer, &self->message, &self->info, NULL)) == RCL_RET_OK)
+                if (!pass_taken(self))
+                    break;
             if (code != RCL_RET_SUBSCRIPTION_TAKE_FAILED)
                 break;
             pthread_mutex_lock(&self->state);
@@ -1715,7 +1724,7 @@ static PyObject *subscription_collect(Subscription *self, PyObject *nothing)
 
 static PyMethodDef subscription_methods[] = {
     {"take", (PyCFunction)subscription_take, METH_NOARGS,
-     "Return bytes, source stamp (UTC ns) and number of the next message; None: there is none, and Python must wait."},
+     "Return bytes, source stamp (UTC ns) and number of the next message that does not pass natively; None: there is none."},
     {"again", (PyCFunction)subscription_again, METH_NOARGS, "Come back to this subscription after the others."},
     {"collect", (PyCFunction)subscription_collect, METH_NOARGS,
      "Return received and missing messages since the last call, and the number of the last message."},

@@ -210,6 +210,7 @@ def test_poses_to_igtl_pass_natively_to_all_peers(monkeypatch: pytest.MonkeyPatc
             here.send_ros(pose(number))
         wait_for(lambda: all(len(peer.received) >= 300 for peer in peers))
         assert here.native == 1
+        here.ros.sync()
         assert here.ros.counters()[TOPIC]["received"] == 300
     kinds = check_recording(path, here.bridge.gateway.config, here.bridge.losses)
     assert kinds[Kind.IGTL_OUT] == 300

@@ -65,6 +65,8 @@ def gateway(case: Case, seconds: float, recording: Path | None) -> Iterator[Brid
         yield bridge
         program.interrupt_and_wait()
         told = program.wait_for("stopped", START_S, bridge.stall.note)
+        if times := told.get("native_times"):
+            bridge.recorded["native_times"] = times
         if recording:
             bridge.recorded["recorder_dropped"] = told["recording"]["dropped"]
             bridge.recorded["recorded_mb"] = round(told["recording"]["bytes"] / 1e6, 1)

@@ -130,7 +130,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="COMMAND",
-        help="also measure another bridge, in turns with ours; {port} and {case} in the command are replaced (repeatable)",
+        help="also measure another bridge, in turns with ours; replaces {port} and {case} in it (repeatable)",
     )
     comparisons.add_argument(
         "--programs",
