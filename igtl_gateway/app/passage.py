@@ -75,6 +75,9 @@ class BridgePassage:
     def link(self, number: int) -> Link | None:
         return self._tcp.native_link(number)
 
+    def max_body(self, igtl_type: str) -> int:
+        return self._tcp.max_body(igtl_type)
+
     def publisher(self, topic: str, ros_type: str) -> Publisher | None:
         return self._ros.native_publisher(topic, ros_type) if self._ros else self._nowhere
 

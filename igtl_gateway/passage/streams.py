@@ -17,11 +17,12 @@ from igtl_gateway.gateway.guarded_stream import GuardedStream
 from igtl_gateway.gateway.outcome import CONVERTED, UNSUBSCRIBED
 from igtl_gateway.passage import Guard, Link, Passage, Publisher, Stream, Subscription
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.wire.header import HEADER_SIZE
 
 #: Conversions of bulk that can pass natively: the others are of large messages.
 _FORMS = frozenset({TEXT, POINT, POINTS, CLOUD})
 
-#: Largest message, in bytes, that the passage reads for Python; the limits of the links are for what is larger.
+#: Largest message, in bytes, that the passage reads for Python, if the limits of the links permit it.
 LARGEST_BYTES = 16 << 20
 
 #: Kind, channel, type and links of entries → number of their stream in the recorder's queue; None: it has none.
@@ -34,6 +35,10 @@ class NativeEdges(Protocol):
     """What the edges have that the native passage can use; None: Python has to pass the message."""
 
     def link(self, number: int) -> Link | None: ...
+
+    def max_body(self, igtl_type: str) -> int:
+        """Return the limit of the bodies of a type, in bytes."""
+        ...
 
     def publisher(self, topic: str, ros_type: str) -> Publisher | None: ...
 
@@ -169,7 +174,7 @@ class PassageStreams:
     def _copy_to_ros(self, link_number: int, names: bytes, compiled: CompiledToRos) -> _Copy | None:
         link = self._edges.link(link_number)
         if link and not compiled.place_at:
-            link.add_large(names, LARGEST_BYTES)
+            link.add_large(names, min(LARGEST_BYTES, HEADER_SIZE + self._edges.max_body(compiled.type)))
         number = self._number_of(Kind.IGTL_IN, compiled.channel, compiled.type, (link_number,))
         if not compiled.is_plain or link is None or number is None:
             return None

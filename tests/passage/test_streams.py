@@ -12,7 +12,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +69,8 @@ class Peer:
         self.socket.sendall(data)
 
     def close(self) -> None:
-        self.socket.shutdown(socket.SHUT_RDWR)
+        with suppress(OSError):  # the bridge has closed it
+            self.socket.shutdown(socket.SHUT_RDWR)
         self._thread.join(TIMEOUT_S)
         self.socket.close()
 
@@ -455,6 +456,18 @@ def test_poses_pass_while_python_handles_pictures(size: int, monkeypatch: pytest
     assert inputs[-1].type == "STATUS", "a message of the full path has overtaken others"
     pictures = [entry.data()[-1] for entry in inputs if entry.type == "IMAGE"]
     assert pictures == [number % 256 for number in range(0, 400, 10)]
+
+
+def test_a_picture_above_the_limit_ends_the_link(monkeypatch: pytest.MonkeyPatch) -> None:
+    with scene(monkeypatch, limits=PeerLimits(max_body=100_000)) as here:
+        peer = here.connect()
+        for number in range(10):
+            peer.send(picture(number) + transform(number))
+            time.sleep(0.005)
+        wait_for(lambda: here.received("igtl_in") == 20)
+        peer.send(picture(11, 300)[:80_000])
+        wait_for(lambda: not here.bridge.tcp.links())
+        assert here.bridge.tcp.link_faults() == {"too_large": 1}
 
 
 def test_a_peer_that_leaves_inside_a_picture_is_noted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from igtl_gateway.edges.tcp.registry import LinkRegistry
 from igtl_gateway.edges.tcp.reporter import Reporter
 from igtl_gateway.edges.tcp.sockets import AllowList
 from igtl_gateway.edges.tcp.tls import TlsFiles
+from igtl_gateway.globs import matches
 from igtl_gateway.passage import Link as NativeLink
 from igtl_gateway.passage import Passage
 from igtl_gateway.session.note import Note
@@ -97,6 +98,7 @@ class TcpEdge:
             native_reader.wait_large if native_reader else _ignore,
         )
         self._on_frame = on_frame
+        self._limits = limits
         self._native_reader = native_reader
         self._registry = LinkRegistry(context, on_link)
         self._links = self._registry.links  # the same table, at hand for every message
@@ -140,6 +142,12 @@ class TcpEdge:
         self._loop.start()
         if self._native_reader:
             self._native_reader.start()
+
+    def max_body(self, igtl_type: str) -> int:
+        """Return the limit of the bodies of a type, in bytes."""
+        return next(
+            (size for glob, size in self._limits.body_rows() if matches(glob, igtl_type)), self._limits.max_body
+        )
 
     def native_link(self, number: int) -> NativeLink | None:
         """Return a link as the native passage has it; None: its messages are Python's."""
