@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import lru_cache
 
-from igtl_gateway.buffers import Buffer
 from igtl_gateway.config import Config
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.igtl_msgs import RawMessage
@@ -18,7 +17,7 @@ from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.commanding import Commands
 from igtl_gateway.gateway.dialogue.links import LINKS_QOS, LINKS_TOPIC, Links
 from igtl_gateway.gateway.dialogue.querying import Queries
-from igtl_gateway.gateway.fastpath import Fast, FastPath, Prepared
+from igtl_gateway.gateway.fastpath import Fast, FastPath, Prepare
 from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.outcome import Bookkeeper, Finding, Outcome, Tally
 from igtl_gateway.gateway.peers import Peers
@@ -61,7 +60,7 @@ class Gateway:
         fast_path: compile streams for the fast path; without it every message takes the full path.
 
     Attributes:
-        fast: entry point of the fast path.
+        fast, prepare, collect: entry points of the fast path; see ``FastPath``.
         deadline_set: called after each input that may have set ``due_ns`` to an earlier time; see ``app.timer``.
     """
 
@@ -124,6 +123,8 @@ class Gateway:
             config, self.ledger, peers, streams.qos, subscribers, volumes, latest.entries, enabled=fast_path
         )
         self.fast: Fast = self.fast_path.take
+        self.prepare: Prepare = self.fast_path.prepare
+        self.collect: Callable[[], None] = self.fast_path.collect
         streams.advertise(LINKS_TOPIC, LINKS_QOS)
 
     def handle(self, entry: Entry) -> list[Entry]:
@@ -147,22 +148,6 @@ class Gateway:
             self.deadline_set()
         self.fast_path.end_full_path()
         return [output.entry(entry, step) for step, output in enumerate(outputs, start=1)]
-
-    def prepare(
-        self,
-        kind: Kind,
-        payload: Buffer,
-        channel: str,
-        type_name: str,
-        links: tuple[int, ...],
-        source_ns: int,
-    ) -> Prepared | None:
-        """Convert a message before it is handled; see ``FastPath.prepare``."""
-        return self.fast_path.prepare(kind, payload, channel, type_name, links, source_ns)
-
-    def collect(self) -> None:
-        """Take over what the native passage has counted."""
-        self.fast_path.collect()
 
     # -- queries by the edges: none of them changes what influences outputs ------------------------------------
 

@@ -21,7 +21,7 @@ from igtl_gateway.errors import WireError
 from igtl_gateway.faults import Fate, FaultLine, RelayFaults
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.links import LINK_DOWN, LINK_UP
-from igtl_gateway.gateway.fastpath import Fast, no_fast_path
+from igtl_gateway.gateway.fastpath import Fast, Prepare, no_fast_path
 from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.output import Output, note_output
 from igtl_gateway.gateway.stamps import moved
@@ -49,6 +49,8 @@ class RelayGateway:
     def __init__(self, config: Config) -> None:
         self.config = config
         self.fast: Fast = no_fast_path
+        self.prepare: Prepare = no_fast_path
+        self.collect: Callable[[], None] = no_fast_path
         self.has_subscriber: Ask | None = None
         self.deadline_set: Callable[[], None] | None = None
         self.guard = Guard(watch=False)
@@ -60,12 +62,6 @@ class RelayGateway:
         self._faults = RelayFaults.parse(config.faults)
         self._lines: dict[int, FaultLine[Entry]] = {}  # link → fault line of the messages to it
         self._cut: set[int] = set()  # links that are being closed
-
-    def collect(self) -> None:
-        """Nothing passes natively."""
-
-    def prepare(self, *_input: object) -> None:
-        """Nothing is converted."""
 
     def handle(self, entry: Entry) -> list[Entry]:
         """Return the entries that ``entry`` causes, with the numbers and nanoseconds directly after it."""

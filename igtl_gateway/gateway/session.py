@@ -12,7 +12,7 @@ from typing import Protocol
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.config import Config
 from igtl_gateway.gateway.core import Gateway
-from igtl_gateway.gateway.fastpath import Fast, Prepared
+from igtl_gateway.gateway.fastpath import Fast, Prepare, Prepared
 from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.relay import RelayGateway
 from igtl_gateway.gateway.to_ros.subscribers import Ask
@@ -29,6 +29,8 @@ class Core(Protocol):
 
     config: Config
     fast: Fast
+    prepare: Prepare
+    collect: Callable[[], None]
     has_subscriber: Ask | None
     deadline_set: Callable[[], None] | None
 
@@ -42,18 +44,6 @@ class Core(Protocol):
     def due_ns(self) -> int | None: ...
 
     def handle(self, entry: Entry) -> list[Entry]: ...
-
-    def collect(self) -> None: ...
-
-    def prepare(
-        self,
-        kind: Kind,
-        payload: Buffer,
-        channel: str,
-        type_name: str,
-        links: tuple[int, ...],
-        source_ns: int,
-    ) -> Prepared | None: ...
 
     def subscription(self, topic: str, ros_type: str) -> Qos | None: ...
 
@@ -86,11 +76,17 @@ class Session:
 
     Args:
         numbers: where the last number is kept, if the native passage numbers entries, too.
+
+    Attributes:
+        prepare: converts a large message before its turn has come, from any thread; see ``FastPath``.
+        collect: takes over what the native passage has counted; deadlines depend on it.
     """
 
     def __init__(self, gateway: Core, numbers: Numbers | None = None) -> None:
         self.gateway = gateway
         self._fast = gateway.fast
+        self.prepare = gateway.prepare
+        self.collect = gateway.collect
         self._numbers = numbers or _Numbers()
 
     def input(
@@ -121,22 +117,6 @@ class Session:
             entries = [entry, *self.gateway.handle(entry)]
         numbers.seq, numbers.stamp_ns = entries[-1].seq, entries[-1].stamp_ns
         return entries
-
-    def prepare(
-        self,
-        kind: Kind,
-        payload: Buffer,
-        channel: str,
-        type_name: str,
-        links: tuple[int, ...],
-        source_ns: int,
-    ) -> Prepared | None:
-        """Convert a large message before its turn has come, from any thread; None if that is not possible."""
-        return self.gateway.prepare(kind, payload, channel, type_name, links, source_ns)
-
-    def collect(self) -> None:
-        """Take over what the native passage has counted: deadlines depend on it."""
-        self.gateway.collect()
 
     def recorded(self, entry: Entry) -> list[Entry]:
         """Return the entries that a recorded input causes, numbered after it; always by the full path.

@@ -389,17 +389,33 @@ static int begin_record(Passage *self, Stream *stream, struct output *const *out
     return 0;
 }
 
-static void record(Passage *self, uint64_t stream, uint64_t seq, int64_t stamp_ns, int64_t source_ns, const void *data,
-                   ssize_t size)
-{
-    if (self->is_recorded)
-        queue_add(&self->queue, stream, seq, (uint64_t)stamp_ns, (uint64_t)source_ns, data, (uint64_t)size);
-}
-
 static void end_record(Passage *self)
 {
     if (self->is_recorded)
         pthread_mutex_unlock(&self->queue_lock->mutex);
+}
+
+/* Give an input and its outputs, which are in the scratch memory, to the recorder; then its queue is free. */
+static void record(Passage *self, const Stream *stream, struct output *const *outputs, const ssize_t *sizes, int count,
+                   uint64_t seq, int64_t stamp_ns, int64_t source_ns, int64_t shown_ns, const uint8_t *data, ssize_t size)
+{
+    if (!self->is_recorded)
+        return;
+    queue_add(&self->queue, stream->number, seq, (uint64_t)stamp_ns, (uint64_t)source_ns, data, (uint64_t)size);
+    for (int i = 0; i < count; i++)
+        queue_add(&self->queue, outputs[i]->number, seq + 1 + i, (uint64_t)(stamp_ns + 1 + i), (uint64_t)shown_ns,
+                  scratch_of(self, i), (uint64_t)sizes[i]);
+    end_record(self);
+}
+
+/* Number an input of this time and its outputs; return the number of the input. */
+static uint64_t take_numbers(Passage *self, int outputs, int64_t now_ns, int64_t stamp_ns)
+{
+    uint64_t seq = (uint64_t)self->seq + 1;
+    self->last_ns = now_ns;
+    self->seq += 1 + outputs;
+    self->stamp_ns = stamp_ns + outputs;
+    return seq;
 }
 
 /* -- OpenIGTLink to ROS ------------------------------------------------------------------------------------------------ */
@@ -468,10 +484,7 @@ static int pass_to_ros(Passage *self, Stream *stream, const uint8_t *data, ssize
         end_record(self);
         return 0;
     }
-    uint64_t seq = (uint64_t)self->seq + 1;
-    self->last_ns = now_ns;
-    self->seq += 1 + count;
-    self->stamp_ns = stamp_ns + count;
+    uint64_t seq = take_numbers(self, count, now_ns, stamp_ns);
     int64_t converted_ns = clock_ns(CLOCK_MONOTONIC);
     for (int i = 0; i < count; i++) {
         struct output *output = built[i];
@@ -487,10 +500,7 @@ static int pass_to_ros(Passage *self, Stream *stream, const uint8_t *data, ssize
         output->sent++;
     }
     int64_t passed_ns = clock_ns(CLOCK_MONOTONIC);
-    record(self, stream->number, seq, stamp_ns, source_ns, data, size);
-    for (int i = 0; i < count; i++)
-        record(self, built[i]->number, seq + 1 + i, stamp_ns + 1 + i, shown_ns, scratch_of(self, i), sizes[i]);
-    end_record(self);
+    record(self, stream, built, sizes, count, seq, stamp_ns, source_ns, shown_ns, data, size);
     count_times(self, TO_ROS, begun_ns, locked_ns, converted_ns, passed_ns);
     stream->received++;
     if (count || self->builds_all)
@@ -812,10 +822,7 @@ static int pass_to_igtl(Passage *self, Stream *stream, const uint8_t *cdr, ssize
         end_record(self);
         return 0;
     }
-    uint64_t seq = (uint64_t)self->seq + 1;
-    self->last_ns = now_ns;
-    self->seq += 1 + count;
-    self->stamp_ns = stamp_ns + count;
+    uint64_t seq = take_numbers(self, count, now_ns, stamp_ns);
     int64_t converted_ns = clock_ns(CLOCK_MONOTONIC);
     for (int i = 0; i < count; i++) {
         struct output *output = built[i];
@@ -831,10 +838,7 @@ static int pass_to_igtl(Passage *self, Stream *stream, const uint8_t *cdr, ssize
     }
     unlock_links(stream, count, 0);
     int64_t passed_ns = clock_ns(CLOCK_MONOTONIC);
-    record(self, stream->number, seq, stamp_ns, source_ns, cdr, size);
-    for (int i = 0; i < count; i++)
-        record(self, built[i]->number, seq + 1 + i, stamp_ns + 1 + i, shown_ns, scratch_of(self, i), sizes[i]);
-    end_record(self);
+    record(self, stream, built, sizes, count, seq, stamp_ns, source_ns, shown_ns, cdr, size);
     if (source_ns)
         count_time(self, TO_IGTL, MIDDLEWARE, now_ns - self->ahead_ns - source_ns - (locked_ns - begun_ns));
     count_times(self, TO_IGTL, begun_ns, locked_ns, converted_ns, passed_ns);

@@ -32,6 +32,9 @@ MAX_COMPILED = 8
 #: A compiled stream, and what it has converted a message to.
 Prepared = tuple[CompiledToIgtl | CompiledToRos | None, Any]
 
+#: See ``FastPath.prepare``.
+Prepare = Callable[[Kind, Buffer, str, str, tuple[int, ...], int], Prepared | None]
+
 #: Entry number, gateway time (UTC ns), kind, payload, channel, type, links, source stamp and the result of ``prepare``
 #: of an input → its entry and the entries that it causes; nothing if the input must take the full path.
 Fast = Callable[[int, int, Kind, Sequence[Buffer], str, str, tuple[int, ...], int, Prepared | None], list[Entry] | None]
