@@ -1,3 +1,32 @@
-"""igtl-gateway: bridge between ROS 2 and OpenIGTLink, with recording, replay and verification."""
+"""igtl-gateway: bridge between ROS 2 and OpenIGTLink, with recording, replay and verification.
+
+The names of the Python API load at their first use: ``import igtl_gateway`` alone imports nothing else, so that the
+command line starts fast.
+"""
+
+from __future__ import annotations
+
+from typing import Any
 
 __version__ = "0.1.0"
+
+__all__ = ["__version__"]
+
+#: Public name → its module in ``igtl_gateway.api``; a name that is its module is that module.
+_HOMES: dict[str, str] = {}
+
+
+def __getattr__(name: str) -> Any:
+    home = _HOMES.get(name)
+    if home is None:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    module = import_module(f"{__name__}.api.{home}")
+    found = module if name == home else getattr(module, name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
