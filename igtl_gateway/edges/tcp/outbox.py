@@ -10,6 +10,12 @@ from igtl_gateway.edges.tcp.link_info import PeerLimits
 
 IOV_MAX = 1024  # buffers that one sendmsg takes (IOV_MAX of Linux and macOS)
 
+#: A droppable message of this size or more waits in the lane of large messages.
+LARGE_BYTES = 64 << 10
+
+#: Bytes of smaller messages that may overtake a large message: it waits longer by their time, and no more.
+_OVERTAKING_BYTES = 8 << 20
+
 Part = bytes | memoryview
 
 
@@ -35,10 +41,16 @@ class QueuedMessage:
 
 
 class Outbox:
-    """Messages waiting for one link, in order, within bounds.  Not locked: the sender's lock guards it.
+    """Messages waiting for one link, within bounds.  Not locked: the sender's lock guards it.
 
     A message that has begun to be sent is always completed; the bounds are for the messages behind it, among which one
-    message of any size may wait.  When there is no room for a new message:
+    message of any size may wait.
+
+    There are two lanes, so that a pose does not wait for the pictures before it: messages with ``keep=False`` wait in
+    the second from ``LARGE_BYTES`` on, and the first is sent before it.  The messages of a stream keep their order, and
+    so do all messages with ``keep=True``.
+
+    When there is no room for a new message:
 
     1. the oldest waiting message of the same stream with ``keep=False`` is dropped: the newer one replaces it;
     2. else the oldest with ``keep=False`` of the stream that holds the most of what is exhausted (bytes or messages);
@@ -56,6 +68,9 @@ class Outbox:
         self._limits = limits
         self._begun: QueuedMessage | None = None
         self._waiting: OrderedDict[int, QueuedMessage] = OrderedDict()
+        self._large: OrderedDict[int, QueuedMessage] = OrderedDict()  # the second lane
+        self._large_streams: Counter[str] = Counter()  # messages of each stream in it
+        self._overtaking = 0  # bytes that came before it since a message of it was sent
         self._serial = 0
         # per stream the waiting messages that may be dropped, oldest first, and their bytes
         self._droppable: dict[str, deque[int]] = {}
@@ -65,11 +80,11 @@ class Outbox:
 
     @property
     def empty(self) -> bool:
-        return self._begun is None and not self._waiting
+        return self._begun is None and not self._waiting and not self._large
 
     @property
     def messages(self) -> int:
-        return len(self._waiting) + (self._begun is not None)
+        return self._waiting_messages + (self._begun is not None)
 
     @property
     def bytes(self) -> int:
@@ -77,7 +92,7 @@ class Outbox:
 
     def has_room(self, size: int) -> bool:
         """Whether a message of ``size`` bytes can be added without dropping any."""
-        return self._fits(len(self._waiting), self.waiting_bytes, size)
+        return self._fits(self._waiting_messages, self.waiting_bytes, size)
 
     def add(self, message: QueuedMessage) -> bool:
         """Add it, making room if need be; False if it is refused (case 3 above)."""
@@ -89,7 +104,7 @@ class Outbox:
             while not self.has_room(message.left):
                 self._drop_one(message.stream)
         self._serial += 1
-        self._waiting[self._serial] = message
+        self._lane(message)[self._serial] = message
         self.waiting_bytes += message.left
         if message.keep:
             self._kept_messages += 1
@@ -113,7 +128,9 @@ class Outbox:
     def parts(self) -> list[Part]:
         """The next buffers to be sent, as many as one system call takes."""
         parts = list(self._begun.parts[:IOV_MAX]) if self._begun else []
-        for message in islice(self._waiting.values(), IOV_MAX - len(parts)):
+        # no large message behind others: while these are sent, a smaller one may come
+        waiting = self._waiting or ({} if self._begun else dict(islice(self._large.items(), 1)))
+        for message in islice(waiting.values(), IOV_MAX - len(parts)):
             parts += message.parts
             if len(parts) >= IOV_MAX:
                 return parts[:IOV_MAX]
@@ -136,7 +153,7 @@ class Outbox:
         """Count everything that is left as dropped."""
         left = [self._begun] if self._begun else []
         self._begun = None
-        while self._waiting:
+        while not self.empty:
             left.append(self._pop_first())
         self.unsent += len(left)
         self.dropped.update(message.stream for message in left)
@@ -145,8 +162,37 @@ class Outbox:
         limits = self._limits
         return not messages or (messages < limits.queue_messages and size + new <= limits.queue_bytes)
 
+    @property
+    def _waiting_messages(self) -> int:
+        return len(self._waiting) + len(self._large)
+
+    def _lane(self, message: QueuedMessage) -> OrderedDict[int, QueuedMessage]:
+        """Where a new message waits."""
+        if not message.keep and (message.left >= LARGE_BYTES or message.stream in self._large_streams):
+            self._large_streams[message.stream] += 1
+            return self._large
+        if self._large:
+            self._overtaking += message.left
+            if self._overtaking > _OVERTAKING_BYTES:
+                self._waiting |= self._large
+                self._large.clear()
+                self._large_streams.clear()
+                self._overtaking = 0
+        return self._waiting
+
+    def _leaves_large(self, message: QueuedMessage) -> None:
+        """A message has left the lane of large messages."""
+        self._large_streams[message.stream] -= 1
+        if not self._large_streams[message.stream]:
+            del self._large_streams[message.stream]
+
     def _pop_first(self) -> QueuedMessage:
-        _, message = self._waiting.popitem(last=False)
+        if self._waiting:
+            _, message = self._waiting.popitem(last=False)
+        else:
+            _, message = self._large.popitem(last=False)
+            self._leaves_large(message)
+            self._overtaking = 0
         if message.keep:
             self._kept_messages -= 1
             self._kept_bytes -= message.left
@@ -157,11 +203,15 @@ class Outbox:
 
     def _drop_one(self, stream: str) -> None:
         if stream not in self._droppable:
-            if len(self._waiting) >= self._limits.queue_messages:
+            if self._waiting_messages >= self._limits.queue_messages:
                 stream = max(self._droppable, key=lambda name: len(self._droppable[name]))
             else:
                 stream = max(self._droppable, key=self._droppable_bytes.__getitem__)
-        message = self._waiting.pop(self._droppable[stream][0])
+        serial = self._droppable[stream][0]
+        if (message := self._large.pop(serial, None)) is not None:
+            self._leaves_large(message)
+        else:
+            message = self._waiting.pop(serial)
         self._forget(message)
         self.waiting_bytes -= message.left
         self._count_drop(message)

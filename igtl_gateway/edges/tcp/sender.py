@@ -95,7 +95,8 @@ class Sender:
                         return True
                     return self._queue(QueuedMessage(parts, size, stream, keep), sent)
                 if not waits or box.has_room(size):
-                    return self._queue(QueuedMessage(parts, size, stream, keep), 0)
+                    # who waits for room wants the order, too: a replay
+                    return self._queue(QueuedMessage(parts, size, stream, keep or waits), 0)
                 # Not left to the I/O thread, which may be waiting for a lock that our caller holds.
                 box.advance(self._write(box.parts()))
                 self._settle()

@@ -7,11 +7,14 @@ import socket
 import threading
 from collections import Counter
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from igtl_gateway.edges.tcp import PeerLimits, link, sender, tls
+from igtl_gateway.edges.tcp.outbox import LARGE_BYTES, Outbox, QueuedMessage
 from tests.edges.tcp.test_tls import SERVER, client
 from tests.edges.tcp.world import BIG, DEADLINE_S, HERE, Peer, World, message, number_of
 
@@ -91,6 +94,107 @@ def test_a_newer_message_replaces_the_oldest_of_its_own_stream(world: World) -> 
     edge.send([1], [message(9)], "STRING/plan", True)  # pushes 2, of those that are most, not the large 1
     frames = [peer.receive() for _ in range(8)]
     assert [number_of(frame) for frame in frames] == [0, 1, 3, 4, 5, 7, 8, 9]
+
+
+def test_a_pose_does_not_wait_for_pictures(world: World) -> None:
+    """The picture that is on its way is completed; those behind it are overtaken, by what is small only."""
+    edge, _, port = world.server()
+    peer = world.peer(port, 4096)
+    assert edge.wait_links(1, DEADLINE_S)
+    edge.send([1], [message(0, BIG)], "IMAGE/camera", False)  # fills the socket, and is begun
+    edge.send([1], [message(1, 100_000)], "IMAGE/camera", False)
+    edge.send([1], [message(2, 100_000)], "IMAGE/other", False)
+    for number in (3, 4):
+        edge.send([1], [message(number)], "TRANSFORM/tool", False)
+    edge.send([1], [message(5)], "IMAGE/camera", False)  # not before 1, which is of its stream
+    edge.send([1], [message(6)], "STRING/plan", True)
+    edge.send([1], [message(7, 100_000)], "POLYDATA/tumour", True)
+    edge.send([1], [message(8)], "STRING/plan", True)  # what is kept keeps its order
+    assert [number_of(peer.receive()) for _ in range(9)] == [0, 3, 4, 6, 7, 8, 1, 2, 5]
+
+
+def test_who_waits_for_room_gets_the_order(world: World) -> None:
+    """A replay sends what was recorded in the order of the recording."""
+    edge, _ = world.edge(when_full="block")
+    _, port = edge.listen(HERE, 0)
+    edge.start()
+    peer = world.peer(port, 4096)
+    assert edge.wait_links(1, DEADLINE_S)
+    for number, size in enumerate((BIG, 100_000, 48, 100_000, 48)):
+        edge.send([1], [message(number, size)], "IMAGE/camera" if size > 48 else "TRANSFORM/tool", False)
+    assert [number_of(peer.receive()) for _ in range(5)] == [0, 1, 2, 3, 4]
+
+
+class _Waiting(NamedTuple):
+    number: int
+    stream: str
+    size: int
+    keep: bool
+
+
+@given(
+    st.lists(
+        st.one_of(
+            st.tuples(st.sampled_from("abcd"), st.sampled_from((100, 40_000, LARGE_BYTES, 300_000)), st.booleans()),
+            st.integers(1, 400_000),
+        ),
+        max_size=80,
+    )
+)
+def test_any_order_of_adding_and_sending(steps: list[tuple[str, int, bool] | int]) -> None:
+    """Streams and kept messages keep their order, nothing is lost uncounted, and what is small overtakes what is not."""
+    box = Outbox(PeerLimits(queue_bytes=1_000_000, queue_messages=12))
+    added: list[_Waiting] = []
+    sent = bytearray()
+    refused: Counter[str] = Counter()
+
+    def advance(count: int) -> None:
+        data = b"".join(map(bytes, box.parts()))[:count]
+        sent.extend(data)
+        box.advance(len(data))
+
+    for step in steps:
+        if isinstance(step, int):
+            advance(step)
+            continue
+        stream, size, keep = step[0] + ("+" if step[2] else ""), step[1], step[2]
+        added.append(_Waiting(len(added), stream, size, keep))
+        parts = (added[-1].number.to_bytes(8, "big"), bytes(size - 8))
+        if not box.add(QueuedMessage(parts, size, stream, keep)):
+            refused[stream] += 1
+    while not box.empty:
+        before = len(sent)
+        advance(1 << 20)
+        assert len(sent) > before
+    assert box.bytes == box.waiting_bytes == box.messages == 0
+    arrived, at = [], 0
+    while at < len(sent):
+        arrived.append(added[int.from_bytes(sent[at : at + 8], "big")])
+        at += arrived[-1].size
+    assert at == len(sent) == box.sent_bytes
+    for stream in {each.stream for each in added}:
+        own = [each.number for each in arrived if each.stream == stream]
+        assert own == sorted(set(own))
+        assert len(own) + box.dropped[stream] + refused[stream] == sum(each.stream == stream for each in added)
+    kept = [each.number for each in arrived if each.keep]
+    assert kept == sorted(kept)
+
+
+def test_a_picture_is_not_overtaken_without_end() -> None:
+    box = Outbox(PeerLimits(queue_messages=100_000))
+    box.begin(QueuedMessage((bytes(10),), 10, "IMAGE/begun", False), 5)
+    box.add(QueuedMessage((b"first" * 20_000,), 100_000, "IMAGE/camera", False))
+    box.add(QueuedMessage((b"large" * 20_000,), 100_000, "IMAGE/camera", False))
+    small = bytes(60_000)
+    before = 0
+    for _ in range(200):  # 12 MB
+        box.add(QueuedMessage((small,), len(small), "NDARRAY/flood", False))
+    box.advance(5)
+    while bytes(box.parts()[0][:5]) == small[:5]:
+        before += len(small)
+        box.advance(len(small))
+    assert 8_000_000 < before < 9_000_000
+    assert bytes(box.parts()[0][:5]) == b"first"
 
 
 def test_one_message_larger_than_the_queue_may_wait(world: World) -> None:
