@@ -142,7 +142,7 @@ class _Waiting(NamedTuple):
     )
 )
 def test_any_order_of_adding_and_sending(steps: list[tuple[str, int, bool] | int]) -> None:
-    """Streams and kept messages keep their order, nothing is lost uncounted, and what is small overtakes what is not."""
+    """Each stream keeps its order, kept messages keep theirs, and what is lost is counted."""
     box = Outbox(PeerLimits(queue_bytes=1_000_000, queue_messages=12))
     added: list[_Waiting] = []
     sent = bytearray()

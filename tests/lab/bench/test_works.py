@@ -36,7 +36,7 @@ def test_recording(shop: WorkContext) -> None:
     for row in rows:
         assert row["dropped"] == 0
         assert row["entries"] > 2 * 2 * 1060  # in and out, both ways
-        assert row["entries_per_s"] > 0 and row["times_mixed_load"] > 0
+        assert row["entries_per_s"] > 0 and row["times_mixed_load"] > 0 and row["floor_times_mixed_load"] > 0
         assert row["gateway_cpu_percent"] > 0 and row["recorder_cpu_percent"] > 0
 
 
