@@ -20,7 +20,7 @@ def configuration(folder: Path) -> dict[str, Any]:
 
 def test_the_wheel_of_the_gateway_has_no_file_of_the_laboratory() -> None:
     build = configuration(ROOT)["tool"]["hatch"]["build"]["targets"]
-    assert build["wheel"]["only-include"] == ["igtl_gateway", "ros2"]
+    assert build["wheel"]["only-include"] == ["igtl_gateway", "ros2/igtl_msgs", "ros2/site-packages"]
     assert all(source.startswith("ros2/") for source in build["wheel"]["sources"])
     assert "force-include" not in build["wheel"]
     assert "lab" in build["sdist"]["exclude"]
