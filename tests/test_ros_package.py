@@ -18,8 +18,6 @@ from igtl_gateway.cli.verbs import VERBS
 from tests.integration.bridge import ROOT
 
 PACKAGE = ROOT / "ros2" / "igtl_gateway_ros"
-#: Executables that are no verb.
-OTHERS = {"test_node"}
 #: What the bridge publishes, subscribes to or serves, without the packages of the Python distribution's own wheels.
 MESSAGE_PACKAGES = {
     "diagnostic_msgs",

@@ -47,7 +47,7 @@ class TestNode(Node):  # type: ignore[misc]  # rclpy is untyped
 
     def __init__(self) -> None:
         super().__init__("test_node")
-        steady = Clock(clock_type=ClockType.STEADY_TIME)  # with use_sim_time, the node's own clock might stand still
+        steady = Clock(clock_type=ClockType.STEADY_TIME)  # with use_sim_time, the clock of the node might not advance
         text = ParameterDescriptor
         rate_range = [FloatingPointRange(from_value=0.001, to_value=1000.0)]
         self.declare_parameter("send", True, text(description="send messages; false: receive only", read_only=True))
