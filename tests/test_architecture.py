@@ -200,6 +200,7 @@ UNMIRRORED = (
     "test_fixtures.py",  # what the recordings in fixtures/ promise
     "test_fuzz_files.py",  # tools/fuzz_files.py
     "test_gateway_fuzz.py",
+    "test_ros_package.py",  # ros2/igtl_gateway_ros
     "test_terms.py",  # tools/terms.py
     "sessionfile/test_conformance.py",  # MCAP's conformance set through readers and verbs
     "sessionfile/test_mcap_fuzz.py",  # tools/mcap_mutations.py
