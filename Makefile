@@ -13,7 +13,7 @@ run_tests = $(BIN)/python -m pytest $(PARALLEL) --durations=10 $(1) || { \
 	[ $$? -eq 1 ] || exit 1; \
 	echo "The failed tests run again, alone."; $(BIN)/python -m pytest -q --last-failed --last-failed-no-failures none; }
 
-.PHONY: help demo test test-fast check static format lint types pins documents terms peers coverage hooks pictures fixtures clean
+.PHONY: help demo test test-fast check static format lint types pins documents terms peers coverage hooks pictures fixtures site clean
 .DEFAULT_GOAL := help
 
 help:
@@ -25,6 +25,7 @@ help:
 	@echo "make hooks       install the checks as git hooks of this checkout"
 	@echo "make pictures    write the pictures in docs/pictures again, from the recordings in fixtures/"
 	@echo "make fixtures    write the recordings in fixtures/ again, by the commands of fixtures/README.md"
+	@echo "make site        build the documentation site in out/site/html"
 	@echo "make clean       remove everything that make has written, .venv too"
 	@echo
 	@echo "The first run installs what is missing (a few minutes); PYTHON=... chooses the interpreter."
@@ -81,10 +82,13 @@ pictures: $(READY)
 fixtures: $(READY)
 	@$(BIN)/python -m tools.fixtures
 
+site: $(READY)
+	@$(BIN)/python tools/site.py
+
 $(READY): pyproject.toml lab/pyproject.toml constraints.txt igtl_gateway/__init__.py hatch_build.py $(wildcard igtl_gateway/*/_*.[ch] igtl_gateway/edges/*/_*.h)
 	@tools/setup.sh venv
 	@touch $@
 
 clean:
-	rm -rf .venv .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage out/coverage
+	rm -rf .venv .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage out/coverage out/site
 	find igtl_gateway lab tests tools -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -67,6 +67,7 @@ SLOW = (
     "integration/test_crash.py",
     "integration/test_relay.py",
     "integration/test_demo.py",
+    "test_site.py",
     "integration/test_hostile.py",
     "integration/test_hostile_crowds.py",
     "integration/test_interop.py",

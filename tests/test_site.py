@@ -1,0 +1,119 @@
+"""``tools/site.py``: the site builds offline and strictly, every page is reachable, and every link leads somewhere."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pytest
+
+from tools import site
+
+
+@dataclass
+class Page:
+    """What a page offers to links, and what it links to or loads."""
+
+    anchors: set[str] = field(default_factory=set)
+    links: list[str] = field(default_factory=list)
+    loaded: list[str] = field(default_factory=list)
+
+
+class Reader(HTMLParser):
+    def __init__(self) -> None:
+        super().__init__()
+        self.page = Page()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        values = {name: value or "" for name, value in attrs}
+        self.page.anchors |= {values[name] for name in ("id", "name") if name in values}
+        if tag == "a" and "href" in values:
+            self.page.links.append(values["href"])
+        elif tag in ("img", "script", "source", "iframe") and "src" in values:
+            self.page.loaded.append(values["src"])
+        elif tag == "link" and values.get("rel") not in ("canonical", "prev", "next"):
+            self.page.loaded.append(values.get("href", ""))
+
+
+def read(path: Path) -> Page:
+    reader = Reader()
+    reader.feed(path.read_text("utf-8"))
+    return reader.page
+
+
+def broken(html: Path) -> list[str]:
+    """The links of all pages below ``html`` that lead nowhere, and what they load from elsewhere."""
+    pages = {path: read(path) for path in html.rglob("*.html") if path.name != "404.html"}
+    found = []
+    for path, page in pages.items():
+        for link in page.links + page.loaded:
+            parts = urlsplit(link)
+            if parts.scheme or parts.netloc:
+                if link in page.loaded and parts.scheme != "data":
+                    found.append(f"{path.relative_to(html)} loads {link}")
+                continue
+            target = (path.parent / unquote(parts.path)).resolve() if parts.path else path
+            if not target.is_file():
+                found.append(f"{path.relative_to(html)}: {link}")
+            elif parts.fragment and target in pages and unquote(parts.fragment) not in pages[target].anchors:
+                found.append(f"{path.relative_to(html)}: {link}")
+    return found
+
+
+@pytest.fixture(scope="module")
+def html(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pytest.importorskip("zensical", reason="zensical is not installed here")
+    return site.build(tmp_path_factory.mktemp("site"))
+
+
+def test_every_link_leads_somewhere_and_nothing_is_loaded_from_elsewhere(html: Path) -> None:
+    assert len(list(html.rglob("*.html"))) > 40
+    assert broken(html) == []
+
+
+def test_no_markup_is_left_in_the_text(html: Path) -> None:
+    """Python's Markdown is stricter than GitHub's: what it does not understand would be shown as written."""
+    shown = [
+        (path.name, match)
+        for path in html.rglob("*.html")
+        if path.parent.name != "source"
+        for match in re.findall(
+            r"<p>(?:[-*] |\||```|#+ )[^<]{0,40}|\]\([\w./#-]+\)",
+            re.sub(r"<(pre|code)\b.*?</\1>", "", path.read_text("utf-8"), flags=re.DOTALL),
+        )
+    ]
+    assert shown == []
+
+
+def test_the_check_of_links_finds_a_missing_page_anchor_and_a_foreign_script(tmp_path: Path) -> None:
+    (tmp_path / "a.html").write_text(
+        '<a href="b.html#here"></a><a href="b.html#gone"></a><a href="c.html"></a><script src="https://x/y.js"></script>'
+    )
+    (tmp_path / "b.html").write_text('<p id="here">')
+    assert broken(tmp_path) == ["a.html: b.html#gone", "a.html: c.html", "a.html loads https://x/y.js"]
+
+
+def test_every_page_has_a_place_in_the_navigation(tmp_path: Path) -> None:
+    staged = {page for page in site.stage(tmp_path) if page.endswith(".md") and not page.startswith("source/")}
+    navigation = (site.ROOT / "mkdocs.yml").read_text("utf-8").partition("\nnav:\n")[2]
+    listed = re.findall(r"\S+\.md$", navigation, re.MULTILINE)
+    assert sorted(listed) == sorted(staged)
+
+
+def test_links_lead_to_the_pages_of_the_site(tmp_path: Path) -> None:
+    for name in ("docs/adr/README.md", "docs/a.md", "src/x.msg", "README.md"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text("`")
+    found: list[str] = []
+    text = "[a](../a.md#b) [m](../../src/x.msg)\n- [r](../../README.md)\n\n```\n[no](gone.md)\n```\n`[no](gone.md)`\n"
+    assert site.rewrite(text, "docs/adr/README.md", found, tmp_path) == (
+        "[a](../a.md#b) [m](../source/src/x.msg.md)\n\n- [r](../project/readme.md)\n\n"
+        "```\n[no](gone.md)\n```\n`[no](gone.md)`\n"
+    )
+    assert found == ["docs/a.md", "src/x.msg", "README.md"]
+    with pytest.raises(site.SiteError, match=r"^docs/a.md: found a link to gone.md, expected a file of the repository$"):
+        site.rewrite("[x](gone.md)", "docs/a.md", [], tmp_path)
+    assert site.source_page("src/x.msg", tmp_path) == "# `src/x.msg`\n\n```text\n`\n```\n"
