@@ -114,6 +114,8 @@ def test_links_lead_to_the_pages_of_the_site(tmp_path: Path) -> None:
         "```\n[no](gone.md)\n```\n`[no](gone.md)`\n"
     )
     assert found == ["docs/a.md", "src/x.msg", "README.md"]
-    with pytest.raises(site.SiteError, match=r"^docs/a.md: found a link to gone.md, expected a file of the repository$"):
+    with pytest.raises(
+        site.SiteError, match=r"^docs/a.md: found a link to gone.md, expected a file of the repository$"
+    ):
         site.rewrite("[x](gone.md)", "docs/a.md", [], tmp_path)
     assert site.source_page("src/x.msg", tmp_path) == "# `src/x.msg`\n\n```text\n`\n```\n"
