@@ -6,14 +6,24 @@ command line starts fast.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from igtl_gateway.api import aio
+    from igtl_gateway.api.peer import Peer, Server, connect, serve
 
 __version__ = "0.1.0"
 
-__all__ = ["__version__"]
+__all__ = ["Peer", "Server", "__version__", "aio", "connect", "serve"]
 
 #: Public name → its module in ``igtl_gateway.api``; a name that is its module is that module.
-_HOMES: dict[str, str] = {}
+_HOMES: dict[str, str] = {
+    "Peer": "peer",
+    "Server": "peer",
+    "aio": "aio",
+    "connect": "peer",
+    "serve": "peer",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -10,6 +10,10 @@
     │   ├── ChecksumMismatch        CRC-64 of the body differs from that in the header
     │   ├── MessageTooLarge         announced body size exceeds the limit
     │   └── MalformedBody           a length, count or value that the format does not allow
+    ├── PeerError                   a peer of ``connect`` or ``serve`` did not do what was waited for
+    │   ├── NoReply                 no connection, message or reply within the time (a TimeoutError)
+    │   ├── LinkClosed              the connection is closed (a ConnectionError)
+    │   └── Refused                 the peer refuses a query
     ├── ConversionError             a message without a counterpart on the other side
     │   └── NotFinite               NaN or infinity
     ├── RosError                    ROS 2: not installed, unknown type, rejected name
@@ -81,6 +85,22 @@ class MalformedBody(WireError):
     """A field of the message contradicts the format."""
 
     code = "malformed"
+
+
+class PeerError(GatewayError):
+    """A peer of ``connect`` or ``serve`` did not do what was waited for."""
+
+
+class NoReply(PeerError, TimeoutError):
+    """No connection, message or reply arrived within the time."""
+
+
+class LinkClosed(PeerError, ConnectionError):
+    """The connection is closed."""
+
+
+class Refused(PeerError):
+    """The peer refuses a query."""
 
 
 class ConversionError(GatewayError):

@@ -116,7 +116,7 @@ GENERATORS = (
 #: is refused everywhere: give it a home first.
 HOMES: dict[str, tuple[str, ...]] = {
     # The live world
-    "asyncio": (),
+    "asyncio": ("api.aio",),
     "select": ("edges.tcp.sender",),
     "selectors": ("edges.tcp.loop",),
     "socket": (

@@ -65,17 +65,11 @@ def command_to_igtl(message: Command, to: ToIgtlContext) -> ConvertedMessage:
 def reply_to_ros(content: wire.Command, to: ToRosContext) -> CommandReply:
     """Convert to CommandReply: success if neither metadata nor content has a status.  Unknown statuses are failures."""
     text = visible(content.text)
-    attributes = _plus_reply_attributes(text)
-    found = _first(to.metadata, (STATUS,)) or attributes.get(STATUS, "")
-    word = found.strip().upper()
-    status = _STATUS_OF.get(word, CommandReply.FAIL if word else CommandReply.SUCCESS)
-    if word and word not in _STATUS_OF:
+    status, reason, unknown = reply_result(text, to.metadata)
+    if unknown:
         expected = ", ".join(_STATUS_OF)
-        warning = f"reply with Status {found!r}, expected one of {expected}: treated as failed"
+        warning = f"reply with Status {unknown!r}, expected one of {expected}: treated as failed"
         to.warnings.append(("unknown_status", warning))
-    reason = ""
-    if status != CommandReply.SUCCESS:
-        reason = _first(to.metadata, _MESSAGE_KEYS) or attributes.get("Message", "")
     return CommandReply(
         Header(to.stamp_ns, to.frame_id),
         to.device_name,
@@ -88,6 +82,18 @@ def reply_to_ros(content: wire.Command, to: ToRosContext) -> CommandReply:
         to.metadata,
         to.link,
     )
+
+
+def reply_result(text: str, metadata: Items) -> tuple[int, str, str]:
+    """Return status (as in CommandReply), reason of a failure, and the status as sent if it is unknown."""
+    attributes = _plus_reply_attributes(text)
+    found = _first(metadata, (STATUS,)) or attributes.get(STATUS, "")
+    word = found.strip().upper()
+    status = _STATUS_OF.get(word, CommandReply.FAIL if word else CommandReply.SUCCESS)
+    reason = ""
+    if status != CommandReply.SUCCESS:
+        reason = _first(metadata, _MESSAGE_KEYS) or attributes.get("Message", "")
+    return status, reason, found if word and word not in _STATUS_OF else ""
 
 
 def reply_to_igtl(message: CommandReply, to: ToIgtlContext) -> ConvertedMessage:
