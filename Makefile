@@ -13,7 +13,7 @@ run_tests = $(BIN)/python -m pytest $(PARALLEL) --durations=10 $(1) || { \
 	[ $$? -eq 1 ] || exit 1; \
 	echo "The failed tests run again, alone."; $(BIN)/python -m pytest -q --last-failed --last-failed-no-failures none; }
 
-.PHONY: help demo test test-fast check static format lint types pins documents terms peers coverage hooks pictures fixtures site clean
+.PHONY: help demo test test-fast check static format lint types pins documents terms peers coverage hooks pictures fixtures site release clean
 .DEFAULT_GOAL := help
 
 help:
@@ -26,9 +26,11 @@ help:
 	@echo "make pictures    write the pictures in docs/pictures again, from the recordings in fixtures/"
 	@echo "make fixtures    write the recordings in fixtures/ again, by the commands of fixtures/README.md"
 	@echo "make site        build the documentation site in out/site/html"
+	@echo "make release     wheels, sdists, SBOM and SHA-256 of the last commit in dist/, built twice and compared"
 	@echo "make clean       remove everything that make has written, .venv too"
 	@echo
-	@echo "The first run installs what is missing (a few minutes); PYTHON=... chooses the interpreter."
+	@echo "The first run installs what is missing (a few minutes); PYTHON=... chooses the interpreter,"
+	@echo "PYTHONS=... those of the compiled wheels."
 
 demo: $(READY)
 	@$(BIN)/igtl-gateway demo
@@ -84,6 +86,9 @@ fixtures: $(READY)
 
 site: $(READY)
 	@$(BIN)/python tools/site.py
+
+release: $(READY)
+	@$(BIN)/python -m tools.release $(PYTHONS:%=--python %)
 
 $(READY): pyproject.toml lab/pyproject.toml constraints.txt igtl_gateway/__init__.py hatch_build.py $(wildcard igtl_gateway/*/_*.[ch] igtl_gateway/edges/*/_*.h)
 	@tools/setup.sh venv

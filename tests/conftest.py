@@ -68,6 +68,7 @@ SLOW = (
     "integration/test_relay.py",
     "integration/test_demo.py",
     "test_site.py",
+    "test_release.py",
     "integration/test_hostile.py",
     "integration/test_hostile_crowds.py",
     "integration/test_interop.py",

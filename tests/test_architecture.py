@@ -203,6 +203,7 @@ UNMIRRORED = (
     "test_ros_package.py",  # ros2/igtl_gateway_ros
     "test_notebooks.py",  # docs/notebooks
     "test_site.py",  # tools/site.py
+    "test_release.py",  # tools/release.py, hatch_build.py
     "test_terms.py",  # tools/terms.py
     "sessionfile/test_conformance.py",  # MCAP's conformance set through readers and verbs
     "sessionfile/test_mcap_fuzz.py",  # tools/mcap_mutations.py

@@ -23,7 +23,6 @@ def test_the_wheel_of_the_gateway_has_no_file_of_the_laboratory() -> None:
     assert build["wheel"]["only-include"] == ["igtl_gateway", "ros2/igtl_msgs", "ros2/site-packages"]
     assert all(source.startswith("ros2/") for source in build["wheel"]["sources"])
     assert "force-include" not in build["wheel"]
-    assert "lab" in build["sdist"]["exclude"]
     for verb in LABORATORY:
         assert not (ROOT / "igtl_gateway" / verb).exists()
         assert not (ROOT / "igtl_gateway" / "cli" / f"{verb}.py").exists()

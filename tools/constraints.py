@@ -27,12 +27,12 @@ HEADER = """\
 """
 
 
-def installed_pins(project: Requirement) -> dict[str, str]:
-    """Name → installed version of all direct and indirect requirements of ``project`` except its own parts.
+def requirements(project: Requirement) -> dict[str, set[str]]:
+    """Name of each installed direct and indirect requirement of ``project``, itself included → what it needs.
 
-    What a marker excludes is not needed; what is needed but absent is left out (ROS 2 where it has no wheels).
+    What a marker excludes is not needed; what is needed but absent is in the values only (ROS 2 without wheels).
     """
-    pins: dict[str, str] = {}
+    needs: dict[str, set[str]] = {}
     seen: set[tuple[str, str]] = set()
     waiting = [project]
     while waiting:
@@ -42,17 +42,23 @@ def installed_pins(project: Requirement) -> dict[str, str]:
             found = distribution(name)
         except PackageNotFoundError:
             continue
-        pins[name] = found.version
+        names = needs.setdefault(name, set())
         # The empty extra stands for the plain requirements.
         for extra in {"", *wanted.extras}:
             if (name, extra) in seen:
                 continue
             seen.add((name, extra))
-            needs = [Requirement(line) for line in found.requires or ()]
-            waiting += [need for need in needs if need.marker is None or need.marker.evaluate({"extra": extra})]
-    for own in (canonicalize_name(project.name), "igtl-gateway-lab"):
-        pins.pop(own, None)
-    return dict(sorted(pins.items()))
+            lines = [Requirement(line) for line in found.requires or ()]
+            more = [need for need in lines if need.marker is None or need.marker.evaluate({"extra": extra})]
+            names.update(canonicalize_name(need.name) for need in more)
+            waiting += more
+    return dict(sorted(needs.items()))
+
+
+def installed_pins(project: Requirement) -> dict[str, str]:
+    """Name → installed version of all direct and indirect requirements of ``project`` except its own parts."""
+    own = {canonicalize_name(project.name), "igtl-gateway-lab"}
+    return {name: distribution(name).version for name in requirements(project) if name not in own}
 
 
 def differences(pins: dict[str, str], constraints: str) -> list[str]:

