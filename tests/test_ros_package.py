@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import argparse
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -14,8 +16,10 @@ from xml.etree import ElementTree
 import pytest
 
 from igtl_gateway import __version__
+from igtl_gateway.cli import complete
 from igtl_gateway.cli.verbs import VERBS
 from tests.integration.bridge import ROOT
+from tests.launch_files import LaunchFile, every, read
 
 PACKAGE = ROOT / "ros2" / "igtl_gateway_ros"
 #: What the bridge publishes, subscribes to or serves, without the packages of the Python distribution's own wheels.
@@ -70,6 +74,9 @@ def test_colcon_installs_executables_shared_files_and_the_index(installed: Path)
     share = installed / "share" / "igtl_gateway"
     assert (installed / "share/ament_index/resource_index/packages/igtl_gateway").is_file()
     assert (share / "package.xml").is_file()
+    for folder in ("launch", "config"):
+        names = {path.name for path in (PACKAGE / folder).iterdir() if path.is_file()}
+        assert {path.name for path in (share / folder).iterdir()} == names
     found = {path.name for path in (installed / "lib" / "igtl_gateway").iterdir()}
     assert found == set(executables())
 
@@ -113,3 +120,51 @@ def test_the_manifest_has_version_licence_and_dependencies() -> None:
     parser.read(PACKAGE / "setup.cfg", "utf-8")
     assert parser["metadata"]["version"] == __version__
     assert parser["metadata"]["name"] != manifest.findtext("name")  # the Python distribution of that name is another
+
+
+LAUNCH = PACKAGE / "launch"
+NAMES = ("bridge", "recorded_test", "replay", "two_bridges")
+FILES = {name: read(LAUNCH / f"{name}.launch.xml") for name in NAMES}
+
+
+def test_every_launch_file_has_both_notations() -> None:
+    names = {path.name for path in LAUNCH.iterdir() if path.is_file()}
+    assert names == {f"{name}.launch.{kind}" for name in NAMES for kind in ("py", "xml")}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_python_and_xml_declare_and_start_the_same(name: str) -> None:
+    assert read(LAUNCH / f"{name}.launch.py") == FILES[name]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_argument_is_described_and_used(name: str) -> None:
+    file = FILES[name]
+    used = set(re.findall(r"\$\(var (\w+)\)", str(file.actions)))
+    assert used == file.arguments.keys()
+    for default, text in file.arguments.values():
+        assert len(text) > 10
+        assert not text.endswith(".")
+        assert default is None or default == default.strip()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_include_gives_arguments_of_the_other_file(name: str) -> None:
+    for include in every(FILES[name].actions, "include"):
+        assert include["arguments"].keys() <= FILES[include["file"].removeprefix("$(dirname)/")].arguments.keys()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_node_is_an_executable_with_options_that_it_has(name: str) -> None:
+    for node in every(FILES[name].actions, "node"):
+        assert node["pkg"] == "igtl_gateway"
+        assert node["exec"] in executables()
+        if verb := VERBS.get(node["exec"]):
+            parser = argparse.ArgumentParser(exit_on_error=False)
+            complete(parser, verb)
+            parser.parse_args(with_defaults(FILES[name], node.get("args", "")).split())
+
+
+def with_defaults(file: LaunchFile, text: str) -> str:
+    """A string of a launch file for the defaults of its arguments; one without a default is its name."""
+    return re.sub(r"\$\(var (\w+)\)", lambda match: file.arguments[match[1]][0] or match[1], text)
