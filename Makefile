@@ -13,7 +13,7 @@ run_tests = $(BIN)/python -m pytest $(PARALLEL) --durations=10 $(1) || { \
 	[ $$? -eq 1 ] || exit 1; \
 	echo "The failed tests run again, alone."; $(BIN)/python -m pytest -q --last-failed --last-failed-no-failures none; }
 
-.PHONY: help demo test test-fast check static format lint types pins documents terms peers coverage hooks pictures fixtures site release clean
+.PHONY: help demo test test-fast check static format lint types pins documents terms peers core coverage hooks pictures fixtures site release clean
 .DEFAULT_GOAL := help
 
 help:
@@ -22,6 +22,7 @@ help:
 	@echo "make test-fast   the fast tests: at most three minutes on two cores"
 	@echo "make test        the gate for every change: the checks, the fast tests and the slow tests"
 	@echo "make coverage    branch coverage of the fast tests, as a table and in out/coverage/index.html"
+	@echo "make core        the core's tests on each Python that is present: 3.11, 3.12 and 3.13, or PYTHONS"
 	@echo "make hooks       install the checks as git hooks of this checkout"
 	@echo "make pictures    write the pictures in docs/pictures again, from the recordings in fixtures/"
 	@echo "make fixtures    write the recordings in fixtures/ again, by the commands of fixtures/README.md"
@@ -30,7 +31,7 @@ help:
 	@echo "make clean       remove everything that make has written, .venv too"
 	@echo
 	@echo "The first run installs what is missing (a few minutes); PYTHON=... chooses the interpreter,"
-	@echo "PYTHONS=... those of the compiled wheels."
+	@echo "PYTHONS=... those of the compiled wheels and of make core."
 
 demo: $(READY)
 	@$(BIN)/igtl-gateway demo
@@ -71,6 +72,10 @@ coverage: $(READY) peers
 	@$(BIN)/coverage report
 	@$(BIN)/coverage report --include "$(COVERED)" --fail-under $(FLOOR)
 
+# Each Python has an environment of its own in out/core.
+core: $(READY)
+	@$(BIN)/python tools/core.py $(PYTHONS)
+
 hooks: $(READY)
 	@$(BIN)/pre-commit install
 
@@ -95,5 +100,5 @@ $(READY): pyproject.toml lab/pyproject.toml constraints.txt igtl_gateway/__init_
 	@touch $@
 
 clean:
-	rm -rf .venv .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage out/coverage out/site
+	rm -rf .venv .mypy_cache .pytest_cache .ruff_cache .hypothesis .coverage out/core out/coverage out/site
 	find igtl_gateway lab tests tools -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import subprocess
 import tomllib
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
 
+import pytest
+from packaging.requirements import Requirement
+
 from igtl_gateway import __version__
 from igtl_gateway.cli.verbs import GROUP, LABORATORY, Verb
 from igtl_gateway_lab import __version__ as lab_version
+from tools import core
 
 ROOT = Path(__file__).parents[1]
 
@@ -41,3 +46,29 @@ def test_the_laboratory_adds_its_verbs_and_needs_the_gateway() -> None:
     assert all(isinstance(EntryPoint(name, value, GROUP).load(), Verb) for name, value in entries.items())
     assert "igtl-gateway" in project["dependencies"]
     assert lab_version == __version__
+
+
+def test_the_core_runs_on_every_python_with_requirements_of_the_project() -> None:
+    extras = configuration(ROOT)["project"]["optional-dependencies"]
+    needs = core.requirements(ros=True)
+    assert core.TEST_NEEDS <= {Requirement(need).name for need in extras["dev"]}
+    assert core.TEST_NEEDS <= {Requirement(need).name for need in needs}
+    assert {*extras["ros"], *configuration(ROOT)["project"]["dependencies"]} <= {*needs}
+    assert all((ROOT / folder).is_dir() for folder in (*core.TESTS, *core.ROS_TESTS))
+
+
+@pytest.mark.parametrize("name", core.NAMES)
+def test_every_module_compiles_without_a_warning(name: str) -> None:
+    python = core.present(name)
+    if python is None:
+        pytest.skip(f"no {name} here")
+    program = (
+        "import pathlib, sys\n"
+        "for path in map(pathlib.Path, sys.argv[1:]):\n"
+        "    for module in path.rglob('*.py'):\n"
+        "        compile(module.read_bytes(), str(module), 'exec', dont_inherit=True)\n"
+    )
+    folders = [ROOT / "igtl_gateway", ROOT / "lab" / "igtl_gateway_lab", ROOT / "ros2" / "igtl_gateway_ros"]
+    command = [python, "-S", "-W", "error", "-c", program, *map(str, folders)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr

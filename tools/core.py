@@ -1,0 +1,103 @@
+"""The core's tests on other Pythons: codecs, conversions, gateway, recordings, replay and the native passage.
+
+    python tools/core.py [--ros] [PYTHON …]        make core [PYTHONS="python3.12 python3.13"]
+
+Without names it takes each of python3.11, python3.12 and python3.13 that is present, on the path or of pyenv.  Each has
+an environment of its own in out/core, with the versions of constraints.txt, and its own compiled C parts.
+
+``--ros`` adds the extra ``ros`` and the tests of the ROS edge.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+WORK = ROOT / "out" / "core"
+NAMES = ("python3.11", "python3.12", "python3.13")
+TESTS = tuple(f"tests/{name}" for name in ("wire", "convert", "gateway", "session", "sessionfile", "replay", "passage"))
+ROS_TESTS = ("tests/edges/ros",)
+#: What these tests need of the extra ``dev``.
+TEST_NEEDS = {"hypothesis", "mcap-ros2-support", "packaging", "pyigtl", "pymcap-cli", "pytest", "pytest-xdist"}
+WORKERS = "2"
+_COMPILE = (
+    "import hatch_build; from pathlib import Path; [hatch_build.compiled(Path(), s) for s in hatch_build.SOURCES]"
+)
+
+
+def present(name: str) -> str | None:
+    """The path of a Python such as ``python3.12``: on the path, else the newest of pyenv."""
+    versions = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv"), "versions")
+    of_pyenv = sorted(
+        map(str, versions.glob(f"{name.removeprefix('python')}.*/bin/python")),
+        key=lambda path: int(re.findall(r"\d+", path.split(os.sep)[-3])[2]),
+        reverse=True,
+    )
+    return next((path for path in (shutil.which(name), *of_pyenv) if path and runs(path)), None)
+
+
+def runs(python: str) -> bool:
+    """Whether a program is a Python: pyenv has one on the path for each version, also for those that are not active."""
+    return subprocess.run([python, "-S", "-c", ""], capture_output=True, check=False).returncode == 0
+
+
+def requirements(*, ros: bool) -> list[str]:
+    """What pip installs for these tests."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    extras = project["optional-dependencies"]
+    dev = [need for need in extras["dev"] if re.split(r"[^\w-]", need)[0] in TEST_NEEDS]
+    return [*project["dependencies"], *dev, *(extras["ros"] if ros else ()), "hatchling"]
+
+
+def run_tests(python: str, *, ros: bool) -> bool:
+    """Install and run the tests with one Python; returns whether they pass."""
+    version = subprocess.run([python, "--version"], capture_output=True, text=True, check=True).stdout.split()[1]
+    print(f"== Python {version}", flush=True)
+    folder = WORK / version
+    own = folder / "bin" / "python"
+    if not own.is_file():
+        subprocess.run([python, "-m", "venv", folder], check=True)
+    install: list[str | Path] = [
+        own,
+        "-m",
+        "pip",
+        "install",
+        "-q",
+        "--disable-pip-version-check",
+        "-c",
+        ROOT / "constraints.txt",
+    ]
+    subprocess.run([*install, *requirements(ros=ros)], check=True)
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "lab")))}
+    subprocess.run([own, "-c", _COMPILE], cwd=ROOT, env=environment, check=True)
+    tests = (*TESTS, *(ROS_TESTS if ros else ()))
+    command = [own, "-m", "pytest", "-q", "-n", WORKERS, "-m", "not slow", "-p", "no:cacheprovider", *tests]
+    return subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode == 0
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Run the tests with each Python; 1 if one of them fails, 2 if there is no Python."""
+    parser = argparse.ArgumentParser(description="Run the core's tests on other Pythons.")
+    parser.add_argument("pythons", nargs="*", metavar="PYTHON", help="interpreters (default: those present)")
+    parser.add_argument("--ros", action="store_true", help="with ROS 2 and the tests of the ROS edge")
+    options = parser.parse_args(args)
+    pythons = options.pythons or [found for name in NAMES if (found := present(name))]
+    if not pythons:
+        print(f"found no Python, expected one of {', '.join(NAMES)}", file=sys.stderr)
+        return 2
+    failed = [python for python in pythons if not run_tests(python, ros=options.ros)]
+    for python in failed:
+        print(f"failed: {python}", file=sys.stderr)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
