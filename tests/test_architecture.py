@@ -164,6 +164,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(GENERATORS, ("ros_interfaces.build",)),
     "rosbags": ("exchange", "replay", "sessionfile.schemas", "untrusted"),
     "ruamel": ("untrusted.yaml_text",),  # brought by rosbags, as zstandard is by mcap
+    "shtab": ("cli.completion",),
     "zstandard": ("sessionfile.compression", "untrusted.unpack"),
 }
 

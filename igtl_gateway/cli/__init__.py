@@ -45,14 +45,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(given: Sequence[str], asked: str, **extra: object) -> int:
     """Run the verb ``asked``; ``extra`` are attributes of its options beside those of the command line."""
-    parser = Parser(
-        prog="igtl-gateway",
-        description="Gateway between OpenIGTLink and ROS 2 that records, replays and verifies sessions.",
-        epilog="`igtl-gateway VERB --help` lists the options of a verb, with examples.",
-        formatter_class=HelpFormatter,
-    )
-    parser.add_argument("--version", action=VersionAction, help="print the versions of program, formats and libraries")
-    verbs = parser.add_subparsers(dest="verb", metavar="VERB", title="verbs")
+    parser = _parser()
+    verbs = _verbs(parser)
     # import only the module of the requested verb: `info` must not wait for ROS
     known = VERBS if asked in VERBS else available()  # the entry points of all distributions take a while
     if asked in LABORATORY and asked not in known:
@@ -92,6 +86,32 @@ def _run(given: Sequence[str], asked: str, **extra: object) -> int:
     except KeyboardInterrupt:
         print_line(error=True)
         return _print_error(options.verb, "interrupted", FAILURE)
+
+
+def parser_of_all_verbs() -> tuple[Parser, list[Parser]]:
+    """Return the parser of the command line, and those of all verbs; imports the modules of all verbs."""
+    parser = _parser()
+    verbs, parsers = _verbs(parser), []
+    for name, verb in available().items():
+        if verb.module:
+            parsers.append(verbs.add_parser(name, help=verb.help))
+            complete(parsers[-1], verb)
+    return parser, parsers
+
+
+def _parser() -> Parser:
+    parser = Parser(
+        prog="igtl-gateway",
+        description="Gateway between OpenIGTLink and ROS 2 that records, replays and verifies sessions.",
+        epilog="`igtl-gateway VERB --help` lists the options of a verb, with examples.",
+        formatter_class=HelpFormatter,
+    )
+    parser.add_argument("--version", action=VersionAction, help="print the versions of program, formats and libraries")
+    return parser
+
+
+def _verbs(parser: Parser) -> argparse._SubParsersAction[Parser]:
+    return parser.add_subparsers(dest="verb", metavar="VERB", title="verbs")
 
 
 def complete(parser: argparse.ArgumentParser, verb: Verb) -> None:

@@ -50,6 +50,7 @@ VERBS = {
     "view": _own("view", "show a session in rerun: in a window, as a file, web page or image"),
     "review": _own("review", "check each stitch of a suture plan against the measured tissue"),
     "decode": _own("decode", "print the messages of a raw OpenIGTLink byte stream as JSON lines"),
+    "completion": _own("completion", "print a script that completes words in bash, zsh or fish", reads_files=False),
 }
 
 #: Verbs of the laboratory, for the error message if it is not installed.
