@@ -19,13 +19,15 @@ replay and verification use the settings of the recorded session.
     fault_seed = 0                 # seed of the fault injection
     deny_in = []                   # types that are refused from peers, such as ["COMMAND", "TRANSFORM"] or ["*"]
     deny_out = []                  # types that are not sent to peers
+    max_age_s = 0.0                # default of the rows: messages that are older on arrival are withheld; 0: no limit
+    kinds = []                     # default of the rows of [[to_ros]], see there
     watch = true                   # report jumps of units, decreasing stamps …; by default in live sessions only
 
     [[to_igtl]]                    # ROS topic → OpenIGTLink; the first matching row applies
     topic = "/camera/image_raw"    # * matches within one level, ** across levels
     device = "Camera"              # default: from the topic
     type = "IMAGE"                 # default: by the conversion table
-    max_age_s = 0.5                # messages that are older on arrival are withheld; default 0: no limit
+    max_age_s = 0.5                # messages that are older on arrival are withheld; 0: no limit
 
     [[to_ros]]                     # OpenIGTLink → ROS
     device = "Probe*"
@@ -67,7 +69,7 @@ from typing import Any, TypeVar
 
 from igtl_gateway.convert.frames import TfRequest
 from igtl_gateway.convert.profiles import AUTO, BY_NAME
-from igtl_gateway.convert.table import TO_IGTL
+from igtl_gateway.convert.table import TO_IGTL, TO_ROS
 from igtl_gateway.convert.units import UNITS, LengthUnits
 from igtl_gateway.errors import ConfigError, DamagedRecording, UnsupportedRecording
 from igtl_gateway.faults import RelayFaults
@@ -118,7 +120,7 @@ class ToIgtlRow(_Row):
     device: str = ""
     type: str = ""
     metadata: tuple[tuple[str, str], ...] = ()
-    max_age_s: float = 0.0
+    max_age_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,7 +133,7 @@ class ToRosRow(_Row):
     frame_id: str = ""
     child_frame_id: str = ""
     kinds: tuple[str, ...] = ()
-    max_age_s: float = 0.0
+    max_age_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,7 +144,7 @@ class TfOutRow(_Row):
     base: str = ""
     device: str = ""
     type: str = ""
-    max_age_s: float = 0.0
+    max_age_s: float | None = None
 
     def request(self, place: str = "tf_out") -> TfRequest:
         """Return the request for the tf tree.  Raises ConfigError with ``place``."""
@@ -183,6 +185,8 @@ class Config:
     fault_seed: int = 0
     deny_in: tuple[str, ...] = ()
     deny_out: tuple[str, ...] = ()
+    max_age_s: float = 0.0
+    kinds: tuple[str, ...] = ()
     watch: bool | None = None
     to_igtl: tuple[ToIgtlRow, ...] = ()
     to_ros: tuple[ToRosRow, ...] = ()
@@ -216,11 +220,15 @@ class Config:
                     raise ConfigError(f"{name}[{index}].qos.depth: found {row.qos.depth}, expected 1 to {MAX_DEPTH:,}")
         if self.max_streams < 1:
             raise ConfigError(f"gateway.max_streams: found {self.max_streams}, expected 1 or more")
-        ages = [(f"to_igtl[{index}]", sent.max_age_s) for index, sent in enumerate(self.to_igtl)]
+        for kind in self.kinds:
+            if kind.removeprefix("+") not in _KINDS:
+                raise ConfigError(f"gateway.kinds: found {kind!r}, expected one of {', '.join(_KINDS)}, also as +kind")
+        ages: list[tuple[str, float | None]] = [("gateway", self.max_age_s)]
+        ages += [(f"to_igtl[{index}]", sent.max_age_s) for index, sent in enumerate(self.to_igtl)]
         ages += [(f"to_ros[{index}]", shown.max_age_s) for index, shown in enumerate(self.to_ros)]
         ages += [(f"tf_out[{index}]", frames.max_age_s) for index, frames in enumerate(self.tf_out)]
         for place, age_s in ages:
-            if not 0.0 <= age_s <= MAX_AGE_S:
+            if age_s is not None and not 0.0 <= age_s <= MAX_AGE_S:
                 raise ConfigError(f"{place}.max_age_s: found {age_s:g}, expected 0 (any age) to {MAX_AGE_S:g}")
         for index, sent in enumerate(self.to_igtl):
             if not _is_topic(sent.topic):
@@ -267,13 +275,32 @@ class Config:
         policy = row.stamp or self.stamp
         return _STAMP_ALIASES.get(policy, policy)
 
+    def max_age_of(self, row: ToIgtlRow | ToRosRow | TfOutRow) -> float:
+        """Return the maximum age of the messages of a row, s; 0: no limit."""
+        return self.max_age_s if row.max_age_s is None else row.max_age_s
+
+    def kinds_of(self, row: ToRosRow) -> tuple[str, ...]:
+        """Return the selection of ROS messages of a row; empty: the default ones."""
+        return row.kinds or self.kinds
+
     def watched(self, unless_set: bool | None = True) -> Config:
         """Return the configuration with ``watch`` set to ``unless_set`` if it is None; true for a live session."""
         return dataclasses.replace(self, watch=unless_set) if self.watch is None else self
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the settings as JSON values, as stored in a recording."""
-        return dataclasses.asdict(self)
+        """Return the settings as JSON values, as stored in a recording.
+
+        Settings that older programs do not know are left out if they are not set: these can then read the recording.
+        """
+        values = dataclasses.asdict(self)
+        for name in ("max_age_s", "kinds"):
+            if not values[name]:
+                del values[name]
+        for table in ("to_igtl", "to_ros", "tf_out"):
+            for row in values[table]:
+                if row["max_age_s"] is None:
+                    del row["max_age_s"]
+        return values
 
     def to_toml(self) -> str:
         """Return the text of a TOML file with all settings that differ from the defaults."""
@@ -370,6 +397,9 @@ _CHOICES = {
     "profile": PROFILE_NAMES,
 }
 
+#: Kinds of ROS messages that a peer's messages can be converted to.
+_KINDS = tuple(sorted({row.kind for row in TO_ROS}))
+
 T = TypeVar("T")
 
 
@@ -433,6 +463,8 @@ def from_values(place: str, kind: type[T], settings: Mapping[str, Any]) -> T:
 
 def _checked(place: str, name: str, kind: type, value: Any) -> Any:
     """Return the value of a setting as the type of its default.  Raises ConfigError."""
+    if name == "max_age_s" and value is not None:
+        kind = float
     if kind is float and type(value) is int and abs(value) < 1 << 63:
         return float(value)
     if kind in _TYPE_NAMES and type(value) is not kind:

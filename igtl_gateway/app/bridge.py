@@ -9,7 +9,8 @@ import json
 import os
 import platform
 import sys
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -33,6 +34,7 @@ from igtl_gateway.edges.video import VideoOptions
 from igtl_gateway.errors import RosError, Unavailable
 from igtl_gateway.gateway import CUT, LINKS_TOPIC, LISTENED, Session, make_core
 from igtl_gateway.gateway.diagnostics import DIAGNOSTICS_TOPIC, Diagnostics, PeerFacts
+from igtl_gateway.gateway.live_settings import LiveSettings
 from igtl_gateway.gateway.to_igtl.tf_out import TF_QOS
 from igtl_gateway.globs import matches
 from igtl_gateway.once import Once
@@ -140,6 +142,8 @@ class Bridge:
         self.recorder: Recorder | None = None
         self.summary: RecordingSummary | None = None
         self._clock = clock
+        self._settings = LiveSettings.of(config)
+        self._change_lock = threading.Lock()
         self._noted = Once()  # topic and type of the reported topics without a conversion
         self.commands: CommandService | None = None
         self.video: VideoCodecs | None = None
@@ -284,6 +288,29 @@ class Bridge:
             self.losses = ledger | {"gaps": gaps(ledger)}
         if self.recorder and not self.summary:
             self.summary = self.recorder.close(self.losses)
+
+    def change(self, changes: Mapping[str, object]) -> None:
+        """Change settings while the bridge runs: ``deny_in``, ``deny_out``, ``max_age_s``, ``kinds``, ``active``.
+
+        The change is an input of the session: it applies to the messages after its entry, and the recording has it.
+        Values that are as before change nothing.  Any thread may call it, except in a sink.
+
+        Args:
+            changes: name → new value.
+
+        Raises:
+            ConfigError: another name, or a wrong value; nothing has changed.
+        """
+        with self._change_lock:
+            settings = self._settings.changed(changes)
+            if settings != self._settings:
+                self.hub.note(settings.note(self._settings))
+                self._settings = settings
+
+    @property
+    def settings(self) -> LiveSettings:
+        """The settings that can change, as they are now."""
+        return self._settings
 
     def collect(self) -> None:
         """Take over what was counted natively."""

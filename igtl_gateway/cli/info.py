@@ -15,6 +15,7 @@ from igtl_gateway.cli.options import add_file, add_json
 from igtl_gateway.cli.recover import print_losses
 from igtl_gateway.cli.terminal import cell, print_json, print_line, width
 from igtl_gateway.errors import BeingRecorded, DamagedRecording, LimitExceeded
+from igtl_gateway.session.changes import SETTING
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.session.ledger import gaps
 from igtl_gateway.session.note import Level, Note
@@ -105,6 +106,11 @@ def _facts(
             if kind is Kind.LINK
         ],
         "clocks": content.clock_summaries(),
+        "changes": [
+            {"at": _utc(stamp_ns), "text": note.text, **note.data}
+            for stamp_ns, kind, note in content.notes
+            if kind is Kind.EDGE_NOTE and note.code == SETTING
+        ],
         "clock_steps": [
             {
                 "at": _utc(step.at_ns),
@@ -183,6 +189,7 @@ def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_n
     for title, lines in (
         ("links", [_line(stamp, note, start_ns) for stamp, kind, note in notes if kind is Kind.LINK]),
         ("clocks", [f"{_peer(clock)} by {clock['stream']}: {clock['text']}" for clock in summary["clocks"]]),
+        ("settings", [f"{change['at']}  {change['text']}" for change in summary["changes"]]),
         ("host's clock", [f"{step['at']}  {step['text']}" for step in summary["clock_steps"]]),
         ("problems", [f"{number:>7,}  {code}" for code, number in summary["problems"].items()] or ["   none"]),
         ("first note of each problem", _firsts(notes, start_ns)),

@@ -25,6 +25,7 @@ _REASONS = {
     "too_many_streams": "more streams than allowed",
     "conversion": "could not be converted",
     "denied": "denied by the configuration",
+    "inactive": "the gateway was not active",
     "not_finite": "NaN or infinity",
     "stale": "older than max_age_s",
 }

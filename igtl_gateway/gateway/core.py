@@ -13,13 +13,15 @@ from functools import lru_cache
 from igtl_gateway.config import Config
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.igtl_msgs import RawMessage
+from igtl_gateway.gateway.activity import Activity
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.commanding import Commands
 from igtl_gateway.gateway.dialogue.links import LINKS_QOS, LINKS_TOPIC, Links
 from igtl_gateway.gateway.dialogue.querying import Queries
 from igtl_gateway.gateway.fastpath import Fast, FastPath, Prepare
 from igtl_gateway.gateway.guard import Guard
-from igtl_gateway.gateway.outcome import Bookkeeper, Finding, Outcome, Tally
+from igtl_gateway.gateway.live_settings import LiveSettings
+from igtl_gateway.gateway.outcome import Bookkeeper, Finding, Item, Outcome, Tally
 from igtl_gateway.gateway.peers import Peers
 from igtl_gateway.gateway.streams import Streams
 from igtl_gateway.gateway.to_igtl.composer import Composer
@@ -71,8 +73,9 @@ class Gateway:
         self._accounts = Bookkeeper(peers)
         self._streams = streams = Streams(config)
         self._guard = guard = Guard(watch=config.watch is True)
-        denied_in, denied_out = Denials(config.deny_in), Denials(config.deny_out)
-        tf = TfOut(config, tuple(streams.device(row.request().device) for row in config.tf_out))
+        self._denied_in, self._denied_out = denied_in, denied_out = Denials(config.deny_in), Denials(config.deny_out)
+        activity = Activity()
+        self._tf = tf = TfOut(config, tuple(streams.device(row.request().device) for row in config.tf_out))
         self._subscribers = subscribers = Subscribers(needs_tf=bool(tf))
         volumes = Volumes()
 
@@ -98,8 +101,11 @@ class Gateway:
             delivery=delivery,
             frames=frames,
             commands=commands,
+            activity=activity,
         )
-        receiver = IgtlReceiver(config, peers, denied_in, router, links=links, queries=queries, commands=commands)
+        receiver = IgtlReceiver(
+            config, peers, denied_in, router, links=links, queries=queries, commands=commands, activity=activity
+        )
         sender = RosReceiver(
             config,
             peers,
@@ -112,6 +118,7 @@ class Gateway:
             tracking=tracking,
             frames=frames,
             commands=commands,
+            activity=activity,
         )
         self._rooms: dict[Kind, Callable[[Entry], Outcome]] = {
             Kind.IGTL_IN: receiver.take,
@@ -206,9 +213,21 @@ class Gateway:
             return Outcome([*self._commands.overdue(entry), *self._links.ping(entry)])
         if event.code == LISTENED:
             return Outcome(self._converter.build_waiting(event.stream))
+        if settings := LiveSettings.from_note(event):
+            return Outcome(self._change(entry, settings), tallies=[Tally("edges", event.stream, event.code)])
         if step := ClockStep.of(entry):
             self._guard.clock_stepped(step.ahead_ns)
         return Outcome(tallies=[Tally("edges", event.stream, event.code)])
+
+    def _change(self, entry: Entry, settings: LiveSettings) -> list[Item]:
+        """Use other settings from now on; ``entry`` is the note about them."""
+        self.config = config = settings.applied(self.config)
+        self._denied_in.change(config.deny_in)
+        self._denied_out.change(config.deny_out)
+        self._streams.change(config)
+        self._tf.max_age_of = config.max_age_of
+        self.fast_path.drop_compiled()  # compiled for the settings before
+        return self._links.activate(entry, active=settings.active)
 
     def _opened_streams(self) -> list[Finding]:
         """Return findings for the streams that the current entry opened."""

@@ -26,8 +26,14 @@ class Denials:
     """The deny list of one direction; false if it is empty."""
 
     def __init__(self, globs: Sequence[str]) -> None:
-        self._globs = tuple(glob.upper() for glob in globs)
+        self._globs: tuple[str, ...] = ()
         self._known: dict[str, bool] = {}
+        self.change(globs)
+
+    def change(self, globs: Sequence[str]) -> None:
+        """Deny these types from now on, and no others."""
+        self._globs = tuple(glob.upper() for glob in globs)
+        self._known.clear()
 
     def __bool__(self) -> bool:
         return bool(self._globs)

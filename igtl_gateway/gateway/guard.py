@@ -44,11 +44,14 @@ class Guard:
 
     def of(self, link: int, stream: str, max_age_s: float) -> GuardedStream | None:
         """Return a stream of a link (0: of ROS); None if it is neither guarded nor watched."""
-        if not (self.watch or max_age_s):
-            return None
+        max_age_ns = round(max_age_s * NS_PER_S)
         watched = self._streams.get((link, stream))
-        if watched is None:
-            max_age_ns = round(max_age_s * NS_PER_S)
+        if watched is not None:
+            if watched.max_age_ns != max_age_ns:  # the setting has changed
+                watched.max_age_ns, watched.look_ns = max_age_ns, 0
+        elif not (self.watch or max_age_ns):
+            return None
+        else:
             if len(self._streams) >= MAX_WATCHED:  # shared state: maximum age only
                 watched = self._others.setdefault(max_age_ns, GuardedStream("(other streams)", max_age_ns, watch=False))
             else:

@@ -57,6 +57,7 @@ class GuardedStream:
     Attributes:
         stream: name of the stream.
         last_ns: stamp of the last message (its gateway time if it had none).
+        max_age_ns: maximum age; 0: none.
         look_ns: gateway time from which ``passes_quickly`` must call ``is_unremarkable``.
         arrived_ns: gateway time of the last check.
         ahead_ns: how far gateway time is ahead of the host's clock, with which source stamps are compared.
@@ -67,7 +68,6 @@ class GuardedStream:
 
     __slots__ = (
         "_due_ns",
-        "_max_age_ns",
         "_place",
         "_seen_ns",
         "_stale_since_ns",
@@ -79,6 +79,7 @@ class GuardedStream:
         "episodes",
         "last_ns",
         "look_ns",
+        "max_age_ns",
         "stale",
         "stream",
         "timing",
@@ -90,7 +91,7 @@ class GuardedStream:
         self.timing = StampTiming()
         self.stale = 0
         self.episodes: dict[str, list[int]] = {}
-        self._max_age_ns = max_age_ns
+        self.max_age_ns = max_age_ns
         self._watch = watch
         self._due_ns = 0
         self._seen_ns = 0  # stamp at the last check
@@ -113,7 +114,7 @@ class GuardedStream:
             self._watch,
             bool(self.stale or self.episodes),
             self._unknown_said,
-            self._max_age_ns,
+            self.max_age_ns,
             self.ahead_ns,
             self.last_ns,
             self.look_ns,
@@ -144,8 +145,8 @@ class GuardedStream:
 
     def judge(self, now_ns: int, own_ns: int) -> tuple[bool, list[Remark]]:
         """Return whether to withhold a message with the stamp ``own_ns`` (0: none) at ``now_ns``, and the remarks."""
-        if not self._max_age_ns:
-            return False, []
+        if not self.max_age_ns:
+            return False, self._fresh(now_ns)  # the maximum age may have been changed to none
         if own_ns <= 0:
             if self._unknown_said:
                 return False, []
@@ -153,19 +154,23 @@ class GuardedStream:
             text = f"{self.stream}: messages without stamps, age unknown (max_age_s)"
             return False, [(Level.WARN, AGE_UNKNOWN, text)]
         age_ns = now_ns - self.ahead_ns - own_ns
-        if age_ns > self._max_age_ns:
+        if age_ns > self.max_age_ns:
             self.stale += 1
             if self.stale > 1:
                 return True, []
             self._stale_since_ns = now_ns
-            most = _seconds(self._max_age_ns)
+            most = _seconds(self.max_age_ns)
             text = f"{self.stream} is stale: messages are {_seconds(age_ns)} old, expected at most {most}"
             return True, [(Level.ERROR, STALE, text)]
+        return False, self._fresh(now_ns)
+
+    def _fresh(self, now_ns: int) -> list[Remark]:
+        """Return the remark that a stream which was stale is no longer so."""
         if not self.stale:
-            return False, []
+            return []
         number, self.stale = self.stale, 0
         lasted = _seconds(now_ns - self._stale_since_ns)
-        return False, [(Level.INFO, FRESH, f"{self.stream} is fresh again: {number:,} messages withheld in {lasted}")]
+        return [(Level.INFO, FRESH, f"{self.stream} is fresh again: {number:,} messages withheld in {lasted}")]
 
     # -- watchers -----------------------------------------------------------------------------------------------
 
@@ -200,7 +205,7 @@ class GuardedStream:
             self._place = place
             self.arrived_ns = now_ns
             self._due_ns = now_ns + LOOK_NS
-            self.look_ns = 0 if self._max_age_ns else self._due_ns
+            self.look_ns = 0 if self.max_age_ns else self._due_ns
         return findings
 
     def passes_quickly(self, now_ns: int, stamp_ns: int, data: Buffer, numbers: struct.Struct | None, at: int) -> bool:
@@ -219,9 +224,9 @@ class GuardedStream:
             now_ns, told_ns: as for ``observe``.
             data, numbers, at: the message, and format (None: not a pose) and offset of its translation.
         """
-        if self._max_age_ns:
+        if self.max_age_ns:
             unknown = stamp_ns == now_ns and not self._unknown_said
-            if self.stale or unknown or now_ns - self.ahead_ns - stamp_ns > self._max_age_ns:
+            if self.stale or unknown or now_ns - self.ahead_ns - stamp_ns > self.max_age_ns:
                 return False
         if not self._watch:
             return True

@@ -19,15 +19,18 @@ from igtl_gateway.buffers import Buffer
 from igtl_gateway.config import Config
 from igtl_gateway.errors import WireError
 from igtl_gateway.faults import Fate, FaultLine, RelayFaults
+from igtl_gateway.gateway.activity import INACTIVE, Activity
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.links import LINK_DOWN, LINK_UP
 from igtl_gateway.gateway.fastpath import Fast, Prepare, no_fast_path
 from igtl_gateway.gateway.guard import Guard
+from igtl_gateway.gateway.live_settings import LiveSettings
 from igtl_gateway.gateway.output import Output, note_output
 from igtl_gateway.gateway.stamps import moved
 from igtl_gateway.gateway.to_ros.subscribers import Ask
 from igtl_gateway.once import Once
 from igtl_gateway.qos import Qos
+from igtl_gateway.session.changes import SETTING, is_change
 from igtl_gateway.session.clocksteps import CLOCK_STEP, ClockStep
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import Ledger
@@ -58,6 +61,7 @@ class RelayGateway:
         self._partners: dict[int, int] = {}
         self._servers: set[int] = set()  # links to the server
         self._denied_in, self._denied_out = Denials(config.deny_in), Denials(config.deny_out)
+        self._activity = Activity()
         self._noted: dict[int, Once] = {}  # link → codes and streams
         self._faults = RelayFaults.parse(config.faults)
         self._lines: dict[int, FaultLine[Entry]] = {}  # link → fault line of the messages to it
@@ -74,6 +78,9 @@ class RelayGateway:
             outputs += self._relay(entry)
         elif ClockStep.of(entry):
             self.ledger.count("edges", "", CLOCK_STEP)
+        elif is_change(entry) and (settings := LiveSettings.from_note(Note.of(entry.data()))):
+            self.ledger.count("edges", "", SETTING)
+            outputs += self._change(settings)
         if self._lines and self.deadline_set:
             self.deadline_set()
         return [output.entry(entry, step) for step, output in enumerate(outputs, start=1)]
@@ -125,6 +132,10 @@ class RelayGateway:
             self.ledger.drop(_IN, entry.channel, "no_partner")
             text = "message dropped: the other side of the relay is disconnected"
             return self._warn_once(entry, "no_partner", text)
+        if not self._activity.active:
+            self.ledger.drop(_IN, entry.channel, INACTIVE)
+            finding = self._activity.refuse(entry)
+            return self._warn_once(entry, INACTIVE, finding.text, finding.subject)
         if (denied := self._denied(entry)) is not None:
             self.ledger.drop(_IN, entry.channel, "denied")
             return self._warn_once(entry, "denied", denied)
@@ -192,8 +203,15 @@ class RelayGateway:
             return f"BIND is denied because it cannot be decoded ({setting}): {error}"
         return f"BIND that contains {denied} is denied ({setting})" if denied else None
 
-    def _warn_once(self, entry: Entry, code: str, text: str) -> list[Output]:
-        """Return a warning, unless this stream of the link already had it."""
-        if not self._noted.setdefault(entry.links[0], Once()).first(code, entry.channel):
+    def _change(self, settings: LiveSettings) -> list[Output]:
+        """Use other settings from now on."""
+        self.config = config = settings.applied(self.config)
+        self._denied_in.change(config.deny_in)
+        self._denied_out.change(config.deny_out)
+        return [note_output(found.level, found.code, found.text) for found in self._activity.change(settings.active)]
+
+    def _warn_once(self, entry: Entry, code: str, text: str, subject: str | None = None) -> list[Output]:
+        """Return a warning, unless this stream (or ``subject``) of the link already had it."""
+        if not self._noted.setdefault(entry.links[0], Once()).first(code, subject or entry.channel):
             return []
         return [note_output(Level.WARN, code, text, entry.channel, entry.links)]

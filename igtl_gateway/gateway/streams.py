@@ -7,7 +7,7 @@ device, gets a hash added to its name.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from igtl_gateway.config import IN_TOPIC, Config, ToIgtlRow, ToRosRow, device_of_topic
 from igtl_gateway.convert.igtl_msgs import MetadataItem
@@ -31,6 +31,7 @@ class ToIgtlStream:
 
     Attributes:
         row, conversion: its row of the configuration and of the conversion table.
+        max_age_s: maximum age of its messages, s; 0: no limit.
         device, full_name: device name on the wire, and before it was shortened.
         lengths: units.
         latched: whether late joiners get the latest message.
@@ -39,6 +40,7 @@ class ToIgtlStream:
 
     row: ToIgtlRow
     conversion: ConversionToIgtl
+    max_age_s: float
     device: str
     full_name: str
     lengths: LengthUnits
@@ -52,6 +54,8 @@ class ToRosStream:
 
     Attributes:
         row: its row of the configuration.
+        max_age_s: maximum age of its messages, s; 0: no limit.
+        kinds: the selected ROS messages; empty: the default ones.
         outputs: rows of the conversion table, with their topics.
         raw_topic, metadata_topic: topics for messages without a conversion and for metadata.
         frame_id, child_frame_id: default frames, unless the metadata name others.
@@ -59,6 +63,8 @@ class ToRosStream:
     """
 
     row: ToRosRow
+    max_age_s: float
+    kinds: tuple[str, ...]
     outputs: tuple[tuple[ConversionToRos, str], ...]
     raw_topic: str
     metadata_topic: str
@@ -86,6 +92,18 @@ class Streams:
     def advertise(self, topic: str, qos: Qos) -> None:
         """Set the QoS of a published topic that belongs to no stream."""
         self._qos[topic] = qos
+
+    def change(self, config: Config) -> None:
+        """Use other settings of those that can change; streams with other outputs are opened again."""
+        self._config = config
+        for topic, sent in self._to_igtl.items():
+            if sent:
+                self._to_igtl[topic] = replace(sent, max_age_s=config.max_age_of(sent.row))
+        for (igtl_type, device), shown in self._to_ros.items():
+            if config.kinds_of(shown.row) == shown.kinds:
+                self._to_ros[igtl_type, device] = replace(shown, max_age_s=config.max_age_of(shown.row))
+            else:
+                self._to_ros[igtl_type, device] = self._resolve_device(igtl_type, device)
 
     # -- OpenIGTLink → ROS --------------------------------------------------------------------------------------
 
@@ -117,6 +135,8 @@ class Streams:
         self.opened.append((f"{igtl_type}/{device}", f"to {topics}"))
         return ToRosStream(
             row,
+            config.max_age_of(row),
+            config.kinds_of(row),
             tuple(outputs),
             topic_of(RAW),
             topic_of(METADATA),
@@ -127,9 +147,10 @@ class Streams:
 
     def _chosen(self, row: ToRosRow, conversions: Sequence[ConversionToRos]) -> Sequence[ConversionToRos]:
         """Return the rows of the conversion table for a stream with this row of the configuration."""
-        added = {kind.removeprefix("+") for kind in row.kinds if kind.startswith("+")}
-        if row.kinds and len(added) < len(row.kinds):
-            return [one for one in conversions if one.kind in added.union(row.kinds)]
+        kinds = self._config.kinds_of(row)
+        added = {kind.removeprefix("+") for kind in kinds if kind.startswith("+")}
+        if kinds and len(added) < len(kinds):
+            return [one for one in conversions if one.kind in added.union(kinds)]
         wanted = [one for one in conversions if one.role is not Role.ON_REQUEST or one.kind in added]
         if not self._config.publish_tf:
             wanted = [one for one in wanted if one.kind != _TF]
@@ -165,6 +186,11 @@ class Streams:
         stream = self._to_igtl[key] = self._resolve_topic(topic, ros_type)
         return stream
 
+    def raw_max_age_s(self, topic: str) -> float | None:
+        """Return the maximum age of the RawMessages of a topic, s; 0: no limit; None: the topic is not bridged."""
+        row = self._config.row_to_igtl(topic)
+        return self._config.max_age_of(row) if row else None
+
     def is_over_limit(self, topic: str, ros_type: str) -> bool:
         """Return whether only the limit of streams keeps a topic from being bridged."""
         return (topic, ros_type) not in self._to_igtl and self.rows(topic, ros_type)[1] is not None
@@ -181,7 +207,8 @@ class Streams:
         self.opened.append((topic, f"to {name}" + (f" (for {full_name})" if device != full_name else "")))
         latched = (row.qos or conversion.qos).latched
         metadata = tuple(MetadataItem(key, 0, value) for key, value in row.metadata)
-        return ToIgtlStream(row, conversion, device, full_name, self._config.lengths(row), latched, metadata)
+        max_age_s, lengths = self._config.max_age_of(row), self._config.lengths(row)
+        return ToIgtlStream(row, conversion, max_age_s, device, full_name, lengths, latched, metadata)
 
     def device(self, full_name: str) -> str:
         """Return the device name of at most 20 bytes for a full name."""

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 
 from igtl_gateway.globs import matches
 from igtl_gateway.record.shared_queue import owned
+from igtl_gateway.session.changes import is_change
 from igtl_gateway.session.clocksteps import ClockStep
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile import layout
@@ -70,7 +71,7 @@ class StateInputRule:
     def by_input(self, entry: Entry) -> bool:
         """Whether the input itself shows it."""
         facts = entry.kind is Kind.LINK or entry.type in self.types or entry.channel in self.topics
-        return facts or ClockStep.of(entry) is not None
+        return facts or is_change(entry) or ClockStep.of(entry) is not None
 
     def by_output(self, entry: Entry) -> bool:
         """Whether an output shows it of its cause."""

@@ -26,6 +26,7 @@ from igtl_gateway.errors import ConversionError
 from igtl_gateway.gateway import LINK_UP, LINKS_TOPIC, TICK, Session, make_core
 from igtl_gateway.replay.source import matches_any
 from igtl_gateway.replay.verify import compare
+from igtl_gateway.session.changes import SETTING
 from igtl_gateway.session.clocksteps import CLOCK_STEP
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
@@ -248,7 +249,7 @@ def _carries_state(group: InputGroup) -> bool:
         case Kind.LINK:
             return True
         case Kind.EDGE_NOTE:
-            return _code(entry) in (TICK, CLOCK_STEP)
+            return _code(entry) in (TICK, CLOCK_STEP, SETTING)
         case _:
             return entry.type.startswith(_PREFIXES) or entry.type in _COMMANDS
 

@@ -31,6 +31,7 @@ from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.rosmsg import Header, TransformStamped
 from igtl_gateway.edges.tcp import PeerLimits
 from igtl_gateway.gateway import Session, make_core
+from igtl_gateway.gateway.live_settings import LiveSettings
 from igtl_gateway.passage import is_compiled
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.replay.verify import DeclaredLosses, verify
@@ -258,6 +259,8 @@ def test_random_sessions_are_what_the_full_path_gives(
                 peers.append(here.connect())
             elif kind < 0.975 and len(peers) > 1:
                 here.disconnect(peers.pop(rng.randrange(len(peers))))
+            elif kind < 0.985:
+                here.bridge.change(rng.choice(CHANGES))
             if rng.random() < 0.05:
                 time.sleep(rng.choice([0.001, 0.02, 0.12]))
             native = max(native, here.native)
@@ -267,6 +270,18 @@ def test_random_sessions_are_what_the_full_path_gives(
         time.sleep(0.2)
     assert native >= 2
     check_recording(path, config, here.bridge.losses)
+
+
+#: Two of three give back what most messages need to pass.
+CHANGES: tuple[dict[str, object], ...] = (
+    {"active": False},
+    {"active": True, "deny_in": (), "deny_out": ()},
+    {"deny_in": ("TRANSFORM",)},
+    {"deny_out": ("POSITION",)},
+    {"active": True, "deny_in": (), "deny_out": (), "max_age_s": 0.0, "kinds": ()},
+    {"active": True, "max_age_s": 0.5},
+    {"active": True, "kinds": ("transform",)},
+)
 
 
 def _stamp(rng: random.Random) -> int:
@@ -383,6 +398,47 @@ def test_sessions_of_the_fast_path_are_what_the_full_path_gives(steps: list[Any]
             expected = 3 * sum(kind == "igtl" for kind, *_ in steps)
             wait_for(lambda: here.received("igtl_in") == expected and not here.middleware.waiting())
         check_recording(path, config, here.bridge.losses)
+
+
+def test_nothing_passes_natively_under_the_settings_before_a_change(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    path, config = tmp_path / "session.mcap", Config().watched()
+    sent = Counter[str]()
+    with scene(monkeypatch, config, path) as here:
+        peer = here.connect()
+        stop = threading.Event()
+
+        def flood() -> None:
+            while not stop.is_set():
+                peer.send(transform(sent["igtl_in"] % 100) * 5)
+                sent["igtl_in"] += 5
+                here.send_ros(pose(sent["ros_in"] % 100))
+                sent["ros_in"] += 1
+                time.sleep(0.0002)
+
+        thread = threading.Thread(target=flood)
+        thread.start()
+        try:
+            for change in ({"active": False}, {"deny_in": ("TRANSFORM",)}, {"deny_out": ("TRANSFORM",)}) * 4:
+                wait_for(lambda: here.native == 2)
+                here.bridge.change(change)
+                assert here.native < 2
+                time.sleep(0.01)
+                here.bridge.change({"active": True, "deny_in": (), "deny_out": ()})
+        finally:
+            stop.set()
+            thread.join()
+        wait_for(lambda: here.received("igtl_in") == sent["igtl_in"] and here.received("ros_in") == sent["ros_in"])
+    check_recording(path, config, here.bridge.losses)
+    active, refused = True, 0
+    for entry in entries_of(path):
+        if entry.kind is Kind.EDGE_NOTE and (settings := LiveSettings.from_note(Note.unpack(entry.data()))):
+            active = settings.active
+        assert active or entry.kind not in (Kind.IGTL_OUT, Kind.ROS_OUT)
+        refused += not active and entry.kind in (Kind.IGTL_IN, Kind.ROS_IN)
+    rows = [*here.bridge.losses["streams"]["igtl_in"].values(), *here.bridge.losses["streams"]["ros_in"].values()]
+    assert refused == sum(row["dropped"]["inactive"] for row in rows) > 0
 
 
 # -- its borders -------------------------------------------------------------------------------------------------------

@@ -68,10 +68,10 @@ def empty_reply(igtl_type: str, device: str, now_ns: int, peer: Peer) -> Outboun
     return OutboundMessage("STATUS", device, Status(_STATUS_NOT_FOUND, 0, "NotFound", text), now_ns)
 
 
-def denial_reply(prefix: str, igtl_type: str, device: str, now_ns: int) -> list[OutboundMessage]:
-    """Return the reply to a denied query: the RTS_ for a stream, else a STATUS."""
+def denial_reply(prefix: str, igtl_type: str, device: str, now_ns: int, why: str) -> list[OutboundMessage]:
+    """Return the reply to a refused query: the RTS_ for a stream, else a STATUS."""
     outs = acknowledgement(igtl_type, device, now_ns, ERROR) if prefix != "GET" else []
-    text = f"{query_name(prefix, igtl_type)} is denied"
+    text = f"{query_name(prefix, igtl_type)} is {why}"
     return outs or [OutboundMessage("STATUS", device, Status(_STATUS_ACCESS_DENIED, 0, "AccessDenied", text), now_ns)]
 
 

@@ -91,12 +91,12 @@ class Commands:
         items = self._reply(entry, pending, CommandReply.FAIL, text)
         return [*items, Finding(Level.WARN, "command_refused", text, entry.channel, (peer.link,))]
 
-    def deny(self, entry: Entry, peer: Peer, message: Message) -> list[Item]:
-        """Return the reply to a COMMAND that ``deny_in`` denies."""
+    def deny(self, entry: Entry, peer: Peer, message: Message, why: str) -> list[Item]:
+        """Return the reply to a COMMAND that is refused."""
         assert isinstance(message.content, Command)
         name, device = visible(message.content.name), visible(message.device_name)
         pending = PendingCommand(peer.link, message.content.command_id, device, name, entry.stamp_ns)
-        return self._reply(entry, pending, CommandReply.FAIL, "COMMAND is denied")
+        return self._reply(entry, pending, CommandReply.FAIL, f"COMMAND is {why}")
 
     def on_reply(self, peer: Peer, message: Message) -> None:
         """A peer has replied to a command from ROS: it waits no longer."""
@@ -120,12 +120,16 @@ class Commands:
 
     def deny_ros(self, entry: Entry, stream: ToIgtlStream, outgoing: ConvertedMessage, igtl_type: str) -> list[Item]:
         """Return the reply to a COMMAND from ROS that ``deny_out`` denies; nothing for other types."""
+        return self.refuse_ros(entry, stream, outgoing, "COMMAND is denied") if igtl_type == "COMMAND" else []
+
+    def refuse_ros(self, entry: Entry, stream: ToIgtlStream, outgoing: ConvertedMessage, text: str) -> list[Item]:
+        """Return the reply to a COMMAND from ROS that is not sent; nothing for other contents."""
         command = outgoing.content
-        if not isinstance(command, Command) or igtl_type != "COMMAND":
+        if not isinstance(command, Command):
             return []
         device = outgoing.device_name or stream.full_name
         asked = PendingCommand(outgoing.link, command.command_id, device, visible(command.name), entry.stamp_ns)
-        return self._reply_to_ros(entry, asked, CommandReply.FAIL, "COMMAND is denied")
+        return self._reply_to_ros(entry, asked, CommandReply.FAIL, text)
 
     def _send_command(self, entry: Entry, stream: ToIgtlStream, outgoing: ConvertedMessage) -> list[Item]:
         """Send a COMMAND: give it an id if it has none, and keep it until its reply."""

@@ -9,6 +9,7 @@ from igtl_gateway.config import Config
 from igtl_gateway.convert.igtl_msgs import LinkStatusList
 from igtl_gateway.convert.rosmsg import Header as RosHeader
 from igtl_gateway.errors import ConversionError, WireError
+from igtl_gateway.gateway.activity import Activity
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.commanding import Commands
 from igtl_gateway.gateway.guard import Guard
@@ -52,6 +53,7 @@ class Links:
         delivery: Delivery,
         frames: TfReceiver,
         commands: Commands,
+        activity: Activity,
     ) -> None:
         self._config = config
         self._peers = peers
@@ -62,6 +64,7 @@ class Links:
         self._delivery = delivery
         self._frames = frames
         self._commands = commands
+        self._activity = activity
 
     def take(self, entry: Entry) -> Outcome:
         """Handle a link that went up or down."""
@@ -70,7 +73,9 @@ class Links:
         outcome = Outcome()
         for link in entry.links:
             if event.code == LINK_UP:
-                outcome.items += self._send_latched(entry, self._peers.up(link, event.data, entry.stamp_ns))
+                peer = self._peers.up(link, event.data, entry.stamp_ns)
+                if self._activity.active:  # else when it becomes active
+                    outcome.items += self._send_latched(entry, peer)
             else:
                 outcome.tallies += self._final_counts(link, event.data)
                 self._peers.down(link)
@@ -104,6 +109,18 @@ class Links:
         if self._denied.type("GET_STATUS"):
             return ()
         return (peer for peer in self._peers.all() if peer.profile.ping_ns)
+
+    def activate(self, entry: Entry, *, active: bool) -> list[Item]:
+        """Let messages pass, or refuse them, from now on; a gateway that becomes active is a late joiner to ROS.
+
+        So all peers get the latched messages: of those that came while it was not active they know nothing.
+        """
+        was_active = self._activity.active
+        items: list[Item] = [*self._activity.change(active)]
+        if active and not was_active:
+            for peer in self._peers.all():
+                items += self._send_latched(entry, peer)
+        return items
 
     def _send_latched(self, entry: Entry, peer: Peer) -> list[Item]:
         """Return the latest message of each latched stream for a late joiner, as transient-local durability does."""

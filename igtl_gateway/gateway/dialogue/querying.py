@@ -49,18 +49,18 @@ class Queries:
         if prefix in ("GET", "STT") and self._denied.type(igtl_type):
             text = f"{message.type} rejected: {igtl_type} is not sent to any peer (deny_out)"
             finding = _noted_once(entry, Level.WARN, "denied", text, visible(message.type), peer)
-            return [finding, *self.deny(entry, peer, message, prefix, igtl_type)]
+            return [finding, *self.deny(entry, peer, message, prefix, igtl_type, "denied")]
         answer = _ANSWERS.get(prefix)
         # escaped bytes make a name longer: the reply must fit the header
         device = short_device_name(visible(message.device_name))
         return answer(self, entry, peer, message, igtl_type, device) if answer else []
 
-    def deny(self, entry: Entry, peer: Peer, message: Message, prefix: str, igtl_type: str) -> list[Item]:
-        """Reject a denied query: with its RTS_ if it has one, else with a STATUS."""
+    def deny(self, entry: Entry, peer: Peer, message: Message, prefix: str, igtl_type: str, why: str) -> list[Item]:
+        """Reject a query that is refused: with its RTS_ if it has one, else with a STATUS."""
         if prefix == "RTS":
             return []
         device = short_device_name(visible(message.device_name))
-        outs = answers.denial_reply(prefix, igtl_type, device, entry.stamp_ns)
+        outs = answers.denial_reply(prefix, igtl_type, device, entry.stamp_ns, why)
         return self._delivery.deliver_each(entry, outs, lambda out: self._delivery.to(entry, [peer], [out]))
 
     def _get(self, entry: Entry, peer: Peer, message: Message, igtl_type: str, device: str) -> list[Item]:

@@ -74,7 +74,7 @@ class FastPath:
         self._latest = latest
         self._frames_go_out = bool(config.tf_out)
         self._enabled = enabled
-        peers.changed = self._drop_compiled
+        peers.changed = self.drop_compiled
 
     def take(
         self,
@@ -194,8 +194,8 @@ class FastPath:
         if compiled:
             streams[key] = compiled
 
-    def _drop_compiled(self) -> None:
-        """Drop all compiled streams, because the peers have changed."""
+    def drop_compiled(self) -> None:
+        """Drop all compiled streams, because the peers or settings have changed."""
         self.to_ros.clear()
         self.to_igtl.clear()
         self._compiled.clear()

@@ -118,7 +118,7 @@ def compile_to_igtl(
         else:
             outputs.append((replace(one, payload=()), (head, tail, digits_at)))
     own = common.config.stamp_of(stream.row) == SOURCE
-    if stream.row.max_age_s and not own:
+    if stream.max_age_s and not own:
         return None
     sample = bytes(cdr) if size else bytes(cdr[: names[1] if names else 4])
     place_at = len(sample) - _POSE_SIZE if size else None

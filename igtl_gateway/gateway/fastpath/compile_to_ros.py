@@ -120,7 +120,7 @@ def compile_to_ros(
     if to.warnings:
         return None
     own = common.config.stamp_of(stream.row) == SOURCE
-    if stream.row.max_age_s and not own:  # the guard checks a stamp that the output does not have
+    if stream.max_age_s and not own:  # the guard checks a stamp that the output does not have
         return None
     fill: Fill | None = express.pose_to_ros if size else express.bulk_to_ros
     if fill is None:

@@ -41,8 +41,8 @@ class Latest:
             if stream is None or device not in ("", stream.device, stream.full_name):
                 continue
             outs = self._as_type(entry, stream, igtl_type)
-            if stream.row.max_age_s and not stream.latched:  # a late query must not make old data look new
-                least_ns = cause.stamp_ns - self._guard.ahead_ns - round(stream.row.max_age_s * NS_PER_S)
+            if stream.max_age_s and not stream.latched:  # a late query must not make old data look new
+                least_ns = cause.stamp_ns - self._guard.ahead_ns - round(stream.max_age_s * NS_PER_S)
                 outs = [out for out in outs if out.stamp_ns >= least_ns]
             (native if stream.conversion.igtl_type == igtl_type else other).extend(outs)
         native += [

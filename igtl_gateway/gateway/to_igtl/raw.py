@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from igtl_gateway.buffers import Buffer
-from igtl_gateway.config import Config
 from igtl_gateway.convert.igtl_msgs import RawMessage
 from igtl_gateway.convert.raw import message_of
 from igtl_gateway.errors import ConversionError
@@ -12,6 +11,7 @@ from igtl_gateway.gateway.guard import STALE, Guard, check_stamp
 from igtl_gateway.gateway.outcome import CONVERTED, Finding, Item, Outcome, conversion_failure
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peers
+from igtl_gateway.gateway.streams import Streams
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level
 from igtl_gateway.stamp import ticks_to_ns
@@ -22,15 +22,15 @@ from igtl_gateway.wire.fields import visible
 class RawMessages:
     """Sends RawMessages."""
 
-    def __init__(self, config: Config, peers: Peers, guard: Guard, denied: Denials) -> None:
-        self._config = config
+    def __init__(self, streams: Streams, peers: Peers, guard: Guard, denied: Denials) -> None:
+        self._streams = streams
         self._peers = peers
         self._guard = guard
         self._denied = denied
 
     def takes(self, entry: Entry) -> bool:
         """Return whether an entry is a RawMessage on a bridged topic."""
-        return entry.type == RawMessage.TYPE and self._config.row_to_igtl(entry.channel) is not None
+        return entry.type == RawMessage.TYPE and self._streams.raw_max_age_s(entry.channel) is not None
 
     def take(self, entry: Entry) -> Outcome:
         """Send the contained message to the peer that it names, or to all peers that can read it."""
@@ -47,8 +47,8 @@ class RawMessages:
             subject = f"{topic} {igtl_type}"
             return Outcome([Finding(Level.WARN, "denied", text, topic, entry.links, subject)], "denied")
         found: list[Item] = []
-        row = self._config.row_to_igtl(topic)
-        if row and row.max_age_s and (watched := self._guard.of(0, topic, row.max_age_s)):
+        max_age_s = self._streams.raw_max_age_s(topic)
+        if max_age_s and (watched := self._guard.of(0, topic, max_age_s)):
             own_ns = ticks_to_ns(header.ticks)
             withheld, found = check_stamp(entry, watched, own_ns, own_ns or entry.stamp_ns, None)
             if withheld:

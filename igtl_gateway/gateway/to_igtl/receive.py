@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from igtl_gateway.config import Config
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext
 from igtl_gateway.errors import ConversionError, WireError
+from igtl_gateway.gateway.activity import INACTIVE, Activity
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.commanding import Commands
 from igtl_gateway.gateway.guard import STALE, Guard, GuardedStream, check_stamp, translation_of
@@ -50,6 +51,7 @@ class RosReceiver:
         tracking: Tracking,
         frames: TfReceiver,
         commands: Commands,
+        activity: Activity,
     ) -> None:
         self._config = config
         self._peers = peers
@@ -62,23 +64,26 @@ class RosReceiver:
         self._tracking = tracking
         self._frames = frames
         self._commands = commands
-        self._raw = RawMessages(config, peers, guard, denied)
+        self._activity = activity
+        self._raw = RawMessages(streams, peers, guard, denied)
 
     def take(self, entry: Entry) -> Outcome:
         """Process a message of any ROS topic."""
+        active = self._activity.active
         if self._frames.takes(entry):
-            return self._frames.take(entry)
+            return self._frames.take(entry) if active else self._refused(entry, self._frames.take(entry, sends=False))
         if self._raw.takes(entry):
-            return self._raw.take(entry)
+            return self._raw.take(entry) if active else self._refused(entry, Outcome())
         topic = entry.channel
         stream = self._streams.to_igtl(topic, entry.type)
         if stream is None:
             return self._unrouted(entry)
-        lonely = not self._peers and stream.conversion.igtl_type != "COMMAND"
-        if not stream.row.max_age_s:  # a message that is too old must not become the latest
+        is_command = stream.conversion.igtl_type == "COMMAND"
+        unsent = not is_command and not (active and self._peers)
+        if not stream.max_age_s:  # a message that is too old must not become the latest
             self._latest.entries[topic] = entry
-            if lonely:
-                return Outcome(fate="no_peer")
+            if unsent:
+                return self._unsent(entry, [])
         to = ToIgtlContext(stream.lengths)
         found: list[Item] = []
         try:
@@ -87,7 +92,10 @@ class RosReceiver:
             igtl_type = outgoing.igtl_type or stream.conversion.igtl_type
             if self._denied and self._denied.content(igtl_type, outgoing.content):
                 return self._deny(entry, stream, outgoing, igtl_type)
-            watched = self._guard.of(0, topic, stream.row.max_age_s)
+            if is_command and not active:
+                reply = self._commands.refuse_ros(entry, stream, outgoing, "the gateway is not active")
+                return self._refused(entry, Outcome([*reply]))
+            watched = self._guard.of(0, topic, stream.max_age_s)
             if watched:
                 own_ns = outgoing.stamp_ns or entry.source_ns
                 shown_ns = self._config.pick_stamp(stream.row, own_ns, entry.stamp_ns)
@@ -95,8 +103,8 @@ class RosReceiver:
                 if withheld:
                     return Outcome(found, STALE)
                 self._latest.entries[topic] = entry
-            if lonely:
-                return Outcome(found, "no_peer")
+            if unsent:
+                return self._unsent(entry, found)
             outcome = self._sent(entry, stream, outgoing, watched)
         except (ConversionError, WireError) as error:
             fate = error.code if isinstance(error, ConversionError) else ConversionError.code
@@ -104,6 +112,14 @@ class RosReceiver:
         outcome.items += warning_findings(to.warnings, entry)
         outcome.items += found
         return outcome
+
+    def _unsent(self, entry: Entry, found: list[Item]) -> Outcome:
+        """Handle a message that is kept as the latest one of its stream, but not sent."""
+        return Outcome(found, "no_peer") if self._activity.active else self._refused(entry, Outcome(found))
+
+    def _refused(self, entry: Entry, outcome: Outcome) -> Outcome:
+        """Return an outcome as that of a message which the gateway refuses because it is not active."""
+        return Outcome([*outcome.items, self._activity.refuse(entry)], INACTIVE)
 
     def _unrouted(self, entry: Entry) -> Outcome:
         """Handle a message of a topic that is not bridged, or above the limit of streams."""

@@ -49,10 +49,14 @@ class TfOut:
     Args:
         config: configuration with the rows ``tf_out``.
         devices: device name of at most 20 bytes for each row.
+
+    Attributes:
+        max_age_of: row → maximum age of its poses, s; 0: no limit.
     """
 
     def __init__(self, config: Config, devices: tuple[str, ...]) -> None:
         self.tree = FrameTree()
+        self.max_age_of: Callable[[TfOutRow], float] = config.max_age_of
         self._config = config
         self._requests = [
             _FramesSent(row, row.request(), device) for row, device in zip(config.tf_out, devices, strict=True)
@@ -89,7 +93,7 @@ class TfOut:
         one.versions = versions
         found = [(frame, self.tree.latest(frame, request.base)) for frame in request.frames]
         known = [(frame, place) for frame, place in found if place is not None]
-        if one.row.max_age_s:
+        if self.max_age_of(one.row):
             known = [(frame, place) for frame, place in known if not (place[0] and is_stale(one.row, frame, place[0]))]
         sent = tuple(place for _, place in known)
         if not known or sent == one.sent:
@@ -130,8 +134,8 @@ class TfOut:
             if one.last is not None
             and (
                 now_ns is None
-                or not (one.row.max_age_s and one.oldest_ns)
-                or now_ns - one.oldest_ns <= round(one.row.max_age_s * NS_PER_S)
+                or not (self.max_age_of(one.row) and one.oldest_ns)
+                or now_ns - one.oldest_ns <= round(self.max_age_of(one.row) * NS_PER_S)
             )
         ]
 

@@ -32,26 +32,28 @@ class TfReceiver:
         """Return whether an entry is a message of /tf or /tf_static that is needed."""
         return bool(self._tf) and entry.channel in TF_TOPICS and entry.type == TFMessage.TYPE
 
-    def take(self, entry: Entry) -> Outcome:
-        """Process a message of /tf or /tf_static."""
+    def take(self, entry: Entry, *, sends: bool = True) -> Outcome:
+        """Process a message of /tf or /tf_static; ``sends``: False only changes the tree."""
         try:
             message = TFMessage.unpack(entry.payload[0])
         except ConversionError as error:
             return Outcome([conversion_failure(error, "not sent", entry)], "conversion")
-        return Outcome(self.update(entry, message, static=TF_TOPICS[entry.channel]), CONVERTED)
+        return Outcome(self.update(entry, message, static=TF_TOPICS[entry.channel], sends=sends), CONVERTED)
 
-    def update(self, entry: Entry, message: TFMessage, *, static: bool) -> list[Item]:
+    def update(self, entry: Entry, message: TFMessage, *, static: bool, sends: bool = True) -> list[Item]:
         """Return the outputs and findings of a change of the tf tree."""
         items: list[Item] = []
 
         def is_stale(row: TfOutRow, frame: str, stamp_ns: int) -> bool:
-            watched = self._guard.of(0, f"frame {frame} in {row.base}", row.max_age_s)
+            watched = self._guard.of(0, f"frame {frame} in {row.base}", self._tf.max_age_of(row))
             withheld, findings = watched.judge(entry.stamp_ns, stamp_ns) if watched else (False, [])
             items.extend(findings_of(entry, findings))
             return withheld
 
         changed, problems = self._tf.update(message, static, entry.stamp_ns, is_stale)
         items += [Finding(Level.ERROR, "conversion", f"not sent: {text}", entry.channel) for text in problems]
+        if not sends:
+            return items
         lengths = {out.channel: lengths for out, lengths in changed}
         outs = [out for out, _ in changed]
         items += self._delivery.deliver_each(

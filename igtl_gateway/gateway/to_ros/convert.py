@@ -129,7 +129,7 @@ class Converter:
         if stream.outputs and isinstance(message.content, Raw):
             text = f"{to.igtl_type} has an empty body and is not published"
             return Outcome([_first(entry, "empty", text, message, to)], "empty")
-        if any(not kind.startswith("+") for kind in stream.row.kinds):
+        if any(not kind.startswith("+") for kind in stream.kinds):
             return Outcome(fate="not_chosen")
         self._streams.advertise(stream.raw_topic, RAW_QOS)
         # a child of a BIND has no bytes of its own, and thousands of copies of the BIND would fill the memory

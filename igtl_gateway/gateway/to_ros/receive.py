@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from igtl_gateway.config import Config
 from igtl_gateway.errors import WireError
+from igtl_gateway.gateway.activity import INACTIVE, Activity
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.commanding import Commands
 from igtl_gateway.gateway.dialogue.links import Links
@@ -37,6 +38,7 @@ class IgtlReceiver:
         links: Links,
         queries: Queries,
         commands: Commands,
+        activity: Activity,
     ) -> None:
         self._config = config
         self._peers = peers
@@ -45,6 +47,7 @@ class IgtlReceiver:
         self._links = links
         self._queries = queries
         self._commands = commands
+        self._activity = activity
 
     def take(self, entry: Entry) -> Outcome:
         """Process a message of any type."""
@@ -56,6 +59,10 @@ class IgtlReceiver:
         news = self._learned(entry, peer, message) if peer else []
         if denied := self._denied.message(message):
             return Outcome([*news, *self._deny(entry, peer, message, denied)], "denied", decoded=True)
+        if not self._activity.active:
+            finding = self._activity.refuse(entry)
+            items = self._rejected(entry, peer, message, finding, "refused: the gateway is not active")
+            return Outcome([*news, *items], INACTIVE, decoded=True)
         if peer and (answer := self._commands.accept(entry, peer, message)):
             return Outcome([*news, *answer], "command_refused", decoded=True)
         outcome = self._router.route(entry, message, restore_metadata(message))
@@ -91,10 +98,14 @@ class IgtlReceiver:
         text = f"{igtl_type}{inside} from {peer.address or 'the peer' if peer else 'a peer'} is denied (deny_in)"
         link = entry.links[0]
         finding = Finding(Level.WARN, "denied", text, entry.channel, entry.links, subject=igtl_type, by=link)
+        return self._rejected(entry, peer, message, finding, "denied")
+
+    def _rejected(self, entry: Entry, peer: Peer | None, message: Message, finding: Finding, why: str) -> list[Item]:
+        """Return the finding about a message that is refused, and the reply to a query or command."""
         if peer is None:
             return [finding]
-        if isinstance(message.content, Command) and igtl_type == "COMMAND":
-            return [finding, *self._commands.deny(entry, peer, message)]
+        if isinstance(message.content, Command) and visible(message.type) == "COMMAND":
+            return [finding, *self._commands.deny(entry, peer, message, why)]
         if query := split_query(message.type):
-            return [finding, *self._queries.deny(entry, peer, message, *query)]
+            return [finding, *self._queries.deny(entry, peer, message, *query, why)]
         return [finding]

@@ -68,7 +68,7 @@ class Router:
         name = (
             entry.channel if entry.payload else f"{igtl_type}/{restored.device_name}"
         )  # for a child of a BIND: its own stream
-        if watched := self._guard.of(link, name, stream.row.max_age_s):
+        if watched := self._guard.of(link, name, stream.max_age_s):
             withheld, found = check_stamp(entry, watched, source_ns, to.stamp_ns, translation_of(message.content))
             if withheld:
                 return Outcome(found, STALE)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 
 from igtl_gateway import __version__
@@ -172,10 +173,20 @@ def _write(options: argparse.Namespace, scenario: Scenario) -> int:
     return 0 if good else 1
 
 
+def _with_ages(config: Config) -> Config:
+    """Return a configuration whose rows state their maximum age, as those of the fixtures do."""
+    return replace(
+        config,
+        to_igtl=tuple(replace(row, max_age_s=config.max_age_of(row)) for row in config.to_igtl),
+        to_ros=tuple(replace(row, max_age_s=config.max_age_of(row)) for row in config.to_ros),
+        tf_out=tuple(replace(row, max_age_s=config.max_age_of(row)) for row in config.tf_out),
+    )
+
+
 def scenario_facts(name: str, config: Config) -> dict[str, str]:
     """Metadata of the file: nothing of this machine or time, so that equal sessions have equal contents."""
     return {
-        "config": json.dumps(config.to_dict(), sort_keys=True),
+        "config": json.dumps(_with_ages(config).to_dict(), sort_keys=True),
         "igtl_gateway_version": __version__,
         "scenario": name,
         "synthetic": SYNTHETIC,

@@ -18,6 +18,8 @@ from igtl_gateway.config import Config, ToIgtlRow, ToRosRow
 from igtl_gateway.convert import express, rosmsg
 from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP, LISTENED, Gateway, Session
+from igtl_gateway.gateway.live_settings import LiveSettings
+from igtl_gateway.session.changes import SETTING
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
@@ -250,11 +252,28 @@ def ros_bulk(draw: st.DrawFn) -> Step:
     return "ros", topic, message.TYPE, cdr[: len(cdr) - _mostly(draw, 0, 1, 5)], draw(stamps)
 
 
+#: Changes of settings that matter for what is compiled.
+CHANGES: tuple[dict[str, Any], ...] = (
+    {"active": False},
+    {},
+    {},
+    {"max_age_s": 0.05},
+    {"max_age_s": 3.0},
+    {"kinds": ["transform", "points"]},
+    {"kinds": ["+marker"]},
+    {"deny_in": ["TRANSFORM"]},
+    {"deny_out": ["TRANSFORM", "POINT"]},
+)
+
+
 @st.composite
 def others(draw: st.DrawFn) -> Step:
-    kind, link = draw(st.sampled_from([LINK_UP, LINK_DOWN, "STT", "STP", LISTENED])), draw(st.sampled_from([1, 2, 3]))
+    kinds = [LINK_UP, LINK_DOWN, "STT", "STP", LISTENED, SETTING]
+    kind, link = draw(st.sampled_from(kinds)), draw(st.sampled_from([1, 2, 3]))
     if kind == LISTENED:
         return "listened", draw(st.sampled_from(["/igtl/in/B/points", "/igtl/in/B/mesh", "/igtl/in/B/marker"]))
+    if kind == SETTING:
+        return "change", draw(st.sampled_from(CHANGES))
     if kind in ("STT", "STP"):
         content = StartTracking(20, "") if kind == "STT" else EmptyQuery()
         return "igtl", join(encode(Message(f"{kind}_TDATA", "", content, 0, 2))), link
@@ -300,6 +319,9 @@ def played(steps: list[Step], config: Config, heard: set[str] | None, fast_path:
                 )
             case ("listened", topic):
                 note = Note(Level.INFO, LISTENED, "", stream=topic)
+                entries = session.input(now_ns, Kind.EDGE_NOTE, (note.pack(),))
+            case ("change", values):
+                note = LiveSettings().changed(values).note(LiveSettings())
                 entries = session.input(now_ns, Kind.EDGE_NOTE, (note.pack(),))
             case ("link", code, link):
                 note = Note(Level.INFO, code, "", data={"peer": "127.0.0.1:1", "role": "server"})
