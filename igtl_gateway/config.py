@@ -46,10 +46,10 @@ replay and verification use the settings of the recorded session.
     at = "127.0.0.1:18945"         # address of the peer, or the one that it connects to
     profile = "plus"
 
-    [igtl]                         # the OpenIGTLink side of a bridge, see ``cli.edge_file``; not recorded
+    [igtl]                         # the OpenIGTLink side of a bridge; ``settings`` has all names; not recorded
     listen = ["127.0.0.1:18944"]
 
-    [host]                         # scheduling of a bridge on this machine, see ``cli.realtime``; not recorded
+    [host]                         # scheduling of a bridge on this machine; not recorded
     realtime_priority = 20
 
 Rows may override ros_unit, igtl_unit, stamp and, as ``qos = { depth = 10, reliable = true, latched = false }``,
@@ -68,19 +68,28 @@ from string import Formatter
 from typing import Any, TypeVar
 
 from igtl_gateway.convert.frames import TfRequest
-from igtl_gateway.convert.profiles import AUTO, BY_NAME
-from igtl_gateway.convert.table import TO_IGTL, TO_ROS
+from igtl_gateway.convert.profiles import AUTO
+from igtl_gateway.convert.table import TO_IGTL
 from igtl_gateway.convert.units import UNITS, LengthUnits
 from igtl_gateway.errors import ConfigError, DamagedRecording, UnsupportedRecording
 from igtl_gateway.faults import RelayFaults
 from igtl_gateway.globs import matches
 from igtl_gateway.qos import Qos
+from igtl_gateway.settings import (
+    GATEWAY,
+    HOST,
+    IGTL,
+    PROFILE_NAMES,
+    RECEIVE,
+    SOURCE,
+    STAMP_POLICIES,
+    TYPE_NAMES,
+    check_values,
+    of_table,
+)
 from igtl_gateway.untrusted.files import read_bytes
 from igtl_gateway.untrusted.text import parse_toml
 
-#: Which time is the stamp of a converted message: the sender's, if it sent one, or the time of receipt.
-SOURCE, RECEIVE = "source", "receive"
-STAMP_POLICIES = (SOURCE, RECEIVE)
 #: Former names of the policies, in the configurations of old recordings.
 _STAMP_ALIASES = {"now": RECEIVE}
 OUT_PREFIX = "/igtl/out/"
@@ -88,15 +97,6 @@ IN_TOPIC = "/igtl/in/{device}/{kind}"
 
 #: Maximum number of streams of one session in each direction; it protects the ROS graph from arbitrary names.
 DEFAULT_MAX_STREAMS = 512
-
-#: Values of the setting ``profile``.
-PROFILE_NAMES = (AUTO, *BY_NAME)
-
-#: Upper limit of the timeout of a COMMAND, s: one day.
-MAX_TIMEOUT_S = 86_400.0
-
-#: Maximum of ``max_age_s``, s: one year.
-MAX_AGE_S = 365 * 86_400.0
 
 #: Maximum depth of the queue of a ROS stream; it bounds the memory for a slow subscriber.
 MAX_DEPTH = 100_000
@@ -194,20 +194,13 @@ class Config:
     peers: tuple[PeerRow, ...] = ()
 
     def __post_init__(self) -> None:
-        _check_choices("gateway", self, optional=False)
-        if not 0 < self.command_timeout_s < MAX_TIMEOUT_S:
-            found = f"{self.command_timeout_s:g}"
-            raise ConfigError(
-                f"gateway.command_timeout_s: found {found}, expected more than 0 and less than {MAX_TIMEOUT_S:g}"
-            )
+        values = {name: getattr(self, name) for name in of_table(GATEWAY)}
+        values["stamp"] = _STAMP_ALIASES.get(self.stamp, self.stamp)
+        if self.watch is None:
+            del values["watch"]
+        check_values(GATEWAY, GATEWAY, values)
         if RelayFaults.parse(self.faults, "gateway.faults") and not self.relay:
             raise ConfigError(f"gateway.faults: found {self.faults!r}, expected relay = true with it")
-        for name in ("deny_in", "deny_out"):
-            for glob in getattr(self, name):
-                if not _is_type_glob(glob):
-                    raise ConfigError(
-                        f"gateway.{name}: found {glob!r}, expected a type or a glob such as COMMAND, GET_*"
-                    )
         for index, peer in enumerate(self.peers):
             _check_choices(f"peers[{index}]", peer, optional=False)
         for index, frames in enumerate(self.tf_out):
@@ -218,18 +211,12 @@ class Config:
                 _check_choices(f"{name}[{index}]", row, optional=True)
                 if row.qos and not 1 <= row.qos.depth <= MAX_DEPTH:
                     raise ConfigError(f"{name}[{index}].qos.depth: found {row.qos.depth}, expected 1 to {MAX_DEPTH:,}")
-        if self.max_streams < 1:
-            raise ConfigError(f"gateway.max_streams: found {self.max_streams}, expected 1 or more")
-        for kind in self.kinds:
-            if kind.removeprefix("+") not in _KINDS:
-                raise ConfigError(f"gateway.kinds: found {kind!r}, expected one of {', '.join(_KINDS)}, also as +kind")
-        ages: list[tuple[str, float | None]] = [("gateway", self.max_age_s)]
-        ages += [(f"to_igtl[{index}]", sent.max_age_s) for index, sent in enumerate(self.to_igtl)]
+        ages = [(f"to_igtl[{index}]", sent.max_age_s) for index, sent in enumerate(self.to_igtl)]
         ages += [(f"to_ros[{index}]", shown.max_age_s) for index, shown in enumerate(self.to_ros)]
         ages += [(f"tf_out[{index}]", frames.max_age_s) for index, frames in enumerate(self.tf_out)]
         for place, age_s in ages:
-            if age_s is not None and not 0.0 <= age_s <= MAX_AGE_S:
-                raise ConfigError(f"{place}.max_age_s: found {age_s:g}, expected 0 (any age) to {MAX_AGE_S:g}")
+            if age_s is not None:
+                check_values(place, GATEWAY, {"max_age_s": age_s})
         for index, sent in enumerate(self.to_igtl):
             if not _is_topic(sent.topic):
                 raise ConfigError(
@@ -327,12 +314,12 @@ class Config:
     def from_toml(cls, path: Path) -> Config:
         """Read a TOML file.  Raises ConfigError with file and setting."""
         document = read_toml(path)
-        for table in (EDGE_TABLE, HOST_TABLE):
+        for table in (IGTL, HOST):
             document.pop(table, None)
         gateway = document.pop("gateway", {})
         if unknown := set(document) - _TABLES:
             expected = ", ".join(f"[[{name}]]" for name in sorted(_TABLES))
-            tables = f"[gateway], [{HOST_TABLE}], [{EDGE_TABLE}]"
+            tables = f"[gateway], [{HOST}], [{IGTL}]"
             raise ConfigError(f"{path}: found [{sorted(unknown)[0]}], expected {tables}, {expected}")
         if not isinstance(gateway, dict):
             raise ConfigError(f"{path}: found gateway = {gateway!r}, expected a table [gateway]")
@@ -352,10 +339,6 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError(str(error)) from None
 
 
-#: The table of a configuration file for the OpenIGTLink edge: addresses, access and limits, which are not recorded.
-EDGE_TABLE = "igtl"
-#: The table for the scheduling on this host, which is not recorded either.
-HOST_TABLE = "host"
 _TABLES = frozenset({"to_igtl", "to_ros", "tf_out", "peers"})
 
 
@@ -397,20 +380,12 @@ _CHOICES = {
     "profile": PROFILE_NAMES,
 }
 
-#: Kinds of ROS messages that a peer's messages can be converted to.
-_KINDS = tuple(sorted({row.kind for row in TO_ROS}))
-
 T = TypeVar("T")
 
 
 def _is_topic(topic: str) -> bool:
     """Return whether ``topic`` (a name or a glob) can match a ROS topic: full names begin with a slash."""
     return topic.startswith(("/", "**")) and not any(character.isspace() for character in topic)
-
-
-def _is_type_glob(glob: str) -> bool:
-    """Return whether ``glob`` can match a message type, which is printable ASCII without blanks."""
-    return glob.isascii() and glob.isprintable() and bool(glob) and not set(glob) & set(" /,")
 
 
 def _is_template(topic: str) -> bool:
@@ -467,8 +442,8 @@ def _checked(place: str, name: str, kind: type, value: Any) -> Any:
         kind = float
     if kind is float and type(value) is int and abs(value) < 1 << 63:
         return float(value)
-    if kind in _TYPE_NAMES and type(value) is not kind:
-        raise ConfigError(f"{place}: found {value!r}, expected {_TYPE_NAMES[kind]}")
+    if kind is not tuple and kind in TYPE_NAMES and type(value) is not kind:
+        raise ConfigError(f"{place}: found {value!r}, expected {TYPE_NAMES[kind]}")
     if name == "watch" and not (value is None or type(value) is bool):
         raise ConfigError(f"{place}: found {value!r}, expected true or false")
     if name in _TEXT_LISTS:
@@ -490,9 +465,3 @@ def _pairs(place: str, value: Any) -> tuple[tuple[str, str], ...]:
 
 
 _TEXT_LISTS = frozenset({"allow", "connect", "deny_in", "deny_out", "frames", "kinds", "listen"})
-_TYPE_NAMES: dict[type, str] = {
-    str: "a string in quotes",
-    bool: "true or false",
-    int: "an integer",
-    float: "a number",
-}

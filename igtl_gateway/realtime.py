@@ -41,22 +41,8 @@ CAP_IPC_LOCK, CAP_SYS_NICE = 14, 23
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 
 
-def parse_cpus(text: str) -> frozenset[int]:
-    """Return the CPUs of a list such as ``2,4-6``.  Raises ValueError."""
-    cpus: set[int] = set()
-    for part in text.split(","):
-        first, dash, last = part.strip().partition("-")
-        if not (first.isdecimal() and first.isascii() and (not dash or (last.isdecimal() and last.isascii()))):
-            raise ValueError(f"found {text!r}, expected CPUs such as 2,4-6")
-        begin, end = int(first), int(last or first)
-        if end < begin or end > _LAST_CPU:
-            raise ValueError(f"found {part.strip()!r}, expected CPUs in ascending order, up to {_LAST_CPU}")
-        cpus.update(range(begin, end + 1))
-    return frozenset(cpus)
-
-
 def cpus_text(cpus: frozenset[int] | set[int]) -> str:
-    """Return CPUs as ``parse_cpus`` reads them: ``2,4-6``."""
+    """Return CPUs as ``notations.cpus`` reads them: ``2,4-6``."""
     parts: list[list[int]] = []
     for cpu in sorted(cpus):
         if parts and parts[-1][-1] == cpu - 1:
@@ -64,9 +50,6 @@ def cpus_text(cpus: frozenset[int] | set[int]) -> str:
         else:
             parts.append([cpu])
     return ",".join("-".join(map(str, part)) for part in parts)
-
-
-_LAST_CPU = 8191  # of any Linux
 
 
 @dataclass(frozen=True, slots=True)

@@ -47,6 +47,8 @@ LEVELS = {
     "faults": 1,
     "passage": 1,  # the part in C; without it, nothing
     "config": 2,
+    "notations": 1,  # of settings: addresses, sizes, CPUs
+    "settings": 2,  # one table for options, files and parameters
     "convert": 2,
     "gateway": 3,
     "review": 3,  # of a plan, on arrays
@@ -87,9 +89,10 @@ STRANGERS = ("lab.demo",)
 
 #: Unit → another unit that it may use although its level is not lower: a configuration names conversions, and what a
 #: recording states about itself is checked like everything that is foreign.
-SIBLINGS = {
+SIBLINGS: dict[str, str | tuple[str, ...]] = {
     TOP: "api",  # the public names, imported at their first use
-    "config": "convert",
+    "config": ("convert", "settings"),
+    "settings": "convert",  # names of units and profiles
     "session": "untrusted",
     "faults": "wire.header",
     "wire": "wire.header",
@@ -321,7 +324,8 @@ def _level_fault(unit: str, imported: str) -> str | None:
         return f"imports {other}, but the gateway does without its laboratory"
     if other in {unit, TOP} or LEVELS[other] < LEVELS[unit]:
         return None
-    if SIBLINGS.get(unit) == other:
+    siblings = SIBLINGS.get(unit, ())
+    if other in ((siblings,) if isinstance(siblings, str) else siblings):
         return None
     # The modules of a folder may use what lies beside them, though not the other way round.
     if LEVELS[other] == LEVELS[unit] and lies_in(unit, other):

@@ -18,28 +18,14 @@ from igtl_gateway.app.bridge import Bridge, BridgeOptions
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError, Unavailable
-from igtl_gateway.realtime import RealtimeOptions, cpus_text, has_capability, message_threads, parse_cpus
+from igtl_gateway.realtime import RealtimeOptions, cpus_text, has_capability, message_threads
 from igtl_gateway.session.entry import Entry
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="Linux only")
 
 
-@pytest.mark.parametrize(
-    ("text", "cpus"), [("0", {0}), ("2,4-6", {2, 4, 5, 6}), (" 3 , 1-1", {1, 3}), ("0-2,2", {0, 1, 2})]
-)
-def test_lists_of_cpus(text: str, cpus: set[int]) -> None:
-    assert parse_cpus(text) == cpus
-    assert parse_cpus(cpus_text(cpus)) == cpus
-
-
 def test_cpus_as_text() -> None:
     assert cpus_text({6, 4, 5, 2, 0}) == "0,2,4-6"
-
-
-@pytest.mark.parametrize("text", ["", "a", "1-", "-1", "2-1", "1,,2", "0-99999", "²"])
-def test_invalid_lists_of_cpus(text: str) -> None:
-    with pytest.raises(ValueError, match="expected CPUs"):
-        parse_cpus(text)
 
 
 @pytest.mark.parametrize("priority", [-1, 100])

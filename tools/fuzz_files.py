@@ -32,7 +32,7 @@ from types import FrameType
 
 from igtl_gateway.cli import main as command_line
 from igtl_gateway.cli.common import config_to_run
-from igtl_gateway.cli.edge_file import EdgeFile
+from igtl_gateway.cli.settings import of_file
 from igtl_gateway.config import Config
 from igtl_gateway.errors import GatewayError
 from igtl_gateway.exchange.formats import open_source
@@ -75,7 +75,7 @@ def read_import(path: Path, _rng: Random) -> str:
 
 def read_configuration(path: Path, _rng: Random) -> str:
     """A configuration, for the gateway and for the edges."""
-    EdgeFile.read(path).values(path.parent)
+    of_file(path)
     Config.from_toml(path)
     return "read"
 

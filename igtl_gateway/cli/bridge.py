@@ -3,38 +3,30 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import replace
+from collections.abc import Mapping
 from importlib.util import find_spec
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-from igtl_gateway.app.bridge import Address, Bridge, BridgeOptions
+from igtl_gateway.app.bridge import Bridge, BridgeOptions
 from igtl_gateway.app.interpreter import tune_interpreter
 from igtl_gateway.app.status import BridgeStatus
-from igtl_gateway.cli import admission, realtime, recording, routes
+from igtl_gateway.cli import admission, recording
 from igtl_gateway.cli.bridge_output import BridgeOutput, EntryWatch, JsonOutput, TextOutput
-from igtl_gateway.cli.common import load_config, stop_event
-from igtl_gateway.cli.edge_file import with_file_settings
-from igtl_gateway.cli.options import (
-    DEFAULT_HOST,
-    DEFAULT_PORT,
-    add_addresses,
-    add_allow,
-    add_config,
-    add_faults,
-    address,
-    addresses,
-    default,
-)
+from igtl_gateway.cli.common import stop_event
+from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT, addresses, default
+from igtl_gateway.cli.settings import add_faults, add_settings, config_of, settled
 from igtl_gateway.cli.terminal import is_terminal, print_line
 from igtl_gateway.cli.type_tables import types
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config
 from igtl_gateway.edges.ros.env import prepare_environment, tune_malloc
-from igtl_gateway.edges.video import CODECS, VideoOptions
+from igtl_gateway.edges.video import VideoOptions
 from igtl_gateway.errors import ConfigError, ViewerError
 from igtl_gateway.extras import missing
 from igtl_gateway.faults import RelayFaults
-from igtl_gateway.record.options import RecordOptions
+from igtl_gateway.notations import address, cpus
+from igtl_gateway.realtime import RealtimeOptions
 from igtl_gateway.stamp import NS_PER_S
 
 if TYPE_CHECKING:
@@ -85,33 +77,30 @@ _STATUS_EVERY_S = 0.5
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_config(parser, "read the configuration from this file (TOML); options override it")
+    add_settings(parser, "config")
     parser.add_argument("--duration", type=float, metavar="SECONDS", help="stop after this time")
     parser.add_argument("--types", action="store_true", help="list all conversions of message types, then exit")
-    group = parser.add_argument_group("addresses")
-    add_addresses(group, admission.peer_address, "[tls://]HOST:PORT")
-    group.add_argument(
-        "--relay",
-        action="store_true",
-        help="forward all bytes unchanged between each client of --listen and the server of --connect; without ROS",
-    )
+    add_settings(parser.add_argument_group("addresses"), "listen", "connect", "relay")
     group = parser.add_argument_group("security")
-    add_allow(group)
+    add_settings(group, "allow")
     admission.add_tls(group)
-    routes.add_denials(group)
-    admission.add_limits(parser.add_argument_group("limits of a peer"))
+    add_settings(group, "deny_in", "deny_out")
+    group = parser.add_argument_group("limits of a peer")
+    add_settings(group, "max_clients", "queue_mib", "queue_messages", "max_body_mib", "max_body", "max_messages")
+    add_settings(group, "stall_s", "min_rate_kib", "idle_s")
     group = parser.add_argument_group("peers and messages")
-    routes.add_peers(group)
-    routes.add_messages(group)
+    add_settings(group, "profile", "peers", "to_igtl", "tf_out", "to_ros")
     group = parser.add_argument_group("ROS")
-    routes.add_topics(group)
+    add_settings(group, "publish_tf")
     group.add_argument("--no-ros", action="store_true", help="run without ROS, for OpenIGTLink only")
     group.add_argument(
         "--node-name", default="igtl_gateway", metavar="NAME", help="name of the ROS node " + default("igtl_gateway")
     )
-    _add_video(parser.add_argument_group("video (needs PyAV)"))
+    group = parser.add_argument_group("video (needs PyAV)")
+    add_settings(group, "video_codec", "video_bit_rate", "video_key_interval")
     recording.add_arguments(parser.add_argument_group("recording"))
-    realtime.add_arguments(parser.add_argument_group("scheduling"))
+    group = parser.add_argument_group("scheduling")
+    add_settings(group, "realtime_priority", "lock_memory", "cpu_affinity")
     _add_diagnostics(parser.add_argument_group("diagnostics"))
     add_faults(
         parser,
@@ -122,39 +111,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def _add_video(group: argparse._ArgumentGroup) -> None:
-    video = VideoOptions()
-    group.add_argument(
-        "--video-codec",
-        choices=CODECS,
-        help="encode ROS images that are sent as VIDEO, and decode received VIDEO to ROS images",
-    )
-    group.add_argument(
-        "--video-bit-rate",
-        type=int,
-        default=video.bit_rate // 1000,
-        metavar="KBIT/S",
-        help="with --video-codec: bit rate of a stream " + default(video.bit_rate // 1000),
-    )
-    group.add_argument(
-        "--video-key-interval",
-        type=int,
-        default=video.key_frame_interval,
-        metavar="N",
-        help="with --video-codec: frames from one key frame to the next " + default(video.key_frame_interval),
-    )
-
-
 def _add_diagnostics(group: argparse._ArgumentGroup) -> None:
-    group.add_argument("--no-diagnostics", action="store_true", help="do not publish on /diagnostics")
-    group.add_argument("--no-watch", action="store_true", help="do not report jumps and implausible stamps")
+    add_settings(group, "diagnostics", "watch")
     group.add_argument("--view", action="store_true", help="show all messages live in the window of rerun")
-    group.add_argument(
-        "--metrics",
-        type=address,
-        metavar="[HOST:]PORT",
-        help="serve counts, rates and queue lengths over HTTP: /metrics for Prometheus, /status as JSON",
-    )
+    add_settings(group, "metrics")
     group.add_argument(
         "--log-format",
         choices=("text", "json"),
@@ -170,19 +130,18 @@ def run(options: argparse.Namespace) -> int:
     if options.types:
         print_line(*types())
         return 0
-    how = recording.record_options(options)
     if options.duration is not None and not 0 < options.duration < float("inf"):
         raise ConfigError(f"--duration: found {options.duration:g}, expected a number of seconds above 0")
-    options = with_file_settings(options, options.config)
-    config, bridge_options = _settings(options, how)
+    values = settled(options, {})
+    config, bridge_options = _settings(options, values)
     watch = EntryWatch()
     clock = SystemClock()
     with stop_event() as stop:
-        notes = [tune_malloc()] if options.no_ros else prepare_environment()
+        notes = [tune_malloc()] if not bridge_options.ros else prepare_environment()
         window = _window(config) if options.view else None
         bridge = Bridge(config, bridge_options, clock, watch, window, watch.add)
         status = BridgeStatus(bridge, watch, clock)
-        metrics = _start(bridge, options, status, window)
+        metrics = _start(bridge, values, status, window)
         out: BridgeOutput = JsonOutput(clock) if options.log_format == "json" else TextOutput(is_terminal())
         started_ns = clock.monotonic_ns()
         try:
@@ -210,45 +169,51 @@ def run(options: argparse.Namespace) -> int:
     return 1 if bridge.summary and bridge.summary.failure else 0
 
 
-def _settings(options: argparse.Namespace, how: RecordOptions) -> tuple[Config, BridgeOptions]:
+def _settings(options: argparse.Namespace, values: Mapping[str, Any]) -> tuple[Config, BridgeOptions]:
     """Configuration of the session, and options of the bridge.  Raises ConfigError."""
-    listen, connect = addresses(options)
-    config = routes.with_routes(load_config(options.config), options)
-    config = replace(config, watch=False) if options.no_watch else config.watched()
-    if options.relay or config.relay:
-        config, listen = _relayed(config, options, listen, connect)
-        options.no_ros = True
-    elif options.fault:
+    if RelayFaults.parse(options.fault or "") and not values["relay"]:
         raise ConfigError("--fault: found no --relay, expected it: only a relay has a connection to inject faults into")
-    tls_listen, tls_connect = admission.secured(options, listen, connect)
+    config = config_of(values)
+    how = recording.record_options(values)
+    listen, connect = addresses(values["listen"], values["connect"])
+    if config.relay:
+        if len(connect) != 1:
+            raise ConfigError(f"--relay: found {len(connect)} servers, expected one: --connect HOST:PORT")
+        listen = listen or ((DEFAULT_HOST, DEFAULT_PORT),)
+    ros = not (options.no_ros or config.relay)
+    tls_listen, tls_connect = admission.secured(values, listen, connect)
     return config, BridgeOptions(
         listen,
         connect,
-        ros=not options.no_ros,
-        record=options.record,
-        record_topics=("**",) if options.record_all else tuple(options.record_topics),
-        allow=tuple(options.allow),
-        limits=admission.limits(options),
-        tls=admission.tls(options),
+        ros=ros,
+        record=Path(values["record"]) if values["record"] else None,
+        record_topics=("**",) if values["record_all"] else tuple(values["record_topics"]),
+        allow=tuple(values["allow"]),
+        limits=admission.limits(values),
+        tls=admission.tls(values),
         tls_listen=tls_listen,
         tls_connect=tls_connect,
         node_name=options.node_name,
         recording=how,
-        video=_video(options),
-        diagnostics=not (options.no_ros or options.no_diagnostics),
+        video=_video(values, ros=ros),
+        diagnostics=ros and values["diagnostics"],
         reserved=options.reserved,
-        realtime=realtime.realtime_options(options, options.config),
+        realtime=RealtimeOptions(
+            values["realtime_priority"],
+            values["lock_memory"],
+            cpus(values["cpu_affinity"]) if values["cpu_affinity"] else frozenset(),
+        ),
     )
 
 
 def _start(
-    bridge: Bridge, options: argparse.Namespace, status: BridgeStatus, window: LiveWindow | None
+    bridge: Bridge, values: Mapping[str, Any], status: BridgeStatus, window: LiveWindow | None
 ) -> MetricsServer | None:
     """Start the bridge, and the server of ``--metrics``; close all where one of them cannot start."""
     metrics: MetricsServer | None = None
     try:
-        if options.metrics:  # before the recording: a port in use must not cost an existing recording
-            metrics = _metrics(options, status)
+        if values["metrics"]:  # before the recording: a port in use must not cost an existing recording
+            metrics = _metrics(values, status)
         bridge.start()
         if metrics:
             status.sample()
@@ -261,31 +226,20 @@ def _start(
     return metrics
 
 
-def _relayed(
-    config: Config, options: argparse.Namespace, listen: tuple[Address, ...], connect: tuple[Address, ...]
-) -> tuple[Config, tuple[Address, ...]]:
-    """Return configuration and listening addresses of a relay."""
-    if len(connect) != 1:
-        raise ConfigError(f"--relay: found {len(connect)} servers, expected one: --connect HOST:PORT")
-    if RelayFaults.parse(options.fault):
-        config = replace(config, relay=True, faults=options.fault, fault_seed=options.seed)
-    return replace(config, relay=True), listen or ((DEFAULT_HOST, DEFAULT_PORT),)
-
-
-def _video(options: argparse.Namespace) -> VideoOptions | None:
-    if not options.video_codec:
+def _video(values: Mapping[str, Any], *, ros: bool) -> VideoOptions | None:
+    if not values["video_codec"]:
         return None
-    if options.no_ros:
+    if not ros:
         raise ConfigError("--video-codec: found --no-ros, expected ROS: the codec encodes images of ROS")
-    return VideoOptions(options.video_codec, options.video_bit_rate * 1000, options.video_key_interval)
+    return VideoOptions(values["video_codec"], values["video_bit_rate"] * 1000, values["video_key_interval"])
 
 
-def _metrics(options: argparse.Namespace, status: BridgeStatus) -> MetricsServer:
+def _metrics(values: Mapping[str, Any], status: BridgeStatus) -> MetricsServer:
     from igtl_gateway.app.metrics import MetricsServer
 
-    host, port = options.metrics
+    host, port = address(values["metrics"])
     status.sample()
-    return MetricsServer(host, port, status, tuple(options.allow))
+    return MetricsServer(host, port, status, tuple(values["allow"]))
 
 
 def _window(config: Config) -> LiveWindow:

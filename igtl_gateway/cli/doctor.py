@@ -7,7 +7,8 @@ import argparse
 from igtl_gateway.app.examine import ExamineOptions, examine
 from igtl_gateway.cli import admission
 from igtl_gateway.cli.common import load_config, stop_event
-from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT, add_allow, add_config, add_json, default
+from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT, add_config, add_json, default, peer_address
+from igtl_gateway.cli.settings import add_settings
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.doctor.host_report import HostReport, examine_host
@@ -34,12 +35,10 @@ _SECONDS = 5.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "peer", metavar="[tls://]HOST:PORT", type=admission.peer_address, nargs="?", help="address of the peer"
-    )
+    parser.add_argument("peer", metavar="[tls://]HOST:PORT", type=peer_address, nargs="?", help="address of the peer")
     parser.add_argument(
         "--listen",
-        type=admission.peer_address,
+        type=peer_address,
         nargs="?",
         const=(DEFAULT_HOST, DEFAULT_PORT),
         metavar="[tls://]HOST:PORT",
@@ -68,7 +67,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_config(parser, "configuration of the bridge (TOML)")
     add_json(parser)
     group = parser.add_argument_group("security")
-    add_allow(group)
+    add_settings(group, "allow")
     admission.add_tls(group)
 
 
@@ -82,7 +81,7 @@ def run(options: argparse.Namespace) -> int:
     if options.messages < 0:
         raise ConfigError(f"--messages: found {options.messages}, expected 0 or more")
     ours, servers = ([place] if place else [] for place in (options.listen, options.peer))
-    tls_listen, tls_connect = admission.secured(options, ours, servers)
+    tls_listen, tls_connect = admission.secured(vars(options), ours, servers)
     how = ExamineOptions(
         options.peer,
         options.listen,
@@ -91,7 +90,7 @@ def run(options: argparse.Namespace) -> int:
         options.speak,
         tuple(options.allow),
         options.ros,
-        admission.tls(options),
+        admission.tls(vars(options)),
         bool(tls_listen),
         bool(tls_connect),
     )

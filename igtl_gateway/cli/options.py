@@ -7,11 +7,15 @@ import shutil
 import textwrap
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
+from igtl_gateway import notations
+from igtl_gateway.errors import ConfigError
 from igtl_gateway.untrusted import limits
 
-DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 18944
+T = TypeVar("T")
+
+DEFAULT_HOST, DEFAULT_PORT = notations.DEFAULT_HOST, notations.DEFAULT_PORT
 
 RECORDING = "recording (MCAP)"
 RECORDING_OR_BAG = "recording, or MCAP file of rosbag2"
@@ -106,80 +110,33 @@ def add_limits_of_files(parser: Options) -> None:
 # -- addresses -----------------------------------------------------------------------------------------------------
 
 
-def address(text: str) -> tuple[str, int]:
-    """Parse ``HOST:PORT``, ``:PORT``, ``PORT`` or ``HOST``; IPv6 hosts in brackets."""
-    host, colon, port = text.rpartition(":")
-    if text.startswith("[") and text.endswith("]"):
-        host, colon, port = text, "", ""
-    elif not colon:
-        host, port = ("", text) if text.isdigit() else (text, "")
-    if port and not (port.isdigit() and int(port) < 1 << 16):
-        raise argparse.ArgumentTypeError(f"found {text!r}, expected HOST:PORT with a port from 0 to 65535")
-    return host.strip("[]") or DEFAULT_HOST, int(port) if port else DEFAULT_PORT
+def parser_of(parse: Callable[[str], T]) -> Callable[[str], T]:
+    """Return a function for ``type`` of an option: its message is that of the ConfigError."""
+
+    def parsed(text: str) -> T:
+        try:
+            return parse(text)
+        except ConfigError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+
+    return parsed
 
 
-def add_addresses(parser: Options, kind: Callable[[str], tuple[str, int]] = address, form: str = "HOST:PORT") -> None:
-    """``--listen`` and ``--connect``, any number of each."""
-    parser.add_argument(
-        "--listen",
-        type=kind,
-        action="append",
-        default=[],
-        metavar=form,
-        help="listen for OpenIGTLink clients on this address; port 0 selects a free port (repeatable) "
-        + default(f"{DEFAULT_HOST}:{DEFAULT_PORT}, unless --connect is given"),
-    )
-    parser.add_argument(
-        "--connect",
-        type=kind,
-        action="append",
-        default=[],
-        metavar=form,
-        help="connect to the OpenIGTLink server at this address; reconnect until stopped (repeatable)",
-    )
+#: Parse ``HOST:PORT``, see ``notations``.
+address = parser_of(notations.address)
+#: Parse ``[tls://|tcp://]HOST:PORT``, see ``notations``.
+peer_address = parser_of(notations.peer_address)
 
 
-def add_allow(parser: Options) -> None:
-    """``--allow``, any number of times."""
-    parser.add_argument(
-        "--allow",
-        action="append",
-        default=[],
-        metavar="CIDR",
-        help="accept clients from this network only, 'any' for all; required if --listen is not a loopback address "
-        "(repeatable)",
-    )
-
-
-def addresses(options: argparse.Namespace) -> tuple[tuple[tuple[str, int], ...], tuple[tuple[str, int], ...]]:
-    """Return (listen, connect), with the default server if neither is given."""
-    listen, connect = tuple(options.listen), tuple(options.connect)
+def addresses(
+    listening: Iterable[str], servers: Iterable[str]
+) -> tuple[tuple[tuple[str, int], ...], tuple[tuple[str, int], ...]]:
+    """Return (listen, connect) for checked strings, with the default server if there are none."""
+    listen, connect = (tuple(map(notations.peer_address, texts)) for texts in (listening, servers))
     return listen if listen or connect else ((DEFAULT_HOST, DEFAULT_PORT),), connect
 
 
-# -- fault injection -----------------------------------------------------------------------------------------------
-
-
-def add_faults(parser: argparse.ArgumentParser, more: Iterable[str] = ()) -> None:
-    """``--fault`` and ``--seed`` in a group of their own; ``more`` are lines of its description."""
-    from igtl_gateway.faults import FAULTS  # here, for the verbs that need it: it imports the codecs
-
-    rows = [(f"{row.name}={row.unit.value}", row.meaning) for row in FAULTS]
-    lines = definitions(rows)
-    group = parser.add_argument_group(
-        "fault injection",
-        "\n".join(["Faults of --fault; TIME is such as 50ms, 2s or 1h, SHARE% such as 0.5%:", *lines, *more]),
-    )
-    group.add_argument(
-        "--fault", default="", metavar="NAME=VALUE[,…]", help="apply these faults to the OpenIGTLink messages"
-    )
-    group.add_argument(
-        "--seed",
-        type=int,
-        default=0,
-        metavar="N",
-        help="seed of the fault injection; the same seed affects the same messages " + default(0),
-    )
+# -- lists of names ------------------------------------------------------------------------------------------------
 
 
 def definitions(rows: Sequence[tuple[str, str]]) -> list[str]:

@@ -2,145 +2,69 @@
 
 from __future__ import annotations
 
-import argparse
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.app.recording import pause, resume, snapshot
 from igtl_gateway.cli.keys import NEXT, PAUSE, can_read_keys, keyboard
-from igtl_gateway.cli.options import STREAM, Options, add_overwrite, default
+from igtl_gateway.cli.options import Options
+from igtl_gateway.cli.settings import add_settings
 from igtl_gateway.errors import ConfigError
+from igtl_gateway.notations import key_value
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.selection import Selection
+from igtl_gateway.settings import BY_SETTING
 
 if TYPE_CHECKING:
     from igtl_gateway.record.recorder import Recorder
 
-#: Options that need a file, with their value when they are not given.
-_OF_A_RECORDING: dict[str, Any] = {
-    "record_topics": [],
-    "record_all": False,
-    "record_include": [],
-    "record_exclude": [],
-    "custom_data": [],
-    "split_size": 0,
-    "split_duration": 0.0,
-    "snapshot": 0.0,
-}
+#: Settings that need a file.
+_OF_A_RECORDING = (
+    "record_topics",
+    "record_all",
+    "record_include",
+    "record_exclude",
+    "custom_data",
+    "split_size",
+    "split_duration",
+    "snapshot",
+)
 
 
 def add_arguments(group: Options) -> None:
     """Options of a recording."""
-    given = RecordOptions()
-    add = group.add_argument
-    add("--record", type=Path, metavar="FILE", help="record all messages to this MCAP file")
-    add_overwrite(group, "an existing recording")
-    add(
-        "--record-topics",
-        action="extend",
-        nargs="+",
-        default=[],
-        metavar="GLOB",
-        help="also record these ROS topics, in addition to the bridged ones; * matches one level, ** any number "
-        "(repeatable)",
-    )
-    add("--record-all", action="store_true", help="also record all ROS topics")
-    add(
-        "--record-include",
-        action="extend",
-        nargs="+",
-        default=[],
-        metavar="GLOB",
-        help=f"record only inputs of these streams and their outputs; {STREAM} (repeatable)",
-    )
-    add(
-        "--record-exclude",
-        action="extend",
-        nargs="+",
-        default=[],
-        metavar="GLOB",
-        help="do not record inputs of these streams and their outputs (repeatable)",
-    )
-    add(
-        "--custom-data",
-        action="extend",
-        nargs="+",
-        default=[],
-        metavar="KEY=VALUE",
-        help="add this key and value to the metadata of the recording, such as operator=Kim (repeatable)",
-    )
-    add(
-        "--compression",
-        choices=("none", "lz4", "zstd"),
-        default=given.compression,
-        help="compression of chunks; streams that do not shrink are stored uncompressed " + default(given.compression),
-    )
-    add(
-        "--flush-interval",
-        type=float,
-        default=given.flush_s,
-        metavar="SECONDS",
-        help="interval between flushes: the most that a power failure loses; a crash of the bridge loses nothing "
-        + default(given.flush_s),
-    )
-    add(
-        "--fsync",
-        choices=("never", "flush", "close"),
-        default=given.fsync,
-        help="when to force data to the disk, against power failures: at each flush, or when the file is closed "
-        + default(given.fsync),
-    )
-    add("--split-size", type=int, default=0, metavar="MIB", help="start a new file after this size")
-    add("--split-duration", type=float, default=0.0, metavar="SECONDS", help="start a new file after this time")
-    add(
-        "--snapshot",
-        type=float,
-        default=0.0,
-        metavar="SECONDS",
-        help="record to memory, and write the last SECONDS to FILE_<UTC time>.mcap on key s, SIGUSR1 or the ROS "
-        "service ~/snapshot",
-    )
-    add(
-        "--on-record-failure",
-        choices=("continue", "stop"),
-        default="continue",
-        help="what the bridge does if the recording fails, for example if the disk is full " + default("continue"),
-    )
+    add_settings(group, "record", "overwrite")
+    add_settings(group, "record_topics", words=True)
+    add_settings(group, "record_all")
+    add_settings(group, "record_include", "record_exclude", "custom_data", words=True)
+    add_settings(group, "compression", "flush_interval", "fsync", "split_size", "split_duration", "snapshot")
+    add_settings(group, "on_record_failure")
 
 
-def record_options(options: argparse.Namespace) -> RecordOptions:
-    """Return the options of the recording.  Raises ConfigError."""
-    if not options.record:
-        given = [name for name, nothing in _OF_A_RECORDING.items() if getattr(options, name) != nothing]
+def record_options(values: Mapping[str, Any]) -> RecordOptions:
+    """Return the options of the recording for the values of all settings.  Raises ConfigError."""
+    if not values["record"]:
+        given = [name for name in _OF_A_RECORDING if values[name] != BY_SETTING[name].default]
         if given:
             names = " and ".join(f"--{name.replace('_', '-')}" for name in given)
             raise ConfigError(f"{names}: found no --record FILE, expected it with options of a recording")
-    for name in ("flush_interval", "split_size", "split_duration", "snapshot"):
-        value = getattr(options, name)
-        if not 0 <= value < float("inf"):
-            raise ConfigError(f"--{name.replace('_', '-')}: found {value:g}, expected a number from 0 up")
-    if options.snapshot and (options.split_size or options.split_duration):
+    if values["snapshot"] and (values["split_size"] or values["split_duration"]):
         raise ConfigError("--snapshot: found --split-size or --split-duration, expected neither: it records to memory")
-    custom = [text.partition("=") for text in options.custom_data]
-    for key, equals, _ in custom:
-        if not (key and equals):
-            raise ConfigError(f"--custom-data: found {key + equals!r}, expected KEY=VALUE")
     return RecordOptions(
-        compression=options.compression,
-        flush_s=options.flush_interval,
-        fsync=options.fsync,
-        split_bytes=options.split_size << 20,
-        split_s=options.split_duration,
-        snapshot_s=options.snapshot,
-        selection=Selection(tuple(options.record_include), tuple(options.record_exclude)),
-        overwrite=options.overwrite,
-        stop_on_failure=options.on_record_failure == "stop",
-        custom=tuple((key, value) for key, _, value in custom),
+        compression=values["compression"],
+        flush_s=values["flush_interval"],
+        fsync=values["fsync"],
+        split_bytes=values["split_size"] << 20,
+        split_s=values["split_duration"],
+        snapshot_s=values["snapshot"],
+        selection=Selection(tuple(values["record_include"]), tuple(values["record_exclude"])),
+        overwrite=values["overwrite"],
+        stop_on_failure=values["on_record_failure"] == "stop",
+        custom=tuple(map(key_value, values["custom_data"])),
     )
 
 

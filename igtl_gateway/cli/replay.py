@@ -17,10 +17,7 @@ from igtl_gateway.cli.common import config_to_run, stop_event
 from igtl_gateway.cli.keys import FASTER, HELP, NEXT, PAUSE, QUIT, SLOWER, can_read_keys, keyboard, read_lines
 from igtl_gateway.cli.options import (
     RECORDING_OR_BAG,
-    add_addresses,
-    add_allow,
     add_config,
-    add_faults,
     add_file,
     add_json,
     add_streams,
@@ -28,7 +25,8 @@ from igtl_gateway.cli.options import (
 )
 from igtl_gateway.cli.replay_report import print_report
 from igtl_gateway.cli.replay_sides import ReplaySides, open_sides
-from igtl_gateway.cli.routes import add_send, with_sends
+from igtl_gateway.cli.routes import with_sends
+from igtl_gateway.cli.settings import add_faults, add_settings
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros.edge import RosEdge
@@ -107,12 +105,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="do not compute the SHA-256 of the sent bytes, which delays large images",
     )
     group = parser.add_argument_group("addresses and security")
-    add_addresses(group, admission.peer_address, "[tls://]HOST:PORT")
-    add_allow(group)
+    add_settings(group, "listen", "connect", "allow")
     admission.add_tls(group)
     _add_selection(parser.add_argument_group("selection of messages"))
     _add_pace(parser.add_argument_group("pace"))
     add_faults(parser)
+    parser.set_defaults(fault="", seed=0)
 
 
 def _add_selection(group: argparse._ArgumentGroup) -> None:
@@ -121,7 +119,7 @@ def _add_selection(group: argparse._ArgumentGroup) -> None:
     end.add_argument("--end", metavar="TIME", help="stop after this time " + default("the end"))
     end.add_argument("--duration", type=float, metavar="SECONDS", help="stop after this much recorded time")
     add_streams(group)
-    add_send(group)
+    add_settings(group, "to_igtl")
     group.add_argument(
         "--through-gateway",
         action="store_true",
@@ -240,7 +238,7 @@ def run(options: argparse.Namespace) -> int:
 def _check(options: argparse.Namespace) -> None:
     """Check the options before anything is opened.  Raises ConfigError."""
     if options.to == "ros":
-        admission.secured(options, (), ())
+        admission.secured(vars(options), (), ())
     checked_rate(options.rate)
     if options.wait_peers is not None and options.wait_peers < 0:
         raise ConfigError(f"--wait-peers: found {options.wait_peers}, expected 0 or more")

@@ -90,8 +90,8 @@ def open_sides(
 
 def _open_igtl(options: argparse.Namespace, stop: Event, stack: ExitStack, tell: Tell) -> ReplaySides | None:
     """A sender to OpenIGTLink peers, once they are there."""
-    listen, connect = addresses(options)
-    tls_listen, tls_connect = admission.secured(options, listen, connect)
+    listen, connect = addresses(options.listen, options.connect)
+    tls_listen, tls_connect = admission.secured(vars(options), listen, connect)
     peers = _Peers(tell)
     edge = TcpEdge(
         on_frame=lambda _link, _message: None,  # messages of peers are not part of a replay
@@ -100,7 +100,7 @@ def _open_igtl(options: argparse.Namespace, stop: Event, stack: ExitStack, tell:
         clock=SystemClock(),
         allow=tuple(options.allow),
         when_full="block",
-        tls=admission.tls(options),
+        tls=admission.tls(vars(options)),
     )
     stack.callback(edge.stop)
     for address in listen:

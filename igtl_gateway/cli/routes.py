@@ -1,101 +1,43 @@
-"""Options for what a configuration file also sets: topics, frames, messages and peers."""
+"""Rows of messages as strings of options and parameters: topics, frames, messages and peers."""
 
 from __future__ import annotations
 
-import argparse
+import json
+from collections.abc import Callable, Iterable
 from typing import Any
 
-from igtl_gateway.cli.options import Options, default
-from igtl_gateway.config import PROFILE_NAMES, Config
+from igtl_gateway.config import Config
 from igtl_gateway.convert.frames import TfRequest
-from igtl_gateway.convert.profiles import AUTO
 from igtl_gateway.convert.table import TO_ROS
 from igtl_gateway.errors import ConfigError
+from igtl_gateway.settings import PROFILE_NAMES, Setting
 
 
-def add_send(parser: Options) -> None:
-    """``--send``, any number of times."""
-    parser.add_argument(
-        "--send",
-        action="append",
-        default=[],
-        metavar="TOPIC[=DEVICE[:TYPE]]",
-        help="send this ROS topic to OpenIGTLink as this device and message type (repeatable)",
-    )
+def rows_of(setting: Setting, texts: Iterable[str]) -> tuple[dict[str, Any], ...]:
+    """Return the rows of messages that strings stand for: each as its option has it, or as a JSON object.
+
+    A JSON object has the keys of the table of a configuration file, such as ``{"topic": "/camera/image_raw"}``.
+    Raises ConfigError.
+    """
+    short = []
+    rows: list[dict[str, Any]] = []
+    for text in texts:
+        if text.lstrip().startswith("{"):
+            rows.append(_json_row(text))
+        else:
+            short.append(text)
+    if setting.name == "to_ros":
+        return (*_kinds_rows(short), *rows)
+    return (*map(_ROW[setting.name], short), *rows)
 
 
-def add_peers(group: Options) -> None:
-    """Options for the profiles of peers."""
-    group.add_argument(
-        "--profile",
-        choices=PROFILE_NAMES,
-        help="profile of all peers " + default(f"{AUTO}, detected from their messages"),
-    )
-    group.add_argument(
-        "--peer",
-        action="append",
-        default=[],
-        metavar="HOST:PORT=PROFILE",
-        help="profile of the server at this address, or of clients that connect to this address (repeatable)",
-    )
-
-
-def add_messages(group: Options) -> None:
-    """Options for the messages that are sent and published."""
-    add_send(group)
-    group.add_argument(
-        "--tf-out",
-        action="append",
-        default=[],
-        metavar="FRAME[,FRAME…]:BASE[=DEVICE[:TYPE]]",
-        help="send the poses of frames in BASE, from /tf and /tf_static: one frame as TRANSFORM, several as TDATA "
-        "(repeatable)",
-    )
-    group.add_argument(
-        "--kinds",
-        action="append",
-        default=[],
-        metavar="DEVICE=KIND[,KIND…]",
-        help="publish these messages of a device instead of the default ones, or with +KIND in addition to them; "
-        "DEVICE: * matches one level, ** any number (repeatable)",
-    )
-
-
-def add_topics(group: Options) -> None:
-    """Options for the ROS graph."""
-    group.add_argument("--no-tf", action="store_true", help="do not publish poses on /tf")
-
-
-def add_denials(group: Options) -> None:
-    """``--deny-in`` and ``--deny-out``, any number of each."""
-    for way, text in (("in", "reject messages of this type from peers"), ("out", "send no messages of this type")):
-        group.add_argument(
-            f"--deny-{way}",
-            action="append",
-            default=[],
-            metavar="TYPE",
-            help=f"{text}: COMMAND, 'GET_*', '*' for all (repeatable)",
-        )
-
-
-def with_routes(config: Config, options: argparse.Namespace) -> Config:
-    """Return ``config`` with the options of the command line; their rows precede those of the file."""
-    values = config.to_dict()
-    values["to_igtl"] = [*map(_send_row, options.send), *values["to_igtl"]]
-    values["tf_out"] = [*map(_tf_row, options.tf_out), *values["tf_out"]]
-    kinds: dict[str, list[str]] = {}
-    for device, named in map(_kinds_row, options.kinds):
-        kinds.setdefault(device, []).extend(named)
-    rows = [{"device": device, "kinds": named} for device, named in kinds.items()]
-    values["to_ros"] = [*rows, *values["to_ros"]]
-    values["peers"] = [*map(_peer_row, options.peer), *values["peers"]]
-    values["deny_in"] = [*options.deny_in, *values["deny_in"]]
-    values["deny_out"] = [*options.deny_out, *values["deny_out"]]
-    if options.profile:
-        values["profile"] = options.profile
-    if options.no_tf:
-        values["publish_tf"] = False
-    return Config.from_dict(values)
+def _json_row(text: str) -> dict[str, Any]:
+    try:
+        row = json.loads(text)
+    except ValueError as error:
+        raise ConfigError(f"found {text!r}, expected a JSON object: {error}") from None
+    assert isinstance(row, dict)  # it begins with a brace
+    return row
 
 
 def with_sends(config: Config, sends: list[str]) -> Config:
@@ -110,6 +52,13 @@ def _send_row(text: str) -> dict[str, str]:
     if not topic.startswith("/"):
         raise ConfigError(f"--send: found {text!r}, expected /topic, /topic=Device or /topic=Device:TYPE")
     return {"topic": topic, "device": device, "type": igtl_type}
+
+
+def _kinds_rows(texts: list[str]) -> list[dict[str, Any]]:
+    kinds: dict[str, list[str]] = {}
+    for device, named in map(_kinds_row, texts):
+        kinds.setdefault(device, []).extend(named)
+    return [{"device": device, "kinds": named} for device, named in kinds.items()]
 
 
 def _tf_row(text: str) -> dict[str, Any]:
@@ -132,3 +81,7 @@ def _peer_row(text: str) -> dict[str, str]:
     if not place or profile not in PROFILE_NAMES:
         raise ConfigError(f"--peer: found {text!r}, expected HOST:PORT=PROFILE, one of {', '.join(PROFILE_NAMES)}")
     return {"at": place, "profile": profile}
+
+
+#: Setting → the row of one text.
+_ROW: dict[str, Callable[[str], dict[str, Any]]] = {"to_igtl": _send_row, "tf_out": _tf_row, "peers": _peer_row}

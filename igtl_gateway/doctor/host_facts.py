@@ -16,7 +16,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from igtl_gateway.realtime import CAP_IPC_LOCK, CAP_SYS_NICE, has_capability, parse_cpus
+from igtl_gateway.errors import ConfigError
+from igtl_gateway.notations import cpus
+from igtl_gateway.realtime import CAP_IPC_LOCK, CAP_SYS_NICE, has_capability
 
 ROOT = Path("/")
 
@@ -212,8 +214,8 @@ def _float(text: str) -> float | None:
 
 
 def _cpus(text: str) -> frozenset[int]:
-    with suppress(ValueError):
-        return parse_cpus(text.strip())
+    with suppress(ConfigError):
+        return cpus(text.strip())
     return frozenset()
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from igtl_gateway.cli import recording
+from igtl_gateway.cli.settings import settled
 from igtl_gateway.clock import ManualClock
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.record.host import in_thread
@@ -29,7 +30,7 @@ DEADLINE_S = 30.0
 def parsed(*arguments: str) -> RecordOptions:
     parser = argparse.ArgumentParser()
     recording.add_arguments(parser)
-    return recording.record_options(parser.parse_args(arguments))
+    return recording.record_options(settled(parser.parse_args(arguments), {}))
 
 
 def test_without_options_it_is_as_everywhere() -> None:
@@ -59,9 +60,6 @@ def test_every_option_arrives() -> None:
     [
         (["--snapshot", "30"], "--snapshot: found no --record FILE, expected it"),
         (["--record-all", "--split-size", "1"], "--record-all and --split-size: found no --record FILE"),
-        (["--record", "a", "--split-duration", "-1"], "--split-duration: found -1, expected a number from 0 up"),
-        (["--record", "a", "--flush-interval", "inf"], "--flush-interval: found inf"),
-        (["--record", "a", "--snapshot", "nan"], "--snapshot: found nan"),
         (
             ["--record", "a", "--snapshot", "5", "--split-size", "1"],
             "--snapshot: found --split-size or --split-duration, expected neither",
@@ -136,5 +134,3 @@ def test_what_the_user_says_is_in_the_recording(tmp_path: Path) -> None:
     bench.recorder.close({})
     with SessionFile.open(tmp_path / "a.mcap") as file:
         assert file.session["custom_data"] == '{"operator": "Kim"}'
-    with pytest.raises(ConfigError, match=r"--custom-data: found 'Kim', expected KEY=VALUE"):
-        parsed("--record", "a", "--custom-data", "Kim")

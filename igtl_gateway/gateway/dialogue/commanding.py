@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from igtl_gateway.config import MAX_TIMEOUT_S, Config
+from igtl_gateway.config import Config
 from igtl_gateway.convert import commands as conversions
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext
 from igtl_gateway.convert.igtl_msgs import Command as RosCommand
@@ -23,6 +23,7 @@ from igtl_gateway.gateway.to_igtl.delivery import Delivery
 from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.session.note import Level
+from igtl_gateway.settings import MAX_TIMEOUT_S
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.command import Command

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from igtl_gateway.buffers import Buffer, join
-from igtl_gateway.config import SOURCE
 from igtl_gateway.convert import clouds, express, images, poses, rosmsg, surfaces, texts
 from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.express import (
@@ -35,6 +34,7 @@ from igtl_gateway.gateway.peers import Peer
 from igtl_gateway.gateway.to_igtl.origin import IgtlOrigin
 from igtl_gateway.gateway.to_igtl.sender import send
 from igtl_gateway.session.entry import Entry
+from igtl_gateway.settings import SOURCE
 from igtl_gateway.wire.header import HEADER_SIZE
 from igtl_gateway.wire.image import HEAD_SIZE as IMAGE_HEAD
 from igtl_gateway.wire.message import EXTENDED_SIZE

@@ -1,0 +1,92 @@
+"""How addresses, networks, sizes, CPUs and pairs are written in settings: on the command line, in files, as parameters.
+
+Each function returns the value of a string, or raises ConfigError with what it found and what it expected.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+
+from igtl_gateway.errors import ConfigError
+
+DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 18944
+
+_LAST_CPU = 8191  # of any Linux
+
+
+class PeerAddress(tuple[str, int]):
+    """Host and port; ``scheme`` is ``"tls"``, ``"tcp"`` or ``""``."""
+
+    scheme = ""
+
+
+def address(text: str) -> tuple[str, int]:
+    """Parse ``HOST:PORT``, ``:PORT``, ``PORT`` or ``HOST``; IPv6 hosts in brackets."""
+    host, colon, port = text.rpartition(":")
+    if text.startswith("[") and text.endswith("]"):
+        host, colon, port = text, "", ""
+    elif not colon:
+        host, port = ("", text) if text.isdigit() else (text, "")
+    if port and not (port.isdigit() and int(port) < 1 << 16):
+        raise ConfigError(f"found {text!r}, expected HOST:PORT with a port from 0 to 65535")
+    return host.strip("[]") or DEFAULT_HOST, int(port) if port else DEFAULT_PORT
+
+
+def peer_address(text: str) -> PeerAddress:
+    """Parse ``[tls://|tcp://]HOST:PORT``; the part behind the scheme as in ``address``."""
+    scheme, found, rest = text.partition("://")
+    if found and scheme not in ("tls", "tcp"):
+        raise ConfigError(f"found {text!r}, expected tls://HOST:PORT, tcp://HOST:PORT or HOST:PORT")
+    made = PeerAddress(address(rest if found else text))
+    made.scheme = scheme if found else ""
+    return made
+
+
+def network(text: str) -> str:
+    """Return a network such as ``192.168.7.0/24``, an address, or ``any``."""
+    try:
+        if text != "any":
+            ipaddress.ip_network(text, strict=False)
+    except ValueError:
+        raise ConfigError(f"found {text!r}, expected a network such as 192.168.7.0/24, or any") from None
+    return text
+
+
+def size_by_type(text: str) -> tuple[str, int]:
+    """Parse ``TYPE=MIB``; return type and bytes."""
+    name, equals, number = text.partition("=")
+    try:
+        if name and equals and (mib := float(number)) > 0:
+            return name, round(mib * 2**20)
+    except (ValueError, OverflowError):
+        pass
+    raise ConfigError(f"found {text!r}, expected TYPE=MIB such as STRING=4")
+
+
+def type_glob(text: str) -> str:
+    """Return a message type or a glob of types: printable ASCII without blanks."""
+    if not (text.isascii() and text.isprintable() and bool(text) and not set(text) & set(" /,")):
+        raise ConfigError(f"found {text!r}, expected a type or a glob such as COMMAND, GET_*")
+    return text
+
+
+def key_value(text: str) -> tuple[str, str]:
+    """Parse ``KEY=VALUE``."""
+    key, equals, value = text.partition("=")
+    if not (key and equals):
+        raise ConfigError(f"found {text!r}, expected KEY=VALUE")
+    return key, value
+
+
+def cpus(text: str) -> frozenset[int]:
+    """Parse a list of CPUs such as ``2,4-6``."""
+    found: set[int] = set()
+    for part in text.split(","):
+        first, dash, last = part.strip().partition("-")
+        if not (first.isdecimal() and first.isascii() and (not dash or (last.isdecimal() and last.isascii()))):
+            raise ConfigError(f"found {text!r}, expected CPUs such as 2,4-6")
+        begin, end = int(first), int(last or first)
+        if end < begin or end > _LAST_CPU:
+            raise ConfigError(f"found {part.strip()!r}, expected CPUs in ascending order, up to {_LAST_CPU}")
+        found.update(range(begin, end + 1))
+    return frozenset(found)

@@ -1,0 +1,563 @@
+"""The table of settings: options of ``bridge``, keys of the configuration file and parameters of the ROS node.
+
+Strategy: each setting is one row of ``SETTINGS``.  The row has the name, which is also the key and the parameter, the
+type by its default, the unit, the range and the description.  The command line, the file and the node take what they
+need from the row, and all three check a value with ``Setting.check``: the same mistake has the same message everywhere.
+
+Rows of messages (``to_igtl``, ``to_ros``, ``tf_out``, ``peers``) are tables in a file.  As a parameter they are a list
+of strings; ``cli.routes`` has their form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+from igtl_gateway import notations
+from igtl_gateway.convert.profiles import AUTO, BY_NAME
+from igtl_gateway.convert.table import TO_ROS
+from igtl_gateway.convert.units import UNITS
+from igtl_gateway.errors import ConfigError
+
+#: Tables of a configuration file: what influences messages, which is recorded; the OpenIGTLink side; the host.
+GATEWAY, IGTL, HOST = "gateway", "igtl", "host"
+#: No table: such a setting is an option and a parameter.
+NONE = ""
+#: The setting is a table of a file itself: one row of messages for each ``[[to_igtl]]``.
+ROWS = "rows"
+
+#: Values of the setting ``profile``.
+PROFILE_NAMES = (AUTO, *BY_NAME)
+#: Values of the setting ``stamp``: the sender's stamp, if it sent one, or the time of receipt.
+SOURCE, RECEIVE = "source", "receive"
+STAMP_POLICIES = (SOURCE, RECEIVE)
+#: Codecs of the setting ``video_codec``; ``edges.video`` has them.
+VIDEO_CODECS = ("h264", "vp9")
+
+#: Upper limit of the timeout of a COMMAND, s: one day.
+MAX_TIMEOUT_S = 86_400.0
+
+_YEAR_S = 365 * 86_400.0
+_MANY = 1_000_000_000
+
+Value = bool | int | float | str | tuple[str, ...]
+
+TYPE_NAMES: dict[type, str] = {
+    str: "a string in quotes",
+    bool: "true or false",
+    int: "an integer",
+    float: "a number",
+    tuple: 'strings such as ["a", "b"]',
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """One row of the table.
+
+    Attributes:
+        name: key in the file, and name of the parameter.
+        default: value without a setting; its type is that of the setting, a tuple is a list of strings.
+        about: what it does, as the help of its option; options in it become parameters in the descriptor.
+        table: table of the file: ``GATEWAY``, ``IGTL``, ``HOST``, ``NONE`` or ``ROWS``.
+        option: its option; None: by the name; "": it has none.
+        metavar: placeholder of its value on the command line.
+        unit: of the value.
+        least, most: the range of a number, both included.
+        open_ends: the ends of the range are not part of it.
+        choices: the values that a string may have.
+        reads: returns the meaning of a string, or of each string of a list.  Raises ConfigError.
+        shown: the default, as the help of the option has it; None: the value, where it is more than nothing.
+        changes: whether it may change while the bridge runs.
+        parameter: whether the node has it: the settings of a relay have no node.
+        adds: the command line adds to the list of the file or of the parameters; other settings are replaced.
+    """
+
+    name: str
+    default: Value
+    about: str
+    table: str = NONE
+    option: str | None = None
+    metavar: str | None = None
+    unit: str = ""
+    least: float | None = None
+    most: float | None = None
+    open_ends: bool = False
+    choices: tuple[str, ...] = ()
+    reads: Callable[[str], object] | None = None
+    shown: str | None = None
+    changes: bool = False
+    parameter: bool = True
+    adds: bool = False
+
+    @property
+    def flag(self) -> str:
+        """The option; "" if it has none."""
+        return f"--{self.name.replace('_', '-')}" if self.option is None else self.option
+
+    @property
+    def is_list(self) -> bool:
+        return isinstance(self.default, tuple)
+
+    @property
+    def range_text(self) -> str:
+        """The range of a number, for people; "" if it has none."""
+        if self.least is None or self.most is None:
+            return ""
+        least, most = f"{self.least:.15g}", f"{self.most:.15g}"
+        return f"more than {least} and less than {most}" if self.open_ends else f"{least} to {most}"
+
+    def check(self, value: object) -> Value:
+        """Return a value as its type.  Raises ConfigError with what was found and what is expected, without a place."""
+        kind: type = type(self.default)
+        found = value
+        if kind is tuple:
+            is_list = isinstance(value, list | tuple) and all(isinstance(item, str) for item in value)
+            value = tuple(value) if is_list else None  # type: ignore[arg-type]  # it is one
+        elif kind is float and type(value) is int and abs(value) < 1 << 63:
+            value = float(value)
+        if type(value) is not kind:
+            raise ConfigError(f"found {found!r}, expected {TYPE_NAMES[kind]}")
+        if isinstance(value, int | float) and not self._is_in_range(value):
+            raise ConfigError(f"found {value:.15g}, expected {self.range_text}")
+        if self.choices and value not in self.choices:
+            raise ConfigError(f"found {value!r}, expected one of {', '.join(filter(None, self.choices))}")
+        if self.reads and value:
+            for text in value if isinstance(value, tuple) else (value,):
+                self.reads(str(text))
+        return value  # type: ignore[return-value]  # of the type of the default
+
+    def parse(self, text: str) -> Value:
+        """Return the value of a word of the command line; of a list, one item.  Raises ConfigError."""
+        if self.is_list:
+            self.check((text,))
+            return text
+        value: object = text
+        if isinstance(self.default, int | float):
+            value = _number(text)
+        return self.check(value)
+
+    def _is_in_range(self, value: float) -> bool:
+        if self.least is None or self.most is None:
+            return True
+        return self.least < value < self.most if self.open_ends else self.least <= value <= self.most
+
+
+def _number(text: str) -> int | float | str:
+    """The number of a string, which a file would have without quotes; otherwise the text."""
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            pass
+    return text
+
+
+def check_values(place: str, table: str, values: Mapping[str, object]) -> dict[str, Value]:
+    """Return the values of a table of a file.  Raises ConfigError with the path of the setting."""
+    known = of_table(table)
+    checked = {}
+    for name, value in values.items():
+        if name not in known:
+            raise ConfigError(f"{place}.{name}: {unknown(known)}")
+        try:
+            checked[name] = known[name].check(value)
+        except ConfigError as error:
+            raise ConfigError(f"{place}.{name}: {error}") from None
+    return checked
+
+
+def unknown(names: Iterable[str]) -> str:
+    """The message about a name that no setting has."""
+    return f"unknown setting, expected one of {', '.join(names)}"
+
+
+def of_table(table: str) -> dict[str, Setting]:
+    """Return the settings of a table of a file, by name."""
+    return {row.name: row for row in SETTINGS if row.table == table}
+
+
+def parameters() -> dict[str, Setting]:
+    """Return the settings that the ROS node has as parameters, by name."""
+    return {row.name: row for row in SETTINGS if row.parameter}
+
+
+_UNITS = tuple(UNITS)
+
+#: Kinds of ROS messages that a peer's messages can be converted to.
+_KINDS = tuple(sorted({row.kind for row in TO_ROS}))
+
+
+def _ros_kind(text: str) -> str:
+    """Return a kind of ROS messages, or ``+`` and a kind.  Raises ConfigError."""
+    if text.removeprefix("+") not in _KINDS:
+        raise ConfigError(f"found {text!r}, expected one of {', '.join(_KINDS)}, also as +kind")
+    return text
+
+
+#: All settings, in the order of the documents.
+SETTINGS: tuple[Setting, ...] = (
+    Setting("config", "", "read the configuration from this file (TOML); options override it", metavar="FILE"),
+    # -- addresses and security ----------------------------------------------------------------------------------------
+    Setting(
+        "listen",
+        (),
+        "listen for OpenIGTLink clients on this address; port 0 selects a free port",
+        IGTL,
+        metavar="[tls://]HOST:PORT",
+        reads=notations.peer_address,
+        shown=f"{notations.DEFAULT_HOST}:{notations.DEFAULT_PORT}, unless --connect is given",
+    ),
+    Setting(
+        "connect",
+        (),
+        "connect to the OpenIGTLink server at this address; reconnect until stopped",
+        IGTL,
+        metavar="[tls://]HOST:PORT",
+        reads=notations.peer_address,
+    ),
+    Setting(
+        "relay",
+        False,
+        "forward all bytes unchanged between each client of --listen and the server of --connect; without ROS",
+        GATEWAY,
+        parameter=False,
+    ),
+    Setting(
+        "allow",
+        (),
+        "accept clients from this network only, 'any' for all; required if --listen is not a loopback address",
+        IGTL,
+        metavar="CIDR",
+        reads=notations.network,
+    ),
+    Setting("tls", False, "use TLS at all addresses except those that begin with tcp://", IGTL),
+    Setting("tls_cert", "", "own certificate (PEM); turns TLS on for --listen", IGTL, metavar="FILE"),
+    Setting(
+        "tls_key",
+        "",
+        "private key of the certificate (PEM)",
+        IGTL,
+        metavar="FILE",
+        shown="file of --tls-cert",
+    ),
+    Setting("tls_ca", "", "require a certificate of this CA (PEM) from clients and servers", IGTL, metavar="FILE"),
+    *(
+        Setting(
+            f"deny_{way}",
+            (),
+            f"{text}: COMMAND, 'GET_*', '*' for all",
+            GATEWAY,
+            metavar="TYPE",
+            reads=notations.type_glob,
+            changes=True,
+            adds=True,
+        )
+        for way, text in (("in", "reject messages of this type from peers"), ("out", "send no messages of this type"))
+    ),
+    # -- limits of a peer ----------------------------------------------------------------------------------------------
+    Setting("max_clients", 32, "maximum number of connected clients", IGTL, metavar="N", least=1, most=1_000_000),
+    Setting("queue_mib", 64, "size of the send queue", IGTL, metavar="MIB", unit="MiB", least=1, most=1 << 20),
+    Setting("queue_messages", 4096, "number of messages in the send queue", IGTL, metavar="N", least=1, most=_MANY),
+    Setting("max_body_mib", 256, "maximum body size", IGTL, metavar="MIB", unit="MiB", least=1, most=1 << 20),
+    Setting(
+        "max_body",
+        (),
+        "maximum body size of a message type or of 'GET_*'",
+        IGTL,
+        metavar="TYPE=MIB",
+        unit="MiB",
+        reads=notations.size_by_type,
+        shown="2 for strings and poses, 16 for lists, 64 for VIDEO",
+    ),
+    Setting(
+        "max_messages",
+        50_000,
+        "maximum rate of messages; a peer that sends faster is slowed down",
+        IGTL,
+        metavar="HZ",
+        unit="Hz",
+        least=1,
+        most=_MANY,
+    ),
+    Setting(
+        "stall_s",
+        10.0,
+        "longest pause inside a message",
+        IGTL,
+        metavar="SECONDS",
+        unit="s",
+        least=0.001,
+        most=_YEAR_S,
+    ),
+    Setting(
+        "min_rate_kib",
+        8.0,
+        "lowest transfer rate of a message",
+        IGTL,
+        metavar="KIB/S",
+        unit="KiB/s",
+        least=0.001,
+        most=float(1 << 20),
+    ),
+    Setting(
+        "idle_s",
+        0.0,
+        "close a link after this time without traffic in either direction; 0: never",
+        IGTL,
+        metavar="SECONDS",
+        unit="s",
+        least=0,
+        most=_YEAR_S,
+        shown="0",
+    ),
+    # -- messages ------------------------------------------------------------------------------------------------------
+    Setting(
+        "profile",
+        AUTO,
+        "profile of all peers",
+        GATEWAY,
+        choices=PROFILE_NAMES,
+        shown=f"{AUTO}, detected from their messages",
+    ),
+    Setting(
+        "peers",
+        (),
+        "profile of the server at this address, or of clients that connect to this address",
+        ROWS,
+        "--peer",
+        metavar="HOST:PORT=PROFILE",
+        adds=True,
+    ),
+    Setting(
+        "to_igtl",
+        (),
+        "send this ROS topic to OpenIGTLink as this device and message type",
+        ROWS,
+        "--send",
+        metavar="TOPIC[=DEVICE[:TYPE]]",
+        adds=True,
+    ),
+    Setting(
+        "tf_out",
+        (),
+        "send the poses of frames in BASE, from /tf and /tf_static: one frame as TRANSFORM, several as TDATA",
+        ROWS,
+        metavar="FRAME[,FRAME…]:BASE[=DEVICE[:TYPE]]",
+        adds=True,
+    ),
+    Setting(
+        "to_ros",
+        (),
+        "publish these messages of a device instead of the default ones, or with +KIND in addition to them; "
+        "DEVICE: * matches one level, ** any number",
+        ROWS,
+        "--kinds",
+        metavar="DEVICE=KIND[,KIND…]",
+        adds=True,
+    ),
+    Setting(
+        "kinds",
+        (),
+        "default of to_ros: publish these messages of devices instead of the default ones, or with +KIND in addition",
+        GATEWAY,
+        "",
+        reads=_ros_kind,
+        changes=True,
+    ),
+    Setting(
+        "max_age_s",
+        0.0,
+        "default of to_igtl, to_ros and tf_out: withhold messages that are older on arrival; 0: no limit",
+        GATEWAY,
+        "",
+        unit="s",
+        least=0,
+        most=_YEAR_S,
+        changes=True,
+    ),
+    Setting("publish_tf", True, "publish poses on /tf", GATEWAY, "--no-tf"),
+    Setting("base_frame", "igtl", "frame of messages that do not name a frame", GATEWAY, ""),
+    Setting("ros_unit", "m", "length unit of ROS messages", GATEWAY, "", choices=_UNITS),
+    Setting("igtl_unit", "mm", "length unit of OpenIGTLink messages", GATEWAY, "", choices=_UNITS),
+    Setting(
+        "stamp",
+        SOURCE,
+        "stamp of a converted message: source: the sender's, if it sent one; receive: the gateway time of receipt",
+        GATEWAY,
+        "",
+        choices=STAMP_POLICIES,
+    ),
+    Setting("check_crc", True, "reject messages whose CRC is wrong", GATEWAY, ""),
+    Setting(
+        "max_streams",
+        512,
+        "maximum number of streams of one session in each direction",
+        GATEWAY,
+        "",
+        least=1,
+        most=_MANY,
+    ),
+    Setting(
+        "command_timeout_s",
+        5.0,
+        "time after which a COMMAND without a reply has failed",
+        GATEWAY,
+        "",
+        unit="s",
+        least=0,
+        most=MAX_TIMEOUT_S,
+        open_ends=True,
+    ),
+    # -- recording -----------------------------------------------------------------------------------------------------
+    Setting("record", "", "record all messages to this MCAP file", metavar="FILE"),
+    Setting("overwrite", False, "overwrite an existing recording"),
+    Setting(
+        "record_topics",
+        (),
+        "also record these ROS topics, in addition to the bridged ones; * matches one level, ** any number",
+        metavar="GLOB",
+    ),
+    Setting("record_all", False, "also record all ROS topics"),
+    Setting(
+        "record_include",
+        (),
+        "record only inputs of these streams and their outputs; by TYPE/device, device or topic; * matches one level, "
+        "** any number",
+        metavar="GLOB",
+    ),
+    Setting("record_exclude", (), "do not record inputs of these streams and their outputs", metavar="GLOB"),
+    Setting(
+        "custom_data",
+        (),
+        "add this key and value to the metadata of the recording, such as operator=Kim",
+        metavar="KEY=VALUE",
+        reads=notations.key_value,
+    ),
+    Setting(
+        "compression",
+        "lz4",
+        "compression of chunks; streams that do not shrink are stored uncompressed",
+        choices=("none", "lz4", "zstd"),
+    ),
+    Setting(
+        "flush_interval",
+        0.5,
+        "interval between flushes: the most that a power failure loses; a crash of the bridge loses nothing",
+        metavar="SECONDS",
+        unit="s",
+        least=0,
+        most=_YEAR_S,
+    ),
+    Setting(
+        "fsync",
+        "never",
+        "when to force data to the disk, against power failures: at each flush, or when the file is closed",
+        choices=("never", "flush", "close"),
+    ),
+    Setting("split_size", 0, "start a new file after this size", metavar="MIB", unit="MiB", least=0, most=1 << 30),
+    Setting(
+        "split_duration",
+        0.0,
+        "start a new file after this time",
+        metavar="SECONDS",
+        unit="s",
+        least=0,
+        most=_YEAR_S,
+    ),
+    Setting(
+        "snapshot",
+        0.0,
+        "record to memory, and write the last SECONDS to FILE_<UTC time>.mcap on key s, SIGUSR1 or the ROS service "
+        "~/snapshot",
+        metavar="SECONDS",
+        unit="s",
+        least=0,
+        most=_YEAR_S,
+    ),
+    Setting(
+        "on_record_failure",
+        "continue",
+        "what the bridge does if the recording fails, for example if the disk is full",
+        choices=("continue", "stop"),
+    ),
+    # -- video ---------------------------------------------------------------------------------------------------------
+    Setting(
+        "video_codec",
+        "",
+        "encode ROS images that are sent as VIDEO, and decode received VIDEO to ROS images",
+        choices=("", *VIDEO_CODECS),
+    ),
+    Setting(
+        "video_bit_rate",
+        4000,
+        "with --video-codec: bit rate of a stream",
+        metavar="KBIT/S",
+        unit="kbit/s",
+        least=10,
+        most=1_000_000,
+    ),
+    Setting(
+        "video_key_interval",
+        30,
+        "with --video-codec: frames from one key frame to the next",
+        metavar="N",
+        least=1,
+        most=10_000,
+    ),
+    # -- the host, diagnostics, faults ---------------------------------------------------------------------------------
+    Setting(
+        "realtime_priority",
+        0,
+        "run the threads that pass messages with SCHED_FIFO at this priority, 1 (lowest) to 99; needs CAP_SYS_NICE or "
+        "RLIMIT_RTPRIO",
+        HOST,
+        metavar="N",
+        least=0,
+        most=99,
+    ),
+    Setting(
+        "lock_memory",
+        False,
+        "keep the used memory of the bridge from being paged out; needs CAP_IPC_LOCK or RLIMIT_MEMLOCK",
+        HOST,
+    ),
+    Setting(
+        "cpu_affinity",
+        "",
+        "run the threads that pass messages on these CPUs only, for example 2,4-6",
+        HOST,
+        metavar="LIST",
+        reads=notations.cpus,
+    ),
+    Setting("diagnostics", True, "publish on /diagnostics", option="--no-diagnostics"),
+    Setting("watch", True, "report jumps and implausible stamps", GATEWAY, "--no-watch"),
+    Setting(
+        "metrics",
+        "",
+        "serve counts, rates and queue lengths over HTTP: /metrics for Prometheus, /status as JSON",
+        metavar="[HOST:]PORT",
+        reads=notations.address,
+    ),
+    Setting(
+        "faults",
+        "",
+        "apply these faults to the OpenIGTLink messages",
+        GATEWAY,
+        "--fault",
+        metavar="NAME=VALUE[,…]",
+        parameter=False,
+    ),
+    Setting(
+        "fault_seed",
+        0,
+        "seed of the fault injection; the same seed affects the same messages",
+        GATEWAY,
+        "--seed",
+        metavar="N",
+        shown="0",
+        parameter=False,
+    ),
+)
+
+BY_SETTING = {row.name: row for row in SETTINGS}
