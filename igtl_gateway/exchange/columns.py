@@ -132,6 +132,13 @@ _UNITS: dict[str, dict[str, str]] = {
 }
 
 
+def field_unit(ros_type: str, field: str, unit: str) -> str:
+    """Return the unit of a field of a ROS type, as in names of columns; ``unit`` is that of the field above it."""
+    package, _, name = ros_type.partition("/msg/")
+    inherited = unit or _INHERIT[name] if package == "geometry_msgs" and name in _INHERIT else ""
+    return _UNITS.get(f"{package}/{name}", {}).get(field, inherited)
+
+
 def name_ros_fields(store: Typestore, value: Any) -> Any:
     """Return the fields of a message decoded by rosbags, named with units and without constants."""
     return _FieldNamer(store).name_fields(value, "")
@@ -165,11 +172,8 @@ class _FieldNamer:
     def _plan(self, ros_type: str, unit: str) -> list[tuple[str, str, str]]:
         """Return name, attribute in rosbags and unit of each field of a type; ``unit`` is that of the parent field."""
         if (ros_type, unit) not in self._plans:
-            package, _, name = ros_type.partition("/msg/")
-            own = _UNITS.get(f"{package}/{name}", {})
-            inherited = unit or _INHERIT[name] if package == "geometry_msgs" and name in _INHERIT else ""
             self._plans[ros_type, unit] = [
-                (field, normalize_fieldname(field), own.get(field, inherited))
+                (field, normalize_fieldname(field), field_unit(ros_type, field, unit))
                 for field, _ in self._store.fielddefs[ros_type][1]
             ]
         return self._plans[ros_type, unit]

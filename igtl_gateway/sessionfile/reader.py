@@ -9,7 +9,7 @@ Memory is bounded: a few chunks at a time, as long as chunks do not overlap in t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Generator, Iterator
+from collections.abc import Callable, Collection, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from io import BytesIO
@@ -22,6 +22,7 @@ from mcap.records import Channel
 from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile import facts, layout, migrations, records
+from igtl_gateway.sessionfile.bulk import ChunkReader, MessageBlock, Unfit, blocks_of_entries
 from igtl_gateway.sessionfile.channels import (
     SEQUENCES,
     ChannelSummary,
@@ -45,6 +46,8 @@ _ALL_KINDS = frozenset(Kind)
 #: What stands for inputs that are not wanted.
 _UNWANTED = {kind: Entry(0, 0, kind) for kind in Kind if kind.is_input}
 _UNREAD = _UNWANTED[Kind.EDGE_NOTE]
+#: After all times: of :meth:`SessionFile.blocks`.
+_END_NS = (1 << 63) - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +89,7 @@ class SessionFile:
         self.format_version, self.session = migrations.read_session(path, session)
         self.ledger = None if ledger is None else facts.ledger(ledger.get(layout.LEDGER_KEY, ""), str(path))
         self.foreign = session is None and not any(map(is_marked, index.channels.values()))
+        self._chunks = ChunkReader(stream, index, str(path))
         self._decoders: dict[int, Decode] = {}
         self._streams: dict[int, tuple[Kind, str, str]] = {}  # kind, channel and type of a channel's entries
         self._known = frozenset(index.channels)
@@ -171,6 +175,58 @@ class SessionFile:
         if self.foreign or self.format_version != layout.FORMAT_VERSION:
             return (entry for entry in self.entries() if entry.stamp_ns >= start_ns)
         return self._numbered(self._rows(start_ns), seq)
+
+    def blocks(self, channel: ChannelSummary, start_ns: int = 0, end_ns: int = _END_NS) -> Iterator[MessageBlock]:
+        """The messages of one of ``channels`` in blocks of arrays, from ``start_ns`` on and before ``end_ns`` (UTC).
+
+        Only chunks with these messages are read, if the file has an index.  Raises as `entries`.
+        """
+        is_wire = channel.kind in layout.WIRE_TOPICS
+        whole = start_ns <= self.start_ns and end_ns > self.end_ns
+        numbers = self._numbers_of(channel)
+        if self.format_version == layout.FORMAT_VERSION and channel.kind not in layout.NOTE_KINDS:
+            try:
+                with self._damage_in(f"entries of {channel.stream or channel.topic}"):
+                    blocks = self._chunks.blocks(numbers, start_ns, end_ns, whole=whole, is_wire=is_wire)
+                    yield from (
+                        replace(block, numbers=0 * block.numbers) if self.foreign else block for block in blocks
+                    )
+                return
+            except Unfit:
+                pass
+        named = {each.stream for each in self.channels if each.kind is channel.kind}
+        yield from blocks_of_entries(
+            entry
+            for entry in self.entries_since(start_ns)
+            if entry.kind is channel.kind
+            and entry.stamp_ns < end_ns
+            and (entry.channel == channel.stream or (not channel.stream and entry.channel not in named))
+            and (is_wire or entry.type == channel.type)
+        )
+
+    def span(self, channel: ChannelSummary) -> tuple[int, int]:
+        """Times of the first and the last message of one of ``channels``, UTC ns; (0, 0) without any.
+
+        Raises as `entries`.
+        """
+        if not channel.count:
+            return 0, 0
+        try:
+            with self._damage_in(f"index of {channel.stream or channel.topic}"):
+                return self._chunks.span(self._numbers_of(channel))
+        except Unfit:
+            first = last = 0
+            for block in self.blocks(channel):
+                first, last = first or int(block.times[0]), int(block.times[-1])
+            return first, last
+
+    def _numbers_of(self, channel: ChannelSummary) -> list[int]:
+        """The MCAP channels of one of ``channels``: those of rosbag2 may have several of a topic."""
+        stream = channel.kind, channel.stream, channel.entry_type
+        topics = self._index.channels
+        return [
+            number for number, each in self._streams.items() if each == stream and topics[number].topic == channel.topic
+        ]
 
     def prologue(self) -> list[Entry]:
         """Inputs before the first entry, which the gateway's state follows from; for files that begin midway.
@@ -405,6 +461,35 @@ class SessionParts(SessionFile):
     def entries_since(self, start_ns: int, seq: int = 0) -> Iterator[Entry]:
         """As SessionFile.entries_since; parts that end before are not opened."""
         return self._of_parts(lambda part: part.entries_since(start_ns, seq), start_ns)
+
+    def blocks(self, channel: ChannelSummary, start_ns: int = 0, end_ns: int = _END_NS) -> Iterator[MessageBlock]:
+        """As SessionFile.blocks; parts outside of the times are not opened."""
+        for each in self.parts:
+            if each.entries and each.end_ns >= start_ns and each.start_ns < end_ns:
+                with SessionFile.open(each.path) as part:
+                    yield from part.blocks(channel, start_ns, end_ns)
+
+    def span(self, channel: ChannelSummary) -> tuple[int, int]:
+        """As SessionFile.span; the parts between the first and the last one with the stream are not opened."""
+        first, last = self._span(channel, self.parts), self._span(channel, self.parts[::-1])
+        return first[0], last[1]
+
+    @staticmethod
+    def _span(channel: ChannelSummary, parts: Sequence[PartSummary]) -> tuple[int, int]:
+        """The times in the first of these parts that has the stream."""
+        for each in parts:
+            with SessionFile.open(each.path) as part:
+                span = next(
+                    (
+                        part.span(own)
+                        for own in part.channels
+                        if own.count and replace(own, count=0, qos=None) == replace(channel, count=0, qos=None)
+                    ),
+                    (0, 0),
+                )
+            if span[0]:
+                return span
+        return 0, 0
 
     def _of_parts(self, entries: Callable[[SessionFile], Iterator[Entry]], start_ns: int = 0) -> Iterator[Entry]:
         seq = 0

@@ -1,0 +1,268 @@
+"""The messages of one stream in blocks of arrays: places and times instead of an object for each message.
+
+The message index of a chunk has the place of each message of a channel, so a chunk without the stream is not read, and
+numpy finds the times and payloads of the others.  A chunk is under a checksum and its index is not: channel, time and
+end of each message are compared with the index, and the number of messages with the summary.
+
+A file without usable index, or whose chunks overlap in time, is read entry by entry; the blocks are the same.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Collection, Iterable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import IO, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.session.entry import Entry
+from igtl_gateway.sessionfile.chunks import packed_chunk
+from igtl_gateway.sessionfile.contents import ChunkEntry, Index, check_work, work_of
+from igtl_gateway.sessionfile.records import HEAD, MESSAGE, MESSAGE_INDEX, MESSAGE_INDEX_HEAD, MESSAGE_RECORD, Malformed
+
+Numbers = npt.NDArray[np.int64]
+Bytes = npt.NDArray[np.uint8]
+
+#: Unpacked chunks that are kept, as several streams have messages in the same chunk.
+_KEPT_BYTES = 64 << 20
+#: Entries of one block where a file is read entry by entry.
+_BATCH, _BATCH_BYTES = 10_000, 8 << 20
+
+_RECORD = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log_ns", "<u8"),
+        ("publish_ns", "<u8"),
+    ]
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MessageBlock:
+    """Messages of one stream in order; each array has one element per message.
+
+    Attributes:
+        data: bytes, uint8, with all payloads.
+        begins, ends: places of the payloads in ``data``.  Of OpenIGTLink the whole message, of ROS the CDR message.
+        numbers: entry numbers; 0 in files of other programs.
+        times: gateway time, UTC ns.
+        source_times: the sender's stamp, UTC ns; 0 = unset.
+    """
+
+    data: Bytes
+    begins: Numbers
+    ends: Numbers
+    numbers: Numbers
+    times: Numbers
+    source_times: Numbers
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def payload(self, index: int) -> memoryview:
+        """Payload of one message, not copied."""
+        return self.data.data[int(self.begins[index]) : int(self.ends[index])]
+
+    def where(self, rows: npt.NDArray[Any] | slice) -> MessageBlock:
+        """The messages of a mask, of indices or of a slice."""
+        arrays = (self.begins, self.ends, self.numbers, self.times, self.source_times)
+        return MessageBlock(self.data, *(array[rows] for array in arrays))
+
+
+class Unfit(Exception):
+    """The file must be read entry by entry."""
+
+
+class ChunkReader:
+    """Reads chunks by the index of a file and keeps the last ones unpacked."""
+
+    def __init__(self, stream: IO[bytes], index: Index, path: str) -> None:
+        self._stream, self._index, self._path = stream, index, path
+        self._kept: OrderedDict[int, bytes] = OrderedDict()
+        self._size = 0
+        chunks = index.chunks
+        self._fit = (
+            not index.scanned
+            and all(not chunk.loose for chunk in chunks)
+            and all(one.end_ns <= two.start_ns for one, two in pairwise(chunks))
+        )
+
+    def blocks(
+        self, channels: Collection[int], start_ns: int, end_ns: int, *, whole: bool, is_wire: bool
+    ) -> Iterator[MessageBlock]:
+        """The messages of some MCAP channels from ``start_ns`` on and before ``end_ns`` (UTC).
+
+        Args:
+            whole: the times include all messages, so their number must be that of the summary.
+            is_wire: messages are RawMessages, and the payload is the OpenIGTLink message in it.
+
+        Raises Unfit before the first block, or Malformed, LimitExceeded.
+        """
+        if not self._fit:
+            raise Unfit
+        wanted = set(channels)
+        chunks = [
+            chunk
+            for chunk in self._index.chunks
+            if chunk.end_ns >= start_ns and chunk.start_ns < end_ns and not wanted.isdisjoint(chunk.channels)
+        ]
+        if any(not chunk.places and chunk.size for chunk in self._index.chunks):
+            raise Unfit
+        check_work(self._index.size, work_of(chunks), self._path)
+        count = 0
+        for chunk in chunks:
+            places = np.concatenate([self.places(chunk, number)[1] for number in sorted(wanted & set(chunk.channels))])
+            block = self._block(chunk, places, wanted)
+            count += len(block)
+            inside = (block.times >= start_ns) & (block.times < end_ns)
+            if not inside.all():
+                block = block.where(inside)
+            if is_wire:
+                block = _unwrapped(block)
+            if len(block):
+                yield block
+        expected = sum(self._index.counts.get(number, 0) for number in wanted)
+        if whole and count != expected:
+            raise Malformed(f"found {count} messages by the indexes of the chunks, expected {expected}")
+
+    def span(self, channels: Collection[int]) -> tuple[int, int]:
+        """Times of the first and the last message of some MCAP channels; reads no message.  Raises as `blocks`."""
+        wanted = set(channels)
+        if not self._fit:
+            raise Unfit
+        chunks = [chunk for chunk in self._index.chunks if not wanted.isdisjoint(chunk.channels)]
+        if not chunks:
+            raise Unfit
+        first, last = (
+            np.concatenate([self.places(chunk, number)[0] for number in wanted & set(chunk.channels)])
+            for chunk in (chunks[0], chunks[-1])
+        )
+        if not len(first) or not len(last):
+            raise Unfit
+        return int(first.min()), int(last.max())
+
+    def places(self, chunk: ChunkEntry, channel: int) -> tuple[Numbers, Numbers]:
+        """Times and offsets of the messages of a channel, by the message index of a chunk.  Raises Malformed."""
+        at = chunk.message_indexes[channel]
+        self._stream.seek(at)
+        size = HEAD.size + MESSAGE_INDEX_HEAD.size
+        head = self._stream.read(size)
+        end = chunk.at + chunk.length + chunk.index_length
+        if len(head) == size:
+            opcode, length = HEAD.unpack_from(head)
+            number, pairs_size = MESSAGE_INDEX_HEAD.unpack_from(head, HEAD.size)
+            inside = chunk.at + chunk.length <= at and at + size + pairs_size <= end
+            if opcode == MESSAGE_INDEX and number == channel and inside and length >= pairs_size + 6:
+                pairs = np.frombuffer(self._stream.read(pairs_size), "<u8")
+                if len(pairs) * 8 == pairs_size and not len(pairs) % 2:
+                    table = pairs.reshape(-1, 2).astype(np.int64)
+                    return table[:, 0], table[:, 1]
+        raise Malformed(f"found no index of channel {channel} at offset {at:,}")
+
+    def _unpacked(self, chunk: ChunkEntry) -> bytes:
+        data = self._kept.get(chunk.at)
+        if data is not None:
+            self._kept.move_to_end(chunk.at)
+            return data
+        data = packed_chunk(self._stream, chunk, self._path).unpack()
+        self._kept[chunk.at] = data
+        self._size += len(data)
+        while self._size > _KEPT_BYTES and len(self._kept) > 1:
+            self._size -= len(self._kept.popitem(last=False)[1])
+        return data
+
+    def _block(self, chunk: ChunkEntry, places: Numbers, wanted: set[int]) -> MessageBlock:
+        """The messages at some places in a chunk, in order of time."""
+        data = np.frombuffer(self._unpacked(chunk), np.uint8)
+        places = np.sort(places)
+        head = MESSAGE_RECORD.size
+        if len(places) and (places[0] < 0 or places[-1] + head > len(data) or (places[1:] == places[:-1]).any()):
+            raise Malformed(f"chunk at offset {chunk.at:,}: found a message outside of it")
+        records = gathered(data, places, head).view(_RECORD).reshape(-1)
+        ends = places + HEAD.size + records["length"].astype(np.int64)
+        times = records["log_ns"].astype(np.int64)
+        right = (records["opcode"] == MESSAGE) & np.isin(records["channel"], list(wanted)) & (ends <= len(data))
+        if not (right & (ends >= places + head)).all():
+            raise Malformed(f"chunk at offset {chunk.at:,}: found another record, expected a message of the index")
+        publish = records["publish_ns"].astype(np.int64)
+        # in MCAP, publish_time = log_time means "not set"
+        source = np.where(publish == times, 0, publish)
+        numbers = records["sequence"].astype(np.int64)
+        block = MessageBlock(data, places + head, ends, numbers, times, source)
+        if (times[1:] < times[:-1]).any():
+            block = block.where(np.argsort(times, kind="stable"))
+        return block
+
+
+def gathered(data: Bytes, begins: Numbers, size: int) -> Bytes:
+    """(n, size) bytes from each of n places in ``data``; the caller has checked that they are inside."""
+    if not len(begins):
+        return np.zeros((0, size), np.uint8)
+    windows = np.lib.stride_tricks.sliding_window_view(data, size)
+    return np.ascontiguousarray(windows[begins])
+
+
+def numbers_at(data: Bytes, places: Numbers, dtype: str) -> npt.NDArray[Any]:
+    """One number from each of n places; places outside of ``data`` raise Malformed."""
+    kind = np.dtype(dtype)
+    if len(places) and (int(places.min()) < 0 or int(places.max()) + kind.itemsize > len(data)):
+        raise Malformed("found the end of a message, expected a number")
+    return gathered(data, places, kind.itemsize).view(kind).reshape(-1)
+
+
+_RAW_LINKS_AT = 32
+_RAW_SOURCE_AT = 12
+
+
+def _unwrapped(block: MessageBlock) -> MessageBlock:
+    """RawMessages → the OpenIGTLink messages in them.  Raises Malformed."""
+    data, begins, ends = block.data, block.begins, block.ends
+    if not len(block):
+        return block
+    if (ends - begins < _RAW_LINKS_AT + 16).any() or (numbers_at(data, begins, ">u2") != 1).any():
+        raise Malformed("found no RawMessage in CDR, little-endian")
+    at = begins + _RAW_LINKS_AT
+    at = at + 4 + 4 * numbers_at(data, at, "<u4").astype(np.int64)
+    for _ in range(2):  # type and device name
+        size = numbers_at(data, np.minimum(at, ends - 4), "<u4").astype(np.int64)
+        at = at + 4 + size
+        at = at + -(at - begins) % 4
+    size = numbers_at(data, np.minimum(at, ends - 4), "<u4").astype(np.int64)
+    at = at + 4
+    if (at + size != ends).any():
+        raise Malformed("found a RawMessage of another size than its fields")
+    stamped = numbers_at(data, begins + _RAW_SOURCE_AT, "<u8") != 0
+    # a stamp of the sender that equals the gateway time: the message itself has it
+    source = np.where((block.source_times == 0) & stamped, block.times, block.source_times)
+    return MessageBlock(data, at, ends, block.numbers, block.times, source)
+
+
+def blocks_of_entries(entries: Iterable[Entry]) -> Iterator[MessageBlock]:
+    """Blocks of entries, which have to be of one stream."""
+    batch: list[Entry] = []
+    size = 0
+    for entry in entries:
+        batch.append(entry)
+        size += entry.size
+        if len(batch) >= _BATCH or size >= _BATCH_BYTES:
+            yield block_of(batch)
+            batch, size = [], 0
+    if batch:
+        yield block_of(batch)
+
+
+def block_of(entries: Collection[Entry]) -> MessageBlock:
+    """One block of entries: their payloads in one piece."""
+    payloads = [entry.data() for entry in entries]
+    ends = np.cumsum([len(payload) for payload in payloads], dtype=np.int64)
+    begins = np.concatenate((np.zeros(1, np.int64), ends[:-1])) if payloads else ends
+    numbers, times, source = (
+        np.array([getattr(entry, name) for entry in entries], np.int64) for name in ("seq", "stamp_ns", "source_ns")
+    )
+    return MessageBlock(np.frombuffer(b"".join(payloads), np.uint8), begins, ends, numbers, times, source)
