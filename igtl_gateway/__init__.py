@@ -11,17 +11,24 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from igtl_gateway.api import aio
     from igtl_gateway.api.peer import Peer, Server, connect, serve
+    from igtl_gateway.api.poses import Poses
+    from igtl_gateway.api.recording import Recording, open
+    from igtl_gateway.api.stream import Stream
 
 __version__ = "0.1.0"
 
-__all__ = ["Peer", "Server", "__version__", "aio", "connect", "serve"]
+__all__ = ["Peer", "Poses", "Recording", "Server", "Stream", "__version__", "aio", "connect", "open", "serve"]
 
 #: Public name → its module in ``igtl_gateway.api``; a name that is its module is that module.
 _HOMES: dict[str, str] = {
     "Peer": "peer",
+    "Poses": "poses",
+    "Recording": "recording",
     "Server": "peer",
+    "Stream": "stream",
     "aio": "aio",
     "connect": "peer",
+    "open": "recording",
     "serve": "peer",
 }
 

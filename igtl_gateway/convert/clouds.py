@@ -91,7 +91,7 @@ def point_to_igtl(message: PointStamped, to: ToIgtlContext) -> ConvertedMessage:
 @ieee_754
 def cloud_to_points(message: PointCloud2, to: ToIgtlContext) -> ConvertedMessage:
     """Convert to POINT (136 bytes per point), with colour and diameter if the cloud has these fields."""
-    columns = _Columns.of(message)
+    columns = CloudColumns.of(message)
     positions, kept = _finite_positions(columns, to)
     colours = _colours(columns)
     diameters: Array | float = 0.0
@@ -109,7 +109,7 @@ def cloud_to_polydata(message: PointCloud2, to: ToIgtlContext) -> ConvertedMessa
     One vertex cell lists all points: without cells, viewers that use VTK draw nothing; with one cell per point, the
     C++ bridge crashed at 200,000 points.
     """
-    columns = _Columns.of(message)
+    columns = CloudColumns.of(message)
     positions, kept = _finite_positions(columns, to)
     count = len(positions)
     attributes = []
@@ -228,7 +228,7 @@ def _layout(items: tuple[PointField, ...], is_bigendian: bool, point_step: int) 
 
 
 @dataclass(frozen=True, slots=True)
-class _Columns:
+class CloudColumns:
     """The fields of a cloud as views on its data, each an array (n,) or (n, count)."""
 
     fields: dict[str, _Field]
@@ -237,7 +237,7 @@ class _Columns:
     step: int
 
     @classmethod
-    def of(cls, message: PointCloud2) -> _Columns:
+    def of(cls, message: PointCloud2) -> CloudColumns:
         """Return the columns of a cloud.  Raises ConversionError if the data do not match their description."""
         size = memoryview(message.data).nbytes
         step = message.point_step
@@ -288,7 +288,7 @@ class _Columns:
 _NOTHING = _Field(np.dtype("<f4"), 0, 1)
 
 
-def _finite_positions(columns: _Columns, to: ToIgtlContext) -> tuple[Array, Any]:
+def _finite_positions(columns: CloudColumns, to: ToIgtlContext) -> tuple[Array, Any]:
     """Return the (m, 3) wire positions of the points with finite coordinates, and the index that selects them."""
     positions = np.empty((columns.points, 3), ">f4")
     sources = columns.positions
@@ -300,7 +300,7 @@ def _finite_positions(columns: _Columns, to: ToIgtlContext) -> tuple[Array, Any]
     return positions[kept], kept
 
 
-def _colours(columns: _Columns) -> Array | None:
+def _colours(columns: CloudColumns) -> Array | None:
     """Return (n, 4) uint8 RGBA of a packed ``rgb`` or ``rgba`` field, or None."""
     for name in reversed(_COLOURS):
         if columns.is_packed(name):

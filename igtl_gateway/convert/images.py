@@ -72,7 +72,7 @@ def image_to_ros(content: Image, to: ToRosContext) -> RosImage:
 
 def image_to_igtl(message: RosImage, _: ToIgtlContext) -> ConvertedMessage:
     """Convert to a 2-D IMAGE of 1 mm spacing, centred at the origin.  Raises ConversionError for unknown encodings."""
-    scalar, components, blue_first = _layout(message.encoding)
+    scalar, components, blue_first = pixel_layout(message.encoding)
     dtype = np.dtype((">" if message.is_bigendian else "<") + SCALARS[scalar])
     width, height = message.width, message.height
     row = width * components * dtype.itemsize
@@ -94,7 +94,8 @@ def image_to_igtl(message: RosImage, _: ToIgtlContext) -> ConvertedMessage:
     return ConvertedMessage(image, message.header.stamp_ns, message.header.frame_id)
 
 
-def _layout(encoding: str) -> tuple[int, int, bool]:
+def pixel_layout(encoding: str) -> tuple[int, int, bool]:
+    """Return scalar type, components and whether blue is the first one.  Raises ConversionError."""
     if known := _ENCODINGS.get(encoding):
         return known
     if match := _OPENCV_NAME.fullmatch(encoding):

@@ -163,7 +163,7 @@ class _Walk:
 
 
 def ragged(data: Bytes, begins: Numbers, sizes: Numbers, ends: Numbers) -> tuple[Bytes, Numbers]:
-    """Pieces of different sizes in one array, and its (n + 1,) offsets.  Raises NotColumns for a piece past ``ends``."""
+    """Pieces of different sizes in one array, and its (n + 1,) offsets.  Raises NotColumns for one past ``ends``."""
     if (begins + sizes > ends).any():
         raise NotColumns
     offsets = np.zeros(len(sizes) + 1, np.int64)

@@ -17,7 +17,7 @@ from igtl_gateway.convert.poses import ROUNDING, pose_of_matrix, rotation_matrix
 from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.errors import ConversionError, WireError
 from igtl_gateway.exchange.cdr_columns import Column
-from igtl_gateway.sessionfile.bulk import Bytes, MessageBlock, gathered, numbers_at
+from igtl_gateway.sessionfile.bulk import Bytes, MessageBlock, gathered
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.header import BODY_SIZE_AT, CRC_AT, HEADER_SIZE, crc64
 from igtl_gateway.wire.transform import Position, Transform
@@ -28,6 +28,14 @@ Array = npt.NDArray[Any]
 POSE_TYPES = ("TRANSFORM", "POSITION", "QTRANS")
 #: Bytes of the content of TRANSFORM and POSITION, in version 1.
 _MATRIX_BYTES, _POSITION_BYTES = 48, 28
+_HEAD = np.dtype(
+    {
+        "names": ["version", "body_size", "crc"],
+        "formats": [">u2", ">u8", ">u8"],
+        "offsets": [0, BODY_SIZE_AT, CRC_AT],
+        "itemsize": HEADER_SIZE,
+    }
+)
 #: Bodies of this size and above have their CRC computed one by one.
 _MAX_TABLE = 256
 
@@ -53,13 +61,13 @@ def pose_rows(block: MessageBlock, igtl_type: str) -> PoseRows:
     """The poses of messages of one of POSE_TYPES."""
     is_matrix = igtl_type == "TRANSFORM"
     size = _MATRIX_BYTES if is_matrix else _POSITION_BYTES
-    plain = _plain(block, size)
+    plain, bodies = _plain(block, size)
     matrices = np.zeros((len(block), 4, 4))
     matrices[:, 3, 3] = 1.0
     quaternions = np.zeros((len(block), 4))
     forms = ["all"] * len(block)
     good = plain.copy()
-    numbers = gathered(block.data, block.begins[plain] + HEADER_SIZE, size).view(">f4").astype(np.float64)
+    numbers = np.ascontiguousarray(bodies).view(">f4").astype(np.float64)
     if is_matrix:
         matrices[plain, :3, :] = numbers.reshape(-1, 4, 3).transpose(0, 2, 1)
     else:
@@ -72,7 +80,11 @@ def pose_rows(block: MessageBlock, igtl_type: str) -> PoseRows:
         if is_matrix and isinstance(content, Transform):
             matrices[index] = content.rows
         elif not is_matrix and isinstance(content, Position):
-            matrices[index, :3, 3], quaternions[index], forms[index] = content.position, content.quaternion, content.form
+            matrices[index, :3, 3], quaternions[index], forms[index] = (
+                content.position,
+                content.quaternion,
+                content.form,
+            )
         else:
             continue
         good[index] = True
@@ -95,18 +107,16 @@ def rotations(quaternions: Array) -> Array:
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
-def _plain(block: MessageBlock, size: int) -> npt.NDArray[np.bool_]:
-    """Which messages are of version 1, with a body of ``size`` bytes and the right CRC."""
-    data, begins = block.data, block.begins
+def _plain(block: MessageBlock, size: int) -> tuple[npt.NDArray[np.bool_], Bytes]:
+    """Which messages are of version 1, with a body of ``size`` bytes and the right CRC; and these bodies."""
     found = np.zeros(len(block), np.bool_)
-    fitting = np.flatnonzero(block.ends - begins == HEADER_SIZE + size)
-    if not len(fitting):
-        return found
-    begins = begins[fitting]
-    right = (numbers_at(data, begins, ">u2") == 1) & (numbers_at(data, begins + BODY_SIZE_AT, ">u8") == size)
-    bodies = gathered(data, begins + HEADER_SIZE, size)
-    found[fitting] = right & (numbers_at(data, begins + CRC_AT, ">u8") == crcs(bodies))
-    return found
+    fitting = np.flatnonzero(block.ends - block.begins == HEADER_SIZE + size)
+    messages = gathered(block.data, block.begins[fitting], HEADER_SIZE + size)
+    heads = messages[:, :HEADER_SIZE].copy().view(_HEAD).reshape(-1)
+    bodies = messages[:, HEADER_SIZE:]
+    right = (heads["version"] == 1) & (heads["body_size"] == size) & (heads["crc"] == crcs(bodies))
+    found[fitting] = right
+    return found, bodies[right]
 
 
 def crcs(bodies: Bytes) -> npt.NDArray[np.uint64]:
@@ -120,8 +130,9 @@ def crcs(bodies: Bytes) -> npt.NDArray[np.uint64]:
         return np.array([crc64(row.tobytes()) for row in bodies], np.uint64)
     table = _crc_table(size)
     found = np.zeros(len(bodies), np.uint64)
+    columns = np.ascontiguousarray(bodies.T)  # each is read in one piece
     for place in range(size):
-        found ^= table[place][bodies[:, place]]
+        found ^= table[place][columns[place]]
     return found
 
 

@@ -1,0 +1,128 @@
+"""Poses as arrays: matrices with their times, unit and frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.convert.units import UNITS
+from igtl_gateway.errors import ConfigError
+from igtl_gateway.exchange.igtl_columns import quaternions_of, rotations
+
+Array = npt.NDArray[Any]
+Times = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Poses:
+    """Poses of one frame in another one.
+
+    Attributes:
+        matrices: (N, 4, 4) float64; each maps coordinates in ``child`` to coordinates in ``parent``.
+        unit: unit of the translation: ``"mm"`` or ``"m"``.
+        times: (N,) int64, gateway time in UTC nanoseconds.
+        source_times: (N,) int64, the sender's stamp; 0 = unset.
+        stamps: (N,) int64, the stamp in the message: ``header.stamp`` of ROS, the header of OpenIGTLink; 0 = unset.
+        parent: name of the reference frame; ``""`` if the messages have none or several.
+        child: name of the frame that moves; ``""`` likewise.
+        left_out: number of damaged messages without a pose.
+    """
+
+    matrices: Array
+    unit: str
+    times: Times
+    source_times: Times
+    stamps: Times
+    parent: str = ""
+    child: str = ""
+    left_out: int = 0
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def __getitem__(self, rows: slice | npt.NDArray[Any]) -> Poses:
+        """The poses of a slice, of a mask or of indices."""
+        arrays = ("matrices", "times", "source_times", "stamps")
+        return replace(self, **{name: getattr(self, name)[rows] for name in arrays})
+
+    @property
+    def positions(self) -> Array:
+        """(N, 3) float64: the origin of ``child`` in ``parent``, in ``unit``."""
+        return self.matrices[:, :3, 3]
+
+    @property
+    def quaternions(self) -> Array:
+        """(N, 4) float64: x, y, z, w with w ≥ 0; NaN where the matrix is not a rotation."""
+        return quaternions_of(self.matrices)[0]
+
+    def in_unit(self, unit: str) -> Poses:
+        """Return the poses in another unit of length.
+
+        Args:
+            unit: ``"m"``, ``"dm"``, ``"cm"``, ``"mm"`` or ``"um"``.
+
+        Raises:
+            ConfigError: the unit is unknown.
+        """
+        times, by = ratio(self.unit, unit)
+        if times == by:
+            return self
+        matrices = self.matrices.copy()
+        matrices[:, :3, 3] *= times
+        matrices[:, :3, 3] /= by
+        return replace(self, matrices=matrices, unit=unit)
+
+    def inverse(self) -> Poses:
+        """Return the poses of ``parent`` in ``child``.  The matrices must be rotations."""
+        return replace(self, matrices=inverse(self.matrices), parent=self.child, child=self.parent)
+
+
+def ratio(unit: str, wanted: str) -> tuple[int, int]:
+    """Return numerator and denominator that convert lengths.  Raises ConfigError for an unknown unit."""
+    for name in (unit, wanted):
+        if name not in UNITS:
+            raise ConfigError(f"unit: found {name!r}, expected one of {', '.join(UNITS)}")
+    found, expected = UNITS[unit], UNITS[wanted]
+    return (found // expected, 1) if found >= expected else (1, expected // found)
+
+
+def inverse(matrices: Array) -> Array:
+    """Return the inverse of rigid transforms (…, 4, 4)."""
+    found = np.zeros_like(matrices)
+    rotation = np.swapaxes(matrices[..., :3, :3], -1, -2)
+    found[..., :3, :3] = rotation
+    found[..., :3, 3] = -np.einsum("...ij,...j->...i", rotation, matrices[..., :3, 3])
+    found[..., 3, 3] = 1.0
+    return found
+
+
+def matrices_of(positions: Array, quaternions: Array) -> Array:
+    """Return (N, 4, 4) matrices of positions (N, 3) and quaternions (N, 4) x, y, z, w."""
+    matrices = np.zeros((len(positions), 4, 4))
+    matrices[:, :3, :3] = rotations(quaternions)
+    matrices[:, :3, 3] = positions
+    matrices[:, 3, 3] = 1.0
+    return matrices
+
+
+def between_poses(one: Array, two: Array, share: Array) -> Array:
+    """Return poses between (N, 4, 4) matrices, at ``share`` (N,) of the way: positions linearly, rotations by slerp."""
+    a, b = quaternions_of(one)[0], quaternions_of(two)[0]
+    cosine = np.sum(a * b, axis=1)
+    b = np.where((cosine < 0)[:, None], -b, b)  # of the two quaternions of a rotation, the nearer one
+    # half of the chord gives small angles exactly, which arccos does not
+    angle = 2 * np.arcsin(np.clip(np.linalg.norm(a - b, axis=1) / 2, 0, 1))
+    with np.errstate(all="ignore"):
+        sine = np.sin(angle)
+        tiny = sine < 1e-12
+        first = np.where(tiny, 1 - share, np.sin((1 - share) * angle) / sine)
+        second = np.where(tiny, share, np.sin(share * angle) / sine)
+    positions = one[:, :3, 3] + share[:, None] * (two[:, :3, 3] - one[:, :3, 3])
+    found = matrices_of(positions, first[:, None] * a + second[:, None] * b)
+    # a sample itself stays as it is, to the last bit
+    found[share == 0.0] = one[share == 0.0]
+    found[share == 1.0] = two[share == 1.0]
+    return found

@@ -1,0 +1,296 @@
+"""A recording as an object: its streams, notes, ledger, configuration and frames."""
+
+from __future__ import annotations
+
+import difflib
+import io
+import tempfile
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+from typing import IO, Any
+
+from igtl_gateway.api.moments import Moment
+from igtl_gateway.api.source import Source
+from igtl_gateway.api.stream import Stream, narrowed
+from igtl_gateway.api.transforms import TransformTree
+from igtl_gateway.config import Config
+from igtl_gateway.errors import BeingRecorded, ConfigError, DamagedRecording, GatewayError
+from igtl_gateway.session.entry import Kind
+from igtl_gateway.session.note import Note
+from igtl_gateway.sessionfile.copying import CopyWriter
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.remote import RemoteFile, is_url
+from igtl_gateway.sessionfile.salvage import Salvage
+from igtl_gateway.untrusted import limits as file_limits
+from igtl_gateway.untrusted.limits import FileLimits
+
+_MESSAGES = (Kind.IGTL_IN, Kind.IGTL_OUT, Kind.ROS_IN, Kind.ROS_OUT)
+_NOTES = frozenset({Kind.NOTE, Kind.EDGE_NOTE, Kind.LINK})
+_ALWAYS = (0, (1 << 63) - 1)
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedNote:
+    """A note of the session.
+
+    Attributes:
+        number: entry number.
+        time: gateway time, UTC ns.
+        kind: ``"note"`` of the gateway, ``"edge_note"`` of an edge, ``"link"`` for a peer that connects or disconnects.
+        level: ``"INFO"``, ``"WARN"`` or ``"ERROR"``.
+        code: stable name for programs, such as ``"bad_crc"``.
+        text: one sentence for people.
+        stream: the stream concerned, or ``""``.
+        links: numbers of the links concerned.
+        data: further facts.
+    """
+
+    number: int
+    time: int
+    kind: str
+    level: str
+    code: str
+    text: str
+    stream: str
+    links: tuple[int, ...]
+    data: dict[str, Any]
+
+
+class Recording(Mapping[str, Stream]):
+    """An open recording; a context manager.  :func:`~igtl_gateway.open` returns it.
+
+    It is a mapping of its streams: ``recording["TRANSFORM/ToolToBase"]``, ``recording["/star/tool"]``.  A stream that
+    exists in both directions has the keys ``"in:NAME"`` and ``"out:NAME"``; these forms are valid for all streams.
+
+    Attributes:
+        path: the file, the folder of parts, or the URL.
+        start_time, end_time: gateway time of the first and the last entry, UTC ns; 0 in an empty recording.
+        entry_count: number of entries: messages, notes and links.
+        warnings: facts about the file: what is missing, which channels cannot be read.
+    """
+
+    def __init__(self, source: Source, path: str, warnings: tuple[str, ...], resources: ExitStack) -> None:
+        file = source.file
+        self.path, self.warnings = path, warnings
+        self.start_time, self.end_time = source.start_ns, source.end_ns
+        self.entry_count = file.entry_count
+        self._source, self._resources = source, resources
+        self._window = _ALWAYS
+
+    def __enter__(self) -> Recording:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the file.  Arrays that were read stay valid."""
+        self._resources.close()
+
+    def __repr__(self) -> str:
+        return f"<Recording {self.path!r}: {self.entry_count:,} entries, {len(self.streams)} streams>"
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first to the last entry."""
+        return (self.end_time - self.start_time) / 1e9
+
+    @cached_property
+    def streams(self) -> Mapping[str, Stream]:
+        """All streams by key, in the order of the file; see :class:`Recording` for the keys."""
+        channels = [channel for channel in self._source.file.channels if channel.kind in _MESSAGES and channel.count]
+        names = Counter(channel.stream or channel.topic for channel in channels)
+        streams: dict[str, Stream] = {}
+        for channel in channels:
+            name = channel.stream or channel.topic
+            key = name if names[name] == 1 else f"{'in' if channel.kind.is_input else 'out'}:{name}"
+            if key in streams:  # one topic with two types
+                key = f"{key} ({channel.entry_type})"
+            streams[key] = Stream(self._source, channel, key, self._window)
+        return streams
+
+    def __getitem__(self, key: str) -> Stream:
+        streams = self.streams
+        if key in streams:
+            return streams[key]
+        side, colon, name = key.partition(":")
+        if colon and side in ("in", "out"):
+            for stream in streams.values():
+                if stream.name == name and stream.direction.endswith(f"_{side}"):
+                    return stream
+        both = [each for each in streams if streams[each].name == key]
+        if both:
+            raise KeyError(f"{self.path}: found stream {key!r} {len(both)} times, expected one of {both}")
+        near = (
+            difflib.get_close_matches(key, streams, 3, 0.5)
+            or [each for each in streams if key.lower() in each.lower()][:3]
+        )
+        expected = f"did you mean {', '.join(map(repr, near))}?" if near else "recording.streams has the names"
+        raise KeyError(f"{self.path}: found no stream {key!r}; {expected}")
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self.streams)
+
+    def __len__(self) -> int:
+        return len(self.streams)
+
+    def between(self, start: Moment | None = None, end: Moment | None = None) -> Recording:
+        """Return the part from ``start`` on and before ``end``, as a view of the same open file.
+
+        Args:
+            start: seconds from the start of the recording (negative: from its end), UTC ns, a datetime, or text.
+            end: likewise; None: to the end.
+
+        Raises:
+            ConfigError: a moment cannot be read.
+
+        Example:
+            >>> with igtl_gateway.open("session.mcap") as recording:
+            ...     poses = recording.between(10.0, 20.0)["TRANSFORM/ToolToBase"].poses()
+        """
+        part = Recording(self._source, self.path, self.warnings, self._resources)
+        part._window = narrowed(self._source, self._window, start, end)
+        return part
+
+    @cached_property
+    def notes(self) -> tuple[RecordedNote, ...]:
+        """The notes of the session, in order: problems, drops, links."""
+        first, last = self._window
+        found = []
+        for entry in self._source.limited(lambda: self._source.file.entries_of(_NOTES)):
+            if entry.seq and entry.kind in _NOTES and first <= entry.stamp_ns < last:
+                note = Note.of(entry.data())
+                found.append(
+                    RecordedNote(
+                        entry.seq,
+                        entry.stamp_ns,
+                        entry.kind.value,
+                        note.level.name,
+                        note.code,
+                        note.text,
+                        note.stream,
+                        entry.links,
+                        note.data,
+                    )
+                )
+        return tuple(found)
+
+    @property
+    def ledger(self) -> Mapping[str, Any] | None:
+        """The fate of every message, as docs/session-log.md describes it; None if the recording has none."""
+        return self._source.file.ledger
+
+    @property
+    def config(self) -> Config | None:
+        """The recorded configuration; None for files of other programs."""
+        return self._source.config
+
+    @property
+    def session(self) -> Mapping[str, str]:
+        """The session metadata: versions, host, scenario; empty for files of other programs."""
+        return self._source.file.session
+
+    @cached_property
+    def tf(self) -> TransformTree:
+        """The frames of the recording; see :class:`TransformTree`."""
+        return TransformTree.of(self._source, self.streams.values())
+
+
+def open(path: str | Path, *, limits: FileLimits | Mapping[str, int] | None = None) -> Recording:
+    """Open a recording.
+
+    Only the summary of the file is read, and later what is used: an MCAP file has an index.
+
+    Args:
+        path: an MCAP file, a folder with the parts of a split recording, or an ``http://`` or ``https://`` URL, which
+            is read by ranges.  MCAP files of other programs, such as rosbag2, have their ROS topics only.
+        limits: bounds for untrusted files, such as ``{"memory": 1 << 30}``, with the names of ``--limit``.
+
+    Returns:
+        The recording.  Close it, or use it in a ``with`` statement.  A file that was cut off by a crash is read as far
+        as it is whole, and ``warnings`` states what is missing.
+
+    Raises:
+        UnsupportedRecording: there is no such file, or it is not MCAP.
+        DamagedRecording: the file is damaged; ``igtl-gateway recover`` repairs it.
+        LimitExceeded: the file needs more than the limits allow.
+        ConfigError: a limit is unknown.
+
+    Example:
+        >>> import igtl_gateway
+        >>> with igtl_gateway.open("fixtures/star.mcap") as recording:
+        ...     poses = recording["TRANSFORM/ToolToBase"].poses()
+        >>> poses.matrices.shape, poses.unit
+        ((1200, 4, 4), 'mm')
+    """
+    bounds = _limits(limits)
+    resources = ExitStack()
+    warnings: list[str] = []
+    try:
+        with file_limits.limits_in_force(bounds):
+            file = _open_file(path, resources, warnings)
+    except BaseException:
+        resources.close()
+        raise
+    warnings += [f"{each.topic} ({each.count:,} messages) is not read: {each.why}" for each in file.skipped]
+    return Recording(Source(file, bounds, file.start_ns, file.end_ns), str(path), tuple(warnings), resources)
+
+
+def _limits(given: FileLimits | Mapping[str, int] | None) -> FileLimits:
+    if given is None:
+        return file_limits.current_limits()
+    if isinstance(given, FileLimits):
+        return given
+    known = {each.name for each in fields(FileLimits)}
+    for name, value in given.items():
+        if name not in known or not isinstance(value, int) or value < 1:
+            raise ConfigError(f"limits: found {name!r}: {value!r}, expected numbers for {', '.join(sorted(known))}")
+    return replace(file_limits.current_limits(), **given)
+
+
+def _open_file(path: str | Path, resources: ExitStack, warnings: list[str]) -> SessionFile:
+    if isinstance(path, str) and is_url(path):
+        # the file is a stream of blocks behind a buffer, so that small reads cost no request
+        stream: IO[bytes] = io.BufferedReader(resources.enter_context(RemoteFile(path)), RemoteFile.BLOCK)
+        try:
+            return SessionFile(Path(path.partition("?")[0]), stream)
+        except GatewayError as error:
+            raise type(error)(str(error).replace(str(Path(path.partition("?")[0])), path)) from None
+    try:
+        return resources.enter_context(SessionFile.open(path))
+    except BeingRecorded:
+        raise
+    except DamagedRecording as error:
+        if "was cut off" not in str(error):
+            raise
+        return _salvaged(Path(path), resources, warnings)
+
+
+def _salvaged(path: Path, resources: ExitStack, warnings: list[str]) -> SessionFile:
+    """Copy what is whole in a file that was cut off to a temporary file, and open that."""
+    folder = Path(resources.enter_context(tempfile.TemporaryDirectory(prefix="igtl-gateway-")))
+    copy = folder / path.name
+    with Salvage.open(path) as damaged:
+        with CopyWriter(
+            copy, damaged.profile, damaged.library, damaged.recorded_session, compression=damaged.compression
+        ) as writer:
+            for metadata in damaged.metadata():
+                writer.add_metadata(metadata)
+            for attachment in damaged.attachments():
+                writer.add_attachment(attachment)
+            for each in damaged.read():
+                writer.write(each.schema, each.channel, each.message)
+            writer.close(damaged.ledger or {})
+        report = damaged.report
+    warnings.append(
+        f"{path}: was cut off after {report.size:,} bytes; {report.messages:,} messages are read, and it has no ledger "
+        "of a finished session"
+    )
+    return resources.enter_context(SessionFile.open(copy))

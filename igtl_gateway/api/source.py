@@ -1,0 +1,100 @@
+"""What the streams of one recording share: the open file, the decoder of ROS types, and the configuration."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, TypeVar
+
+from igtl_gateway.config import Config
+from igtl_gateway.errors import ConfigError, DamagedRecording
+from igtl_gateway.session.entry import Kind
+from igtl_gateway.sessionfile import facts
+from igtl_gateway.sessionfile.channels import ChannelSummary
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.untrusted import definitions
+from igtl_gateway.untrusted.decoding import MessageDecoder
+from igtl_gateway.untrusted.limits import FileLimits, limits_in_force
+
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True)
+class Source:
+    """An open recording.
+
+    Attributes:
+        file: the file, or the folder of parts.
+        limits: bounds for everything that is read from it.
+        start_ns, end_ns: UTC ns of the first and the last entry.
+    """
+
+    file: SessionFile
+    limits: FileLimits
+    start_ns: int
+    end_ns: int
+
+    @cached_property
+    def config(self) -> Config | None:
+        """The recorded configuration; None for files of other programs, and if this version cannot read it."""
+        if self.file.foreign or not self.file.session:
+            return None
+        try:
+            return Config.from_dict(facts.configuration(self.file.session))
+        except (ConfigError, DamagedRecording):
+            return None
+
+    @cached_property
+    def decoder(self) -> MessageDecoder:
+        """Decodes messages of the ROS types that the file defines."""
+        return MessageDecoder(lambda ros_type: self.file.definitions.get(ros_type, ""))
+
+    def limited(self, items: Callable[[], Iterator[Item]]) -> Iterator[Item]:
+        """Yield items that are read with the limits of the recording; between them the caller has its own."""
+        with limits_in_force(self.limits):
+            each = items()
+        while True:
+            with limits_in_force(self.limits):
+                item = next(each, None)
+            if item is None:
+                return
+            yield item
+
+    def decode(self, ros_type: str, data: bytes) -> Any:
+        """Decode a ROS message.  Raises DamagedRecording."""
+        try:
+            with limits_in_force(self.limits):
+                return self.decoder.decode(ros_type, data)
+        except DamagedRecording:
+            raise
+        except Exception as error:  # rosbags raises many types of errors for untrusted bytes
+            raise DamagedRecording(f"{ros_type}: cannot be decoded: {type(error).__name__}: {error}") from None
+
+    @cached_property
+    def _types(self) -> dict[str, Mapping[str, Any]]:
+        return {}
+
+    def types(self, ros_type: str) -> Mapping[str, Any]:
+        """Return the definition of a ROS type with its dependencies.  Raises DamagedRecording."""
+        if ros_type not in self._types:
+            text = self.file.definitions.get(ros_type, "")
+            if not text:
+                raise DamagedRecording(f"{self.file.path}: found no definition of {ros_type}")
+            self._types[ros_type] = definitions.parse_definition(text, ros_type)
+        return self._types[ros_type]
+
+    def unit(self, channel: ChannelSummary) -> str:
+        """Return the unit of lengths in the messages of a stream."""
+        config = self.config or Config()
+        match channel.kind:
+            case Kind.IGTL_IN:
+                type_name, _, device = channel.stream.partition("/")
+                return config.lengths(config.row_to_ros(type_name, device)).igtl
+            case Kind.ROS_IN:
+                row = config.row_to_igtl(channel.topic)
+                return config.lengths(row).ros if row else config.ros_unit
+            case Kind.IGTL_OUT:
+                return config.igtl_unit
+            case _:
+                return config.ros_unit

@@ -1,0 +1,234 @@
+"""One stream of a recording: its times, and its messages as arrays or one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.api.clouds import Clouds
+from igtl_gateway.api.images import Images
+from igtl_gateway.api.moments import Moment, to_ns
+from igtl_gateway.api.poses import Poses
+from igtl_gateway.api.posing import read_poses
+from igtl_gateway.api.source import Source
+from igtl_gateway.session.entry import Kind
+from igtl_gateway.sessionfile.bulk import MessageBlock
+from igtl_gateway.sessionfile.channels import ChannelSummary
+from igtl_gateway.wire import decode
+
+Times = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedMessage:
+    """A decoded message.
+
+    Attributes:
+        number: entry number; 0 in files of other programs.
+        time: gateway time, UTC ns.
+        source_time: the sender's stamp, UTC ns; 0 = unset.
+        type: OpenIGTLink or ROS type.
+        content: of OpenIGTLink a class of ``igtl_gateway.wire``, such as ``Transform``; of ROS an object with the
+            fields of the definition.
+        metadata: of OpenIGTLink messages with header version 2.
+    """
+
+    number: int
+    time: int
+    source_time: int
+    type: str
+    content: Any
+    metadata: dict[str, str] = field(default_factory=dict)
+
+
+class Stream:
+    """One stream of a recording; get it from :class:`~igtl_gateway.Recording`.
+
+    Nothing is read before it is used, and arrays of times are kept.
+
+    Attributes:
+        key: name under which ``recording[key]`` finds it.
+        name: ``TYPE/device name`` of OpenIGTLink, or ROS topic.
+        type: OpenIGTLink or ROS type.
+        direction: ``"igtl_in"`` or ``"ros_in"`` for messages that the gateway received, ``"igtl_out"`` or ``"ros_out"``
+            for messages that it sent.
+        unit: unit of lengths in its messages.
+    """
+
+    def __init__(self, source: Source, channel: ChannelSummary, key: str, window: tuple[int, int]) -> None:
+        self._source, self._channel, self._window = source, channel, window
+        self.key = key
+        self.name = channel.stream or channel.topic
+        self.type = channel.entry_type
+        self.direction = channel.kind.value
+        self.unit = source.unit(channel)
+
+    def __repr__(self) -> str:
+        return f"<Stream {self.key!r}: {self.count:,} × {self.type}, {self.direction}>"
+
+    def __len__(self) -> int:
+        return self.count
+
+    @property
+    def _is_igtl(self) -> bool:
+        return self._channel.kind in (Kind.IGTL_IN, Kind.IGTL_OUT)
+
+    @property
+    def _is_whole(self) -> bool:
+        start_ns, end_ns = self._window
+        return start_ns <= self._source.start_ns and end_ns > self._source.end_ns
+
+    @property
+    def count(self) -> int:
+        """Number of messages; of a whole stream it is known without reading them."""
+        return self._channel.count if self._is_whole else len(self.times)
+
+    @cached_property
+    def _span(self) -> tuple[int, int]:
+        if self._is_whole:
+            return self._source.file.span(self._channel)
+        return (int(self.times[0]), int(self.times[-1])) if len(self.times) else (0, 0)
+
+    @property
+    def first_time(self) -> int:
+        """Gateway time of the first message, UTC ns; 0 without messages."""
+        return self._span[0]
+
+    @property
+    def last_time(self) -> int:
+        """Gateway time of the last message, UTC ns; 0 without messages."""
+        return self._span[1]
+
+    def blocks(self) -> Iterator[MessageBlock]:
+        """Yield the messages in blocks of arrays, undecoded: for programs that decode themselves."""
+        return self._source.limited(lambda: self._source.file.blocks(self._channel, *self._window))
+
+    @cached_property
+    def _heads(self) -> tuple[Times, Times, Times]:
+        blocks = [(block.times, block.source_times, block.numbers) for block in self.blocks()]
+        nothing = np.zeros(0, np.int64)
+        times, sources, numbers = (
+            np.concatenate([nothing, *(block[column] for block in blocks)]) for column in range(3)
+        )
+        for array in (times, sources, numbers):
+            array.flags.writeable = False
+        return times, sources, numbers
+
+    @property
+    def times(self) -> Times:
+        """(N,) int64: gateway time of each message, UTC ns; strictly increasing."""
+        return self._heads[0]
+
+    @property
+    def source_times(self) -> Times:
+        """(N,) int64: the sender's stamp of each message, UTC ns; 0 = unset."""
+        return self._heads[1]
+
+    @property
+    def numbers(self) -> Times:
+        """(N,) int64: entry number of each message; 0 in files of other programs."""
+        return self._heads[2]
+
+    def between(self, start: Moment | None = None, end: Moment | None = None) -> Stream:
+        """Return the part of the stream from ``start`` on and before ``end``.
+
+        Args:
+            start: seconds from the start of the recording (negative: from its end), UTC ns, a datetime, or text.
+            end: likewise; None: to the end.
+
+        Raises:
+            ConfigError: a moment cannot be read.
+
+        Example:
+            >>> last_second = recording["TRANSFORM/ToolToBase"].between(-1.0)
+        """
+        return Stream(self._source, self._channel, self.key, narrowed(self._source, self._window, start, end))
+
+    def messages(self) -> Iterator[RecordedMessage]:
+        """Yield the decoded messages in order.
+
+        Raises:
+            WireError: an OpenIGTLink message is damaged.
+            DamagedRecording: a ROS message is damaged, or the file has no definition of its type.
+        """
+        for block in self.blocks():
+            for index in range(len(block)):
+                yield self._message(block, index)
+
+    def _message(self, block: MessageBlock, index: int) -> RecordedMessage:
+        head = int(block.numbers[index]), int(block.times[index]), int(block.source_times[index])
+        payload = block.payload(index)
+        if self._is_igtl:
+            message = decode(payload)
+            return RecordedMessage(
+                *head, message.type, message.content, {item.key: item.text for item in message.metadata}
+            )
+        return RecordedMessage(*head, self.type, self._source.decode(self.type, bytes(payload)))
+
+    def poses(self, frame: str = "") -> Poses:
+        """Return all messages as poses.
+
+        Types: TRANSFORM, POSITION, QTRANS; of ROS TransformStamped, PoseStamped, Odometry and others with one pose.  Of
+        types with several poses (TDATA, QTDATA, TFMessage), ``frame`` chooses one.
+
+        Args:
+            frame: name of the tool or child frame.
+
+        Returns:
+            The poses in the unit of the messages; ``Poses.in_unit`` converts them.
+
+        Raises:
+            ConfigError: the type has no pose, or ``frame`` is missing or unknown.
+
+        Example:
+            >>> poses = recording["TRANSFORM/ToolToBase"].poses()
+            >>> poses.matrices.shape, poses.unit, poses.parent, poses.child
+            ((1200, 4, 4), 'mm', 'Base', 'Tool')
+        """
+        return read_poses(self._source, self._channel, self.unit, self.blocks(), frame)
+
+    def positions(self, unit: str = "", frame: str = "") -> npt.NDArray[Any]:
+        """Return the positions of the poses, (N, 3) float64.
+
+        Args:
+            unit: ``"mm"``, ``"m"`` …; default: that of the messages.
+            frame: as of :meth:`poses`.
+
+        Raises:
+            ConfigError: as :meth:`poses`, or the unit is unknown.
+        """
+        poses = self.poses(frame)
+        return poses.in_unit(unit or poses.unit).positions
+
+    def images(self) -> Images:
+        """Return the images as a sequence that decodes each image when it is used.
+
+        Types: IMAGE; of ROS ``sensor_msgs/Image`` (without geometry) and ``igtl_msgs/Volume``.
+
+        Raises:
+            ConfigError: the type has no images.
+        """
+        return Images(self._source, self._channel, self.unit, list(self.blocks()))
+
+    def points(self) -> Clouds:
+        """Return the point clouds and point lists as a sequence that decodes each one when it is used.
+
+        Types: POINT, POLYDATA; of ROS PointCloud2, ``igtl_msgs/PointList``, Marker and PointStamped.
+
+        Raises:
+            ConfigError: the type has no points.
+        """
+        return Clouds(self._source, self._channel, self.unit, list(self.blocks()))
+
+
+def narrowed(source: Source, window: tuple[int, int], start: Moment | None, end: Moment | None) -> tuple[int, int]:
+    """Return the part of a window of time from ``start`` on and before ``end``; UTC ns.  Raises ConfigError."""
+    span = source.start_ns, source.end_ns
+    first = window[0] if start is None else max(window[0], to_ns(start, *span, "start"))
+    last = window[1] if end is None else min(window[1], to_ns(end, *span, "end"))
+    return first, last

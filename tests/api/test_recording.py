@@ -1,0 +1,343 @@
+"""``igtl_gateway.open``: every number against ``info`` and a plain reader of MCAP with its own unpacking."""
+
+from __future__ import annotations
+
+import http.server
+import io
+import json
+import struct
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+
+import igtl_gateway
+from igtl_gateway.cli import main
+from igtl_gateway.errors import ConfigError, DamagedRecording, LimitExceeded, UnsupportedRecording
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile import layout
+from igtl_gateway.sessionfile.writer import SessionWriter
+from tests.files import BytesRead
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+STAR = FIXTURES / "star.mcap"
+TOOL = "TRANSFORM/ToolToBase"
+START_NS = 1767225600_000000000
+
+
+def raw_messages(path: Path, topic: str) -> list[tuple[int, int, int, bytes]]:
+    """Sequence, log time, publish time and OpenIGTLink message of a wire topic; RawMessage unpacked by hand."""
+    found = []
+    with path.open("rb") as stream:
+        for _, _, message in make_reader(stream).iter_messages(topics=[topic]):
+            data, at = message.data, 32
+            at += 4 + 4 * struct.unpack_from("<I", data, at)[0]
+            for _ in range(2):
+                at += 4 + struct.unpack_from("<I", data, at)[0]
+                at += -at % 4
+            (size,) = struct.unpack_from("<I", data, at)
+            assert at + 4 + size == len(data)
+            found.append((message.sequence, message.log_time, message.publish_time, data[at + 4 :]))
+    return found
+
+
+@pytest.mark.parametrize("name", ["star", "every-type"])
+def test_streams_are_those_of_info(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    path = FIXTURES / f"{name}.mcap"
+    assert main(["info", "--json", str(path)]) in (0, 1)
+    info = json.loads(capsys.readouterr().out)
+    with igtl_gateway.open(path) as recording:
+        assert recording.entry_count == info["entries"]
+        assert recording.duration == pytest.approx(info["duration_s"])
+        expected = {(row["direction"], row["stream"], row["type"]): row["messages"] for row in info["streams"]}
+        found = {(each.direction, each.name, each.type): each for each in recording.streams.values()}
+        # streams that peers invented share a channel, which has the name of its topic
+        shared = [key for key in found if key[1].startswith("/igtl_gateway/")]
+        assert {key: each.count for key, each in found.items() if key not in shared}.items() <= expected.items()
+        assert sum(each.count for each in found.values()) == sum(expected.values())
+        for each in found.values():
+            assert len(each.times) == len(each.source_times) == len(each.numbers) == each.count
+            assert (each.first_time, each.last_time) == (each.times[0], each.times[-1])
+            assert recording[each.key] is each
+
+
+def test_poses_of_openigtlink_are_those_of_a_plain_reader() -> None:
+    rows = raw_messages(STAR, "/igtl_gateway/wire/out/transform/ToolToBase")
+    with igtl_gateway.open(STAR) as recording:
+        stream = recording[TOOL]
+        poses = stream.poses()
+        assert stream.numbers.tolist() == [row[0] for row in rows]
+        assert poses.times.tolist() == stream.times.tolist() == [row[1] for row in rows]
+        assert poses.stamps.tolist() == poses.source_times.tolist() == [row[2] for row in rows]
+    for matrix, (_, _, _, message) in zip(poses.matrices, rows, strict=True):
+        numbers = struct.unpack(">12f", message[58:])
+        assert matrix[:3].T.reshape(-1).tolist() == list(numbers)
+        assert matrix[3].tolist() == [0, 0, 0, 1]
+    assert (poses.unit, poses.parent, poses.child, poses.left_out) == ("mm", "Base", "Tool", 0)
+
+
+def test_poses_of_ros_are_those_of_a_plain_reader() -> None:
+    with STAR.open("rb") as stream:
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        rows = [(message, ros) for _, _, message, ros in reader.iter_decoded_messages(topics=["/star/tool"])]
+    with igtl_gateway.open(STAR) as recording:
+        poses = recording["/star/tool"].poses()
+        millimetres = recording["/star/tool"].positions("mm")
+    assert (poses.unit, poses.parent, poses.child) == ("m", "lwr_base", "suture_tool")
+    assert poses.times.tolist() == [message.log_time for message, _ in rows]
+    assert poses.stamps.tolist() == [ros.header.stamp.sec * 10**9 + ros.header.stamp.nanosec for _, ros in rows]
+    for row, (_, ros) in enumerate(rows):
+        place, turn = ros.transform.translation, ros.transform.rotation
+        assert poses.positions[row].tolist() == [place.x, place.y, place.z]
+        assert np.allclose(millimetres[row], [1000 * place.x, 1000 * place.y, 1000 * place.z], rtol=1e-15)
+        w, x, y, z = turn.w, turn.x, turn.y, turn.z
+        first = [w * w + x * x - y * y - z * z, 2 * (x * y + w * z), 2 * (x * z - w * y)]
+        assert np.allclose(poses.matrices[row, :3, 0], first, atol=1e-8)
+
+
+def test_images_are_those_of_a_plain_reader() -> None:
+    rows = raw_messages(STAR, "/igtl_gateway/wire/out/image/Camera")
+    with igtl_gateway.open(STAR) as recording:
+        images = recording["IMAGE/Camera"].images()
+        pictures = recording["/star/camera/image"].images()
+        assert len(images) == len(pictures) == len(rows) == 12
+        for image, picture, (_, time, _, message) in zip(images, pictures, rows, strict=True):
+            columns, lines, slices = struct.unpack_from(">3H", message, 58 + 6)
+            pixels = np.frombuffer(message[58 + 72 :], np.uint8).reshape(slices, lines, columns, 3)
+            assert image.time == time
+            assert np.array_equal(image.array, pixels)
+            assert np.array_equal(picture.plane, image.plane)
+            assert (image.unit, image.spacing) == ("mm", (1.0, 1.0, 1.0))
+            assert picture.matrix is None
+            # the wire has the centre of the image
+            assert image.matrix is not None
+            centre = image.matrix @ [(columns - 1) / 2, (lines - 1) / 2, (slices - 1) / 2, 1]
+            assert np.allclose(centre[:3], struct.unpack_from(">12f", message, 58 + 12)[9:])
+        assert [each.time for each in images[2:4]] == [images[2].time, images[-9].time]
+        with pytest.raises(IndexError):
+            images[12]
+
+
+def test_volumes_have_the_same_geometry_on_both_sides() -> None:
+    with igtl_gateway.open(FIXTURES / "lego.mcap") as recording:
+        volumes = [each.images()[0] for each in recording.values() if each.type == "igtl_msgs/msg/Volume"]
+        wires = [each.images()[0] for each in recording.values() if each.type == "IMAGE"]
+    assert volumes
+    for volume in volumes:
+        (wire,) = (each for each in wires if each.array.shape == volume.array.shape)
+        assert np.array_equal(wire.array, volume.array)
+        assert wire.matrix is not None and volume.matrix is not None
+        assert np.allclose(wire.matrix[:3], 1000 * volume.matrix[:3], atol=1e-4)
+
+
+def test_clouds_of_both_sides_are_the_same_points() -> None:
+    with igtl_gateway.open(STAR) as recording:
+        clouds, surfaces = recording["/star/cloud"].points(), recording["POLYDATA/TissueCloud"].points()
+        assert len(clouds) == len(surfaces) == 12
+        for cloud, surface in zip(clouds[:3], surfaces[:3], strict=True):
+            whole = cloud.xyz[np.isfinite(cloud.xyz).all(axis=1)]
+            assert np.allclose(1000 * whole, surface.xyz, atol=1e-3)
+        markers = recording["POINT/NirMarkers"].points()[0]
+        assert np.allclose(markers.xyz, 1000 * recording["/star/nir_markers"].points()[0].xyz, atol=1e-3)
+        plan = recording["in:POINT/PlanPoints"].points()[0]
+        assert plan.names[0] == "entry 1" and plan.fields["rgba"][0].tolist() == [255] * 4
+        assert recording["/igtl/in/PlanPoints/landmarks"].points()[0].names == plan.names
+
+
+def test_messages_are_decoded() -> None:
+    with igtl_gateway.open(STAR) as recording:
+        texts = [message.content.text for message in recording["STRING/StarStatus"].messages()]
+        ros = [message.content.data for message in recording["/star/status"].messages()]
+        assert texts == ros and texts[0].startswith("session: SYNTHETIC")
+
+
+def test_a_wrong_name_has_a_proposal() -> None:
+    with igtl_gateway.open(STAR) as recording:
+        with pytest.raises(KeyError, match="did you mean 'TRANSFORM/ToolToBase'"):
+            recording["TRANSFORM/TolToBase"]
+        with pytest.raises(KeyError, match="'out:POINT/PlanPoints', 'in:POINT/PlanPoints'"):
+            recording["POINT/PlanPoints"]
+        assert recording["in:POINT/PlanPoints"].count == 1
+        assert recording[f"out:{TOOL}"] is recording[TOOL]
+        assert "nothing" not in recording
+        for method in ("poses", "images", "points"):
+            with pytest.raises(ConfigError, match="found type STRING, expected"):
+                getattr(recording["STRING/StarStatus"], method)()
+
+
+def test_a_window_is_chosen_by_seconds_nanoseconds_datetime_and_text() -> None:
+    with igtl_gateway.open(STAR) as recording:
+        times = recording[TOOL].times
+        expected = times[(times >= START_NS + 2 * 10**9) & (times < START_NS + 5 * 10**9)].tolist()
+        for start, end in (
+            (2.0, 5.0),
+            (START_NS + 2 * 10**9, np.int64(START_NS + 5 * 10**9)),
+            (datetime(2026, 1, 1, 0, 0, 2, tzinfo=UTC), datetime(2026, 1, 1, 0, 0, 5)),
+            ("2026-01-01T00:00:02Z", "5"),
+            (np.datetime64("2026-01-01T00:00:02"), np.datetime64("2026-01-01T00:00:05")),
+        ):
+            part = recording.between(start, end)
+            assert part[TOOL].times.tolist() == expected
+            assert recording[TOOL].between(start, end).poses().times.tolist() == expected
+        assert len(recording[TOOL].between(-1.0)) == sum(times >= recording.end_time - 10**9)
+        assert recording[TOOL].between(3.0).between(0.0, 3.0).count == 0
+        with pytest.raises(ConfigError, match="start: found 200000000, expected seconds"):
+            recording.between(200_000_000)
+
+
+def test_notes_ledger_and_configuration_are_there() -> None:
+    with igtl_gateway.open(STAR) as recording:
+        assert recording.notes[0].code == "synthetic"
+        assert [note.code for note in recording.notes if note.kind == "link"] == ["link_up", "link_down"]
+        assert recording.ledger is not None
+        assert recording.ledger["streams"]["ros_in"]["/star/tool"]["received"] == 1200
+        assert recording.config is not None and recording.config.base_frame == "lwr_base"
+        assert recording.between(0.0, 1.0).notes == tuple(n for n in recording.notes if n.time < START_NS + 10**9)
+
+
+def large_file(path: Path, megabytes: int) -> None:
+    """Images of 1 MB each, every 10 ms, with a pose between two of them."""
+    writer = SessionWriter(path, {}, compression="none")
+    pixels = bytes(1 << 20)
+    for number in range(megabytes):
+        time = START_NS + number * 10_000_000
+        writer.write(Entry(2 * number + 1, time, Kind.ROS_IN, "/image", "std_msgs/msg/String", (pixels,)))
+        pose = struct.pack("<4B7d", 0, 1, 0, 0, number, 0, 0, 0, 0, 0, 1)
+        writer.write(Entry(2 * number + 2, time + 1, Kind.ROS_IN, "/pose", "geometry_msgs/msg/Pose", (pose,)))
+    writer.close({})
+
+
+def test_the_end_of_a_large_file_is_read_without_its_beginning(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "large.mcap"
+    large_file(path, 60)
+    read = BytesRead(monkeypatch)
+    with igtl_gateway.open(path) as recording:
+        poses = recording["/pose"].between(-0.045).poses()
+        assert poses.positions[:, 0].tolist() == [55, 56, 57, 58, 59]
+        assert read.count < 8 << 20
+        assert recording["/image"].first_time == START_NS  # by the index
+        assert read.count < 8 << 20
+        assert len(recording["/image"].between(0.1, 0.12)) == 2
+        assert read.count < 12 << 20
+
+
+def test_a_file_that_was_cut_off_is_read_as_far_as_it_is_whole(tmp_path: Path) -> None:
+    cut = tmp_path / "cut.mcap"
+    data = STAR.read_bytes()
+    cut.write_bytes(data[: len(data) * 2 // 3])
+    with igtl_gateway.open(cut) as recording, igtl_gateway.open(STAR) as whole:
+        (warning,) = recording.warnings
+        assert warning.startswith(f"{cut}: was cut off after")
+        poses = recording[TOOL].poses()
+        assert 700 < len(poses) < 900
+        assert np.array_equal(poses.matrices, whole[TOOL].poses()[: len(poses)].matrices)
+        assert whole.warnings == ()
+
+
+def test_damage_is_one_line(tmp_path: Path) -> None:
+    damaged = tmp_path / "damaged.mcap"
+    data = bytearray(STAR.read_bytes())
+    data[3_000_000] ^= 0xFF
+    damaged.write_bytes(data)
+    with igtl_gateway.open(damaged) as recording:
+        with pytest.raises(DamagedRecording, match="found checksum") as caught:
+            recording["POLYDATA/TissueCloud"].points()
+        assert "\n" not in str(caught.value)
+    with pytest.raises(UnsupportedRecording, match="No such file"):
+        igtl_gateway.open(tmp_path / "nothing.mcap")
+    with pytest.raises(LimitExceeded):
+        igtl_gateway.open(STAR, limits={"memory": 100})
+    with igtl_gateway.open(STAR, limits={"memory": 300_000}) as recording, pytest.raises(LimitExceeded):
+        recording[TOOL].poses()
+    with pytest.raises(ConfigError, match="limits: found 'memori': 1"):
+        igtl_gateway.open(STAR, limits={"memori": 1})
+
+
+def test_the_parts_of_a_split_recording_are_one(tmp_path: Path) -> None:
+    folder = tmp_path / "split"
+    folder.mkdir()
+    with igtl_gateway.open(STAR) as whole:
+        rows = [(int(t), whole[TOOL]._message(b, i)) for b in whole[TOOL].blocks() for i, t in enumerate(b.times)]
+        payloads = [bytes(b.payload(i)) for b in whole[TOOL].blocks() for i in range(len(b))]
+    for part in range(3):
+        writer = SessionWriter(folder / f"split_{part}.mcap", {layout.PART_KEY: str(part)})
+        for number in range(400 * part, 400 * part + 400):
+            time = rows[number][0]
+            writer.write(Entry(number + 1, time, Kind.IGTL_OUT, TOOL, "TRANSFORM", (payloads[number],), (1,)))
+        writer.close({})
+    with igtl_gateway.open(folder) as recording:
+        stream = recording[TOOL]
+        assert (stream.count, stream.first_time, stream.last_time) == (1200, rows[0][0], rows[-1][0])
+        assert stream.times.tolist() == [time for time, _ in rows]
+        assert len(stream.between(rows[350][0], rows[450][0]).poses()) == 100
+
+
+def test_a_file_of_another_program_has_its_ros_topics(tmp_path: Path) -> None:
+    assert main(["export", str(STAR), "--to", "rosbag2", "-o", str(tmp_path / "bag")]) in (0, 1)
+    (path,) = (tmp_path / "bag").glob("*.mcap")
+    with igtl_gateway.open(path) as bag, igtl_gateway.open(STAR) as whole:
+        assert bag.config is None and bag.ledger is None
+        assert np.array_equal(bag["/star/tool"].poses().matrices, whole["/star/tool"].poses().matrices)
+        assert "lwr_base" in bag.tf.frames
+
+
+class Ranges(http.server.BaseHTTPRequestHandler):
+    """Serves the file ``data``: by ranges, unless ``plain``."""
+
+    data = b""
+    plain = False
+
+    def do_GET(self) -> None:
+        if self.path != "/star.mcap?key=1":
+            self.send_error(404)
+            return
+        asked = self.headers.get("Range")
+        start, end = 0, len(self.data) - 1
+        if asked and not self.plain:
+            start, end = (int(word) for word in asked.removeprefix("bytes=").split("-"))
+            self.send_response(206)
+            self.send_header("Content-Range", f"bytes {start}-{end}/{len(self.data)}")
+        else:
+            self.send_response(200)
+        self.send_header("Content-Length", str(end + 1 - start))
+        self.end_headers()
+        self.wfile.write(self.data[start : end + 1])
+
+    def log_message(self, *_: Any) -> None: ...
+
+
+@contextmanager
+def server(data: bytes, plain: bool = False) -> Iterator[str]:
+    handler = type("Handler", (Ranges,), {"data": data, "plain": plain})
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as serving:
+        thread = threading.Thread(target=serving.serve_forever, args=(0.05,))
+        thread.start()
+        try:
+            yield f"http://127.0.0.1:{serving.server_address[1]}/star.mcap?key=1"
+        finally:
+            serving.shutdown()
+            thread.join()
+
+
+def test_a_url_is_read_by_ranges() -> None:
+    data = STAR.read_bytes()
+    with server(data) as url, igtl_gateway.open(url) as recording, igtl_gateway.open(STAR) as whole:
+        stream = recording._source.file._stream
+        assert isinstance(stream, io.BufferedReader)
+        found = recording[TOOL].between(-1.0).poses()
+        assert np.array_equal(found.matrices, whole[TOOL].between(-1.0).poses().matrices)
+        assert stream.raw.bytes_read < len(data) / 2
+        assert recording.path == url
+        with pytest.raises(UnsupportedRecording, match="404"):
+            igtl_gateway.open(url.replace("star", "moon"))
+    with server(data, plain=True) as url, pytest.raises(UnsupportedRecording, match="without ranges"):
+        igtl_gateway.open(url)
+    with server(data[:1000]) as url, pytest.raises(DamagedRecording, match=r"^http:.*star.mcap.key=1: was cut off"):
+        igtl_gateway.open(url)

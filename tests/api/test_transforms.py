@@ -1,0 +1,142 @@
+"""Look-ups of frames against an independent formula: rotation vectors, one pose at a time."""
+
+from __future__ import annotations
+
+import math
+import random
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import igtl_gateway
+from igtl_gateway.api.poses import between_poses
+from igtl_gateway.api.transforms import Edge, TransformTree
+from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
+from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.errors import ConfigError
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile.writer import SessionWriter
+
+FIXTURES = Path(__file__).parents[2] / "fixtures"
+Rows = list[list[float]]
+
+
+def turned(axis: tuple[float, float, float], angle: float, place: tuple[float, float, float]) -> Rows:
+    """The matrix of a rotation around an axis (Rodrigues) and a translation."""
+    size = math.sqrt(sum(value * value for value in axis))
+    x, y, z = (value / size for value in axis)
+    c, s = math.cos(angle), math.sin(angle)
+    rows = [
+        [c + x * x * (1 - c), x * y * (1 - c) - z * s, x * z * (1 - c) + y * s],
+        [y * x * (1 - c) + z * s, c + y * y * (1 - c), y * z * (1 - c) - x * s],
+        [z * x * (1 - c) - y * s, z * y * (1 - c) + x * s, c + z * z * (1 - c)],
+    ]
+    return [[*row, value] for row, value in zip(rows, place, strict=True)] + [[0.0, 0.0, 0.0, 1.0]]
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-4, 0.3, 1.5, 3.0, 3.14159])
+def test_rotations_are_interpolated_along_the_great_circle(angle: float) -> None:
+    turn = random.Random(5)
+    for _ in range(20):
+        axis = (turn.gauss(0, 1), turn.gauss(0, 1), turn.gauss(0, 1))
+        start = np.array(turned((turn.gauss(0, 1), 1.0, 0.5), turn.uniform(-3, 3), (1.0, 2.0, 3.0)))
+        share = turn.random()
+        end = start @ np.array(turned(axis, angle, (0.0, 0.0, 0.0)))
+        end[:3, 3] = (5.0, 0.0, -3.0)
+        expected = start @ np.array(turned(axis, share * angle, (0.0, 0.0, 0.0)))
+        expected[:3, 3] = (1 + 4 * share, 2 - 2 * share, 3 - 6 * share)
+        (found,) = between_poses(start[None], end[None], np.array([share]))
+        assert np.allclose(found, expected, atol=1e-9)
+        for whole, sample in ((0.0, start), (1.0, end)):
+            assert np.array_equal(between_poses(start[None], end[None], np.array([whole]))[0], sample)
+
+
+def tree() -> TransformTree:
+    def edge(parent: str, child: str, times: list[int], angles: list[float], static: bool = False) -> Edge:
+        matrices = np.array([turned((0, 0, 1), angle, (angle, 1.0, 0.0)) for angle in angles])
+        return Edge(parent, child, np.array(times, np.int64), matrices, static, "")
+
+    return TransformTree(
+        [
+            edge("world", "robot", [0], [0.5], static=True),
+            edge("robot", "tool", [100, 200, 400], [0.0, 0.2, 0.8]),
+            edge("world", "camera", [50, 300], [1.0, 1.5]),
+            edge("moon", "flag", [0], [0.0]),
+        ]
+    )
+
+
+def test_chains_are_multiplied_up_and_down() -> None:
+    times = np.array([100, 150, 250, 300])
+    found = tree().lookup("camera", "tool", times)
+    for time, matrix in zip(times.tolist(), found, strict=True):
+        tool = 0.002 * (time - 100) if time <= 200 else 0.2 + 0.003 * (time - 200)
+        camera = 1.0 + 0.002 * (time - 50)
+        chain = [turned((0, 0, 1), angle, (angle, 1.0, 0.0)) for angle in (camera, 0.5, tool)]
+        expected = np.linalg.inv(np.array(chain[0])) @ np.array(chain[1]) @ np.array(chain[2])
+        assert np.allclose(matrix, expected, atol=1e-12)
+    assert np.allclose(tree().lookup("tool", "camera", 150), np.linalg.inv(found[1]), atol=1e-12)
+    assert np.array_equal(tree().lookup("tool", "tool", 0), np.eye(4))
+    assert np.allclose(tree().lookup("world", "robot", 10**18, unit="mm")[:3, 3], [500, 1000, 0])
+
+
+def test_no_pose_is_extrapolated() -> None:
+    with pytest.raises(
+        ConfigError, match="time: found 99, expected one within the samples of 'tool' in 'robot': 100 to"
+    ):
+        tree().lookup("robot", "tool", np.array([150, 99]))
+    found = tree().lookup("robot", "tool", np.array([99, 100, 400, 401]), out_of_range="nan")
+    assert np.isnan(found).all(axis=(1, 2)).tolist() == [True, False, False, True]
+    wrong: list[tuple[str, str, Any, dict[str, Any]]] = [
+        ("robot", "hand", 100, {}),
+        ("robot", "flag", 100, {}),
+        ("robot", "tool", 1.5, {}),
+        ("robot", "tool", 100, {"unit": "inch"}),
+        ("robot", "tool", 100, {"out_of_range": "clip"}),
+    ]
+    for target, source, time, more in wrong:
+        with pytest.raises(ConfigError, match="found"):
+            tree().lookup(target, source, time, **more)
+
+
+def test_frames_of_a_recording_have_their_stamps(tmp_path: Path) -> None:
+    def message(stamp_ns: int, *rows: tuple[str, str, float]) -> bytes:
+        transforms = tuple(
+            FrameTransform(Header(stamp_ns, parent), child, (x, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0))
+            for parent, child, x in rows
+        )
+        return TFMessage(transforms).pack()
+
+    writer = SessionWriter(tmp_path / "tf.mcap", {})
+    rows = [
+        ("/tf_static", message(0, ("world", "base", 1.0))),
+        ("/tf", message(1000, ("/base", "arm", 1.0), ("arm", "tool", 0.5))),
+        ("/tf", message(1000, ("base", "arm", 2.0))),
+        ("/tf", message(2000, ("base", "arm", 4.0), ("arm", "tool", math.nan))),
+    ]
+    for number, (topic, data) in enumerate(rows, 1):
+        writer.write(Entry(number, 10_000 + number, Kind.ROS_IN, topic, TFMessage.TYPE, (data,)))
+    writer.close({})
+    with igtl_gateway.open(tmp_path / "tf.mcap") as recording:
+        assert recording.tf.frames == ("arm", "base", "tool", "world")
+        # the second of two messages with one stamp is valid
+        assert recording.tf.lookup("world", "arm", 1500)[0, 3] == 4.0
+        assert recording.tf.lookup("world", "tool", 1000)[0, 3] == 3.5
+        assert recording["/tf"].poses("arm").positions[:, 0].tolist() == [1.0, 2.0, 4.0]
+        with pytest.raises(ConfigError, match="several poses"):
+            recording["/tf"].poses()
+        with pytest.raises(ConfigError, match="no pose of frame 'leg'"):
+            recording["/tf"].poses("leg")
+
+
+def test_the_tool_of_star_is_found_in_the_camera() -> None:
+    with igtl_gateway.open(FIXTURES / "star.mcap") as recording:
+        tool, camera = recording["/star/tool"].poses(), recording["/star/camera_pose"].poses()
+        times = tool.stamps[(tool.stamps >= camera.stamps[0]) & (tool.stamps <= camera.stamps[-1])]
+        found = recording.tf.lookup("star_camera_optical", "suture_tool", times)
+        rows = np.searchsorted(tool.stamps, times)
+        expected = np.linalg.inv(camera.matrices[0]) @ tool.matrices[rows]
+        assert np.allclose(found, expected, atol=1e-9)  # the camera does not move
+        assert {edge.stream for edge in recording.tf.edges} >= {"/star/tool", "TRANSFORM/ToolToBase"}
