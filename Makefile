@@ -74,7 +74,7 @@ coverage: $(READY) peers
 
 # Each Python has an environment of its own in out/core.
 core: $(READY)
-	@$(BIN)/python tools/core.py $(PYTHONS)
+	@$(BIN)/python -m tools.core $(PYTHONS)
 
 hooks: $(READY)
 	@$(BIN)/pre-commit install
