@@ -31,8 +31,6 @@ ROS_TESTS = ("tests/edges/ros",)
 TEST_NEEDS = {"hypothesis", "mcap-ros2-support", "packaging", "pyigtl", "pymcap-cli", "pytest", "pytest-xdist"}
 WORKERS = "2"
 _COMPILE = "from tools.core import compile_c_parts; compile_c_parts()"
-    "import hatch_build; from pathlib import Path; [hatch_build.compiled(Path(), s) for s in hatch_build.SOURCES]"
-)
 
 
 def present(name: str) -> str | None:
