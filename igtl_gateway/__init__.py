@@ -6,6 +6,7 @@ command line starts fast.
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -14,10 +15,26 @@ if TYPE_CHECKING:
     from igtl_gateway.api.poses import Poses
     from igtl_gateway.api.recording import Recording, open
     from igtl_gateway.api.stream import Stream
+    from igtl_gateway.api.verbs import diff, replay, review, verify
 
 __version__ = "0.1.0"
 
-__all__ = ["Peer", "Poses", "Recording", "Server", "Stream", "__version__", "aio", "connect", "open", "serve"]
+__all__ = [
+    "Peer",
+    "Poses",
+    "Recording",
+    "Server",
+    "Stream",
+    "__version__",
+    "aio",
+    "connect",
+    "diff",
+    "open",
+    "replay",
+    "review",
+    "serve",
+    "verify",
+]
 
 #: Public name → its module in ``igtl_gateway.api``; a name that is its module is that module.
 _HOMES: dict[str, str] = {
@@ -28,21 +45,44 @@ _HOMES: dict[str, str] = {
     "Stream": "stream",
     "aio": "aio",
     "connect": "peer",
+    "diff": "verbs",
     "open": "recording",
+    "replay": "verbs",
+    "review": "verbs",
     "serve": "peer",
+    "verify": "verbs",
 }
+#: Public functions whose names packages have, too: the package is called, see `CallablePackage`.
+_PACKAGES = frozenset({"replay", "review"})
 
 
 def __getattr__(name: str) -> Any:
-    home = _HOMES.get(name)
-    if home is None:
+    if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib import import_module
+    if name in _PACKAGES:
+        from importlib import import_module
 
-    module = import_module(f"{__name__}.api.{home}")
-    found = module if name == home else getattr(module, name)
+        found = import_module(f"{__name__}.{name}")
+    else:
+        found = _load(name)
     globals()[name] = found
     return found
+
+
+def _load(name: str) -> Any:
+    """Return a public name from its module in ``igtl_gateway.api``."""
+    from importlib import import_module
+
+    home = _HOMES[name]
+    module = import_module(f"{__name__}.api.{home}")
+    return module if name == home else getattr(module, name)
+
+
+class CallablePackage(type(sys)):  # type: ignore[misc]
+    """A package that is called as the public function of its name: ``igtl_gateway.replay("out.mcap")``."""
+
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        return _load(self.__name__.rpartition(".")[2])(*arguments, **options)
 
 
 def __dir__() -> list[str]:

@@ -31,11 +31,11 @@ from random import Random
 from types import FrameType
 
 from igtl_gateway.cli import main as command_line
-from igtl_gateway.cli.common import config_to_run
 from igtl_gateway.cli.settings import of_file
 from igtl_gateway.config import Config
 from igtl_gateway.errors import GatewayError
 from igtl_gateway.exchange.formats import open_source
+from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.session.ledger import gaps
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.salvage import Salvage

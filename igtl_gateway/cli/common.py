@@ -11,26 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.config import Config
-from igtl_gateway.errors import ConfigError, DamagedRecording, UnsupportedRecording
-from igtl_gateway.sessionfile import facts
 
 
 def load_config(path: Path | None) -> Config:
     """The configuration of a file, or the default one."""
     return Config.from_toml(path) if path else Config()
-
-
-def config_to_run(session: dict[str, str], path: Path | None = None) -> Config:
-    """The configuration to run a recording with: of the file ``path`` if given, else the recorded one."""
-    given = Config.from_toml(path) if path else None
-    try:
-        recorded = Config.from_dict(facts.configuration(session))
-        # without a setting for the watchers in the file, the recorded setting applies
-        return given.watched(recorded.watch) if given else recorded
-    except (ConfigError, DamagedRecording) as error:
-        if given:
-            return given
-        raise UnsupportedRecording(f"the recorded configuration cannot be used: {error}") from None
 
 
 @contextmanager

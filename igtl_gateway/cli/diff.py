@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import argparse
 import math
-from contextlib import ExitStack
-from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
-from igtl_gateway.cli.common import config_to_run, count_text
+from igtl_gateway.app.comparison import RecordingDiff, compare_recordings
+from igtl_gateway.cli.common import count_text
 from igtl_gateway.cli.options import RECORDING_OR_BAG, add_json, add_streams, default
 from igtl_gateway.cli.terminal import aligned, print_json, print_line
-from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.errors import ConfigError
-from igtl_gateway.replay.compare import LeafDecoder, Tolerance
-from igtl_gateway.replay.diff import DiffInput, DiffReport, StreamDiff, diff
-from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.replay.compare import Tolerance
+from igtl_gateway.replay.diff import StreamDiff
 
 EXAMPLES = """\
   # exit code 0: equal messages; 1: differences
@@ -52,44 +48,15 @@ def run(options: argparse.Namespace) -> int:
     for name, value in (("mm", tolerance.mm), ("deg", tolerance.deg)):
         if not 0 <= value < math.inf:
             raise ConfigError(f"--tolerance-{name}: found {value}, expected 0 or more")
-    with ExitStack() as stack:
-        one, other = (stack.enter_context(SessionFile.open(path)) for path in (options.one, options.other))
-        foreign = one.foreign is not other.foreign
-        report = diff(_side(one), _side(other), globs=options.streams, tolerance=tolerance, foreign=foreign)
+    report = compare_recordings(options.one, options.other, options.streams, tolerance)
     if options.json:
-        facts = {
-            "one": str(options.one),
-            "other": str(options.other),
-            "equal": report.equal,
-            "stamp_offset_ns": report.stamp_offset_ns,
-            "offset_ns": report.offset_ns,
-            "streams": [{**asdict(stream), "equal": stream.equal} for stream in report.streams],
-        }
-        print_json(_json_value(facts))
+        print_json(report.to_dict())
     else:
         _print(options, report)
     return 0 if report.equal else 1
 
 
-def _side(file: SessionFile) -> DiffInput:
-    config = config_to_run(file.session)
-    return DiffInput(file.entries(), LeafDecoder(file.definitions, LengthUnits(config.ros_unit, config.igtl_unit)))
-
-
-def _json_value(value: Any) -> Any:
-    """JSON has no infinity."""
-    match value:
-        case dict():
-            return {key: _json_value(part) for key, part in value.items()}
-        case list():
-            return [_json_value(part) for part in value]
-        case float() if not math.isfinite(value):
-            return str(value)
-        case _:
-            return value
-
-
-def _print(options: argparse.Namespace, report: DiffReport) -> None:
+def _print(options: argparse.Namespace, report: RecordingDiff) -> None:
     messages = sum(stream.messages for stream in report.streams)
     others = sum(stream.other_messages for stream in report.streams)
     print_line(f"A {options.one}: {count_text(messages, 'message')}")
@@ -109,7 +76,7 @@ def _print(options: argparse.Namespace, report: DiffReport) -> None:
     print_line("equal" if report.equal else f"DIFFERENT: {count_text(wrong, 'stream')} of {len(report.streams)}")
 
 
-def _row(stream: StreamDiff, report: DiffReport) -> tuple[str, ...]:
+def _row(stream: StreamDiff, report: RecordingDiff) -> tuple[str, ...]:
     paired = stream.messages - stream.missing
     return (
         f"{stream.kind} {stream.stream}".rstrip(),

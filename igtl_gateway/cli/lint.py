@@ -7,12 +7,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.cli.common import config_to_run, count_text
+from igtl_gateway.cli.common import count_text
 from igtl_gateway.cli.options import add_config, add_file, add_json
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.doctor.observer import Observer
 from igtl_gateway.doctor.report import DoctorReport
 from igtl_gateway.errors import DamagedRecording
+from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.salvage import Salvage
 

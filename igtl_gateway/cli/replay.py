@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import argparse
-from contextlib import ExitStack, suppress
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from threading import Event, Thread
-from typing import Any
 
-from igtl_gateway.app.faulty import FaultyFeed
 from igtl_gateway.app.player import Jump, Player
 from igtl_gateway.app.player_services import PlayerServices
-from igtl_gateway.app.replay_account import ReplayAccount
-from igtl_gateway.app.replay_plan import plan_replay, planned_entries
+from igtl_gateway.app.replay_sides import ReplayOptions, ReplaySides
+from igtl_gateway.app.replaying import ReplayEvents, run_replay, since_text
 from igtl_gateway.cli import admission
-from igtl_gateway.cli.common import config_to_run, stop_event
+from igtl_gateway.cli.common import stop_event
 from igtl_gateway.cli.keys import FASTER, HELP, NEXT, PAUSE, QUIT, SLOWER, can_read_keys, keyboard, read_lines
 from igtl_gateway.cli.options import (
     RECORDING_OR_BAG,
@@ -21,25 +20,19 @@ from igtl_gateway.cli.options import (
     add_file,
     add_json,
     add_streams,
+    addresses,
     default,
 )
 from igtl_gateway.cli.replay_report import print_report
-from igtl_gateway.cli.replay_sides import ReplaySides, open_sides
-from igtl_gateway.cli.routes import with_sends
 from igtl_gateway.cli.settings import add_faults, add_settings
 from igtl_gateway.cli.terminal import print_json, print_line
-from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros.edge import RosEdge
-from igtl_gateway.errors import ConfigError, GatewayError
-from igtl_gateway.faults import CLOCK_STEP, Fate, Faults
-from igtl_gateway.replay.moment import moment
-from igtl_gateway.replay.playback import checked_rate
-from igtl_gateway.replay.restamp import MODES, Restamper
-from igtl_gateway.replay.simclock import DEFAULT_HZ, period_ns, with_ticks
-from igtl_gateway.replay.timeline import SessionTimeline, clock_steps_of
+from igtl_gateway.errors import ConfigError
+from igtl_gateway.faults import Fate
+from igtl_gateway.replay.restamp import MODES
+from igtl_gateway.replay.simclock import DEFAULT_HZ
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.stamp import NS_PER_S
 
 EXAMPLES = """\
   # serve the session to the first client
@@ -89,8 +82,6 @@ exit code 1 if the replay is stopped, or if ROS rejects messages (for example
 of a type that is not installed); the other messages are sent."""
 
 _FASTER, _SLOWER = 1.1, 0.9
-#: A year: longer than a session, shorter than what a clock of the system cannot wait for.
-_LONGEST_S = 366 * 86_400.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -175,129 +166,65 @@ def _add_pace(group: argparse._ArgumentGroup) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    _check(options)
-    with SessionFile.open(options.file) as file, stop_event() as stop, ExitStack() as at_end, ExitStack() as stack:
-        start_ns, end_ns = _part(options, file)
-        config = with_sends(config_to_run(file.session, options.config), options.send)
-        how = plan_replay(file, options.to, options.through_gateway)
-        _print_status(options, f"{options.file}: {how.why}")
-        pace = SessionTimeline(clock_steps_of(file))
-        side = open_sides(options, file, how, stop, stack, lambda text: _print_status(options, text))
-        if side is None:
-            _print_status(options, "stopped before the replay started")
-            return 1
-
-        account = ReplayAccount.of(file, how)
-        faults = Faults.parse(options.fault)
-        faulty = FaultyFeed(faults, options.seed, lambda fate: _print_fault(options, fate)) if faults else None
-        role = "client" if options.connect and not options.listen else "server"
-
-        def feed(from_ns: int | None) -> Any:
-            account.begin()
-            entries = planned_entries(
-                file, config, how, options.streams, from_ns, end_ns, role, account.passed_over, account.made
-            )
-            entries = faulty(entries) if faulty else entries
-            return with_ticks(entries, from_ns, period_ns(options.clock), pace) if options.clock else entries
-
-        player = Player(
-            feed,
-            side.send,
-            SystemClock(),
-            stop,
-            rate=None if options.as_fast_as_possible or options.speed_of_light else options.rate,
-            paused=options.step or options.start_paused,
-            loop=options.loop,
-            span=(start_ns or file.start_ns, file.end_ns if end_ns is None else end_ns),
-            start_ns=start_ns,
-            restamp=_restamper(options, file),
-            on_jump=lambda jump: _print_jump(options, file, jump),
-            send_all=side.send_all,
-            digest=not options.no_digest,
-            pace=pace,
-        )
-        complete = False
-
-        def report() -> None:
-            print_report(options, player, side, complete, faulty, account, start_ns is not None or end_ns is not None)
-
-        # when the edges are closed: what still left then counts as sent, and what did not does not
-        at_end.callback(report)
-        _controls(options, file, player, side, stop, stack)
-        stop.wait(options.delay)
-        try:
-            player.run()
-        finally:
-            complete = side.finish() and not stop.is_set()
-    if complete and not player.played.messages:
-        why = next(iter(player.played.refused), ("", "see `igtl-gateway info`, and --send"))[1]
-        raise GatewayError(f"{options.file}: found no messages for {options.to}: {why}")
-    return 0 if (complete or options.loop) and not player.played.refused else 1
-
-
-def _check(options: argparse.Namespace) -> None:
-    """Check the options before anything is opened.  Raises ConfigError."""
-    if options.to == "ros":
-        admission.secured(vars(options), (), ())
-    checked_rate(options.rate)
-    if options.wait_peers is not None and options.wait_peers < 0:
-        raise ConfigError(f"--wait-peers: found {options.wait_peers}, expected 0 or more")
-    if not 0 <= options.delay <= _LONGEST_S:
-        raise ConfigError(f"--delay: found {options.delay}, expected seconds, 0 or more, at most {_LONGEST_S:,.0f}")
-    if options.duration is not None and not 0 < options.duration <= _LONGEST_S:
-        raise ConfigError(f"--duration: found {options.duration}, expected seconds, above 0, at most {_LONGEST_S:,.0f}")
-    if options.clock is not None:
-        period_ns(options.clock)
-        if options.to == "igtl":
-            raise ConfigError("--clock: found --to igtl, expected --to ros or --to both: /clock is a ROS topic")
-    faults = Faults.parse(options.fault)
-    if faults and options.to == "ros":
-        raise ConfigError("--fault: found --to ros, expected --to igtl or --to both: faults are of OpenIGTLink lines")
-    if faults.clock_step_ns and options.restamp == "now":
-        raise ConfigError(
-            f"--fault: {CLOCK_STEP}: found --restamp now, which replaces all stamps, expected keep or shift"
-        )
     if options.start_paused and not options.step and options.to == "igtl" and not can_read_keys():
         raise ConfigError("--start-paused: found no terminal for the keys, expected one, or --to ros for the services")
+    events = ReplayEvents(
+        on_line=lambda text: _print_status(options, text),
+        jumped=lambda jump, start_ns: _print_jump(options, jump, start_ns),
+        fault=lambda fate: _print_fault(options, fate),
+        controls=lambda file, player, side: _controls(options, file, player, side, stop),
+        ended=lambda result: print_report(options, result),
+    )
+    with stop_event() as stop:
+        result = run_replay(options.file, _replay_options(options), stop, events)
+    return 0 if result and (result.complete or options.loop) and not any(each.at_once for each in result.refused) else 1
 
 
-def _part(options: argparse.Namespace, file: SessionFile) -> tuple[int | None, int | None]:
-    """Return first and last time in UTC ns; None without an option."""
-    # a file that begins midway begins with the state there, as any part does
-    start_ns = file.start_ns if file.prologue() else None
-    end_ns = None
-    if options.start is not None:
-        start_ns = moment(options.start, file.start_ns, "--start")
-        if start_ns > file.end_ns:
-            raise ConfigError(f"--start: found {_at(file, start_ns)}, expected at most {_at(file, file.end_ns)}")
-    if options.end is not None:
-        end_ns = moment(options.end, file.start_ns, "--end")
-    elif options.duration is not None:
-        end_ns = (file.start_ns if start_ns is None else start_ns) + round(options.duration * NS_PER_S)
-    if end_ns is not None and end_ns < (start_ns or file.start_ns):
-        raise ConfigError(f"--end: found {_at(file, end_ns)}, expected at least {_at(file, start_ns or file.start_ns)}")
-    return start_ns, end_ns
-
-
-def _restamper(options: argparse.Namespace, file: SessionFile) -> Restamper | None:
-    if options.restamp == "keep":
-        return None
-    return Restamper(
+def _replay_options(options: argparse.Namespace) -> ReplayOptions:
+    """The options of the command line as those of a replay.  Raises ConfigError."""
+    listen, connect = ((), ()) if options.to == "ros" else addresses(options.listen, options.connect)
+    tls_listen, tls_connect = admission.secured(vars(options), listen, connect)
+    return ReplayOptions(
+        options.to,
+        listen,
+        connect,
+        tuple(options.allow),
+        admission.tls(vars(options)),
+        tls_listen,
+        tls_connect,
+        options.config,
+        tuple(options.send),
+        options.start,
+        options.end,
+        options.duration,
+        tuple(options.streams),
+        options.through_gateway,
         options.restamp,
-        lambda name: _print_status(options, f"! stamps of {name} are not changed: unknown type"),
-        file.definitions,
+        None if options.as_fast_as_possible or options.speed_of_light else options.rate,
+        options.speed_of_light,
+        options.loop,
+        options.step or options.start_paused,
+        options.delay,
+        options.wait_peers,
+        options.clock,
+        options.fault,
+        options.seed,
+        not options.no_digest,
     )
 
 
+@contextmanager
 def _controls(
-    options: argparse.Namespace, file: SessionFile, player: Player, side: ReplaySides, stop: Event, stack: ExitStack
-) -> None:
-    """Connect keyboard and services to the player."""
+    options: argparse.Namespace, file: SessionFile, player: Player, side: ReplaySides, stop: Event
+) -> Iterator[None]:
+    """Connect keyboard and services to the player, as a context."""
 
     def obey(command: str) -> None:
         if command == PAUSE:
             player.toggle()
-            _print_status(options, f"paused at {_at(file, player.position_ns)}" if player.paused else "resumed")
+            _print_status(
+                options, f"paused at {since_text(file.start_ns, player.position_ns)}" if player.paused else "resumed"
+            )
         elif command == NEXT:
             player.step()
         elif command in (FASTER, SLOWER) and (rate := player.rate):
@@ -312,16 +239,18 @@ def _controls(
         if reason := services.serve(edge):
             _print_status(options, f"! the services to pause, step and seek are not available: {reason}")
 
-    if side.ros:
-        # beside the replay: the first time their types are compiled
-        Thread(target=offer, args=(side.ros,), name="igtl-services", daemon=True).start()
-        stack.callback(services.close)
-    if can_read_keys():
-        _print_status(options, HELP)
-        stack.enter_context(keyboard(obey))
-    elif options.step and not side.ros:
-        # waits for each message, so that the end of the lines does not come before
-        read_lines(lambda: player.burst(1), stop.set)
+    with ExitStack() as stack:
+        if side.ros:
+            # beside the replay: the first time their types are compiled
+            Thread(target=offer, args=(side.ros,), name="igtl-services", daemon=True).start()
+            stack.callback(services.close)
+        if can_read_keys():
+            _print_status(options, HELP)
+            stack.enter_context(keyboard(obey))
+        elif options.step and not side.ros:
+            # waits for each message, so that the end of the lines does not come before
+            read_lines(lambda: player.burst(1), stop.set)
+        yield
 
 
 def _print_status(options: argparse.Namespace, text: str) -> None:
@@ -330,20 +259,16 @@ def _print_status(options: argparse.Namespace, text: str) -> None:
         print_line(text, error=options.json, flush=True)
 
 
-def _print_jump(options: argparse.Namespace, file: SessionFile, jump: Jump) -> None:
-    to_ns = file.start_ns if jump.to_ns is None else jump.to_ns
+def _print_jump(options: argparse.Namespace, jump: Jump, start_ns: int) -> None:
+    to_ns = start_ns if jump.to_ns is None else jump.to_ns
     if options.json:
         print_json({"event": "jump", "why": jump.why, "from_ns": jump.from_ns, "to_ns": to_ns})
     else:
-        _print_status(options, f"= jump ({jump.why}): from {_at(file, jump.from_ns)} to {_at(file, to_ns)}")
+        route = f"from {since_text(start_ns, jump.from_ns)} to {since_text(start_ns, to_ns)}"
+        _print_status(options, f"= jump ({jump.why}): {route}")
 
 
 def _print_fault(options: argparse.Namespace, fate: Fate[Entry]) -> None:
     if options.json:
         entry = fate.message
         print_json({"event": "fault", "stream": entry.channel, "entry": entry.seq, "faults": fate.reportable})
-
-
-def _at(file: SessionFile, recorded_ns: int | None) -> str:
-    """A moment for people, from the beginning of the file."""
-    return "the beginning" if recorded_ns is None else f"{(recorded_ns - file.start_ns) / NS_PER_S:+.3f} s"

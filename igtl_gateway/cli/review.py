@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import math
 from dataclasses import fields
 from pathlib import Path
 
-from igtl_gateway.cli.common import config_to_run
+from igtl_gateway.app.reviewing import ReviewSelection, checked_thresholds, review_recording
 from igtl_gateway.cli.options import RECORDING_OR_BAG, add_file, add_json, add_overwrite, default
 from igtl_gateway.cli.review_output import print_review, review_facts, write_csv
 from igtl_gateway.cli.terminal import print_json
-from igtl_gateway.convert.units import UNITS
-from igtl_gateway.errors import ConfigError, GatewayError
-from igtl_gateway.review import Material, Thresholds, review_of
+from igtl_gateway.review import Thresholds
 from igtl_gateway.review.material import CLOUDS
-from igtl_gateway.sessionfile.reader import SessionFile
 
 EXAMPLES = """\
   # each stitch of the first and the last plan, with reasons
@@ -90,19 +86,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    limits = _limits(options)
-    with SessionFile.open(options.file) as file:
-        unit_m = UNITS[config_to_run(file.session).ros_unit] / UNITS["m"]
-        material = Material(options.plan, options.cloud, options.tool, options.clouds, unit_m)
-        start_ns = file.start_ns
-        for entry in file.entries():
-            material.take(entry)
-    try:
-        review = review_of(material, limits)
-    except ConfigError:
-        raise
-    except GatewayError as error:
-        raise GatewayError(f"{options.file}: {error}") from None
+    values = {threshold.name: getattr(options, threshold.name) for threshold in fields(Thresholds)}
+    limits = checked_thresholds(values, options.clouds, lambda name: f"--{name.replace('_', '-')}")
+    selection = ReviewSelection(options.plan, options.cloud, options.tool, options.clouds)
+    review, start_ns = review_recording(options.file, selection, limits)
     if options.csv:
         write_csv(options.csv, review, options.overwrite)
     if options.json:
@@ -110,15 +97,3 @@ def run(options: argparse.Namespace) -> int:
     else:
         print_review(options.file, review, start_ns)
     return 1 if review.last.wrong else 0
-
-
-def _limits(options: argparse.Namespace) -> Thresholds:
-    values = {threshold.name: getattr(options, threshold.name) for threshold in fields(Thresholds)}
-    for name, value in values.items():
-        if not 0 < value < math.inf:
-            raise ConfigError(f"--{name.replace('_', '-')}: found {value}, expected a number above 0")
-    if options.clouds < 1:
-        raise ConfigError(f"--clouds: found {options.clouds}, expected 1 or more")
-    if values["look_mm"] > values["wrong_mm"]:
-        raise ConfigError(f"--look-mm: found {values['look_mm']}, expected at most --wrong-mm, {values['wrong_mm']}")
-    return Thresholds(**values)

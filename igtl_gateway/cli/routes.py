@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Iterable
 from typing import Any
 
-from igtl_gateway.config import Config
+from igtl_gateway.app.sends import send_row
 from igtl_gateway.convert.frames import TfRequest
 from igtl_gateway.convert.table import TO_ROS
 from igtl_gateway.errors import ConfigError
@@ -40,20 +40,6 @@ def _json_row(text: str) -> dict[str, Any]:
     return row
 
 
-def with_sends(config: Config, sends: list[str]) -> Config:
-    """Return ``config`` with a first row for each ``TOPIC[=DEVICE[:TYPE]]``."""
-    values = config.to_dict()
-    return Config.from_dict(values | {"to_igtl": [*map(_send_row, sends), *values["to_igtl"]]})
-
-
-def _send_row(text: str) -> dict[str, str]:
-    topic, _, rest = text.partition("=")
-    device, _, igtl_type = rest.partition(":")
-    if not topic.startswith("/"):
-        raise ConfigError(f"--send: found {text!r}, expected /topic, /topic=Device or /topic=Device:TYPE")
-    return {"topic": topic, "device": device, "type": igtl_type}
-
-
 def _kinds_rows(texts: list[str]) -> list[dict[str, Any]]:
     kinds: dict[str, list[str]] = {}
     for device, named in map(_kinds_row, texts):
@@ -84,4 +70,4 @@ def _peer_row(text: str) -> dict[str, str]:
 
 
 #: Setting → the row of one text.
-_ROW: dict[str, Callable[[str], dict[str, Any]]] = {"to_igtl": _send_row, "tf_out": _tf_row, "peers": _peer_row}
+_ROW: dict[str, Callable[[str], dict[str, Any]]] = {"to_igtl": send_row, "tf_out": _tf_row, "peers": _peer_row}

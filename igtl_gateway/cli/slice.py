@@ -8,12 +8,13 @@ from itertools import chain
 from pathlib import Path
 
 from igtl_gateway import __version__
-from igtl_gateway.cli.common import config_to_run, count_text, size_text
+from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.options import add_config, add_file, add_json, add_overwrite, add_streams, default
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.errors import ConfigError, UnsupportedRecording
 from igtl_gateway.qos import Qos
 from igtl_gateway.replay.moment import moment
+from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.replay.slice import Slice, SliceReport, SliceWindow
 from igtl_gateway.sessionfile import layout
 from igtl_gateway.sessionfile.reader import SessionFile

@@ -13,7 +13,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from igtl_gateway.cli.common import config_to_run, count_text, size_text, stop_event
+from igtl_gateway.cli.common import count_text, size_text, stop_event
 from igtl_gateway.cli.options import RECORDING_OR_BAG, add_file, add_json, add_overwrite, default
 from igtl_gateway.cli.outputs import check_target, write_error, written
 from igtl_gateway.cli.terminal import cell, clear_live_line, is_terminal, live_line, print_json, print_line, width
@@ -21,6 +21,7 @@ from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError, DamagedRecording, GatewayError, ViewerError
 from igtl_gateway.extras import missing
+from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.replay.source import through_gateway
 from igtl_gateway.review import Material, review_of
 from igtl_gateway.session.entry import Entry, Kind

@@ -153,7 +153,7 @@ def test_a_table_that_cannot_be_written_is_a_failure(
         reviews.append(reviews[0] if reviews else review_of(material, limits))
         return reviews[-1]
 
-    monkeypatch.setattr("igtl_gateway.cli.review.review_of", once)
+    monkeypatch.setattr("igtl_gateway.app.reviewing.review_of", once)
     out = tmp_path / "no-folder" / "out.csv"
     assert main(["review", str(STAR), "--csv", str(out), "--clouds", "2"]) == 1
     there = tmp_path / "there.csv"

@@ -13,7 +13,7 @@ import pytest
 
 from igtl_gateway.app.replay_plan import plan_replay, planned_entries
 from igtl_gateway.cli import main
-from igtl_gateway.cli.common import config_to_run
+from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.sessionfile.reader import SessionFile
 from tests.integration.bridge import (

@@ -1,12 +1,13 @@
-"""The sides of ``replay``: opened, waited for, closed at the end."""
+"""The options of a replay and its sides: opened, waited for, closed at the end."""
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
+from pathlib import Path
 from threading import Event
+from typing import Literal
 
 from igtl_gateway.app.faulty import all_with_disconnects, disconnector, with_disconnects
 from igtl_gateway.app.replay_plan import (
@@ -19,13 +20,11 @@ from igtl_gateway.app.replay_plan import (
     igtl_sender_of_many,
     ros_sender,
 )
-from igtl_gateway.cli import admission
-from igtl_gateway.cli.common import count_text
-from igtl_gateway.cli.options import addresses
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.ros.env import prepare_environment
-from igtl_gateway.edges.tcp import TcpEdge
+from igtl_gateway.edges.tcp import TcpEdge, TlsFiles
+from igtl_gateway.replay.restamp import Mode
 from igtl_gateway.replay.simclock import CLOCK_TOPIC, CLOCK_TYPE
 from igtl_gateway.replay.source import matches_any
 from igtl_gateway.session.note import Note
@@ -35,6 +34,63 @@ _FLUSH_S = 30.0
 _LOOK_S = 0.2
 
 Tell = Callable[[str], None]
+Address = tuple[str, int]
+To = Literal["igtl", "ros", "both"]
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayOptions:
+    """The options of a replay, those of ``igtl-gateway replay``.
+
+    Attributes:
+        to: send to OpenIGTLink peers, to ROS, or to both.
+        listen, connect: addresses of the OpenIGTLink side.
+        allow: networks (CIDR) whose peers may connect beside those of this host.
+        tls: files for TLS.
+        tls_listen, tls_connect: the addresses that use TLS.
+        config: configuration file to use with ``through_gateway``, instead of the recorded configuration.
+        send: ROS topics that are sent to OpenIGTLink, as ``TOPIC=DEVICE:TYPE``.
+        start, end: first and last recorded time, as ``replay.moment`` has it; None: the beginning, the end.
+        duration: recorded seconds, instead of ``end``.
+        streams: globs of the streams to send; empty: all.
+        through_gateway: recompute the outputs from the recorded inputs.
+        restamp: what happens to the stamps in the messages.
+        rate: recorded seconds per second; None: no pauses.
+        lock_step: wait after each message until its readers have it.
+        loop: repeat until stopped.
+        paused: start paused.
+        delay_s: seconds before the first message.
+        wait_peers: number of peers, or of subscribers on each topic, to wait for; None: 1 peer, 0 subscribers.
+        clock_hz: rate of /clock; None: do not publish it.
+        fault, seed: fault injection.
+        digest: compute the SHA-256 of the sent bytes.
+    """
+
+    to: To
+    listen: tuple[Address, ...] = ()
+    connect: tuple[Address, ...] = ()
+    allow: tuple[str, ...] = ()
+    tls: TlsFiles = field(default_factory=TlsFiles)
+    tls_listen: frozenset[Address] = frozenset()
+    tls_connect: frozenset[Address] = frozenset()
+    config: Path | None = None
+    send: tuple[str, ...] = ()
+    start: str | None = None
+    end: str | None = None
+    duration: float | None = None
+    streams: tuple[str, ...] = ()
+    through_gateway: bool = False
+    restamp: Mode = "keep"
+    rate: float | None = 1.0
+    lock_step: bool = False
+    loop: bool = False
+    paused: bool = False
+    delay_s: float = 0.0
+    wait_peers: int | None = None
+    clock_hz: float | None = None
+    fault: str = ""
+    seed: int = 0
+    digest: bool = True
 
 
 @dataclass(slots=True)
@@ -60,13 +116,13 @@ class ReplaySides:
 
 
 def open_sides(
-    options: argparse.Namespace, file: SessionFile, how: ReplayPlan, stop: Event, stack: ExitStack, tell: Tell
+    options: ReplayOptions, file: SessionFile, how: ReplayPlan, stop: Event, stack: ExitStack, tell: Tell
 ) -> ReplaySides | None:
     """The side or sides of ``--to``, once all that is waited for is there; None if ``stop`` came first."""
     igtl = ros = None
     if options.to != "igtl":
         # before waiting for peers: a missing ROS is reported immediately
-        prepare_environment(lock_step=options.speed_of_light)
+        prepare_environment(lock_step=options.lock_step)
         RosEdge.check()
     if options.to != "ros":
         igtl = _open_igtl(options, stop, stack, tell)
@@ -88,35 +144,33 @@ def open_sides(
     return igtl or ros
 
 
-def _open_igtl(options: argparse.Namespace, stop: Event, stack: ExitStack, tell: Tell) -> ReplaySides | None:
+def _open_igtl(options: ReplayOptions, stop: Event, stack: ExitStack, tell: Tell) -> ReplaySides | None:
     """A sender to OpenIGTLink peers, once they are there."""
-    listen, connect = addresses(options.listen, options.connect)
-    tls_listen, tls_connect = admission.secured(vars(options), listen, connect)
     peers = _Peers(tell)
     edge = TcpEdge(
         on_frame=lambda _link, _message: None,  # messages of peers are not part of a replay
         on_link=peers,
         on_note=lambda _link, note: tell(f"! {note.text}"),
         clock=SystemClock(),
-        allow=tuple(options.allow),
+        allow=options.allow,
         when_full="block",
-        tls=admission.tls(vars(options)),
+        tls=options.tls,
     )
     stack.callback(edge.stop)
-    for address in listen:
-        host, port = edge.listen(*address, tls=address in tls_listen)
+    for address in options.listen:
+        host, port = edge.listen(*address, tls=address in options.tls_listen)
         tell(f"OpenIGTLink server on {host}:{port}")
-    for address in connect:
-        edge.connect(*address, tls=address in tls_connect)
+    for address in options.connect:
+        edge.connect(*address, tls=address in options.tls_connect)
     edge.start()
     wanted = 1 if options.wait_peers is None else options.wait_peers
     if wanted:
-        tell(f"waiting for {count_text(wanted, 'peer')}")
+        tell(f"waiting for {wanted:,} peer{'s' * (wanted != 1)}")
     while not edge.wait_links(wanted, _LOOK_S):
         if stop.is_set():
             return None
-    send = igtl_sender(edge, stop if options.speed_of_light else None)
-    send_all = None if options.speed_of_light else igtl_sender_of_many(edge, stop)
+    send = igtl_sender(edge, stop if options.lock_step else None)
+    send_all = None if options.lock_step else igtl_sender_of_many(edge, stop)
     if options.fault:
         disconnect = disconnector(edge, stop)
         send, send_all = with_disconnects(send, disconnect), send_all and all_with_disconnects(send_all, disconnect)
@@ -145,7 +199,7 @@ class _Peers:
 
 
 def _open_ros(
-    options: argparse.Namespace, file: SessionFile, how: ReplayPlan, stop: Event, stack: ExitStack, tell: Tell
+    options: ReplayOptions, file: SessionFile, how: ReplayPlan, stop: Event, stack: ExitStack, tell: Tell
 ) -> ReplaySides | None:
     """A sender to the ROS graph, its topics advertised."""
     edge = RosEdge(
@@ -163,7 +217,7 @@ def _open_ros(
     ]
     for channel in channels:
         edge.advertise(channel.topic, channel.type, channel.qos or PLAYED_QOS)
-    if options.clock:
+    if options.clock_hz:
         edge.advertise(CLOCK_TOPIC, CLOCK_TYPE, PLAYED_QOS)
     for topic in sorted({channel.topic for channel in channels}):
         while options.wait_peers and not edge.wait_for_subscribers(topic, options.wait_peers, _LOOK_S):
@@ -173,13 +227,13 @@ def _open_ros(
     while not edge.wait_ready(_LOOK_S):
         if stop.is_set():
             return None
-    send = ros_sender(edge, file, stop if options.speed_of_light else None)
+    send = ros_sender(edge, file, stop if options.lock_step else None)
 
     def failed() -> Mapping[str, int]:
         return {
             topic: counts["failed"]
             for topic, counts in edge.counters().items()
-            if counts["failed"] and not (options.clock and topic == CLOCK_TOPIC)
+            if counts["failed"] and not (options.clock_hz and topic == CLOCK_TOPIC)
         }
 
     return ReplaySides(send, lambda: stop.is_set() or edge.wait_ready(_FLUSH_S), edge, failed=failed)

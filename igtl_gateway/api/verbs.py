@@ -1,0 +1,223 @@
+"""The verbs of the command line as functions: ``replay``, ``verify``, ``review``, ``diff``.
+
+Each calls the function that its verb calls.  Nothing prints; a failure is an exception of `igtl_gateway.errors`.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from os import PathLike
+from pathlib import Path
+
+from igtl_gateway.api.peer import HOST, PORT
+from igtl_gateway.app.comparison import RecordingDiff, compare_recordings
+from igtl_gateway.app.replay_sides import ReplayOptions, To
+from igtl_gateway.app.replaying import ReplayEvents, ReplayResult, run_replay
+from igtl_gateway.app.reviewing import ReviewSelection, checked_thresholds, review_recording
+from igtl_gateway.app.verification import Verification, verify_recording
+from igtl_gateway.edges.tcp import TlsFiles
+from igtl_gateway.errors import ConfigError, GatewayError
+from igtl_gateway.replay.compare import Tolerance
+from igtl_gateway.replay.restamp import Mode
+from igtl_gateway.review import Review, Thresholds
+from igtl_gateway.review.material import CLOUDS
+
+Address = tuple[str, int]
+AnyPath = str | PathLike[str]
+
+
+def verify(path: AnyPath, *, config: AnyPath | None = None) -> Verification:
+    """Check that the recorded outputs of a session follow from its recorded inputs, with this version.
+
+    Args:
+        path: the recording.
+        config: configuration file (TOML) to use instead of the recorded configuration.
+
+    Returns:
+        The result: ``good``, the counts, and each difference with entry, stream, field and both values.
+
+    Raises:
+        UnsupportedRecording: the file is not a recording of igtl-gateway, or is an import.
+        DamagedRecording: the recording cannot be read to its end.
+        ConfigError: the configuration file is invalid.
+
+    Example:
+        >>> verify("fixtures/star.mcap").good
+        True
+    """
+    return verify_recording(Path(path), None if config is None else Path(config))
+
+
+def diff(
+    one: AnyPath, other: AnyPath, *, streams: Sequence[str] = (), tolerance_mm: float = 0.0, tolerance_deg: float = 0.0
+) -> RecordingDiff:
+    """Compare two recordings message by message.
+
+    Args:
+        one: a recording, or a rosbag2 MCAP file.
+        other: the recording to compare with it.
+        streams: globs of the streams to compare: topic, ``TYPE/device`` or device; empty: all.
+        tolerance_mm: positions up to this distance apart are equal.
+        tolerance_deg: rotations up to this angle apart are equal.
+
+    Returns:
+        The differences of each stream.
+
+    Raises:
+        UnsupportedRecording: a file of another kind.
+        DamagedRecording: a recording cannot be read to its end.
+        ConfigError: a tolerance is out of range.
+
+    Example:
+        >>> diff("fixtures/star.mcap", "fixtures/star.mcap").equal
+        True
+    """
+    for name, value in (("tolerance_mm", tolerance_mm), ("tolerance_deg", tolerance_deg)):
+        if not 0 <= value < float("inf"):
+            raise ConfigError(f"{name}: found {value}, expected 0 or more")
+    return compare_recordings(Path(one), Path(other), tuple(streams), Tolerance(tolerance_mm, tolerance_deg))
+
+
+def review(
+    path: AnyPath,
+    *,
+    plan: str = "",
+    cloud: str = "",
+    tool: str = "",
+    clouds: int = CLOUDS,
+    thresholds: Thresholds | None = None,
+) -> Review:
+    """Review the suture plan of a recording: the distance of each point from the tissue, and the depth noise there.
+
+    Args:
+        path: the recording, or a rosbag2 MCAP file.
+        plan: topic of the plan; "": pairs of points on the tissue.
+        cloud: topic of the point cloud; "": the largest.
+        tool: topic or frame of the tool; "": the one that comes nearest.
+        clouds: maximum number of clouds, evenly spread over time.
+        thresholds: the limits that make a figure a reason; None: the defaults.
+
+    Returns:
+        The review: ``review.last.wrong`` has the wrong stitches of the last version of the plan.
+
+    Raises:
+        GatewayError: the recording has no plan or no cloud.
+        ConfigError: it does not have the requested ones, or a threshold is out of range.
+
+    Example:
+        >>> len(review("fixtures/star.mcap").last.stitches)
+        8
+    """
+    limits = thresholds or Thresholds()
+    checked_thresholds({each.name: getattr(limits, each.name) for each in fields(Thresholds)}, clouds)
+    found, _ = review_recording(Path(path), ReviewSelection(plan, cloud, tool, clouds), limits)
+    return found
+
+
+def replay(
+    path: AnyPath,
+    to: To = "igtl",
+    *,
+    rate: float | None = 1.0,
+    listen: Sequence[Address] = (),
+    connect: Sequence[Address] = (),
+    streams: Sequence[str] = (),
+    start: str | float | None = None,
+    end: str | float | None = None,
+    duration: float | None = None,
+    through_gateway: bool = False,
+    config: AnyPath | None = None,
+    send: Sequence[str] = (),
+    restamp: Mode = "keep",
+    loop: bool = False,
+    delay_s: float = 0.0,
+    wait_peers: int | None = None,
+    clock_hz: float | None = None,
+    lock_step: bool = False,
+    fault: str = "",
+    seed: int = 0,
+    allow: Sequence[str] = (),
+    tls: TlsFiles | None = None,
+    digest: bool = True,
+    stop: threading.Event | None = None,
+    on_line: Callable[[str], None] | None = None,
+) -> ReplayResult:
+    """Send a recording to OpenIGTLink peers, to ROS, or to both, and wait until it is sent.
+
+    Args:
+        path: the recording, or a rosbag2 MCAP file.
+        to: ``"igtl"``, ``"ros"`` or ``"both"``.
+        rate: recorded seconds per second; None: without pauses.
+        listen: addresses to listen on; without ``listen`` and ``connect``: 127.0.0.1:18944.
+        connect: addresses of servers to connect to.
+        streams: globs of the streams to send; empty: all.
+        start: first recorded time: seconds from the beginning, or a date and time.
+        end: last recorded time.
+        duration: recorded seconds to send, instead of ``end``.
+        through_gateway: recompute the outputs from the recorded inputs with this version.
+        config: with ``through_gateway``: configuration file to use instead of the recorded configuration.
+        send: ROS topics to send to OpenIGTLink, as ``"/topic=Device:TYPE"``.
+        restamp: stamps in the messages: ``"keep"``, ``"now"`` or ``"shift"``.
+        loop: repeat until ``stop`` is set.
+        delay_s: seconds to wait before the first message.
+        wait_peers: number of peers, or of subscribers on each topic, to wait for; None: 1 peer, 0 subscribers.
+        clock_hz: rate of the recorded time on /clock; None: do not publish it.
+        lock_step: wait after each message until its readers have it.
+        fault: faults to inject, such as ``"loss=1%,jitter=20ms"``.
+        seed: seed of the fault injection.
+        allow: networks (CIDR) whose peers may connect beside those of this host.
+        tls: files for TLS at all addresses; None: no TLS.
+        digest: compute the SHA-256 of the sent bytes.
+        stop: an event; the replay ends when it is set, also while it waits for peers.
+        on_line: called with each line of text about what the replay does, from any of its threads.
+
+    Returns:
+        What was sent, and what was not and why.
+
+    Raises:
+        ConfigError: an argument is out of range, or does not fit the recording; the error has the name of the option
+            of the command line.
+        GatewayError: the recording has no message to send; the replay was stopped before it started.
+        Unavailable: a port is in use.
+        RosError: ROS is not installed.
+    """
+    listening: tuple[Address, ...] = tuple((host, port) for host, port in listen)
+    connecting = tuple((host, port) for host, port in connect)
+    if to != "ros" and not (listening or connecting):
+        listening = ((HOST, PORT),)
+    if to == "ros" and (listening or connecting):
+        raise ConfigError("to: found 'ros' with addresses of OpenIGTLink, expected 'igtl' or 'both' with them")
+    options = ReplayOptions(
+        to,
+        listening,
+        connecting,
+        tuple(allow),
+        tls or TlsFiles(),
+        frozenset(listening if tls else ()),
+        frozenset(connecting if tls else ()),
+        None if config is None else Path(config),
+        tuple(send),
+        None if start is None else str(start),
+        None if end is None else str(end),
+        duration,
+        tuple(streams),
+        through_gateway,
+        restamp,
+        None if lock_step else rate,
+        lock_step,
+        loop,
+        False,
+        delay_s,
+        wait_peers,
+        clock_hz,
+        fault,
+        seed,
+        digest,
+    )
+    events = ReplayEvents(on_line=on_line) if on_line else ReplayEvents()
+    result = run_replay(Path(path), options, stop or threading.Event(), events)
+    if result is None:
+        raise GatewayError(f"{path}: the replay was stopped before it started")
+    return result

@@ -1,0 +1,87 @@
+"""Comparison of two recordings: their files, and the differences."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway.convert.units import LengthUnits
+from igtl_gateway.replay.compare import LeafDecoder, Tolerance
+from igtl_gateway.replay.diff import DiffInput, StreamDiff, diff
+from igtl_gateway.replay.recorded_config import config_to_run
+from igtl_gateway.sessionfile.reader import SessionFile
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingDiff:
+    """The differences of two recordings.
+
+    Attributes:
+        one, other: the recordings.
+        streams: differences by kind and stream, also of equal streams.
+        stamp_offset_ns: most frequent offset of the stamps in the messages of the other recording.
+        offset_ns: mean offset of its gateway times.
+    """
+
+    one: Path
+    other: Path
+    streams: tuple[StreamDiff, ...]
+    stamp_offset_ns: int
+    offset_ns: float
+
+    @property
+    def equal(self) -> bool:
+        """Whether all streams are equal, within the tolerance."""
+        return all(stream.equal for stream in self.streams)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the differences as JSON values, as ``igtl-gateway diff --json`` prints them."""
+        facts = {
+            "one": str(self.one),
+            "other": str(self.other),
+            "equal": self.equal,
+            "stamp_offset_ns": self.stamp_offset_ns,
+            "offset_ns": self.offset_ns,
+            "streams": [{**asdict(stream), "equal": stream.equal} for stream in self.streams],
+        }
+        found: dict[str, Any] = _json_value(facts)
+        return found
+
+
+def compare_recordings(one: Path, other: Path, streams: Sequence[str], tolerance: Tolerance) -> RecordingDiff:
+    """Compare two recordings; one of them may be of another program.
+
+    Args:
+        one, other: the recordings.
+        streams: globs of the streams to compare; empty = all, with notes.
+        tolerance: differences that count as equal.
+
+    Raises UnsupportedRecording or DamagedRecording.
+    """
+    with ExitStack() as stack:
+        files = [stack.enter_context(SessionFile.open(path)) for path in (one, other)]
+        foreign = files[0].foreign is not files[1].foreign
+        report = diff(_side(files[0]), _side(files[1]), globs=streams, tolerance=tolerance, foreign=foreign)
+    return RecordingDiff(one, other, tuple(report.streams), report.stamp_offset_ns, report.offset_ns)
+
+
+def _side(file: SessionFile) -> DiffInput:
+    config = config_to_run(file.session)
+    return DiffInput(file.entries(), LeafDecoder(file.definitions, LengthUnits(config.ros_unit, config.igtl_unit)))
+
+
+def _json_value(value: Any) -> Any:
+    """JSON has no infinity."""
+    match value:
+        case dict():
+            return {key: _json_value(part) for key, part in value.items()}
+        case list():
+            return [_json_value(part) for part in value]
+        case float() if not math.isfinite(value):
+            return str(value)
+        case _:
+            return value

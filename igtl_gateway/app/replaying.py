@@ -1,0 +1,291 @@
+"""A replay from its options to its result: what the verb ``replay`` and the Python API share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from contextlib import AbstractContextManager, ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from threading import Event
+from typing import Any
+
+from igtl_gateway.app.faulty import FaultyFeed
+from igtl_gateway.app.player import Jump, Player
+from igtl_gateway.app.replay_account import ReplayAccount
+from igtl_gateway.app.replay_plan import plan_replay, planned_entries
+from igtl_gateway.app.replay_sides import ReplayOptions, ReplaySides, open_sides
+from igtl_gateway.app.sends import with_sends
+from igtl_gateway.clock import SystemClock
+from igtl_gateway.errors import ConfigError, GatewayError
+from igtl_gateway.faults import CLOCK_STEP, LOSS, Fate, Faults
+from igtl_gateway.replay.moment import moment
+from igtl_gateway.replay.playback import checked_rate
+from igtl_gateway.replay.recorded_config import config_to_run
+from igtl_gateway.replay.restamp import Restamper
+from igtl_gateway.replay.simclock import period_ns, with_ticks
+from igtl_gateway.replay.timeline import SessionTimeline, clock_steps_of
+from igtl_gateway.session.entry import Entry
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.stamp import NS_PER_S
+
+#: A year: longer than a session, shorter than what a clock of the system cannot wait for.
+_LONGEST_S = 366 * 86_400.0
+
+
+@dataclass(frozen=True, slots=True)
+class SentMessages:
+    """What one side of a replay was sent.
+
+    Attributes:
+        messages: number of messages.
+        bytes: their bytes.
+        sha256: SHA-256 of all bytes in the order of sending; None if it was not computed.
+    """
+
+    messages: int
+    bytes: int
+    sha256: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class RefusedMessages:
+    """Messages of a stream that ROS did not take, and why.
+
+    Attributes:
+        stream: the topic.
+        reason: why.
+        messages: number of messages.
+        at_once: whether ROS rejected them, and not only failed to deliver them later.
+    """
+
+    stream: str
+    reason: str
+    messages: int
+    at_once: bool
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayResult:
+    """The result of a replay.
+
+    Attributes:
+        file: the recording.
+        complete: whether the replay reached its end, and everything was sent.
+        messages: number of messages that were sent.
+        bytes: their bytes.
+        without_peer: how many of them found no connected peer.
+        undelivered: how many of them were still queued when their peer disconnected, once for each peer.
+        refused: messages that ROS did not take.
+        sha256: SHA-256 of all bytes in the order of sending; None if it was not computed.
+        streams: number of messages by stream.
+        account: for each recorded message whether it was sent, or why not; None after a loop or a jump.
+        sides: the same for OpenIGTLink (``"igtl"``) and ROS (``"ros"``) alone.
+        faults: number of injected faults by name; None without fault injection.
+    """
+
+    file: Path
+    complete: bool
+    messages: int
+    bytes: int
+    without_peer: int
+    undelivered: int
+    refused: tuple[RefusedMessages, ...]
+    sha256: str | None
+    streams: dict[str, int]
+    account: dict[str, Any] | None
+    sides: dict[str, SentMessages]
+    faults: dict[str, int] | None
+
+
+@dataclass(frozen=True, slots=True)
+class ReplayEvents:
+    """Functions that a replay calls.
+
+    Attributes:
+        on_line: a line of text about what it does.
+        jumped: a jump of the playback, with the first recorded time (UTC ns).
+        fault: the fate of a message with an injected fault.
+        controls: returns a context in which the player can be controlled; the replay runs inside.
+        ended: the result, after the sides are closed, also if an error ended the replay.
+    """
+
+    on_line: Callable[[str], None] = lambda text: None
+    jumped: Callable[[Jump, int], None] = lambda jump, start_ns: None
+    fault: Callable[[Fate[Entry]], None] = lambda fate: None
+    controls: Callable[[SessionFile, Player, ReplaySides], AbstractContextManager[object]] = (
+        lambda _file, _player, _side: ExitStack()
+    )
+    ended: Callable[[ReplayResult], None] = lambda result: None
+
+
+def run_replay(path: Path, options: ReplayOptions, stop: Event, events: ReplayEvents) -> ReplayResult | None:
+    """Replay a recording until its end, or until ``stop`` is set.
+
+    Returns:
+        The result; None if ``stop`` was set before the replay started.
+
+    Raises:
+        ConfigError: an invalid option, or an option that does not fit the recording.
+        GatewayError: the recording has no message for the side; UnsupportedRecording, DamagedRecording, RosError,
+            Unavailable.
+    """
+    check_options(options)
+    clock_ns = None if options.clock_hz is None else period_ns(options.clock_hz)
+    results: list[ReplayResult] = []
+    with SessionFile.open(path) as file, ExitStack() as at_end, ExitStack() as stack:
+        start_ns, end_ns = _part(options, file)
+        config = with_sends(config_to_run(file.session, options.config), options.send)
+        how = plan_replay(file, options.to, options.through_gateway)
+        events.on_line(f"{path}: {how.why}")
+        pace = SessionTimeline(clock_steps_of(file))
+        side = open_sides(options, file, how, stop, stack, events.on_line)
+        if side is None:
+            events.on_line("stopped before the replay started")
+            return None
+
+        account = ReplayAccount.of(file, how)
+        faults = Faults.parse(options.fault)
+        faulty = FaultyFeed(faults, options.seed, events.fault) if faults else None
+        role = "client" if options.connect and not options.listen else "server"
+
+        def feed(from_ns: int | None) -> Iterable[Entry]:
+            account.begin()
+            entries = planned_entries(
+                file, config, how, options.streams, from_ns, end_ns, role, account.passed_over, account.made
+            )
+            entries = faulty(entries) if faulty else entries
+            return entries if clock_ns is None else with_ticks(entries, from_ns, clock_ns, pace)
+
+        player = Player(
+            feed,
+            side.send,
+            SystemClock(),
+            stop,
+            rate=options.rate,
+            paused=options.paused,
+            loop=options.loop,
+            span=(start_ns or file.start_ns, file.end_ns if end_ns is None else end_ns),
+            start_ns=start_ns,
+            restamp=_restamper(options, file, events.on_line),
+            on_jump=lambda jump: events.jumped(jump, file.start_ns),
+            send_all=side.send_all,
+            digest=options.digest,
+            pace=pace,
+        )
+        complete = False
+
+        def end() -> None:
+            partial = start_ns is not None or end_ns is not None
+            results.append(_result(path, player, side, complete, faulty, account, partial))
+            events.ended(results[0])
+
+        # when the edges are closed: what still left then counts as sent, and what did not does not
+        at_end.callback(end)
+        stack.enter_context(events.controls(file, player, side))
+        stop.wait(options.delay_s)
+        try:
+            player.run()
+        finally:
+            complete = side.finish() and not stop.is_set()
+    if complete and not player.played.messages:
+        why = next(iter(player.played.refused), ("", "see `igtl-gateway info`, and --send"))[1]
+        raise GatewayError(f"{path}: found no messages for {options.to}: {why}")
+    return results[0]
+
+
+def check_options(options: ReplayOptions) -> None:
+    """Check the options before anything is opened.  Raises ConfigError."""
+    checked_rate(options.rate)
+    if options.wait_peers is not None and options.wait_peers < 0:
+        raise ConfigError(f"--wait-peers: found {options.wait_peers}, expected 0 or more")
+    if not 0 <= options.delay_s <= _LONGEST_S:
+        raise ConfigError(f"--delay: found {options.delay_s}, expected seconds, 0 or more, at most {_LONGEST_S:,.0f}")
+    if options.duration is not None and not 0 < options.duration <= _LONGEST_S:
+        raise ConfigError(f"--duration: found {options.duration}, expected seconds, above 0, at most {_LONGEST_S:,.0f}")
+    if options.clock_hz is not None:
+        period_ns(options.clock_hz)
+        if options.to == "igtl":
+            raise ConfigError("--clock: found --to igtl, expected --to ros or --to both: /clock is a ROS topic")
+    faults = Faults.parse(options.fault)
+    if faults and options.to == "ros":
+        raise ConfigError("--fault: found --to ros, expected --to igtl or --to both: faults are of OpenIGTLink lines")
+    if faults.clock_step_ns and options.restamp == "now":
+        raise ConfigError(
+            f"--fault: {CLOCK_STEP}: found --restamp now, which replaces all stamps, expected keep or shift"
+        )
+
+
+def _part(options: ReplayOptions, file: SessionFile) -> tuple[int | None, int | None]:
+    """Return first and last time in UTC ns; None without an option."""
+    # a file that begins midway begins with the state there, as any part does
+    start_ns = file.start_ns if file.prologue() else None
+    end_ns = None
+    if options.start is not None:
+        start_ns = moment(options.start, file.start_ns, "--start")
+        end = since_text(file.start_ns, file.end_ns)
+        if start_ns > file.end_ns:
+            raise ConfigError(f"--start: found {since_text(file.start_ns, start_ns)}, expected at most {end}")
+    if options.end is not None:
+        end_ns = moment(options.end, file.start_ns, "--end")
+    elif options.duration is not None:
+        end_ns = (file.start_ns if start_ns is None else start_ns) + round(options.duration * NS_PER_S)
+    if end_ns is not None and end_ns < (start_ns or file.start_ns):
+        expected = since_text(file.start_ns, start_ns or file.start_ns)
+        raise ConfigError(f"--end: found {since_text(file.start_ns, end_ns)}, expected at least {expected}")
+    return start_ns, end_ns
+
+
+def since_text(start_ns: int, recorded_ns: int | None) -> str:
+    """Return a recorded time for people, from ``start_ns``."""
+    return "the beginning" if recorded_ns is None else f"{(recorded_ns - start_ns) / NS_PER_S:+.3f} s"
+
+
+def _restamper(options: ReplayOptions, file: SessionFile, tell: Callable[[str], None]) -> Restamper | None:
+    if options.restamp == "keep":
+        return None
+    return Restamper(
+        options.restamp, lambda name: tell(f"! stamps of {name} are not changed: unknown type"), file.definitions
+    )
+
+
+def _result(
+    path: Path,
+    player: Player,
+    side: ReplaySides,
+    complete: bool,
+    faulty: FaultyFeed | None,
+    account: ReplayAccount,
+    partial: bool,
+) -> ReplayResult:
+    """Return what was sent, what was not and why; after the sides are closed."""
+    played = player.played
+    refused = {key: (number, True) for key, number in played.refused.items()}
+    for stream, number in side.failed().items():  # those that were held for their subscribers, and failed then
+        if later := number - sum(many for (name, _), many in played.refused.items() if name == stream):
+            refused[stream, "ROS did not take it"] = later, False
+    failed = sum(number for number, at_once in refused.values() if not at_once)
+    undelivered, single = side.undelivered()
+    facts = None
+    if account.passes == 1:  # a loop or a jump sends messages again
+        facts = account.facts(
+            played,
+            failed=failed,
+            left=undelivered if single else 0,
+            lost=faulty.counts[LOSS] if faulty else 0,
+            partial=partial,
+            stopped=not complete,
+        )
+    return ReplayResult(
+        path,
+        complete,
+        played.messages - failed,
+        played.bytes,
+        played.without_peer,
+        undelivered,
+        tuple(RefusedMessages(*key, *counts) for key, counts in sorted(refused.items())),
+        played.digest,
+        dict(played.by_stream),
+        facts,
+        {name: SentMessages(part.messages, part.bytes, part.digest) for name, part in sorted(player.sides.items())},
+        dict(faulty.counts) if faulty else None,
+    )

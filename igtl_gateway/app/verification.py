@@ -1,0 +1,110 @@
+"""Verification of a recording: its file, its configuration, and the result."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway import __version__
+from igtl_gateway.config import Config
+from igtl_gateway.convert.units import LengthUnits
+from igtl_gateway.errors import UnsupportedRecording
+from igtl_gateway.replay.compare import LeafDecoder
+from igtl_gateway.replay.recorded_config import config_to_run
+from igtl_gateway.replay.verify import DeclaredLosses, Difference, VerifyReport, verify
+from igtl_gateway.sessionfile.reader import SessionFile
+
+#: Key of the version that recorded the session.
+_VERSION = "igtl_gateway_version"
+#: Key of the source format of an imported session.
+_IMPORTED = "imported_format"
+#: ``Verification.config`` of the recorded configuration.
+RECORDED = "recorded"
+
+
+@dataclass(frozen=True, slots=True)
+class Verification:
+    """The result of a verification: whether the outputs of a recording follow from its inputs.
+
+    Attributes:
+        file: the recording.
+        recorded_by, verified_by: versions of igtl-gateway; "" = unknown.
+        config: ``"recorded"``, or the configuration file that replaced the recorded configuration.
+        inputs, outputs: number of recorded entries that were processed, and that were compared.
+        equal: number of outputs that are equal, byte for byte.
+        lost: number of computed outputs that the recording has lost, as it declares.
+        missing: number of other declared losses: inputs and their outputs.
+        orphans: number of recorded outputs of such inputs, which cannot be verified.
+        late: number of notes at other times than recorded, because the entries that they report were lost.
+        differing: number of outputs that are different, missing or additional.
+        by_stream: differing outputs by stream.
+        firsts: first difference of each stream.
+        differences: the first 1,000 differences.
+    """
+
+    file: Path
+    recorded_by: str
+    verified_by: str
+    config: str
+    inputs: int
+    outputs: int
+    equal: int
+    lost: int
+    missing: int
+    orphans: int
+    late: int
+    differing: int
+    by_stream: dict[str, int]
+    firsts: dict[str, Difference]
+    differences: tuple[Difference, ...]
+
+    @property
+    def good(self) -> bool:
+        """Whether no output differs, and all losses are declared."""
+        return self.differing == 0
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as JSON values, as ``igtl-gateway verify --json`` prints it."""
+        values = asdict(self) | {"file": str(self.file)}
+        return {"file": values.pop("file"), "good": self.good, **values}
+
+
+def verify_recording(path: Path, config_path: Path | None = None) -> Verification:
+    """Verify a recording.
+
+    Args:
+        path: the recording.
+        config_path: configuration file to use instead of the recorded configuration.
+
+    Raises UnsupportedRecording for other files and for imports, DamagedRecording, ConfigError.
+    """
+    with SessionFile.open(path) as file:
+        if file.foreign:
+            raise UnsupportedRecording(
+                f"{path}: found an MCAP file of another program, expected a session of igtl-gateway"
+            )
+        if _IMPORTED in file.session:
+            raise UnsupportedRecording(
+                f"{path}: found an import ({file.session[_IMPORTED]}), expected a recording of the gateway: "
+                "it has no outputs; `replay --through-gateway` computes them"
+            )
+        recorded_by = file.session.get(_VERSION, "")
+        config = _config(path, config_path, file, recorded_by)
+        decoder = LeafDecoder(file.definitions, LengthUnits(config.ros_unit, config.igtl_unit))
+        losses = DeclaredLosses.of(file.session, file.ledger)
+        report = verify(file.entries(), config, losses, before=file.prologue(), decoder=decoder)
+    counts = {each.name: getattr(report, each.name) for each in fields(VerifyReport)}
+    counts["differences"] = tuple(report.differences)
+    return Verification(path, recorded_by, __version__, str(config_path) if config_path else RECORDED, **counts)
+
+
+def _config(path: Path, config_path: Path | None, file: SessionFile, recorded_by: str) -> Config:
+    """The configuration to verify with.  Raises ConfigError, or UnsupportedRecording with both versions."""
+    try:
+        return config_to_run(file.session, config_path)
+    except UnsupportedRecording as error:
+        raise UnsupportedRecording(
+            f"{path}: {error}; recorded by igtl-gateway {recorded_by or 'of an unknown version'}, "
+            f"this is {__version__}: give a configuration with --config"
+        ) from None
