@@ -14,10 +14,13 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import pytest
+from ruamel.yaml import YAML
 
 from igtl_gateway import __version__
 from igtl_gateway.cli import complete
+from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT
 from igtl_gateway.cli.verbs import VERBS
+from igtl_gateway.settings import parameters
 from tests.integration.bridge import ROOT
 from tests.launch_files import LaunchFile, every, read
 
@@ -163,6 +166,35 @@ def test_every_node_is_an_executable_with_options_that_it_has(name: str) -> None
             parser = argparse.ArgumentParser(exit_on_error=False)
             complete(parser, verb)
             parser.parse_args(with_defaults(FILES[name], node.get("args", "")).split())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_parameter_of_a_bridge_is_a_setting(name: str) -> None:
+    known = parameters()
+    for each in every(FILES[name].actions, "set_parameter"):
+        if each["name"] == "use_sim_time":
+            continue
+        argument = f"$(var {each['name']})"
+        assert each["value"] == (f"'[{argument}]'" if known[each["name"]].is_list else argument)
+        assert each["if"] == f"given {each['name']}"
+
+
+def test_the_example_of_parameters_has_settings_with_their_defaults() -> None:
+    text = (PACKAGE / "config" / "bridge.yaml").read_text("utf-8")
+    known = parameters()
+    (nodes,) = YAML(typ="safe", pure=True).load(text).items()
+    assert nodes[0] == "/**"
+    values = nodes[1]["ros__parameters"]
+    assert len(values) > 10
+    for name, value in values.items():
+        default = (f"{DEFAULT_HOST}:{DEFAULT_PORT}",) if name == "listen" else known[name].default
+        assert known[name].check(value) == default
+    commented = re.findall(r"^    # (\w+): (.*?)(?: +#.*)?$", text, re.MULTILINE)
+    assert len(commented) > 5
+    for name, value in commented:
+        known[name].check(YAML(typ="safe", pure=True).load(value))
+    units = {name: unit for name, unit in re.findall(r"^    (\w+): \S+ +# (\w+)(?:;.*)?$", text, re.MULTILINE)}
+    assert {name: known[name].unit for name in units} == units
 
 
 def with_defaults(file: LaunchFile, text: str) -> str:
