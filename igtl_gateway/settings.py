@@ -5,7 +5,7 @@ type by its default, the unit, the range and the description.  The command line,
 need from the row, and all three check a value with ``Setting.check``: the same mistake has the same message everywhere.
 
 Rows of messages (``to_igtl``, ``to_ros``, ``tf_out``, ``peers``) are tables in a file.  As a parameter they are a list
-of strings; ``cli.routes`` has their form.
+of strings; ``app.rows`` has their form.
 """
 
 from __future__ import annotations

@@ -30,8 +30,8 @@ from pathlib import Path
 from random import Random
 from types import FrameType
 
+from igtl_gateway.app.settings import of_file
 from igtl_gateway.cli import main as command_line
-from igtl_gateway.cli.settings import of_file
 from igtl_gateway.config import Config
 from igtl_gateway.errors import GatewayError
 from igtl_gateway.exchange.formats import open_source

@@ -5,28 +5,26 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 from importlib.util import find_spec
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from igtl_gateway.app.bridge import Bridge, BridgeOptions
+from igtl_gateway.app.bridge import Bridge
+from igtl_gateway.app.bridge_options import bridge_options
 from igtl_gateway.app.interpreter import tune_interpreter
 from igtl_gateway.app.status import BridgeStatus
 from igtl_gateway.cli import admission, recording
 from igtl_gateway.cli.bridge_output import BridgeOutput, EntryWatch, JsonOutput, TextOutput
 from igtl_gateway.cli.common import stop_event
-from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT, addresses, default
-from igtl_gateway.cli.settings import add_faults, add_settings, config_of, settled
+from igtl_gateway.cli.options import default
+from igtl_gateway.cli.settings import add_faults, add_settings, settled
 from igtl_gateway.cli.terminal import is_terminal, print_line
 from igtl_gateway.cli.type_tables import types
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config
 from igtl_gateway.edges.ros.env import prepare_environment, tune_malloc
-from igtl_gateway.edges.video import VideoOptions
 from igtl_gateway.errors import ConfigError, ViewerError
 from igtl_gateway.extras import missing
 from igtl_gateway.faults import RelayFaults
-from igtl_gateway.notations import address, cpus
-from igtl_gateway.realtime import RealtimeOptions
+from igtl_gateway.notations import address
 from igtl_gateway.stamp import NS_PER_S
 
 if TYPE_CHECKING:
@@ -133,13 +131,15 @@ def run(options: argparse.Namespace) -> int:
     if options.duration is not None and not 0 < options.duration < float("inf"):
         raise ConfigError(f"--duration: found {options.duration:g}, expected a number of seconds above 0")
     values = settled(options, {})
-    config, bridge_options = _settings(options, values)
+    if RelayFaults.parse(options.fault or "") and not values["relay"]:
+        raise ConfigError("--fault: found no --relay, expected it: only a relay has a connection to inject faults into")
+    config, how = bridge_options(values, ros=not options.no_ros, node_name=options.node_name, reserved=options.reserved)
     watch = EntryWatch()
     clock = SystemClock()
     with stop_event() as stop:
-        notes = [tune_malloc()] if not bridge_options.ros else prepare_environment()
+        notes = [tune_malloc()] if not how.ros else prepare_environment()
         window = _window(config) if options.view else None
-        bridge = Bridge(config, bridge_options, clock, watch, window, watch.add)
+        bridge = Bridge(config, how, clock, watch, window, watch.add)
         status = BridgeStatus(bridge, watch, clock)
         metrics = _start(bridge, values, status, window)
         out: BridgeOutput = JsonOutput(clock) if options.log_format == "json" else TextOutput(is_terminal())
@@ -169,43 +169,6 @@ def run(options: argparse.Namespace) -> int:
     return 1 if bridge.summary and bridge.summary.failure else 0
 
 
-def _settings(options: argparse.Namespace, values: Mapping[str, Any]) -> tuple[Config, BridgeOptions]:
-    """Configuration of the session, and options of the bridge.  Raises ConfigError."""
-    if RelayFaults.parse(options.fault or "") and not values["relay"]:
-        raise ConfigError("--fault: found no --relay, expected it: only a relay has a connection to inject faults into")
-    config = config_of(values)
-    how = recording.record_options(values)
-    listen, connect = addresses(values["listen"], values["connect"])
-    if config.relay:
-        if len(connect) != 1:
-            raise ConfigError(f"--relay: found {len(connect)} servers, expected one: --connect HOST:PORT")
-        listen = listen or ((DEFAULT_HOST, DEFAULT_PORT),)
-    ros = not (options.no_ros or config.relay)
-    tls_listen, tls_connect = admission.secured(values, listen, connect)
-    return config, BridgeOptions(
-        listen,
-        connect,
-        ros=ros,
-        record=Path(values["record"]) if values["record"] else None,
-        record_topics=("**",) if values["record_all"] else tuple(values["record_topics"]),
-        allow=tuple(values["allow"]),
-        limits=admission.limits(values),
-        tls=admission.tls(values),
-        tls_listen=tls_listen,
-        tls_connect=tls_connect,
-        node_name=options.node_name,
-        recording=how,
-        video=_video(values, ros=ros),
-        diagnostics=ros and values["diagnostics"],
-        reserved=options.reserved,
-        realtime=RealtimeOptions(
-            values["realtime_priority"],
-            values["lock_memory"],
-            cpus(values["cpu_affinity"]) if values["cpu_affinity"] else frozenset(),
-        ),
-    )
-
-
 def _start(
     bridge: Bridge, values: Mapping[str, Any], status: BridgeStatus, window: LiveWindow | None
 ) -> MetricsServer | None:
@@ -224,14 +187,6 @@ def _start(
             window.close()
         raise
     return metrics
-
-
-def _video(values: Mapping[str, Any], *, ros: bool) -> VideoOptions | None:
-    if not values["video_codec"]:
-        return None
-    if not ros:
-        raise ConfigError("--video-codec: found --no-ros, expected ROS: the codec encodes images of ROS")
-    return VideoOptions(values["video_codec"], values["video_bit_rate"] * 1000, values["video_key_interval"])
 
 
 def _metrics(values: Mapping[str, Any], status: BridgeStatus) -> MetricsServer:

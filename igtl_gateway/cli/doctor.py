@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 
+from igtl_gateway.app import bridge_options
 from igtl_gateway.app.examine import ExamineOptions, examine
 from igtl_gateway.cli import admission
 from igtl_gateway.cli.common import load_config, stop_event
@@ -81,7 +82,7 @@ def run(options: argparse.Namespace) -> int:
     if options.messages < 0:
         raise ConfigError(f"--messages: found {options.messages}, expected 0 or more")
     ours, servers = ([place] if place else [] for place in (options.listen, options.peer))
-    tls_listen, tls_connect = admission.secured(vars(options), ours, servers)
+    tls_listen, tls_connect = bridge_options.secured(vars(options), ours, servers)
     how = ExamineOptions(
         options.peer,
         options.listen,
@@ -90,7 +91,7 @@ def run(options: argparse.Namespace) -> int:
         options.speak,
         tuple(options.allow),
         options.ros,
-        admission.tls(vars(options)),
+        bridge_options.tls(vars(options)),
         bool(tls_listen),
         bool(tls_connect),
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import shutil
 import textwrap
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -126,14 +126,6 @@ def parser_of(parse: Callable[[str], T]) -> Callable[[str], T]:
 address = parser_of(notations.address)
 #: Parse ``[tls://|tcp://]HOST:PORT``, see ``notations``.
 peer_address = parser_of(notations.peer_address)
-
-
-def addresses(
-    listening: Iterable[str], servers: Iterable[str]
-) -> tuple[tuple[tuple[str, int], ...], tuple[tuple[str, int], ...]]:
-    """Return (listen, connect) for checked strings, with the default server if there are none."""
-    listen, connect = (tuple(map(notations.peer_address, texts)) for texts in (listening, servers))
-    return listen if listen or connect else ((DEFAULT_HOST, DEFAULT_PORT),), connect
 
 
 # -- lists of names ------------------------------------------------------------------------------------------------

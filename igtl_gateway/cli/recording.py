@@ -5,34 +5,17 @@ from __future__ import annotations
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from igtl_gateway.app.recording import pause, resume, snapshot
 from igtl_gateway.cli.keys import NEXT, PAUSE, can_read_keys, keyboard
 from igtl_gateway.cli.options import Options
 from igtl_gateway.cli.settings import add_settings
-from igtl_gateway.errors import ConfigError
-from igtl_gateway.notations import key_value
-from igtl_gateway.record.options import RecordOptions
-from igtl_gateway.record.selection import Selection
-from igtl_gateway.settings import BY_SETTING
 
 if TYPE_CHECKING:
     from igtl_gateway.record.recorder import Recorder
-
-#: Settings that need a file.
-_OF_A_RECORDING = (
-    "record_topics",
-    "record_all",
-    "record_include",
-    "record_exclude",
-    "custom_data",
-    "split_size",
-    "split_duration",
-    "snapshot",
-)
 
 
 def add_arguments(group: Options) -> None:
@@ -43,29 +26,6 @@ def add_arguments(group: Options) -> None:
     add_settings(group, "record_include", "record_exclude", "custom_data", words=True)
     add_settings(group, "compression", "flush_interval", "fsync", "split_size", "split_duration", "snapshot")
     add_settings(group, "on_record_failure")
-
-
-def record_options(values: Mapping[str, Any]) -> RecordOptions:
-    """Return the options of the recording for the values of all settings.  Raises ConfigError."""
-    if not values["record"]:
-        given = [name for name in _OF_A_RECORDING if values[name] != BY_SETTING[name].default]
-        if given:
-            names = " and ".join(f"--{name.replace('_', '-')}" for name in given)
-            raise ConfigError(f"{names}: found no --record FILE, expected it with options of a recording")
-    if values["snapshot"] and (values["split_size"] or values["split_duration"]):
-        raise ConfigError("--snapshot: found --split-size or --split-duration, expected neither: it records to memory")
-    return RecordOptions(
-        compression=values["compression"],
-        flush_s=values["flush_interval"],
-        fsync=values["fsync"],
-        split_bytes=values["split_size"] << 20,
-        split_s=values["split_duration"],
-        snapshot_s=values["snapshot"],
-        selection=Selection(tuple(values["record_include"]), tuple(values["record_exclude"])),
-        overwrite=values["overwrite"],
-        stop_on_failure=values["on_record_failure"] == "stop",
-        custom=tuple(map(key_value, values["custom_data"])),
-    )
 
 
 @contextmanager

@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from threading import Event, Thread
 
+from igtl_gateway.app.bridge_options import addresses, secured
+from igtl_gateway.app.bridge_options import tls as tls_files
 from igtl_gateway.app.player import Jump, Player
 from igtl_gateway.app.player_services import PlayerServices
 from igtl_gateway.app.replay_sides import ReplayOptions, ReplaySides
@@ -20,7 +22,6 @@ from igtl_gateway.cli.options import (
     add_file,
     add_json,
     add_streams,
-    addresses,
     default,
 )
 from igtl_gateway.cli.replay_report import print_report
@@ -183,13 +184,13 @@ def run(options: argparse.Namespace) -> int:
 def _replay_options(options: argparse.Namespace) -> ReplayOptions:
     """The options of the command line as those of a replay.  Raises ConfigError."""
     listen, connect = ((), ()) if options.to == "ros" else addresses(options.listen, options.connect)
-    tls_listen, tls_connect = admission.secured(vars(options), listen, connect)
+    tls_listen, tls_connect = secured(vars(options), listen, connect)
     return ReplayOptions(
         options.to,
         listen,
         connect,
         tuple(options.allow),
-        admission.tls(vars(options)),
+        tls_files(vars(options)),
         tls_listen,
         tls_connect,
         options.config,

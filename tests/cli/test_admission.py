@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from igtl_gateway.app import bridge_options
 from igtl_gateway.cli import admission, bridge
 from igtl_gateway.cli.settings import settled
 from igtl_gateway.config import Config
@@ -34,14 +35,14 @@ def parsed(*words: str) -> dict[str, Any]:
 def test_where_tls_is_spoken(words: list[str], listen: str, connect: str) -> None:
     ours = {"a": peer_address(":1"), "b": peer_address("tls://:2"), "-": peer_address("tcp://:3")}
     servers = {"c": peer_address(":4"), "d": peer_address("tls://:5"), "-": peer_address("tcp://:6")}
-    found = admission.secured(parsed(*words), tuple(ours.values()), tuple(servers.values()))
+    found = bridge_options.secured(parsed(*words), tuple(ours.values()), tuple(servers.values()))
     assert found == (frozenset(ours[name] for name in listen), frozenset(servers[name] for name in connect))
 
 
 def test_files_for_no_address_are_a_mistake() -> None:
     with pytest.raises(ConfigError, match="found no address with TLS"):
-        admission.secured(parsed("--tls-ca", "ca.pem"), (), (peer_address(":1"),))
-    assert admission.tls(parsed("--tls-key", "k")) == TlsFiles(None, Path("k"), None)
+        bridge_options.secured(parsed("--tls-ca", "ca.pem"), (), (peer_address(":1"),))
+    assert bridge_options.tls(parsed("--tls-key", "k")) == TlsFiles(None, Path("k"), None)
 
 
 def test_limits() -> None:
@@ -49,7 +50,7 @@ def test_limits() -> None:
     words += " --min-rate-kib 2"
     bodies = (("STRING", 4 << 20), ("GET_*", 1 << 19))
     own = PeerLimits(idle_s=60, stall_s=1, min_rate=2048, max_body=1 << 20, bodies=bodies, messages_per_s=9)
-    assert admission.limits(parsed(*words.split())) == own
+    assert bridge_options.limits(parsed(*words.split())) == own
 
 
 def test_what_is_denied_is_said_and_slips_are_seen() -> None:

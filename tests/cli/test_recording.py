@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from igtl_gateway.app.bridge_options import record_options
 from igtl_gateway.cli import recording
 from igtl_gateway.cli.settings import settled
 from igtl_gateway.clock import ManualClock
@@ -30,7 +31,7 @@ DEADLINE_S = 30.0
 def parsed(*arguments: str) -> RecordOptions:
     parser = argparse.ArgumentParser()
     recording.add_arguments(parser)
-    return recording.record_options(settled(parser.parse_args(arguments), {}))
+    return record_options(settled(parser.parse_args(arguments), {}))
 
 
 def test_without_options_it_is_as_everywhere() -> None:

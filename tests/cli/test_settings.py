@@ -9,9 +9,11 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.cli import admission, bridge
-from igtl_gateway.cli.options import addresses
-from igtl_gateway.cli.settings import config_of, declared, of_parameters, settled
+from igtl_gateway.app import bridge_options
+from igtl_gateway.app.bridge_options import addresses
+from igtl_gateway.app.settings import config_of, declared, of_parameters
+from igtl_gateway.cli import bridge
+from igtl_gateway.cli.settings import settled
 from igtl_gateway.config import Config, PeerRow, TfOutRow, ToIgtlRow, ToRosRow
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from igtl_gateway.errors import ConfigError
@@ -49,7 +51,7 @@ def test_every_option_that_is_a_setting_is_a_row_and_the_other_way_round() -> No
 def test_without_anything_it_is_the_default() -> None:
     assert values() == {row.name: row.default for row in SETTINGS}
     assert config_of(values()) == Config(watch=True)
-    assert admission.limits(values()) == PeerLimits()
+    assert bridge_options.limits(values()) == PeerLimits()
 
 
 def test_the_command_line_goes_before_the_parameters_and_these_before_the_file(path: Path) -> None:
@@ -204,7 +206,7 @@ def test_what_is_wrong_in_a_file_is_named_with_its_place(path: Path, text: str, 
 def test_files_of_tls_are_seen_from_the_folder_of_the_file(path: Path) -> None:
     path.write_text('[igtl]\ntls = true\ntls_cert = "or1.pem"\ntls_ca = "/clinic.pem"\n')
     found = values("--config", str(path), "--tls-key", "own.key")
-    assert admission.tls(found) == TlsFiles(path.parent / "or1.pem", Path("own.key"), Path("/clinic.pem"))
+    assert bridge_options.tls(found) == TlsFiles(path.parent / "or1.pem", Path("own.key"), Path("/clinic.pem"))
 
 
 def test_the_session_does_not_know_of_the_edge(path: Path) -> None:
@@ -214,8 +216,8 @@ def test_the_session_does_not_know_of_the_edge(path: Path) -> None:
 
 def test_the_example_is_one() -> None:
     found = values("--config", str(EXAMPLE))
-    assert Config.from_toml(EXAMPLE).deny_in and found["allow"] and admission.limits(found) != PeerLimits()
-    admission.secured(found, *addresses(found["listen"], found["connect"]))
+    assert Config.from_toml(EXAMPLE).deny_in and found["allow"] and bridge_options.limits(found) != PeerLimits()
+    bridge_options.secured(found, *addresses(found["listen"], found["connect"]))
 
 
 def test_a_bridge_keeps_to_it(path: Path) -> None:

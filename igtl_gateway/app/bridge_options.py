@@ -1,0 +1,159 @@
+"""The options of a bridge for the values of its settings: addresses, TLS, limits, recording, codec."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway.app.bridge import BridgeOptions
+from igtl_gateway.app.settings import config_of
+from igtl_gateway.config import Config
+from igtl_gateway.edges.reserved import ReservedPorts
+from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
+from igtl_gateway.edges.video import VideoOptions
+from igtl_gateway.errors import ConfigError
+from igtl_gateway.notations import DEFAULT_HOST, DEFAULT_PORT, cpus, key_value, peer_address, size_by_type
+from igtl_gateway.realtime import RealtimeOptions
+from igtl_gateway.record.options import RecordOptions
+from igtl_gateway.record.selection import Selection
+from igtl_gateway.settings import BY_SETTING
+
+_NEVER = TlsFiles()
+#: Settings that need a file.
+_OF_A_RECORDING = (
+    "record_topics",
+    "record_all",
+    "record_include",
+    "record_exclude",
+    "custom_data",
+    "split_size",
+    "split_duration",
+    "snapshot",
+)
+
+
+def bridge_options(
+    values: Mapping[str, Any], *, ros: bool, node_name: str, reserved: ReservedPorts | None = None
+) -> tuple[Config, BridgeOptions]:
+    """Return the configuration of the session and the options of the bridge.
+
+    Args:
+        values: the values of all settings.
+        ros: join the ROS graph; a relay does not.
+        node_name: name of the ROS node.
+        reserved: ports that are open already.
+
+    Raises:
+        ConfigError: settings that contradict each other.
+    """
+    config = config_of(values)
+    how = record_options(values)
+    listen, connect = addresses(values["listen"], values["connect"])
+    if config.relay:
+        if len(connect) != 1:
+            raise ConfigError(f"--relay: found {len(connect)} servers, expected one: --connect HOST:PORT")
+        listen = listen or ((DEFAULT_HOST, DEFAULT_PORT),)
+    ros = ros and not config.relay
+    tls_listen, tls_connect = secured(values, listen, connect)
+    return config, BridgeOptions(
+        listen,
+        connect,
+        ros=ros,
+        record=Path(values["record"]) if values["record"] else None,
+        record_topics=("**",) if values["record_all"] else tuple(values["record_topics"]),
+        allow=tuple(values["allow"]),
+        limits=limits(values),
+        tls=tls(values),
+        tls_listen=tls_listen,
+        tls_connect=tls_connect,
+        node_name=node_name,
+        recording=how,
+        video=_video(values, ros=ros),
+        diagnostics=ros and values["diagnostics"],
+        reserved=reserved,
+        realtime=RealtimeOptions(
+            values["realtime_priority"],
+            values["lock_memory"],
+            cpus(values["cpu_affinity"]) if values["cpu_affinity"] else frozenset(),
+        ),
+    )
+
+
+def addresses(
+    listening: Iterable[str], servers: Iterable[str]
+) -> tuple[tuple[tuple[str, int], ...], tuple[tuple[str, int], ...]]:
+    """Return (listen, connect) for checked strings, with the default server if there are none."""
+    listen, connect = (tuple(map(peer_address, texts)) for texts in (listening, servers))
+    return listen if listen or connect else ((DEFAULT_HOST, DEFAULT_PORT),), connect
+
+
+def limits(values: Mapping[str, Any]) -> PeerLimits:
+    """Return the limits of a peer.  Raises ConfigError."""
+    return PeerLimits(
+        max_clients=values["max_clients"],
+        queue_bytes=values["queue_mib"] << 20,
+        queue_messages=values["queue_messages"],
+        stall_s=values["stall_s"],
+        min_rate=round(values["min_rate_kib"] * 2**10),
+        idle_s=values["idle_s"],
+        max_body=values["max_body_mib"] << 20,
+        bodies=tuple(map(size_by_type, values["max_body"])),
+        messages_per_s=values["max_messages"],
+    )
+
+
+def tls(values: Mapping[str, Any]) -> TlsFiles:
+    """Return the files of TLS."""
+    return TlsFiles(*(Path(values[name]) if values[name] else None for name in ("tls_cert", "tls_key", "tls_ca")))
+
+
+def secured(
+    values: Mapping[str, Any], listen: Sequence[tuple[str, int]], connect: Sequence[tuple[str, int]]
+) -> tuple[frozenset[tuple[str, int]], frozenset[tuple[str, int]]]:
+    """Return the addresses with TLS: (listening, servers).  Raises ConfigError for files without such an address.
+
+    A certificate turns TLS on for all listening addresses except those with ``tcp://``: a user who gives one must not
+    discover later that the traffic was not encrypted.
+    """
+    ours = _with_tls(listen, values["tls"] or bool(values["tls_cert"]))
+    servers = _with_tls(connect, values["tls"])
+    if tls(values) != _NEVER and not ours and not servers:
+        raise ConfigError("--tls-ca, --tls-cert: found no address with TLS, expected --tls or tls://HOST:PORT")
+    return ours, servers
+
+
+def _with_tls(places: Iterable[tuple[str, int]], usual: bool) -> frozenset[tuple[str, int]]:
+    schemes = [(place, getattr(place, "scheme", "")) for place in places]
+    return frozenset(place for place, scheme in schemes if scheme == "tls" or (usual and scheme != "tcp"))
+
+
+def record_options(values: Mapping[str, Any]) -> RecordOptions:
+    """Return the options of the recording for the values of all settings.  Raises ConfigError."""
+    if not values["record"]:
+        given = [name for name in _OF_A_RECORDING if values[name] != BY_SETTING[name].default]
+        if given:
+            names = " and ".join(f"--{name.replace('_', '-')}" for name in given)
+            raise ConfigError(f"{names}: found no --record FILE, expected it with options of a recording")
+    if values["snapshot"] and (values["split_size"] or values["split_duration"]):
+        raise ConfigError("--snapshot: found --split-size or --split-duration, expected neither: it records to memory")
+    return RecordOptions(
+        compression=values["compression"],
+        flush_s=values["flush_interval"],
+        fsync=values["fsync"],
+        split_bytes=values["split_size"] << 20,
+        split_s=values["split_duration"],
+        snapshot_s=values["snapshot"],
+        selection=Selection(tuple(values["record_include"]), tuple(values["record_exclude"])),
+        overwrite=values["overwrite"],
+        stop_on_failure=values["on_record_failure"] == "stop",
+        custom=tuple(map(key_value, values["custom_data"])),
+    )
+
+
+def _video(values: Mapping[str, Any], *, ros: bool) -> VideoOptions | None:
+    if not values["video_codec"]:
+        return None
+    if not ros:
+        raise ConfigError("--video-codec: found --no-ros, expected ROS: the codec encodes images of ROS")
+    return VideoOptions(values["video_codec"], values["video_bit_rate"] * 1000, values["video_key_interval"])
