@@ -10,6 +10,7 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 
+import igtl_gateway
 from tools import site
 
 
@@ -100,7 +101,12 @@ def test_every_page_has_a_place_in_the_navigation(tmp_path: Path) -> None:
     staged = {page for page in site.stage(tmp_path) if page.endswith(".md") and not page.startswith("source/")}
     navigation = (site.ROOT / "mkdocs.yml").read_text("utf-8").partition("\nnav:\n")[2]
     listed = re.findall(r"\S+\.md$", navigation, re.MULTILINE)
-    assert sorted(listed) == sorted(staged)
+    assert sorted(listed) == sorted(staged)  # each once
+
+
+def test_every_public_name_is_in_the_reference() -> None:
+    listed = {place.rpartition(".")[2] for places in site.REFERENCE.values() for place in places}
+    assert set(igtl_gateway.__all__) - {"__version__", "aio"} <= listed
 
 
 def test_links_lead_to_the_pages_of_the_site(tmp_path: Path) -> None:

@@ -26,9 +26,57 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 OUT = ROOT / "out" / "site"
 #: Documents outside of docs/ that the navigation has.
-PROJECT = ("README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "CHANGELOG.md", "fixtures/README.md", "lab/README.md")
+PROJECT = (
+    "README.md",
+    "ARCHITECTURE.md",
+    "CONTRIBUTING.md",
+    "CHANGELOG.md",
+    "SECURITY.md",
+    "CODE_OF_CONDUCT.md",
+    "fixtures/README.md",
+    "lab/README.md",
+)
 #: Suffix → language of the code block; other files are plain text.
 LANGUAGES = {".py": "python", ".toml": "toml", ".xml": "xml", ".yaml": "yaml", ".yml": "yaml", ".cfg": "ini"}
+
+#: The page of the Python API, which is written only for the site.
+API = "python-api.md"
+#: Its groups, with the place of each name below ``igtl_gateway``.
+REFERENCE = {
+    "Recordings": (
+        "api.recording.open",
+        "api.recording.Recording",
+        "api.stream.Stream",
+        "api.poses.Poses",
+        "api.images.ImageView",
+        "api.clouds.Cloud",
+        "api.transforms.TransformTree",
+        "api.stream.RecordedMessage",
+        "api.recording.RecordedNote",
+    ),
+    "Peers": (
+        "api.peer.connect",
+        "api.peer.serve",
+        "api.peer.Peer",
+        "api.peer.Server",
+        "api.received.ReceivedMessage",
+    ),
+    "Peers with asyncio": (
+        "api.aio.connect",
+        "api.aio.serve",
+        "api.aio.AsyncPeer",
+        "api.aio.AsyncServer",
+    ),
+    "Verbs": (
+        "api.verbs.replay",
+        "api.verbs.verify",
+        "api.verbs.review",
+        "api.verbs.diff",
+        "app.replaying.ReplayResult",
+        "app.verification.Verification",
+        "app.comparison.RecordingDiff",
+    ),
+}
 
 _FENCE = re.compile(r"^( *)(`{3,}|~{3,})[^\n]*\n.*?^\1\2`* *$", re.DOTALL | re.MULTILINE)
 _LINK = re.compile(r"(?P<code>(`+)(?!`).+?(?<!`)\2(?!`))|\]\((?P<target>[^)\s]+)\)", re.DOTALL)
@@ -121,6 +169,14 @@ def notebook_page(path: str, pictures: dict[str, bytes], root: Path = ROOT) -> s
     return "\n\n".join(parts) + "\n"
 
 
+def api_page() -> str:
+    """The reference of the Python API, as directives for mkdocstrings."""
+    parts = ["# Python API", "The names of `import igtl_gateway`, and what its functions return."]
+    for group, places in REFERENCE.items():
+        parts += [f"## {group}", *(f"::: igtl_gateway.{place}" for place in places)]
+    return "\n\n".join(parts) + "\n"
+
+
 def stage(folder: Path, root: Path = ROOT) -> list[str]:
     """Write all pages below ``folder``, and return their places in it.
 
@@ -147,7 +203,8 @@ def stage(folder: Path, root: Path = ROOT) -> list[str]:
             place.write_text(rewrite(source_page(path, root), path, waiting, root), "utf-8")
         else:
             shutil.copyfile(root / path, place)
-    return sorted(done.values())
+    (folder / API).write_text(api_page(), "utf-8")
+    return sorted([*done.values(), API])
 
 
 def build(out: Path = OUT) -> Path:

@@ -62,7 +62,7 @@ class RecordedNote:
 
 
 class Recording(Mapping[str, Stream]):
-    """An open recording; a context manager.  :func:`~igtl_gateway.open` returns it.
+    """An open recording; a context manager.  ``open`` returns it.
 
     It is a mapping of its streams: ``recording["TRANSFORM/ToolToBase"]``, ``recording["/star/tool"]``.  A stream that
     exists in both directions has the keys ``"in:NAME"`` and ``"out:NAME"``; these forms are valid for all streams.
@@ -104,7 +104,7 @@ class Recording(Mapping[str, Stream]):
 
     @cached_property
     def streams(self) -> Mapping[str, Stream]:
-        """All streams by key, in the order of the file; see :class:`Recording` for the keys."""
+        """All streams by key, in the order of the file; see ``Recording`` for the keys."""
         channels = [channel for channel in self._source.file.channels if channel.kind in _MESSAGES and channel.count]
         names = Counter(channel.stream or channel.topic for channel in channels)
         streams: dict[str, Stream] = {}
@@ -199,7 +199,7 @@ class Recording(Mapping[str, Stream]):
 
     @cached_property
     def tf(self) -> TransformTree:
-        """The frames of the recording; see :class:`TransformTree`."""
+        """The frames of the recording; see ``TransformTree``."""
         return TransformTree.of(self._source, self.streams.values())
 
 

@@ -47,7 +47,7 @@ class RecordedMessage:
 
 
 class Stream:
-    """One stream of a recording; get it from :class:`~igtl_gateway.Recording`.
+    """One stream of a recording; get it from ``Recording``.
 
     Nothing is read before it is used, and arrays of times are kept.
 
@@ -197,10 +197,10 @@ class Stream:
 
         Args:
             unit: ``"mm"``, ``"m"`` …; default: that of the messages.
-            frame: as of :meth:`poses`.
+            frame: as of ``poses``.
 
         Raises:
-            ConfigError: as :meth:`poses`, or the unit is unknown.
+            ConfigError: as ``poses``, or the unit is unknown.
         """
         poses = self.poses(frame)
         return poses.in_unit(unit or poses.unit).positions

@@ -203,7 +203,7 @@ def _poses_of(stream: Stream) -> list[tuple[tuple[str, str], Times, Array, bool]
 
 
 def _one_by_one(stream: Stream) -> list[tuple[tuple[str, str], Times, Array, bool]]:
-    """As :func:`_poses_of`, for messages with poses of several frames."""
+    """As ``_poses_of``, for messages with poses of several frames."""
     static = stream.name.rpartition("/")[2] == _STATIC_TOPIC
     numerator, denominator = ratio(stream.unit, "m")
     found: dict[tuple[str, str], tuple[list[int], list[Array]]] = {}
