@@ -29,6 +29,7 @@ from igtl_gateway.convert.common_msgs import CompressedImage, DiagnosticArray, T
 from igtl_gateway.convert.igtl_msgs import Command, CommandReply, LinkStatusList, MetadataItem
 from igtl_gateway.edges.reserved import ReservedPorts
 from igtl_gateway.edges.ros.edge import RosEdge
+from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.tcp import PeerLimits, TcpEdge, TlsFiles
 from igtl_gateway.edges.video import VideoOptions
 from igtl_gateway.errors import RosError, Unavailable
@@ -125,6 +126,7 @@ class Bridge:
         viewer: called with every entry; the gateway then also builds outputs without a subscriber.
         on_passed: called with kind and number of the entries that passed natively.  Without it (and with a viewer) none
             do, if ``on_entry`` is given.
+        host: where the ROS node is; default: a node of this bridge only, which leaves the graph with it.
     """
 
     def __init__(
@@ -135,6 +137,7 @@ class Bridge:
         on_entry: OnEntry | None = None,
         viewer: OnEntry | None = None,
         on_passed: OnPassed | None = None,
+        host: NodeHost | None = None,
     ) -> None:
         self.options = options
         self.gateway = make_core(config)
@@ -186,6 +189,7 @@ class Bridge:
                 wants=self.subscription_for,
                 on_note=self._on_edge_note,
                 on_listener=self._on_first_subscriber,
+                host=host,
                 passage=passage,
             )
             if not self._all_built:
@@ -198,8 +202,11 @@ class Bridge:
         if passage:
             self._passage = BridgePassage(passage, self.gateway, self.tcp, self.ros, on_passed or _ignore)
 
-    def start(self) -> None:
+    def start(self, *, active: bool = True) -> None:
         """Open both sides and the recording.
+
+        Args:
+            active: whether messages pass from the start; see ``change``.
 
         Raises ConfigError, RecordingError, RosError, or Unavailable for a port in use or a missing permission.  After
         an error everything is closed, and no file is left.
@@ -234,6 +241,8 @@ class Bridge:
                 )
             if self._passage:
                 self._passage.start(self.recorder, builds_all=self.gateway.has_subscriber is None)
+            if not active:  # the first entry of the session
+                self.change({"active": False})
             if self.ros:
                 self.ros.start()
                 self._publish_initial_state(self.ros)

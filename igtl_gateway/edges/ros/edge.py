@@ -24,6 +24,7 @@ from typing import Any
 
 from igtl_gateway.edges.ros.direct import Rcl
 from igtl_gateway.edges.ros.graph import Graph, Publication
+from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.ros.keeper import Keeper
 from igtl_gateway.edges.ros.middleware import first_line, import_rclpy, interface_class
 from igtl_gateway.edges.ros.node import RosNode
@@ -53,6 +54,7 @@ class RosEdge:
         on_note: called with facts (subscribed, unknown type, losses …), from any thread.
         on_listener: called with the topic when a subscriber joins what we publish, at once.
         direct: receive by our own wait set; False (or an rclpy without its internals) by the executor.
+        host: where the node is; default: a node of this edge only, by ``node_name`` and ``namespace``.
         passage: the native passage, whose streams the topics may have; None: there is none.
 
     Attributes:
@@ -70,6 +72,7 @@ class RosEdge:
         on_note: OnNote,
         on_listener: Callable[[str], None] | None = None,
         direct: bool = True,
+        host: NodeHost | None = None,
         passage: Passage | None = None,
     ) -> None:
         self._on_message = on_message
@@ -77,7 +80,7 @@ class RosEdge:
         self._passage = passage
         self._topics = Topics()
         self._reports = Reports(on_note)
-        self._node = RosNode(node_name, namespace, self._reports)
+        self._node = RosNode(host or NodeHost(node_name, namespace), self._reports)
         self._graph = Graph(self._node, self._topics)
         self._publishing = Publishing(self._node, self._topics, self._graph, self._reports, on_listener)
         self._subscribing = Subscribing(self._node, self._topics, self._graph, self._reports, self._callback)

@@ -47,6 +47,14 @@ def import_rclpy() -> Any:
     return rclpy
 
 
+def import_lifecycle() -> Any:
+    """Return rclpy's module for managed nodes.  Raises RosError if it is missing."""
+    try:
+        return importlib.import_module("rclpy.lifecycle")
+    except ImportError as error:
+        raise RosError(missing("rclpy", error)) from error
+
+
 def _check_rmw(wanted: str) -> None:
     """Try the import in another process: with a middleware that is not installed it ends the whole process."""
     tried = subprocess.run(

@@ -1,30 +1,19 @@
-"""The node: rclpy's context, node and executor, from start to stop."""
+"""The node as an edge has it: from the start of the edge to its stop."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros.graph_watch import BlindWatch, GraphWatch, watch_graph
-from igtl_gateway.edges.ros.middleware import first_line, import_rclpy, interface_class
+from igtl_gateway.edges.ros.host import NodeHost
+from igtl_gateway.edges.ros.middleware import interface_class
 from igtl_gateway.edges.ros.reports import Reports
 from igtl_gateway.errors import RosError
 
-_CALLS_AT_ONCE = 8  # of services; a call may wait for a peer
 _CALLS_WAITING = 100  # of each service; one that is pushed out of the queue of DDS never gets an answer
-
-
-@dataclass(frozen=True, slots=True)
-class _RunningNode:
-    """What exists between start and stop."""
-
-    context: Any
-    node: Any
-    executor: Any
-    spinner: threading.Thread
 
 
 class RosNode:
@@ -40,7 +29,7 @@ class RosNode:
         rclpy: the module; None before the start.
     """
 
-    def __init__(self, name: str, namespace: str, reports: Reports) -> None:
+    def __init__(self, host: NodeHost, reports: Reports) -> None:
         self.lock = threading.RLock()
         self.stopping = threading.Event()
         self.changed = threading.Condition()
@@ -48,75 +37,66 @@ class RosNode:
         self.clock = SystemClock()
         self.started_ns = 0
         self.rclpy: Any = None
-        self._name = name
-        self._namespace = namespace
+        self._host = host
+        self._owns_host = False
+        self._kept: set[Any] = set()  # entities that are not of this edge
         self._reports = reports
-        self._running: _RunningNode | None = None
+        self._is_running = False
 
     @property
     def is_running(self) -> bool:
-        return self._running is not None
+        return self._is_running
 
     @property
     def handle(self) -> Any:
         """The rclpy node.  Raises RosError before start and after stop."""
-        if self._running is None:
+        if not self._is_running:
             raise RosError("the node is not running")
-        return self._running.node
+        return self._host.node
 
     @property
     def executor(self) -> Any:
         """The rclpy executor.  Raises RosError before start and after stop."""
-        if self._running is None:
+        if not self._is_running:
             raise RosError("the node is not running")
-        return self._running.executor
+        return self._host.executor
 
     def start(self) -> Any:
         """Join the graph; returns rclpy's context.  Raises RosError, in one line, if ROS is missing or refuses."""
-        if self._running is not None or self.stopping.is_set():
-            raise RosError(f"node {self._name!r}: started before, an edge starts once")
-        self.rclpy = rclpy = import_rclpy()
-        context = rclpy.context.Context()
-        try:
-            # Context.init (unlike rclpy.init) leaves the signal handlers alone; [] keeps sys.argv out of ROS.
-            context.init(args=[])
-            # No /rosout: our own log must not come back as a publication of another node.
-            node = rclpy.node.Node(self._name, namespace=self._namespace or None, context=context, enable_rosout=False)
-        except Exception as error:
-            context.try_shutdown()
-            raise RosError(f"node {self._name!r} in {self._namespace!r}: {first_line(error)}") from error
-        executor = rclpy.executors.MultiThreadedExecutor(_CALLS_AT_ONCE, context=context)
-        executor.add_node(node)
-        spinner = threading.Thread(target=self._spin, args=(context, executor), name="igtl-ros-executor", daemon=True)
-        self.graph = watch_graph(rclpy, context, node)
-        self._running = _RunningNode(context, node, executor, spinner)
+        host = self._host
+        if self._is_running or self.stopping.is_set():
+            raise RosError(f"node {host.name!r}: started before, an edge starts once")
+        if not host.is_running:
+            host.start(lambda error: self._reports.callback_failed("callback", error))
+            self._owns_host = not host.is_managed
+        self._kept = host.entities()
+        self.rclpy = host.rclpy
+        self.graph = watch_graph(host.rclpy, host.context, host.node)
+        self._is_running = True
         self.started_ns = self.clock.monotonic_ns()
-        spinner.start()
-        return context
+        return host.context
 
     def begin_stop(self) -> Callable[[], None] | None:
-        """End the executor; from here on no entity is made.
+        """End the executor, if the node is of this edge only; from here on no entity is made.
 
         Returns:
             What leaves the graph, to be called once nothing uses the node any more; None if it did not run.
         """
-        running, self._running = self._running, None
+        was_running, self._is_running = self._is_running, False
         self.stopping.set()
-        if running is None:
+        if not was_running:
             return None
         self.graph.wake()
-        running.executor.create_task(lambda: None)  # wakes spin_once and makes it return
-        running.spinner.join()
-        return lambda: self._leave(running)
+        if self._owns_host:
+            self._host.end_calls()
+        return self._leave
 
-    def _leave(self, running: _RunningNode) -> None:
-        running.executor.shutdown()
-        if pool := getattr(running.executor, "_executor", None):  # rclpy leaves its threads to the interpreter's end
-            pool.shutdown(wait=True)
+    def _leave(self) -> None:
         with self.lock:
-            running.node.destroy_node()
-        running.context.try_shutdown()
-        running.context.destroy()
+            if self._owns_host:
+                self._host.stop()
+            else:
+                self._host.destroy_all_but(self._kept)
         self.notify()
 
     def serve(self, name: str, type_name: str, answer: Callable[[Any, Any], Any]) -> bool:
@@ -141,11 +121,3 @@ class RosNode:
         """Wait for a condition; False if that took longer than ``timeout_s``, True at stop."""
         with self.changed:
             return self.changed.wait_for(lambda: self.stopping.is_set() or condition(), timeout_s)
-
-    def _spin(self, context: Any, executor: Any) -> None:
-        # Not spin() and shutdown(): they race for the executor's guard condition.
-        while not self.stopping.is_set() and context.ok():
-            try:
-                executor.spin_once()
-            except Exception as error:  # of one callback
-                self._reports.callback_failed("callback", error)
