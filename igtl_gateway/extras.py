@@ -9,6 +9,8 @@ _EXTRAS = {
     "av": ("video", ""),
     "nibabel": ("nifti", ""),
     "pcapng": ("pcap", ""),
+    "pyarrow": ("arrow", ""),
+    "pandas": ("pandas", ""),
     "pyigtl": ("dev", ""),
 }
 

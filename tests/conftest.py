@@ -52,6 +52,7 @@ SLOW = (
     "integration/test_cli_bridge.py",
     "test_gateway_fuzz.py",
     "exchange/test_targets.py",
+    "exchange/test_arrow_out.py",
     "cli/test_replay.py",
     "test_fixtures.py",
     "cli/test_review.py",

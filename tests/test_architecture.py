@@ -144,6 +144,8 @@ HOMES: dict[str, tuple[str, ...]] = {
     "mcap": ("exchange", "sessionfile"),
     "nibabel": ("exchange.nifti", "lab.simulate.volume"),
     "matplotlib": ("lab.bench.plot",),
+    "pandas": ("api",),
+    "pyarrow": ("api", "exchange.arrow_tables", "exchange.arrow_out"),
     "pcapng": ("exchange.pcap_file",),
     "numpy": (
         "wire",

@@ -6,13 +6,13 @@ import difflib
 import io
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any
 
 from igtl_gateway.api.moments import Moment
 from igtl_gateway.api.source import Source
@@ -28,6 +28,10 @@ from igtl_gateway.sessionfile.remote import RemoteFile, is_url
 from igtl_gateway.sessionfile.salvage import Salvage
 from igtl_gateway.untrusted import limits as file_limits
 from igtl_gateway.untrusted.limits import FileLimits
+
+if TYPE_CHECKING:
+    import pandas
+    import pyarrow
 
 _MESSAGES = (Kind.IGTL_IN, Kind.IGTL_OUT, Kind.ROS_IN, Kind.ROS_OUT)
 _NOTES = frozenset({Kind.NOTE, Kind.EDGE_NOTE, Kind.LINK})
@@ -196,6 +200,28 @@ class Recording(Mapping[str, Stream]):
     def session(self) -> Mapping[str, str]:
         """The session metadata: versions, host, scenario; empty for files of other programs."""
         return self._source.file.session
+
+    def to_arrow(self, streams: Iterable[str] | None = None) -> dict[str, pyarrow.Table]:
+        """Return streams as Arrow tables by key; see ``Stream.to_arrow``.
+
+        Args:
+            streams: keys; default: all.
+
+        Raises:
+            Unavailable: pyarrow is not installed; the extra ``arrow`` installs it.
+        """
+        return {key: self[key].to_arrow() for key in (self.streams if streams is None else streams)}
+
+    def to_pandas(self, streams: Iterable[str] | None = None) -> dict[str, pandas.DataFrame]:
+        """Return streams as data frames by key; see ``Stream.to_pandas``.
+
+        Args:
+            streams: keys; default: all.
+
+        Raises:
+            Unavailable: pandas is not installed; the extra ``pandas`` installs it.
+        """
+        return {key: self[key].to_pandas() for key in (self.streams if streams is None else streams)}
 
     @cached_property
     def tf(self) -> TransformTree:

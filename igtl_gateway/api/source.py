@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError, DamagedRecording
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.sessionfile import facts
+from igtl_gateway.sessionfile.bulk import MessageBlock
 from igtl_gateway.sessionfile.channels import ChannelSummary
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.untrusted import definitions
 from igtl_gateway.untrusted.decoding import MessageDecoder
 from igtl_gateway.untrusted.limits import FileLimits, limits_in_force
+
+if TYPE_CHECKING:
+    import pyarrow
 
 Item = TypeVar("Item")
 
@@ -83,6 +87,16 @@ class Source:
                 raise DamagedRecording(f"{self.file.path}: found no definition of {ros_type}")
             self._types[ros_type] = definitions.parse_definition(text, ros_type)
         return self._types[ros_type]
+
+    def table(self, channel: ChannelSummary, blocks: Iterable[MessageBlock]) -> pyarrow.Table:
+        """Return the messages of a stream as an Arrow table.  Raises Unavailable without pyarrow."""
+        from igtl_gateway.exchange import arrow_tables  # pyarrow is an extra
+
+        name = channel.stream or channel.topic
+        definitions = self.file.definitions
+        maker = arrow_tables.TableMaker(channel.kind, channel.entry_type, name, definitions, self.decoder)
+        with limits_in_force(self.limits):
+            return arrow_tables.joined([maker.table(block) for block in blocks])
 
     def unit(self, channel: ChannelSummary) -> str:
         """Return the unit of lengths in the messages of a stream."""

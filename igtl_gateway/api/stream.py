@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,10 +16,16 @@ from igtl_gateway.api.moments import Moment, to_ns
 from igtl_gateway.api.poses import Poses
 from igtl_gateway.api.posing import read_poses
 from igtl_gateway.api.source import Source
+from igtl_gateway.errors import Unavailable
+from igtl_gateway.extras import missing
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.sessionfile.bulk import MessageBlock
 from igtl_gateway.sessionfile.channels import ChannelSummary
 from igtl_gateway.wire import decode
+
+if TYPE_CHECKING:
+    import pandas
+    import pyarrow
 
 Times = npt.NDArray[np.int64]
 
@@ -224,6 +230,42 @@ class Stream:
             ConfigError: the type has no points.
         """
         return Clouds(self._source, self._channel, self.unit, list(self.blocks()))
+
+    def to_arrow(self) -> pyarrow.Table:
+        """Return all messages as an Arrow table: a row per message.
+
+        The columns ``entry``, ``time_ns`` and ``source_ns`` (null = unset) come first, then the fields of the message
+        with the names that ``export --to csv`` has.  The metadata of a field has its ``unit``.  Messages that cannot be
+        decoded have no row; ``schema.metadata[b"left_out"]`` has their number by reason, as JSON.
+
+        Raises:
+            Unavailable: pyarrow is not installed; the extra ``arrow`` installs it.
+        """
+        return self._source.table(self._channel, self.blocks())
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return all messages as a data frame: the table of :meth:`to_arrow`, with the gateway time as index.
+
+        ``frame.attrs["units"]`` has the units by column.
+
+        Raises:
+            Unavailable: pandas is not installed; the extra ``pandas`` installs it.
+        """
+        return to_frame(self.to_arrow())
+
+
+def to_frame(table: pyarrow.Table) -> pandas.DataFrame:
+    """Return an Arrow table as a data frame.  Raises Unavailable without pandas."""
+    try:
+        import pandas
+    except ImportError as error:
+        raise Unavailable(missing("pandas", error)) from None
+    frame = table.to_pandas()
+    frame.index = pandas.DatetimeIndex(pandas.to_datetime(frame["time_ns"], unit="ns", utc=True), name="time")
+    frame.attrs["units"] = {
+        field.name: field.metadata[b"unit"].decode() for field in table.schema if b"unit" in (field.metadata or {})
+    }
+    return frame
 
 
 def narrowed(source: Source, window: tuple[int, int], start: Moment | None, end: Moment | None) -> tuple[int, int]:

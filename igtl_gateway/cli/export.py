@@ -22,6 +22,8 @@ EXAMPLES = """\
   igtl-gateway export out.mcap --to igs.mha -o freehand.igs.mha
   # tables
   igtl-gateway export out.mcap --to csv -o tables/ --streams 'TRANSFORM/*'
+  # all messages as tables for pandas, polars or DuckDB
+  igtl-gateway export out.mcap --to parquet -o tables/
   # point clouds
   igtl-gateway export out.mcap --to ply -o clouds/ --streams /star/cloud
   # volumes

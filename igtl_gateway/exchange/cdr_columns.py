@@ -1,7 +1,7 @@
 """Messages of one ROS type as columns: each field of all messages at once, without an object per message.
 
-A cursor per message moves through the fields.  It fits types without sequences of messages or strings: poses, twists,
-wrenches, strings, joint states without names.  Other types are decoded one message at a time, by the caller.
+A cursor per message moves through the fields.  It fits numbers, strings, sequences of numbers, and sequences of
+messages with numbers of one size, such as points.  Other types are decoded one message at a time, by the caller.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from igtl_gateway.sessionfile.bulk import Bytes, MessageBlock, Numbers, gathered
 from igtl_gateway.sessionfile.records import Malformed
 from igtl_gateway.stamp import NS_PER_S
 
-_TYPES = {"bool": "?", "byte": "u1", "char": "u1", "octet": "u1", "float32": "<f4", "float64": "<f8"} | {
+_TYPES = {"bool": "u1", "byte": "u1", "char": "u1", "octet": "u1", "float32": "<f4", "float64": "<f8"} | {
     f"{sign}int{bits}": f"<{sign[:1] or 'i'}{bits // 8}" for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
 _TIMES = frozenset({"builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration"})
@@ -40,7 +40,8 @@ class Column:
         name: path of the field with its unit, as the tables of ``columns`` have it.
         unit: ``"m"``, ``"rad/s"`` …; ``""`` without one.
         values: shape (n,), or (n, k) for an array of k numbers; with ``offsets`` all elements of all messages.
-        offsets: (n + 1,) int64: the elements of message i are ``values[offsets[i]:offsets[i + 1]]``.
+        offsets: (n + 1,) int64: the elements of message i are ``values[offsets[i]:offsets[i + 1]]``; a structured array
+            has messages as elements.
         is_text: the elements are the bytes of a string in UTF-8.
         valid: (n,) bool: which messages have the field; None: all.
     """
@@ -112,6 +113,8 @@ class _Walk:
                 self._struct(inner, path, own)
             elif kind == Nodetype.BASE:
                 self._base(f"{path}_{own}" if own else path, own, inner[0])
+            elif kind == Nodetype.SEQUENCE and inner[0][0] == Nodetype.NAME:
+                self._structs(path, own, self._record(inner[0][1], own))
             elif inner[0][0] != Nodetype.BASE or inner[0][1][0] not in _TYPES:
                 raise NotColumns
             else:
@@ -120,7 +123,7 @@ class _Walk:
 
     def _base(self, name: str, unit: str, element: str) -> None:
         if element in _TYPES:
-            self._columns.append(Column(name, unit_text(unit), self._numbers(element)))
+            self._columns.append(Column(name, unit_text(unit), _truth(self._numbers(element), element)))
         elif element == "string":
             size = np.maximum(self._numbers("uint32").astype(np.int64), 1) - 1
             values, offsets = ragged(self._data, self._at, size, self._ends)
@@ -137,14 +140,41 @@ class _Walk:
             self._check(fixed * dtype.itemsize)
             values = gathered(self._data, self._at, fixed * dtype.itemsize).view(dtype)
             self._at = self._at + fixed * dtype.itemsize
-            self._columns.append(Column(name, unit_text(unit), values))
+            self._columns.append(Column(name, unit_text(unit), _truth(values, element)))
             return
         count = self._numbers("uint32").astype(np.int64)
         aligned = self._at + -(self._at - self._starts) % dtype.itemsize
         self._at = np.where(count > 0, aligned, self._at)  # without elements there is no padding
         values, offsets = ragged(self._data, self._at, count * dtype.itemsize, self._ends)
         self._at = self._at + count * dtype.itemsize
-        self._columns.append(Column(name, unit_text(unit), values.view(dtype), offsets // dtype.itemsize))
+        numbers = _truth(values.view(dtype), element)
+        self._columns.append(Column(name, unit_text(unit), numbers, offsets // dtype.itemsize))
+
+    def _record(self, ros_type: str, unit: str) -> np.dtype[np.void]:
+        """A type of numbers of one size, which needs no padding, as numpy has it.  Raises NotColumns for others."""
+        fields: list[tuple[str, Any]] = []
+        for field, (kind, inner) in self._types[ros_type][1]:
+            own = field_unit(ros_type, field, unit)
+            name = f"{field}_{own}" if own else field
+            if kind == Nodetype.BASE and inner[0] in _TYPES:
+                fields.append((name, np.dtype(_TYPES[inner[0]])))
+            elif kind == Nodetype.ARRAY and inner[0][0] == Nodetype.BASE and inner[0][1][0] in _TYPES and inner[1] > 0:
+                fields.append((name, (np.dtype(_TYPES[inner[0][1][0]]), (inner[1],))))
+            else:
+                raise NotColumns
+        record = np.dtype(fields)
+        if len({record[index].base.itemsize for index in range(len(fields))}) != 1:
+            raise NotColumns
+        return record
+
+    def _structs(self, name: str, unit: str, record: np.dtype[np.void]) -> None:
+        """A sequence of messages with numbers of one size."""
+        count = self._numbers("uint32").astype(np.int64)
+        aligned = self._at + -(self._at - self._starts) % record[0].base.itemsize
+        self._at = np.where(count > 0, aligned, self._at)
+        values, offsets = ragged(self._data, self._at, count * record.itemsize, self._ends)
+        self._at = self._at + count * record.itemsize
+        self._columns.append(Column(name, unit_text(unit), values.view(record), offsets // record.itemsize))
 
     def _numbers(self, element: str) -> npt.NDArray[Any]:
         dtype = np.dtype(_TYPES[element])
@@ -160,6 +190,11 @@ class _Walk:
     def _check(self, size: int) -> None:
         if (self._at + size > self._ends).any():
             raise NotColumns
+
+
+def _truth(values: npt.NDArray[Any], element: str) -> npt.NDArray[Any]:
+    """Bytes as truth values if the element is one."""
+    return values != 0 if element == "bool" else values
 
 
 def ragged(data: Bytes, begins: Numbers, sizes: Numbers, ends: Numbers) -> tuple[Bytes, Numbers]:

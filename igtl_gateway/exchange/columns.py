@@ -132,6 +132,21 @@ _UNITS: dict[str, dict[str, str]] = {
 }
 
 
+#: Units as names of columns end with them; the longer ones first.
+UNITS_OF_NAMES = tuple(
+    sorted(
+        {
+            "ns",
+            "ms",
+            "mm",
+            *(unit for each in _UNITS.values() for unit in each.values()),
+            *filter(None, _INHERIT.values()),
+        },
+        key=lambda unit: (-len(unit), unit),
+    )
+)
+
+
 def field_unit(ros_type: str, field: str, unit: str) -> str:
     """Return the unit of a field of a ROS type, as in names of columns; ``unit`` is that of the field above it."""
     package, _, name = ros_type.partition("/msg/")

@@ -38,10 +38,26 @@ def export_to(name: str, recording: Recording, out: Path, globs: Sequence[str]) 
     return account
 
 
+def _export_parquet(recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
+    from igtl_gateway.exchange.arrow_out import export_parquet  # pyarrow is an extra
+
+    return export_parquet(recording, out, globs)
+
+
+def _export_arrow(recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
+    from igtl_gateway.exchange.arrow_out import export_arrow
+
+    return export_arrow(recording, out, globs)
+
+
 TARGETS = {
     "rosbag2": ExportFormat("ROS topics, as a directory for `ros2 bag`", export_rosbag2),
     "igs.mha": ExportFormat("an IMAGE and its TRANSFORMs, as one tracked sequence", export_sequence),
     "csv": ExportFormat("poses, strings, numbers: a directory with one table per stream", export_csv),
+    "parquet": ExportFormat(
+        "all messages, units in the schema: a directory with one table per stream", _export_parquet
+    ),
+    "arrow": ExportFormat("the same as files of Arrow IPC (Feather)", _export_arrow),
     "ply": ExportFormat("surfaces and clouds: a directory with one file per message", export_ply),
     "vtk": ExportFormat("surfaces and clouds with all attributes: a directory with one file per message", export_vtk),
     "nrrd": ExportFormat("images and volumes: a directory with one file per message", export_nrrd),
