@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from igtl_gateway.api import aio
+    from igtl_gateway.api.bridge import Bridge
     from igtl_gateway.api.peer import Peer, Server, connect, serve
     from igtl_gateway.api.poses import Poses
     from igtl_gateway.api.recording import Recording, open
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "Bridge",
     "Peer",
     "Poses",
     "Recording",
@@ -38,6 +40,7 @@ __all__ = [
 
 #: Public name → its module in ``igtl_gateway.api``; a name that is its module is that module.
 _HOMES: dict[str, str] = {
+    "Bridge": "bridge",
     "Peer": "peer",
     "Poses": "poses",
     "Recording": "recording",

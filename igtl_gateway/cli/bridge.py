@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.app.bridge import Bridge
 from igtl_gateway.app.bridge_options import bridge_options
+from igtl_gateway.app.entry_watch import EntryWatch
 from igtl_gateway.app.interpreter import tune_interpreter
 from igtl_gateway.app.status import BridgeStatus
 from igtl_gateway.cli import admission, recording
-from igtl_gateway.cli.bridge_output import BridgeOutput, EntryWatch, JsonOutput, TextOutput
+from igtl_gateway.cli.bridge_output import BridgeOutput, JsonOutput, TextOutput
 from igtl_gateway.cli.common import stop_event
 from igtl_gateway.cli.options import default
 from igtl_gateway.cli.settings import add_faults, add_settings, settled

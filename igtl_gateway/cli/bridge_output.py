@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections import Counter, deque
-from dataclasses import dataclass
+from collections import Counter
 from typing import TYPE_CHECKING, Any, Protocol
 
 from igtl_gateway import __version__
 from igtl_gateway.app.bridge import Bridge
+from igtl_gateway.app.entry_watch import EntryWatch, Event
 from igtl_gateway.cli import admission
 from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.losses import losses
@@ -16,58 +16,17 @@ from igtl_gateway.cli.type_tables import mapping, profiles
 from igtl_gateway.clock import Clock
 from igtl_gateway.config import Config
 from igtl_gateway.gateway import FAULT
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
+from igtl_gateway.session.entry import Kind
+from igtl_gateway.session.note import Level
 from igtl_gateway.stamp import utc_text
 
 if TYPE_CHECKING:
     from igtl_gateway.app.metrics import MetricsServer
 
-_MAX_EVENTS = 1000  # notes waiting to be printed; a flood of them must not cost memory
 _MAX_LOSSES = 20  # lines at the end; all are in the recording
 _MAX_CAUSES = (
     1000  # causes of notes that are counted apart: a peer that invents device names must not flood the terminal
 )
-
-
-@dataclass(frozen=True, slots=True)
-class Event:
-    """A note in the log."""
-
-    stamp_ns: int
-    kind: Kind
-    note: Note
-    links: tuple[int, ...]
-
-
-class EntryWatch:
-    """Counts entries and stores the notes among them until they are printed; called under the hub's lock."""
-
-    def __init__(self) -> None:
-        self.counts: Counter[Kind] = Counter()
-        self.refused = 0
-        self._events: deque[Event] = deque(maxlen=_MAX_EVENTS)
-
-    def __call__(self, entry: Entry) -> None:
-        self.counts[entry.kind] += 1
-        if entry.kind in _NOTES:
-            note = Note.unpack(entry.data())
-            self.refused += note.level >= Level.ERROR
-            self._events.append(Event(entry.stamp_ns, entry.kind, note, entry.links))
-
-    def add(self, kind: Kind, number: int) -> None:
-        """Count entries that passed natively."""
-        self.counts[kind] += number
-
-    def take(self) -> list[Event]:
-        """Return the notes since the last call."""
-        taken = []
-        while self._events:
-            taken.append(self._events.popleft())
-        return taken
-
-
-_NOTES = frozenset({Kind.LINK, Kind.EDGE_NOTE, Kind.NOTE})
 
 
 class BridgeOutput(Protocol):

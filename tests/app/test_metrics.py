@@ -15,10 +15,10 @@ from typing import Any
 import pytest
 
 from igtl_gateway.app.bridge import Bridge, BridgeOptions
+from igtl_gateway.app.entry_watch import EntryWatch
 from igtl_gateway.app.metrics import METRICS, PREFIX, MetricsServer, prometheus
 from igtl_gateway.app.status import BridgeStatus
 from igtl_gateway.buffers import join
-from igtl_gateway.cli.bridge_output import EntryWatch
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError, Unavailable

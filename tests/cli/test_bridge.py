@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from igtl_gateway.cli.bridge_output import Event, TextOutput
+from igtl_gateway.app.entry_watch import Event
+from igtl_gateway.cli.bridge_output import TextOutput
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.session.note import Level, Note
 

@@ -13,8 +13,9 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
+from igtl_gateway.app.entry_watch import Event
 from igtl_gateway.cli import main, verbs
-from igtl_gateway.cli.bridge_output import Event, TextOutput
+from igtl_gateway.cli.bridge_output import TextOutput
 from igtl_gateway.config import Config
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.session.note import Level, Note

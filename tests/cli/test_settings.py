@@ -177,7 +177,7 @@ def test_the_keys_of_a_file_are_those_of_the_table(path: Path) -> None:
         with pytest.raises(ConfigError) as error:
             values("--config", str(path))
         place, _, names = str(error.value).partition(": unknown setting, expected one of ")
-        assert place == f"{path}: {table}.unknown"
+        assert place == f"{path}: {table}.no_such_key"
         named = set(names.split(", "))
         rows = {row.name for row in SETTINGS if row.table == table or (table == GATEWAY and row.table == ROWS)}
         assert named == rows

@@ -1,0 +1,248 @@
+"""A bridge between OpenIGTLink and ROS 2 inside a program, with the settings of ``igtl-gateway bridge``."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from os import PathLike, fspath
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from igtl_gateway.app.bridge import Bridge as RunningBridge
+from igtl_gateway.app.bridge_options import bridge_options
+from igtl_gateway.app.entry_watch import EntryWatch
+from igtl_gateway.app.recording import pause, resume, snapshot
+from igtl_gateway.app.rows import rows_of
+from igtl_gateway.app.settings import settled
+from igtl_gateway.clock import SystemClock
+from igtl_gateway.edges.ros.env import prepare_environment
+from igtl_gateway.edges.tcp import LinkInfo
+from igtl_gateway.errors import ConfigError, NoReply, RecordingError
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Note
+from igtl_gateway.settings import BY_SETTING, ROWS, Setting, unknown
+
+_NOTES = 100
+#: Settings of the command line alone: it serves them from its own thread.
+_OF_THE_COMMAND_LINE = frozenset({"metrics"})
+
+
+@dataclass(frozen=True, slots=True)
+class BridgeCounts:
+    """The traffic of a bridge so far.
+
+    Attributes:
+        entries: entries of the session log by kind, such as ``igtl_in`` and ``ros_out``.
+        errors: number of notes with the level error.
+        streams: direction → stream → fate → number of messages, as in the loss ledger.
+        links: number of the connection → its counts; ``"0"``: all connections that have ended.
+    """
+
+    entries: dict[str, int]
+    errors: int
+    streams: dict[str, Any]
+    links: dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class RecordingResult:
+    """How the recording of a bridge ended.
+
+    Attributes:
+        path: the file; the folder of a split recording; the name that snapshots are called after.
+        files: the files that were written.
+        entries: number of entries in them.
+        bytes: size of all files.
+        dropped: entries that are missing because the recorder was too slow or failed, by stream.
+        failure: why the recording ended early, or "".
+    """
+
+    path: Path
+    files: tuple[Path, ...]
+    entries: int
+    bytes: int
+    dropped: dict[str, int]
+    failure: str
+
+
+class Bridge:
+    """A bridge between OpenIGTLink and ROS 2; a context manager that starts and stops it.
+
+    The keyword arguments are the settings: the options of ``igtl-gateway bridge`` and the keys of its configuration
+    file, with underscores, such as ``listen``, ``record``, ``deny_in``.  A setting has the value of its argument, else
+    that of the configuration file, else its default.
+
+    Args:
+        config: configuration file (TOML); None: the defaults.
+        ros: join the ROS graph; False: OpenIGTLink only, for recordings of peers.
+        node_name: name of the ROS node.
+        on_note: called with each note (connections, refused and invalid messages, drops).  It must return quickly: the
+            bridge waits for it.
+        settings: name → value.  Lists of messages (``to_igtl``, ``to_ros``, ``tf_out``, ``peers``) take strings as
+            their options do, or dicts as in a configuration file.
+
+    Raises:
+        ConfigError: an unknown setting, or a value that is out of range.
+
+    Example:
+        >>> with Bridge(listen=["127.0.0.1:0"], ros=False) as bridge:
+        ...     bridge.addresses[0][0]
+        '127.0.0.1'
+    """
+
+    def __init__(
+        self,
+        *,
+        config: str | PathLike[str] | None = None,
+        ros: bool = True,
+        node_name: str = "igtl_gateway",
+        on_note: Callable[[Note], None] | None = None,
+        **settings: Any,
+    ) -> None:
+        ours = _checked(settings)
+        if config is not None:
+            ours["config"] = fspath(config)
+        session, options = bridge_options(settled(ours, {}), ros=ros, node_name=node_name)
+        self._on_note = on_note
+        self._notes: deque[Note] = deque(maxlen=_NOTES)
+        self._watch = EntryWatch()
+        if options.ros:
+            prepare_environment()
+        self._bridge = RunningBridge(session, options, SystemClock(), self._on_entry, on_passed=self._watch.add)
+
+    def start(self) -> None:
+        """Open the ports, join the ROS graph and begin the recording; the context manager calls it.
+
+        Raises:
+            Unavailable: a port is in use, or a permission is missing.
+            RosError: ROS 2 is not installed.
+            RecordingError: the recording cannot be written.
+        """
+        self._bridge.start()
+
+    def stop(self) -> None:
+        """Close all connections, and the recording; the context manager calls it.  A second call does nothing."""
+        self._bridge.stop()
+
+    def __enter__(self) -> Self:
+        self.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    # ── state ─────────────────────────────────────────────────────────────────────────────────────────────────
+
+    @property
+    def addresses(self) -> tuple[tuple[str, int], ...]:
+        """The addresses that it listens on, with the port that the system chose for port 0."""
+        return tuple(self._bridge.addresses)
+
+    @property
+    def peers(self) -> tuple[LinkInfo, ...]:
+        """The OpenIGTLink peers, and the servers that are not connected."""
+        return tuple(self._bridge.tcp.links())
+
+    @property
+    def counts(self) -> BridgeCounts:
+        """The counts so far."""
+        ledger = self._bridge.ledger()
+        entries = {kind.value: self._watch.counts[kind] for kind in Kind}
+        return BridgeCounts(entries, self._watch.refused, ledger["streams"], ledger["links"])
+
+    @property
+    def notes(self) -> tuple[Note, ...]:
+        """The last 100 notes."""
+        return tuple(self._notes)
+
+    @property
+    def recording(self) -> RecordingResult | None:
+        """How the recording ended; None before the end, and without a recording."""
+        summary = self._bridge.summary
+        if summary is None:
+            return None
+        return RecordingResult(
+            summary.path, summary.files, summary.entries, summary.size, dict(summary.dropped), summary.failure
+        )
+
+    def wait_peers(self, count: int = 1, timeout_s: float | None = 5.0) -> None:
+        """Wait for ``count`` connected peers.  Raises NoReply."""
+        if not self._bridge.tcp.wait_links(count, timeout_s):
+            raise NoReply(f"bridge: found fewer peers within {timeout_s:g} s, expected {count}")
+
+    # ── while it runs ─────────────────────────────────────────────────────────────────────────────────────────
+
+    def change(self, **changes: object) -> None:
+        """Change settings while the bridge runs: ``deny_in``, ``deny_out``, ``max_age_s``, ``kinds``, ``active``.
+
+        The change is an entry of the session, so that a recording can be verified.
+
+        Raises:
+            ConfigError: another setting, or a wrong value; nothing has changed.
+        """
+        self._bridge.change(changes)
+
+    def pause_recording(self) -> None:
+        """Pause the recording.  Raises RecordingError if there is none, or it has failed."""
+        self._control(pause)
+
+    def resume_recording(self) -> None:
+        """Continue the recording.  Raises RecordingError if there is none, or it has failed."""
+        self._control(resume)
+
+    def save_snapshot(self) -> Path:
+        """Write the last seconds of a bridge with the setting ``snapshot``, and return the file.
+
+        Raises:
+            RecordingError: the bridge has no such buffer, or the file cannot be written.
+        """
+        recorder = self._bridge.recorder
+        if recorder is None or not recorder.options.snapshot_s:
+            raise RecordingError("snapshot: found no buffer for it, expected the settings record and snapshot")
+        return Path(self._control(snapshot))
+
+    def _control(self, action: Callable[[Any], tuple[bool, str]]) -> str:
+        if self._bridge.recorder is None:
+            raise RecordingError("recording: found none, expected the setting record")
+        done, text = action(self._bridge.recorder)
+        if not done:
+            raise RecordingError(text)
+        return text
+
+    def _on_entry(self, entry: Entry) -> None:
+        self._watch(entry)
+        for event in self._watch.take():
+            self._notes.append(event.note)
+            if self._on_note:
+                self._on_note(event.note)
+
+
+def _checked(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings as the types of the table.  Raises ConfigError with the name of the setting."""
+    values: dict[str, Any] = {}
+    for name, value in settings.items():
+        row = BY_SETTING.get(name)
+        if row is None or name in _OF_THE_COMMAND_LINE:
+            raise ConfigError(f"{name}: {unknown(BY_SETTING.keys() - _OF_THE_COMMAND_LINE)}")
+        try:
+            values[name] = _rows(row, value) if row.table == ROWS else row.check(_plain(row, value))
+        except ConfigError as error:
+            raise ConfigError(f"{name}: {error}") from None
+    return values
+
+
+def _plain(row: Setting, value: Any) -> Any:
+    """A path as a string."""
+    return fspath(value) if isinstance(row.default, str) and isinstance(value, PathLike) else value
+
+
+def _rows(row: Setting, value: Any) -> tuple[dict[str, Any], ...]:
+    """Rows of messages: strings as of the option, or dicts."""
+    if isinstance(value, str | Mapping) or not all(isinstance(item, str | Mapping) for item in value):
+        raise ConfigError(f"found {value!r}, expected a list of strings or of dicts")
+    texts = [item for item in value if isinstance(item, str)]
+    return (*rows_of(row, texts), *(dict(item) for item in value if not isinstance(item, str)))

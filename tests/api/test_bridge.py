@@ -1,0 +1,111 @@
+"""A bridge inside a program: settings, peers, recording, changes while it runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import igtl_gateway
+from igtl_gateway import Bridge
+from igtl_gateway.errors import ConfigError, NoReply, RecordingError, Refused, Unavailable
+from igtl_gateway.session.note import Note
+
+LOCAL = ["127.0.0.1:0"]
+
+
+def test_peers_record_and_verify(tmp_path: Path) -> None:
+    notes: list[Note] = []
+    out = tmp_path / "out.mcap"
+    with Bridge(listen=LOCAL, ros=False, record=out, on_note=notes.append) as bridge:
+        host, port = bridge.addresses[0]
+        with igtl_gateway.connect(host, port) as peer:
+            bridge.wait_peers()
+            assert "TRANSFORM" in peer.query("CAPABILITY").describe()["types"]
+            peer.send("TRANSFORM", "Tool", np.eye(4))
+            bridge.change(deny_in=["STRING"])
+            peer.send("STRING", "Text", "denied")
+            assert peer.query("STATUS").describe()["code"] == 1  # after the others
+            assert [link.connected for link in bridge.peers] == [True]
+            with pytest.raises(ConfigError, match="expected"):
+                bridge.change(deny_in="STRING")
+        bridge.pause_recording()
+        bridge.resume_recording()
+        with pytest.raises(RecordingError, match="found no buffer"):
+            bridge.save_snapshot()
+        counts = bridge.counts
+    assert counts.entries["igtl_in"] == 4
+    assert counts.streams["igtl_in"]["STRING/Text"]["dropped"] == {"denied": 1}
+    assert {"link_up", "link_down"} <= {note.code for note in notes}
+    assert set(bridge.notes) <= set(notes) or len(notes) == len(bridge.notes)
+    assert bridge.recording is not None
+    assert (bridge.recording.files, bridge.recording.failure) == ((out,), "")
+    result = igtl_gateway.verify(out)
+    assert result.good
+    assert result.inputs > 4
+
+
+def test_a_relay_between_scripts(tmp_path: Path) -> None:
+    with (
+        igtl_gateway.serve(0) as server,
+        Bridge(listen=LOCAL, connect=[f"127.0.0.1:{server.port}"], relay=True) as bridge,
+        igtl_gateway.connect(*bridge.addresses[0]) as peer,
+    ):
+        server.wait_connected()
+        server.on_command("Name")(lambda command: command.text[::-1])
+        server.on_query("TRANSFORM")(lambda query: np.eye(4) if query.device == "Tool" else None)
+        assert peer.command("Name", "abc").text == "cba"
+        assert peer.query("TRANSFORM", "Tool").matrix.tolist() == np.eye(4).tolist()
+        with pytest.raises(Refused):
+            peer.query("TRANSFORM", "Other")
+
+
+def test_a_configuration_file(tmp_path: Path) -> None:
+    config = tmp_path / "bridge.toml"
+    config.write_text('[igtl]\nlisten = ["127.0.0.1:0"]\n[gateway]\ndeny_in = ["TRANSFORM"]\n', "utf-8")
+    with Bridge(config=config, ros=False, deny_in=["IMAGE"]) as bridge:
+        assert bridge.addresses[0][1] != 18944
+        assert set(bridge._bridge.gateway.config.deny_in) == {"TRANSFORM", "IMAGE"}
+        with pytest.raises(NoReply, match="expected 1"):
+            bridge.wait_peers(timeout_s=0.01)
+
+
+def test_rows_of_messages() -> None:
+    rows = ["/camera/image=Camera", {"topic": "/pose", "device": "Tool", "max_age_s": 0.5}]
+    bridge = Bridge(listen=LOCAL, ros=False, to_igtl=rows)
+    assert [row.device for row in bridge._bridge.gateway.config.to_igtl] == ["Camera", "Tool"]
+    bridge.stop()
+
+
+@pytest.mark.parametrize(
+    ("settings", "text"),
+    [
+        ({"listn": LOCAL}, r"^listn: unknown setting, expected one of .*listen"),
+        ({"metrics": "9464"}, r"^metrics: unknown setting"),
+        ({"listen": "127.0.0.1:0"}, r"^listen: found '127.0.0.1:0', expected strings such as"),
+        ({"queue_mib": 0}, r"^queue_mib: found 0, expected 1 to"),
+        ({"max_age_s": "1"}, r"^max_age_s: found '1', expected a number"),
+        ({"to_igtl": "/camera"}, r"^to_igtl: found '/camera', expected a list"),
+        ({"to_igtl": [{"topik": "/camera"}]}, r"to_igtl\[0\]\.topik: unknown setting"),
+        ({"relay": True}, r"^--relay: found 0 servers, expected one"),
+    ],
+)
+def test_settings(settings: dict[str, Any], text: str) -> None:
+    with pytest.raises(ConfigError, match=text):
+        Bridge(ros=False, **settings)
+
+
+def test_a_port_in_use(tmp_path: Path) -> None:
+    with Bridge(listen=LOCAL, ros=False) as bridge:
+        out = tmp_path / "out.mcap"
+        with (
+            pytest.raises(Unavailable, match="port is in use"),
+            Bridge(listen=[f"127.0.0.1:{bridge.addresses[0][1]}"], ros=False, record=out),
+        ):
+            pass
+        assert not out.exists()
+        with pytest.raises(RecordingError, match="found none"):
+            bridge.pause_recording()
+    bridge.stop()
