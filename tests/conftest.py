@@ -68,6 +68,7 @@ SLOW = (
     "integration/test_crash.py",
     "integration/test_relay.py",
     "integration/test_demo.py",
+    "test_notebooks.py",
     "test_site.py",
     "test_release.py",
     "integration/test_hostile.py",

@@ -18,6 +18,11 @@ from tests.integration.bridge import ROOT
 from tests.testing.outside import run_pytest
 
 
+def programs_in(page: str) -> list[str]:
+    """The Python of a document, block by block."""
+    return re.findall(r"^```python\n(.*?)^```", (ROOT / "docs" / page).read_text("utf-8"), re.DOTALL | re.MULTILINE)
+
+
 def test_without_hardware() -> None:
     result = run_pytest(ROOT / "examples" / "test_without_hardware")
     assert result.returncode == 0, result.stdout + result.stderr
@@ -46,10 +51,23 @@ def test_dvrk() -> None:
 
 def test_the_first_offline_test(tmp_path: Path) -> None:
     """docs/howto-offline-test.md, as a reader types it."""
-    page = (ROOT / "docs" / "howto-offline-test.md").read_text("utf-8")
-    program, test = re.findall(r"^```python\n(.*?)^```", page, re.DOTALL | re.MULTILINE)
+    program, test = programs_in("howto-offline-test.md")
     (tmp_path / "watch.py").write_text(program, "utf-8")
     (tmp_path / "test_watch.py").write_text(test, "utf-8")
     shutil.copyfile(ROOT / "fixtures" / "star.mcap", tmp_path / "star.mcap")
     result = run_pytest(tmp_path)
     assert result.returncode == 0, result.stdout + result.stderr
+
+
+def test_from_a_recording_to_numpy(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.chdir(ROOT)
+    for program in programs_in("howto-numpy.md"):
+        exec(program, {})
+    assert capsys.readouterr().out.splitlines() == [
+        "(1200, 4, 4) mm",
+        "fastest: 143 mm/s",
+        "99",
+        "(1200, 4, 4) m",
+        "(240, 320, 3) uint8 (1.0, 1.0, 1.0) mm",
+        "(27197, 3) mm ['RGB']",
+    ]
