@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from igtl_gateway.api import aio
+    from igtl_gateway.api.alignment import align
     from igtl_gateway.api.bridge import Bridge
     from igtl_gateway.api.peer import Peer, Server, connect, serve
     from igtl_gateway.api.poses import Poses
@@ -29,6 +30,7 @@ __all__ = [
     "Stream",
     "__version__",
     "aio",
+    "align",
     "connect",
     "diff",
     "open",
@@ -47,6 +49,7 @@ _HOMES: dict[str, str] = {
     "Server": "peer",
     "Stream": "stream",
     "aio": "aio",
+    "align": "alignment",
     "connect": "peer",
     "diff": "verbs",
     "open": "recording",

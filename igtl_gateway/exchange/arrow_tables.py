@@ -317,3 +317,32 @@ def _fitted_column(column: Any, kind: pa.DataType) -> Any:
         return column.cast(kind)
     except pa.ArrowException:
         return pa.array(column.to_pylist(), kind)  # structs with other fields
+
+
+def side_by_side(
+    columns: Mapping[str, tuple[Any, str]],
+    tables: Mapping[str, tuple[pa.Table, np.ndarray[Any, Any], np.ndarray[Any, Any]]],
+) -> pa.Table:
+    """One table of N rows.
+
+    Args:
+        columns: name → values (N,), masked where there is none, and unit.
+        tables: prefix of its columns → a table; the ``time_ns`` of the wanted rows, (N,); which rows have none, (N,).
+    """
+    found = [
+        (name, pa.array(np.ma.getdata(values), mask=_mask(values)), unit) for name, (values, unit) in columns.items()
+    ]
+    for prefix, (table, times, gone) in tables.items():
+        own = table["time_ns"].to_numpy()
+        places = np.minimum(np.searchsorted(own, times), max(len(own) - 1, 0))
+        # a message that cannot be decoded has no row
+        none = gone | (own[places] != times) if len(own) else np.ones(len(times), np.bool_)
+        taken = table.take(pa.array(places, mask=none))
+        for field, array in zip(table.schema, taken.columns, strict=True):
+            unit = (field.metadata or {}).get(b"unit", b"").decode()
+            found.append((f"{prefix}.{field.name}", array.combine_chunks(), unit))
+    return _table(found, {})
+
+
+def _mask(values: Any) -> np.ndarray[Any, Any] | None:
+    return np.ma.getmaskarray(values) if isinstance(values, np.ma.MaskedArray) else None

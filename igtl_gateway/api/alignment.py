@@ -1,0 +1,259 @@
+"""Streams sampled at the times of one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from datetime import timedelta
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.api.moments import tolerance_ns
+from igtl_gateway.api.poses import Poses, between_poses
+from igtl_gateway.api.stream import Stream, to_frame
+from igtl_gateway.errors import ConfigError
+
+if TYPE_CHECKING:
+    import pandas
+    import pyarrow
+
+Array = npt.NDArray[Any]
+Times = npt.NDArray[np.int64]
+Method = Literal["nearest", "interpolate"]
+Clock = Literal["gateway", "source"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Match:
+    """The messages of one stream that belong to N times.
+
+    Attributes:
+        stream: the stream.
+        rows: (N,) int64, index of the nearest message in the stream; -1: none within the tolerance.
+        offsets: (N,) int64, time of that message minus the time that is wanted, ns; 0 without message.
+        poses: (N,) poses, NaN without message; None if the messages of the stream are not poses.
+        interpolated: the poses are between those of the messages.
+    """
+
+    stream: Stream
+    rows: Times
+    offsets: Times
+    poses: Poses | None
+    interpolated: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Aligned:
+    """Streams sampled at the times of one of them; :func:`~igtl_gateway.align` returns it.
+
+    Attributes:
+        on: key of the stream whose times are used.
+        times: (N,) int64, UTC ns on the clock that was chosen.
+        matches: key → the messages of a stream; the stream ``on`` has offsets of 0.
+    """
+
+    on: str
+    times: Times
+    matches: Mapping[str, Match]
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def __getitem__(self, key: str) -> Match:
+        if key not in self.matches:
+            raise KeyError(f"found {key!r}, expected one of {', '.join(self.matches)}")
+        return self.matches[key]
+
+    def poses(self, key: str) -> Poses:
+        """Return the poses of a stream at ``times``: (N, 4, 4), NaN where there is none.
+
+        Raises:
+            ConfigError: the messages of the stream are not poses.
+        """
+        poses = self[key].poses
+        if poses is None:
+            raise ConfigError(f"{key}: found type {self[key].stream.type}, expected one with a pose")
+        return poses
+
+    def to_arrow(self) -> pyarrow.Table:
+        """Return an Arrow table with a row per time.
+
+        The columns are ``time_ns``, and for each stream ``KEY.offset_ns`` and the columns of ``Stream.to_arrow`` as
+        ``KEY.COLUMN``, null without a message.  Interpolated poses have ``KEY.x_mm`` … and ``KEY.qx`` … instead.
+
+        Raises:
+            Unavailable: pyarrow is not installed; the extra ``arrow`` installs it.
+        """
+        from igtl_gateway.exchange import arrow_tables  # pyarrow is an extra
+
+        columns: dict[str, tuple[Any, str]] = {"time_ns": (self.times, "ns")}
+        tables = {}
+        for key, match in self.matches.items():
+            gone = match.rows < 0
+            columns[f"{key}.offset_ns"] = (np.ma.array(match.offsets, mask=gone), "ns")
+            if match.poses is not None and match.interpolated:
+                columns |= {f"{key}.{name}": cell for name, cell in _pose_cells(match.poses).items()}
+            else:
+                tables[key] = (match.stream.to_arrow(), match.stream.times[match.rows], gone)
+        return arrow_tables.side_by_side(columns, tables)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """Return the table of :meth:`to_arrow` as a data frame with the time as index.
+
+        Raises:
+            Unavailable: pandas is not installed; the extra ``pandas`` installs it.
+        """
+        return to_frame(self.to_arrow())
+
+
+def align(
+    streams: Iterable[Stream],
+    on: Stream | str,
+    tolerance: float | timedelta | None = None,
+    *,
+    method: Method = "nearest",
+    clock: Clock = "gateway",
+    missing: Literal["nan", "drop"] = "nan",
+) -> Aligned:
+    """Sample streams at the times of one of them.
+
+    Args:
+        streams: the streams, of one or of several recordings.
+        on: the stream whose times are used, or its key among ``streams``.
+        tolerance: largest distance in time, in seconds or as ``timedelta``; None: any.
+        method: ``"nearest"``: the message that is nearest in time, the earlier one of two.  ``"interpolate"``: poses
+            between the messages before and after, both within the tolerance; never extrapolated; messages that are not
+            poses are the nearest ones.
+        clock: ``"gateway"``: time of receipt; ``"source"``: the sender's stamp, or gateway time where that is unset.
+        missing: ``"nan"`` keeps the times without a message; ``"drop"`` keeps the times that all streams have.
+
+    Returns:
+        The times, and for each stream its messages at them.
+
+    Raises:
+        ConfigError: an argument has another value, or two streams have one key.
+
+    Example:
+        >>> tool, cloud = recording["TRANSFORM/ToolToBase"], recording["/star/cloud"]
+        >>> table = igtl_gateway.align([tool, cloud], on=cloud, tolerance=0.02, method="interpolate")
+        >>> table.poses("TRANSFORM/ToolToBase").matrices.shape
+        (12, 4, 4)
+    """
+    for name, value, expected in (
+        ("method", method, ("nearest", "interpolate")),
+        ("clock", clock, ("gateway", "source")),
+        ("missing", missing, ("nan", "drop")),
+    ):
+        if value not in expected:
+            raise ConfigError(f"{name}: found {value!r}, expected {' or '.join(map(repr, expected))}")
+    most = tolerance_ns(tolerance)
+    by_key: dict[str, Stream] = {}
+    for stream in (*streams, *(() if isinstance(on, str) else (on,))):
+        if by_key.setdefault(stream.key, stream) is not stream:
+            raise ConfigError(f"streams: found two streams {stream.key!r}, expected different keys")
+    key = on if isinstance(on, str) else on.key
+    if key not in by_key:
+        raise ConfigError(f"on: found {key!r}, expected one of {', '.join(by_key)}")
+    times = _clock_times(by_key[key].times, by_key[key].source_times, clock)
+    matches = {name: _match(stream, times, most, method, clock) for name, stream in by_key.items() if name != key}
+    here = np.arange(len(times))
+    matches[key] = Match(by_key[key], here, np.zeros(len(times), np.int64), _own_poses(by_key[key]))
+    if missing == "drop":
+        kept = np.flatnonzero(np.all([match.rows >= 0 for match in matches.values()], axis=0))
+        times = times[kept]
+        matches = {
+            name: replace(
+                each,
+                rows=each.rows[kept],
+                offsets=each.offsets[kept],
+                poses=None if each.poses is None else each.poses[kept],
+            )
+            for name, each in matches.items()
+        }
+    return Aligned(key, times, {name: matches[name] for name in by_key})
+
+
+def _clock_times(times: Times, source_times: Times, clock: Clock) -> Times:
+    return np.where(source_times != 0, source_times, times) if clock == "source" else times
+
+
+def _poses(stream: Stream) -> Poses | None:
+    try:
+        return stream.poses()
+    except ConfigError:
+        return None
+
+
+def _own_poses(stream: Stream) -> Poses | None:
+    """The poses of a stream at its own times, NaN for messages without one."""
+    poses = _poses(stream)
+    if poses is None or len(poses) == len(stream.times):
+        return poses
+    places = np.searchsorted(stream.times, poses.times)
+    matrices = np.full((len(stream.times), 4, 4), np.nan)
+    matrices[places] = poses.matrices
+    stamps = np.zeros(len(stream.times), np.int64)
+    stamps[places] = poses.stamps
+    return Poses(
+        matrices, poses.unit, stream.times, stream.source_times, stamps, poses.parent, poses.child, poses.left_out
+    )
+
+
+def _match(stream: Stream, wanted: Times, most: int | None, method: Method, clock: Clock) -> Match:
+    poses = _poses(stream)
+    own = stream if poses is None else poses
+    samples = _clock_times(own.times, own.source_times, clock)
+    order = np.argsort(samples, kind="stable")  # stamps of a sender may decrease
+    samples = samples[order]
+    count = len(samples)
+    nobody = np.full(len(wanted), -1, np.int64)
+    if not count:
+        return Match(stream, nobody, 0 * nobody, None if poses is None else _sampled(poses, wanted, None))
+    after = np.searchsorted(samples, wanted)
+    before, after = np.clip(after - 1, 0, count - 1), np.clip(after, 0, count - 1)
+    # as integers: float64 does not hold nanoseconds of today
+    back, ahead = np.abs(wanted - samples[before]), np.abs(samples[after] - wanted)
+    nearest = np.where(back <= ahead, before, after)
+    good = np.ones(len(wanted), np.bool_) if most is None else np.minimum(back, ahead) <= most
+    matrices = None
+    if poses is not None and method == "interpolate":
+        exact = samples[after] == wanted
+        inside = (wanted >= samples[0]) & (wanted <= samples[-1])
+        if most is not None:
+            inside &= exact | (np.maximum(back, ahead) <= most)
+        good = inside
+        start, end = np.where(exact, after, before), after
+        gap = samples[end] - samples[start]
+        share = np.where(gap > 0, (wanted - samples[start]) / np.maximum(gap, 1), 0.0)
+        found = poses.matrices[order]
+        matrices = np.full((len(wanted), 4, 4), np.nan)
+        matrices[good] = between_poses(found[start[good]], found[end[good]], share[good])
+        nearest = np.where(exact, after, nearest)
+    elif poses is not None:
+        matrices = np.where(good[:, None, None], poses.matrices[order][nearest], np.nan)
+    rows = order[nearest] if poses is None else np.searchsorted(stream.times, poses.times[order[nearest]])
+    return Match(
+        stream,
+        np.where(good, rows, -1),
+        np.where(good, samples[nearest] - wanted, 0),
+        None if poses is None else _sampled(poses, wanted, matrices),
+        poses is not None and method == "interpolate",
+    )
+
+
+def _sampled(poses: Poses, times: Times, matrices: Array | None) -> Poses:
+    """Poses at other times; without matrices there is none."""
+    nothing = np.zeros(len(times), np.int64)
+    if matrices is None:
+        matrices = np.full((len(times), 4, 4), np.nan)
+    return Poses(matrices, poses.unit, times, nothing, nothing, poses.parent, poses.child, poses.left_out)
+
+
+def _pose_cells(poses: Poses) -> dict[str, tuple[Any, str]]:
+    cells: dict[str, tuple[Any, str]] = {
+        f"{axis}_{poses.unit}": (poses.positions[:, number], poses.unit) for number, axis in enumerate("xyz")
+    }
+    quaternions = poses.quaternions
+    return cells | {f"q{axis}": (quaternions[:, number], "") for number, axis in enumerate("xyzw")}
