@@ -7,21 +7,29 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Generic, Protocol, TypeVar
 
-from igtl_gateway.app.bridge import Bridge
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.errors import GatewayError, RosError
 
-#: Returns a new bridge on the node of a host; the number of the session is from 1.
-MakeBridge = Callable[[NodeHost, int], Bridge]
+
+class OpenBridge(Protocol):
+    """What is managed: a ``Bridge``, or what has one."""
+
+    def start(self, *, active: bool) -> None: ...
+    def change(self, changes: Mapping[str, object]) -> None: ...
+    def stop(self) -> None: ...
 
 
-class ManagedBridge:
+B = TypeVar("B", bound=OpenBridge)
+
+
+class ManagedBridge(Generic[B]):
     """The node, and the bridge that it has in the states *inactive* and *active*.
 
     Args:
-        make: see ``MakeBridge``; may raise GatewayError.
+        make: returns a new bridge on the node of a host for the session with this number, from 1.
         node_name: name of the node.
         autostart: configure and activate at the start; else the node waits for the transitions.
         on_failure: called with one line about a transition that failed.
@@ -33,14 +41,14 @@ class ManagedBridge:
 
     def __init__(
         self,
-        make: MakeBridge,
+        make: Callable[[NodeHost, int], B],
         node_name: str,
         *,
         autostart: bool,
         on_failure: Callable[[str], None],
         on_end: Callable[[], None],
     ) -> None:
-        self.bridge: Bridge | None = None
+        self.bridge: B | None = None
         self._host = NodeHost(node_name, transitions=self, starts_active=autostart)
         self._make = make
         self._autostart = autostart
@@ -132,6 +140,6 @@ class ManagedBridge:
 
     def _close(self) -> None:
         with self._lock:
-            bridge, self.bridge = self.bridge, None
-            if bridge:
-                bridge.stop()
+            if self.bridge:
+                self.bridge.stop()
+            self.bridge = None

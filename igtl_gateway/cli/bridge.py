@@ -3,25 +3,26 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections import deque
+from contextlib import ExitStack
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from igtl_gateway.app.bridge import Bridge
 from igtl_gateway.app.bridge_options import bridge_options
-from igtl_gateway.app.entry_watch import EntryWatch
 from igtl_gateway.app.interpreter import tune_interpreter
-from igtl_gateway.app.status import BridgeStatus
+from igtl_gateway.app.managed import ManagedBridge
 from igtl_gateway.cli import admission, recording
 from igtl_gateway.cli.bridge_output import BridgeOutput, JsonOutput, TextOutput
+from igtl_gateway.cli.bridge_session import BridgeSession, PlainRunner, options_of_session
 from igtl_gateway.cli.common import stop_event
 from igtl_gateway.cli.options import default
 from igtl_gateway.cli.settings import add_faults, add_settings, settled
 from igtl_gateway.cli.terminal import is_terminal, print_line
 from igtl_gateway.cli.type_tables import types
-from igtl_gateway.clock import SystemClock
+from igtl_gateway.clock import Clock, SystemClock
 from igtl_gateway.config import Config
 from igtl_gateway.edges.ros.env import prepare_environment, tune_malloc
+from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.errors import ConfigError, ViewerError
 from igtl_gateway.extras import missing
 from igtl_gateway.faults import RelayFaults
@@ -29,7 +30,6 @@ from igtl_gateway.notations import address
 from igtl_gateway.stamp import NS_PER_S
 
 if TYPE_CHECKING:
-    from igtl_gateway.app.metrics import MetricsServer
     from igtl_gateway.view.live import LiveWindow
 
 EXAMPLES = """\
@@ -66,6 +66,8 @@ EXAMPLES = """\
   # delay their messages by 50 ms and drop 1 % of them
   igtl-gateway bridge --relay --listen :18944 --connect 127.0.0.1:18945 \\
       --fault delay=50ms,loss=1% --seed 7
+  # wait until another node configures and activates the bridge
+  igtl-gateway bridge --no-autostart
   # counts for Prometheus at http://127.0.0.1:9464/metrics
   igtl-gateway bridge --metrics 9464
 
@@ -94,6 +96,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--no-ros", action="store_true", help="run without ROS, for OpenIGTLink only")
     group.add_argument(
         "--node-name", default="igtl_gateway", metavar="NAME", help="name of the ROS node " + default("igtl_gateway")
+    )
+    group.add_argument(
+        "--no-autostart",
+        action="store_true",
+        help="start as a managed node that other nodes configure and activate, in the state unconfigured",
     )
     group = parser.add_argument_group("video (needs PyAV)")
     add_settings(group, "video_codec", "video_bit_rate", "video_key_interval")
@@ -135,67 +142,111 @@ def run(options: argparse.Namespace) -> int:
     if RelayFaults.parse(options.fault or "") and not values["relay"]:
         raise ConfigError("--fault: found no --relay, expected it: only a relay has a connection to inject faults into")
     config, how = bridge_options(values, ros=not options.no_ros, node_name=options.node_name, reserved=options.reserved)
-    watch = EntryWatch()
+    if options.no_autostart and not how.ros:
+        raise ConfigError("--no-autostart: found no ROS, expected it: other nodes configure and activate the bridge")
     clock = SystemClock()
+    metrics_at = address(values["metrics"]) if values["metrics"] else None
+    out: BridgeOutput = JsonOutput(clock) if options.log_format == "json" else TextOutput(is_terminal())
+    problems: deque[str] = deque()  # of transitions
     with stop_event() as stop:
         notes = [tune_malloc()] if not how.ros else prepare_environment()
         window = _window(config) if options.view else None
-        bridge = Bridge(config, how, clock, watch, window, watch.add)
-        status = BridgeStatus(bridge, watch, clock)
-        metrics = _start(bridge, values, status, window)
-        out: BridgeOutput = JsonOutput(clock) if options.log_format == "json" else TextOutput(is_terminal())
-        started_ns = clock.monotonic_ns()
+
+        def make(host: NodeHost | None, number: int) -> BridgeSession:
+            own = options_of_session(how, number)
+            return BridgeSession(config, own, clock, window=window, metrics_at=metrics_at, host=host)
+
+        runner: PlainRunner | ManagedBridge[BridgeSession]
+        if how.ros:
+            starts = not options.no_autostart
+            runner = ManagedBridge(make, how.node_name, autostart=starts, on_failure=problems.append, on_end=stop.set)
+        else:
+            runner = PlainRunner(make(None, 1))
+        show = _Show(out, config, how.node_name, notes, clock)
+        viewer_problem = ""
         try:
-            with recording.recording_controls(bridge.recorder) as keys:
-                out.started(bridge, config, [note for note in (*notes, bridge.realtime, keys) if note], metrics)
-                tune_interpreter()
-                while not stop.wait(_STATUS_EVERY_S):
-                    out.events(watch.take())
-                    seconds = (clock.monotonic_ns() - started_ns) / NS_PER_S
-                    bridge.collect()
-                    out.status(bridge, watch, seconds)
-                    if metrics:
-                        status.sample()
-                    if bridge.has_failed or (options.duration and seconds >= options.duration):
-                        break
+            runner.start()
+            started_ns = clock.monotonic_ns()
+            show.update(runner.bridge)
+            tune_interpreter()
+            while not stop.wait(_STATUS_EVERY_S):
+                while problems:
+                    out.problem(problems.popleft())
+                show.update(runner.bridge)
+                seconds = (clock.monotonic_ns() - started_ns) / NS_PER_S
+                if show.must_stop or (options.duration and seconds >= options.duration):
+                    break
         finally:
-            if metrics:
-                metrics.close()
-            bridge.stop()
+            show.release()
+            runner.stop()
             viewer_problem = window.close() if window else ""
-        out.events(watch.take())
-        out.stopped(bridge, watch)
+        show.end()
         if viewer_problem:
             print_line(f"igtl-gateway bridge: --view: {viewer_problem}", error=True)
-    return 1 if bridge.summary and bridge.summary.failure else 0
+    return 1 if show.has_failed else 0
 
 
-def _start(
-    bridge: Bridge, values: Mapping[str, Any], status: BridgeStatus, window: LiveWindow | None
-) -> MetricsServer | None:
-    """Start the bridge, and the server of ``--metrics``; close all where one of them cannot start."""
-    metrics: MetricsServer | None = None
-    try:
-        if values["metrics"]:  # before the recording: a port in use must not cost an existing recording
-            metrics = _metrics(values, status)
-        bridge.start()
-        if metrics:
-            status.sample()
-    except Exception:
-        if metrics:
-            metrics.close()
-        if window:
-            window.close()
-        raise
-    return metrics
+class _Show:
+    """What the verb shows of its sessions, which run one after the other.
 
+    Attributes:
+        has_failed: whether the recording of a session that has ended failed.
+    """
 
-def _metrics(values: Mapping[str, Any], status: BridgeStatus) -> MetricsServer:
-    from igtl_gateway.app.metrics import MetricsServer
+    def __init__(self, out: BridgeOutput, config: Config, node_name: str, notes: list[str], clock: Clock) -> None:
+        self.has_failed = False
+        self._out = out
+        self._config = config
+        self._node_name = node_name
+        self._notes = notes
+        self._clock = clock
+        self._session: BridgeSession | None = None
+        self._is_waiting = False
+        self._started_ns = 0
+        self._controls = ExitStack()
 
-    host, port = address(values["metrics"])
-    status.sample()
-    return MetricsServer(host, port, status, tuple(values["allow"]))
+    @property
+    def must_stop(self) -> bool:
+        """Whether the recording has failed and the options require the bridge to stop."""
+        return self._session is not None and self._session.bridge.has_failed
+
+    def update(self, session: BridgeSession | None) -> None:
+        """Show the session that runs now; None: there is none."""
+        if session is not self._session:
+            self.release()
+            self.end()
+            if session:
+                self._begin(session)
+        if session is None:
+            if not self._is_waiting:
+                self._is_waiting = True
+                self._out.waiting(self._node_name)
+            return
+        bridge, watch = session.bridge, session.watch
+        self._out.events(watch.take())
+        bridge.collect()
+        self._out.status(bridge, watch, (self._clock.monotonic_ns() - self._started_ns) / NS_PER_S)
+        session.sample()
+
+    def _begin(self, session: BridgeSession) -> None:
+        self._session, self._is_waiting = session, False
+        self._started_ns = self._clock.monotonic_ns()
+        bridge = session.bridge
+        keys = self._controls.enter_context(recording.recording_controls(bridge.recorder))
+        notes = [note for note in (*self._notes, bridge.realtime, keys) if note]
+        self._out.started(bridge, self._config, notes, session.metrics)
+
+    def release(self) -> None:
+        """Release keys and signals, which control the recording of the session."""
+        self._controls.close()
+
+    def end(self) -> None:
+        """Show the end of the session, which is closed."""
+        session, self._session = self._session, None
+        if session:
+            self._out.events(session.watch.take())
+            self._out.stopped(session.bridge, session.watch)
+            self.has_failed |= bool(session.bridge.summary and session.bridge.summary.failure)
 
 
 def _window(config: Config) -> LiveWindow:

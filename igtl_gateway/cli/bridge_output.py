@@ -33,6 +33,8 @@ class BridgeOutput(Protocol):
     """How a bridge reports what it does."""
 
     def started(self, bridge: Bridge, config: Config, notes: list[str], metrics: MetricsServer | None) -> None: ...
+    def waiting(self, node_name: str) -> None: ...
+    def problem(self, text: str) -> None: ...
     def events(self, events: list[Event]) -> None: ...
     def status(self, bridge: Bridge, watch: EntryWatch, seconds: float) -> None: ...
     def stopped(self, bridge: Bridge, watch: EntryWatch) -> None: ...
@@ -83,6 +85,15 @@ class TextOutput:
             for line in mapping(config):
                 print_line(line)
         print_line("Press Ctrl-C to stop.", flush=True)
+
+    def waiting(self, node_name: str) -> None:
+        """Print that no session runs: the managed node is unconfigured."""
+        self._status = ""
+        self._print(f"ROS 2        node /{node_name} is unconfigured: another node configures and activates it")
+
+    def problem(self, text: str) -> None:
+        """Print why a transition of the managed node failed."""
+        self._print(f"! {text}")
 
     def events(self, events: list[Event]) -> None:
         for event in events:
@@ -169,6 +180,14 @@ class JsonOutput:
             config=config.to_dict(),
             environment=notes,
         )
+
+    def waiting(self, node_name: str) -> None:
+        """Print that no session runs: the managed node is unconfigured."""
+        self._print("unconfigured", node=node_name)
+
+    def problem(self, text: str) -> None:
+        """Print why a transition of the managed node failed."""
+        self._print("transition_failed", text=text)
 
     def events(self, events: list[Event]) -> None:
         for event in events:

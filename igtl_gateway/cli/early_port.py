@@ -13,8 +13,8 @@ from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT, address
 _LISTEN = "--listen"
 #: With one of these, a bridge without ``--listen`` may have other ports than the usual one.
 _ELSEWHERE = ("--connect", "--config")
-#: With one of these there is no bridge.
-_NO_BRIDGE = ("--types", "--help", "-h", "--version")
+#: With one of these there is no bridge, or not yet.
+_NO_BRIDGE = ("--types", "--help", "-h", "--version", "--no-autostart")
 
 
 def early_ports(words: Sequence[str]) -> list[tuple[str, int]]:

@@ -7,6 +7,8 @@ import json
 import os
 import socket
 import struct
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -128,7 +130,7 @@ class Manager:
 class Sender(threading.Thread):
     """A peer that connects as often as it can, and the publisher of the manager: numbered poses from both."""
 
-    def __init__(self, managed: ManagedBridge, manager: Manager) -> None:
+    def __init__(self, managed: ManagedBridge[Bridge], manager: Manager) -> None:
         super().__init__(daemon=True)
         self._managed = managed
         self._manager = manager
@@ -342,3 +344,31 @@ def test_a_start_that_fails_raises_and_leaves_the_graph(tmp_path: Path) -> None:
             managed.start()
         assert managed.bridge is None
         managed.stop()
+
+
+def test_the_command_line_waits_for_another_node_and_records_each_session(tmp_path: Path) -> None:
+    arguments = ["bridge", "--no-autostart", "--listen", "127.0.0.1:0", "--node-name", NAME, "--json"]
+    command = [sys.executable, "-m", "igtl_gateway", *arguments, "--record", str(tmp_path / "or.mcap")]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    manager = Manager()
+    try:
+        manager.meet()
+        assert manager.state == "unconfigured"
+        assert not list(tmp_path.iterdir()), "configure makes the file"
+        for transition in ("configure", "activate", "deactivate", "cleanup", "configure", "activate", "shutdown"):
+            assert manager.change(transition), transition
+            time.sleep(0.6)  # the program looks twice a second
+        output, _ = process.communicate(timeout=TIMEOUT_S)
+    finally:
+        manager.close()
+        process.kill()
+        process.wait()
+    assert process.returncode == 0
+    events = [json.loads(line) for line in output.splitlines()]
+    shown = [event["event"] for event in events if event["event"] in ("unconfigured", "started", "stopped")]
+    assert shown == ["unconfigured", "started", "stopped", "unconfigured", "started", "stopped"]
+    recorded = [Path(event["recording"]["path"]).name for event in events if event["event"] == "stopped"]
+    assert recorded == ["or.mcap", "or-2.mcap"]
+    for name in recorded:
+        with SessionFile.open(tmp_path / name) as file:
+            assert verify(file.entries(), Config.from_dict(json.loads(file.session["config"]))).good
