@@ -3,6 +3,9 @@
 What these parts do, Python does with the same results, only slower.  ``IGTL_GATEWAY_PURE=1`` leaves them out, for the
 wheel of machines that the compiled wheels do not fit.
 
+``IGTL_GATEWAY_AHEAD=FOLDER`` adds the ROS packages that were compiled ahead to a wheel with C parts
+(:mod:`igtl_gateway.ros_interfaces.ahead`).
+
 The result does not depend on the folder of the build: an editable installation has it beside the source; a wheel
 is made from a temporary folder, so that it never contains the result for another Python.
 """
@@ -67,6 +70,8 @@ class Hook(BuildHookInterface[Any]):
             build_data["pure_python"] = False
             build_data["infer_tag"] = True
             build_data["force_include"][str(target)] = str(target.relative_to(folder))
+        if ahead := os.environ.get("IGTL_GATEWAY_AHEAD"):
+            build_data["force_include"][ahead] = "igtl_gateway/ros_interfaces/compiled"
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
         """Remove the temporary folder."""

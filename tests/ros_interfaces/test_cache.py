@@ -50,7 +50,7 @@ def test_two_first_imports_at_once_compile_once(tmp_path: Path) -> None:
 @WHEELS
 def test_a_package_in_any_of_the_folders_is_used(tmp_path: Path) -> None:
     preferred, other = tmp_path / "preferred", tmp_path / "other"
-    place = other / cache._key("tf2_msgs", cache._wheels("tf2_msgs")) / "tf2_msgs"
+    place = other / cache._key("tf2_msgs", cache.wheels_folder("tf2_msgs")) / "tf2_msgs"
     place.mkdir(parents=True)
     assert cache.compiled("tf2_msgs", [preferred, other]) == place
 
