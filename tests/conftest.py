@@ -75,6 +75,7 @@ SLOW = (
     "integration/test_hostile_crowds.py",
     "integration/test_interop.py",
     "integration/test_ros_types.py",
+    "integration/test_script_peers.py",
     "lab/cli/test_bench.py",
     "lab/bench/test_hop.py",
     "lab/bench/test_native.py",
