@@ -31,6 +31,7 @@ ROS_TESTS = ("tests/edges/ros",)
 TEST_NEEDS = {"hypothesis", "mcap-ros2-support", "packaging", "pyigtl", "pymcap-cli", "pytest", "pytest-xdist"}
 WORKERS = "2"
 _COMPILE = "from tools.core import compile_c_parts; compile_c_parts()"
+_OF_ROS_WHEELS = ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
 
 
 def present(name: str) -> str | None:
@@ -83,7 +84,9 @@ def run_tests(python: str, *, ros: bool) -> bool:
         ROOT / "constraints.txt",
     ]
     subprocess.run([*install, *requirements(ros=ros)], check=True)
-    environment = os.environ | {"PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "lab")))}
+    # The ROS wheels restart Python once with the path of their libraries: that of this Python is of no use to another.
+    inherited = {key: value for key, value in os.environ.items() if key not in _OF_ROS_WHEELS}
+    environment = inherited | {"PYTHONPATH": os.pathsep.join((str(ROOT), str(ROOT / "lab")))}
     subprocess.run([own, "-c", _COMPILE], cwd=ROOT, env=environment, check=True)
     tests = (*TESTS, *(ROS_TESTS if ros else ()))
     command = [own, "-m", "pytest", "-q", "-n", WORKERS, "-m", "not slow", "-p", "no:cacheprovider", *tests]

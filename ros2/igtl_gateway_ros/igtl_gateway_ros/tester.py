@@ -72,7 +72,11 @@ class TestNode(Node):  # type: ignore[misc]  # rclpy is untyped
                     ("NodeModel/mesh", Mesh),
                 )
             }
-            self.create_timer(1.0 / self.get_parameter("rate").value, self._send_round, clock=steady)
+            rate = self.get_parameter("rate").value
+            self.create_timer(1.0 / rate, self._send_round, clock=steady)
+            topics = ", ".join(publisher.topic_name for publisher in self._out.values())
+            self.get_logger().info(f"sends {rate:g} rounds per second on {topics}")
+        self.get_logger().info(f"counts the messages of all topics below {self._prefix}")
         self.create_timer(0.2, self._subscribe, clock=steady)
         self.create_timer(REPORT_S, self.report, clock=steady)
 
