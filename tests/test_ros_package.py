@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import re
 import shutil
 import subprocess
 import sys
-import time
 from collections.abc import Mapping
 from configparser import ConfigParser
 from pathlib import Path
@@ -18,12 +16,12 @@ from xml.etree import ElementTree
 import pytest
 from ruamel.yaml import YAML
 
-from igtl_gateway import __version__, connect
+from igtl_gateway import __version__
 from igtl_gateway.cli import complete
 from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT
 from igtl_gateway.cli.verbs import VERBS
 from igtl_gateway.settings import parameters
-from tests.integration.bridge import ROOT, START_S, TIMEOUT_S, Program, environment
+from tests.integration.bridge import ROOT
 from tests.launch_files import LaunchFile, every, read
 
 PACKAGE = ROOT / "ros2" / "igtl_gateway_ros"
@@ -107,42 +105,6 @@ def test_an_executable_names_the_missing_distribution(installed: Path, tmp_path:
     assert done.stderr.rstrip().endswith(f"install it: {sys.executable} -m pip install igtl-gateway")
 
 
-#: What launch gives an executable besides the parameters: ``ros_args``, then the name and the namespace.
-ROS_ARGS = ("--ros-args", "--log-level", "info", "--ros-args", "-r", "__node:=gateway", "-r", "__ns:=/or1")
-
-
-@pytest.mark.ros
-def test_bridge_and_test_node_run_as_launch_starts_them(installed: Path, tmp_path: Path) -> None:
-    folder, session = installed / "lib" / "igtl_gateway", tmp_path / "session.mcap"
-    site = next((installed / "lib").glob("python*/site-packages"))
-    env = environment(PYTHONPATH=f"{site}{os.pathsep}{ROOT}")
-    parameters_of_bridge = ("-p", "listen:=[127.0.0.1:0]", "-p", f"record:={session}")
-    bridge = Program([str(folder / "bridge"), "--json", *ROS_ARGS, *parameters_of_bridge], env)
-    node = Program([str(folder / "test_node"), "--ros-args", "-r", "__ns:=/or1", "-p", "rate:=10.0"], env)
-    try:
-        bridge.wait_until(lambda: any('"started"' in line for line in bridge.lines), "start", START_S)
-        (started,) = [line for line in bridge.lines if '"started"' in line]
-        with connect("127.0.0.1", json.loads(started)["listen"][0]["port"]) as peer:
-            assert peer.receive("STRING", "NodeString").text.endswith("of the node: Grüße")
-            for type_name, device in (
-                ("TRANSFORM", "NodeTransform"),
-                ("POINT", "NodePoint"),
-                ("POLYDATA", "NodeModel"),
-            ):
-                peer.receive(type_name, device)
-            deadline = time.monotonic() + TIMEOUT_S
-            while "/or1/igtl/in/ServerString/string" not in node.stderr():  # it subscribes when it finds the topic
-                assert time.monotonic() < deadline, node.said()
-                peer.send("STRING", "ServerString", "hello")
-                time.sleep(0.1)
-        assert node.end().code == 0
-        assert bridge.end().code == 0
-        assert run(folder / "verify", session, environment=env).endswith("equal, byte for byte\n")
-    finally:
-        node.close()
-        bridge.close()
-
-
 def test_every_verb_is_an_executable() -> None:
     expected = dict.fromkeys(VERBS, "igtl_gateway_ros.verb:main") | {"test_node": "igtl_gateway_ros.tester:main"}
     assert executables() == expected
@@ -213,7 +175,7 @@ def test_every_parameter_of_a_bridge_is_a_setting(name: str) -> None:
         if each["name"] == "use_sim_time":
             continue
         argument = f"$(var {each['name']})"
-        assert each["value"] == (f"'[{argument}]'" if known[each["name"]].is_list else argument)
+        assert each["value"] == (f"'[\"{argument}\"]'" if known[each["name"]].is_list else argument)
         assert each["if"] == f"given {each['name']}"
 
 

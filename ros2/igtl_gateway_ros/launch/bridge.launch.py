@@ -14,9 +14,9 @@ ARGUMENTS = (
     ("node_name", "igtl_gateway", "name of the node"),
     ("params_file", "", "file of parameters; arguments override it"),
     ("config", "", "configuration file of igtl-gateway (TOML); parameters override it"),
-    ("listen", "", "listen on these addresses: HOST:PORT, separated by commas"),
-    ("connect", "", "connect to these servers: HOST:PORT, separated by commas"),
-    ("allow", "", "accept clients of these networks only: CIDR or any, separated by commas"),
+    ("listen", "", "listen on this address, HOST:PORT; several: in params_file"),
+    ("connect", "", "connect to this server, HOST:PORT; several: in params_file"),
+    ("allow", "", "accept clients of this network only: CIDR, or any"),
     ("record", "", "record all messages to this MCAP file"),
     ("overwrite", "", "true: overwrite an existing recording"),
     ("log_level", "info", "lowest level of the log: debug, info, warn, error or fatal"),
@@ -32,7 +32,7 @@ def given(value):
 def generate_launch_description():
     values = {name: LaunchConfiguration(name) for name, _, _ in ARGUMENTS}
     parameters = {name: [values[name]] for name in TEXTS}
-    parameters |= {name: ["'[", values[name], "]'"] for name in LISTS}  # a list in the notation of ROS
+    parameters |= {name: ["'[\"", values[name], "\"]'"] for name in LISTS}  # a list in the notation of ROS
     return LaunchDescription(
         [
             *(

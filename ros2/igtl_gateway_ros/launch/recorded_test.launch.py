@@ -12,7 +12,7 @@ from launch_ros.parameter_descriptions import ParameterValue
 
 ARGUMENTS = (
     ("namespace", "", "namespace of both nodes"),
-    ("listen", "127.0.0.1:18944", "listen on these addresses: HOST:PORT, separated by commas"),
+    ("listen", "127.0.0.1:18944", "listen on this address, HOST:PORT"),
     ("record", "session.mcap", "record all messages to this MCAP file"),
     ("overwrite", "", "true: overwrite an existing recording"),
     ("params_file", "", "file of parameters of the bridge"),

@@ -7,9 +7,9 @@ from launch.substitutions import LaunchConfiguration, ThisLaunchFileDir
 
 ARGUMENTS = (
     ("namespace_1", "or1", "namespace of the first bridge"),
-    ("listen_1", "127.0.0.1:18944", "addresses of the first bridge"),
+    ("listen_1", "127.0.0.1:18944", "address of the first bridge"),
     ("namespace_2", "or2", "namespace of the second bridge"),
-    ("listen_2", "127.0.0.1:18945", "addresses of the second bridge"),
+    ("listen_2", "127.0.0.1:18945", "address of the second bridge"),
     ("params_file", "", "file of parameters of both bridges"),
     ("log_level", "info", "lowest level of the log: debug, info, warn, error or fatal"),
 )
