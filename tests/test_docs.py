@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import re
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -17,12 +19,16 @@ from igtl_gateway.wire.layout import Field
 from igtl_gateway.wire.registry import BODIES
 from tests.wire import conformance
 from tools import docs
+from tools.note_codes import NOTES
 
 # Not on import, which is in every worker: counting what conforms takes a second.
 messages, conversions, doctor = cache(docs.messages), cache(docs.conversions), cache(docs.doctor)
 
 
-@pytest.fixture(params=[messages, conversions, doctor], ids=["messages", "conversions", "doctor"])
+@pytest.fixture(
+    params=[messages, conversions, doctor, docs.notes, docs.topics],
+    ids=["messages", "conversions", "doctor", "notes", "topics"],
+)
 def page(request: pytest.FixtureRequest) -> str:
     return str(request.param())
 
@@ -100,7 +106,7 @@ def test_every_check_of_the_machine_is_there() -> None:
 def test_links_lead_somewhere(page: str) -> None:
     pages = {"": page, "messages.md": messages(), "conversions.md": conversions()}
     links = set(re.findall(r"\]\(([^)]+)\)", page))
-    assert links
+    assert links or page == docs.notes()
     for link in links:
         if link.startswith("https://"):
             continue
@@ -161,3 +167,41 @@ def test_a_layout() -> None:
         "| … |  | f32[2 · n] | `b` |  |",
         "| … | the rest | bytes | `rest` |  |",
     ]
+
+
+def codes_in(source: str) -> set[str]:
+    """The codes of notes in a module: behind a level, and of the classes of errors."""
+    found = set()
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        match node:
+            case ast.Call(args=parts) | ast.Tuple(elts=parts):
+                for level, code in pairwise(parts):
+                    if isinstance(level, ast.Attribute) and ast.unparse(level.value) == "Level":
+                        found |= {part.value for part in ast.walk(code) if isinstance(part, ast.Constant)}
+            case ast.Assign(targets=[ast.Name("code")], value=ast.Constant(value)):
+                found.add(value)
+    return {code for code in found if isinstance(code, str) and re.fullmatch(r"[a-z_]+", code)}
+
+
+def test_every_code_of_a_note_is_there() -> None:
+    root = docs.ROOT / "igtl_gateway"
+    sources = {path.relative_to(root): path.read_text("utf-8") for path in root.rglob("*.py")}
+    written = {
+        code
+        for path, source in sources.items()
+        if path.parts[0] not in ("doctor", "review")
+        for code in codes_in(source)
+    }
+    listed = [code for codes in NOTES.values() for code in codes]
+    assert written and written - set(listed) == set()
+    assert len(set(listed)) == len(listed)
+    everything = "".join(sources.values())
+    assert [code for code in listed if f'"{code}"' not in everything] == []
+
+
+def test_codes_are_found_behind_a_level() -> None:
+    source = (
+        'Note(Level.WARN, "a", text)\n(Level.INFO, "b" if x else "c")\nclass E:\n    code = "d"\nNote(level, "e")\n'
+    )
+    assert codes_in(source) == {"a", "b", "c", "d"}

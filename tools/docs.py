@@ -20,6 +20,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.app.commands import SERVICE
+from igtl_gateway.app.recording import PAUSE, RESUME, SNAPSHOT
+from igtl_gateway.app.recording import TYPE as TRIGGER
 from igtl_gateway.cli import complete
 from igtl_gateway.cli.options import argument_name
 from igtl_gateway.cli.verbs import Verb, available
@@ -33,7 +36,9 @@ from igtl_gateway.doctor.observer import MAX_STREAMS
 from igtl_gateway.doctor.protocols import PROTOCOLS
 from igtl_gateway.doctor.rules import RULES, Rule
 from igtl_gateway.gateway import metadata
+from igtl_gateway.gateway.diagnostics import DIAGNOSTICS_TOPIC
 from igtl_gateway.gateway.dialogue import answers
+from igtl_gateway.gateway.dialogue.links import LINKS_TOPIC
 from igtl_gateway.qos import Qos
 from igtl_gateway.stamp import NS_PER_MS
 from igtl_gateway.wire.body import Body
@@ -46,6 +51,7 @@ from igtl_gateway.wire.registry import ALIASES, BODIES
 from igtl_gateway.wire.sensor import PREFIXES as UNIT_PREFIXES
 from igtl_gateway.wire.sensor import UNITS
 from igtl_gateway.wire.text import CODES
+from tools.note_codes import NOTES
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -892,9 +898,105 @@ def _escape(text: str) -> str:
     return text.replace("*", "\\*").replace("<", "\\<")
 
 
+# -- notes and topics -------------------------------------------------------------------------------------------------
+
+
+def notes() -> str:
+    """docs/notes.md."""
+    groups = []
+    for group, codes in NOTES.items():
+        rows = ((f"`{code}`", text) for code, text in codes.items())
+        groups += [f"## {group}", table(("code", "what has happened"), rows)]
+    return document(
+        "# Notes and their codes",
+        GENERATED,
+        prose(
+            """A note is a fact about the session besides its messages: a link, a drop, a rejected message.  The bridge
+            prints notes and records them on `/igtl_gateway/notes`; `/diagnostics` shows the states behind them.  The
+            code of a note is stable, so that programs can rely on it; its text is for people and may change.
+            `igtl-gateway info FILE` shows the notes that are problems."""
+        ),
+        *groups,
+    )
+
+
+def topics() -> str:
+    """docs/topics.md."""
+    kinds: dict[tuple[str, str], list[str]] = {}
+    fixed: dict[tuple[str, str], list[str]] = {}
+    for row in TO_ROS:
+        names = [name for name in row.igtl_types if name not in ALIASES]
+        place = (fixed, row.topic) if row.topic else (kinds, f"/igtl/in/<device>/{row.kind}")
+        place[0].setdefault((place[1], ros_name(row.message.TYPE)), []).extend(names)
+    published = [
+        *((f"`{topic}`", kind, code(_queries_as_one(types))) for (topic, kind), types in sorted(kinds.items())),
+        *((f"`{topic}`", kind, code(dict.fromkeys(types))) for (topic, kind), types in sorted(fixed.items())),
+    ]
+    return document(
+        "# Topics and services",
+        GENERATED,
+        prose(
+            """The node `/igtl_gateway` has these topics and services.  `~` is the name of the node.  A configuration
+            can give a device other topics (`[[to_ros]]`), and can send any topic (`[[to_igtl]]`);
+            [conversions.md](conversions.md) describes the conversions, and which kinds are published on request."""
+        ),
+        "## Published",
+        table(("topic", "ROS type", "from OpenIGTLink"), published),
+        table(
+            ("topic", "ROS type", "content"),
+            (
+                ("`/igtl/in/<device>/metadata`", ros_name("igtl_msgs/msg/Metadata"), "metadata of header version 2"),
+                ("`/igtl/in/<device>/raw`", ros_name("igtl_msgs/msg/RawMessage"), "messages without a conversion"),
+                (f"`{LINKS_TOPIC}`", ros_name("igtl_msgs/msg/LinkStatusList"), "the connected peers; latched"),
+                (f"`{DIAGNOSTICS_TOPIC}`", "diagnostic_msgs/DiagnosticArray", "state of streams, peers and recorder"),
+            ),
+        ),
+        "## Subscribed",
+        table(
+            ("topic", "content"),
+            (
+                ("`/igtl/out/**`", "sent to the peers as the device that the rest of the name gives"),
+                ("topics of `--send` and `[[to_igtl]]`", "sent to the peers"),
+                ("`/tf`, `/tf_static`", "only for `--tf-out` and `[[tf_out]]`"),
+                ("topics of `--record-topics`, `--record-all`", "recorded, not sent"),
+            ),
+        ),
+        "## Services",
+        table(
+            ("service", "type", "effect"),
+            (
+                (f"`{SERVICE}`", "igtl_msgs/SendCommand", "send a COMMAND to a peer and wait for its reply"),
+                (f"`{PAUSE}`, `{RESUME}`", TRIGGER, "pause and resume the recording"),
+                (f"`{SNAPSHOT}`", TRIGGER, "with `--snapshot`: write the last seconds to a file"),
+            ),
+        ),
+        "`igtl-gateway replay --to ros` has the services of `ros2 bag play`, if rosbag2_interfaces is installed.",
+        "## In recordings only",
+        table(
+            ("topic", "ROS type", "content"),
+            (
+                ("`/igtl_gateway/wire/in/<type>/<device>`", ros_name("igtl_msgs/msg/RawMessage"), "received bytes"),
+                ("`/igtl_gateway/wire/out/<type>/<device>`", ros_name("igtl_msgs/msg/RawMessage"), "sent bytes"),
+                ("`/igtl_gateway/notes`", ros_name("igtl_msgs/msg/Note"), "[notes](notes.md)"),
+            ),
+        ),
+    )
+
+
+def _queries_as_one(types: Iterable[str]) -> list[str]:
+    """Names without repetition; the queries, which are many, by their prefixes."""
+    return list(dict.fromkeys(re.sub(r"_.*", "_…", name) if name in QUERIES else name for name in types))
+
+
 # -- files ------------------------------------------------------------------------------------------------------------
 
-PAGES = {"conversions.md": conversions, "doctor.md": doctor, "messages.md": messages, "verbs.md": verbs}
+PAGES = {
+    "conversions.md": conversions,
+    "doctor.md": doctor,
+    "messages.md": messages,
+    "notes.md": notes,
+    "verbs.md": verbs,
+}
 
 
 def stale(folder: Path = DOCS) -> list[str]:
