@@ -995,6 +995,7 @@ PAGES = {
     "doctor.md": doctor,
     "messages.md": messages,
     "notes.md": notes,
+    "topics.md": topics,
     "verbs.md": verbs,
 }
 

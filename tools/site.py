@@ -51,6 +51,9 @@ REFERENCE = {
         "api.images.ImageView",
         "api.clouds.Cloud",
         "api.transforms.TransformTree",
+        "api.alignment.align",
+        "api.alignment.Aligned",
+        "api.alignment.Match",
         "api.stream.RecordedMessage",
         "api.recording.RecordedNote",
     ),
@@ -66,6 +69,11 @@ REFERENCE = {
         "api.aio.serve",
         "api.aio.AsyncPeer",
         "api.aio.AsyncServer",
+    ),
+    "Bridge": (
+        "api.bridge.Bridge",
+        "api.bridge.BridgeCounts",
+        "api.bridge.RecordingResult",
     ),
     "Verbs": (
         "api.verbs.replay",

@@ -135,7 +135,7 @@ def align(
     Raises:
         ConfigError: an argument has another value, or two streams have one key.
 
-    Example:
+    Examples:
         >>> tool, cloud = recording["TRANSFORM/ToolToBase"], recording["/star/cloud"]
         >>> table = igtl_gateway.align([tool, cloud], on=cloud, tolerance=0.02, method="interpolate")
         >>> table.poses("TRANSFORM/ToolToBase").matrices.shape

@@ -86,7 +86,7 @@ class Bridge:
     Raises:
         ConfigError: an unknown setting, or a value that is out of range.
 
-    Example:
+    Examples:
         >>> with Bridge(listen=["127.0.0.1:0"], ros=False) as bridge:
         ...     bridge.addresses[0][0]
         '127.0.0.1'

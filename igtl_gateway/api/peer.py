@@ -63,7 +63,7 @@ class Endpoint:
             NoReply: no such message arrived in time (a TimeoutError).
             LinkClosed: the connection is closed, and no such message waits (a ConnectionError).
 
-        Example:
+        Examples:
             >>> pose = peer.receive("TRANSFORM", "Probe").matrix  # doctest: +SKIP
         """
         expected = f"a message {type or '*'}/{device or '*'}"
@@ -432,7 +432,7 @@ def connect(
         NoReply: no server in time.
         ConfigError: an argument is out of range.
 
-    Example:
+    Examples:
         >>> with connect("127.0.0.1", 18944) as peer:  # doctest: +SKIP
         ...     peer.send("STRING", "Greeting", "hello")
         ...     print(peer.receive("TRANSFORM", "ToolToReference").matrix)
@@ -485,7 +485,7 @@ def serve(
         ConfigError: an argument is out of range, or an address is open to other hosts without ``allow``.
         Unavailable: the port is in use.
 
-    Example:
+    Examples:
         >>> with serve(0) as server:
         ...     server.links
         ()

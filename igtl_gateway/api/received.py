@@ -43,7 +43,7 @@ class ReceivedMessage:
         link: number of the connection that it came from.
         received_ns: time of receipt, UTC nanoseconds of this host.
 
-    Example:
+    Examples:
         >>> message = ReceivedMessage(Message("STRING", "Greeting", String.of("hello")), 1, 0)
         >>> message.type, message.device, message.text
         ('STRING', 'Greeting', 'hello')

@@ -155,7 +155,7 @@ class Recording(Mapping[str, Stream]):
         Raises:
             ConfigError: a moment cannot be read.
 
-        Example:
+        Examples:
             >>> with igtl_gateway.open("session.mcap") as recording:
             ...     poses = recording.between(10.0, 20.0)["TRANSFORM/ToolToBase"].poses()
         """
@@ -249,7 +249,7 @@ def open(path: str | Path, *, limits: FileLimits | Mapping[str, int] | None = No
         LimitExceeded: the file needs more than the limits allow.
         ConfigError: a limit is unknown.
 
-    Example:
+    Examples:
         >>> import igtl_gateway
         >>> with igtl_gateway.open("fixtures/star.mcap") as recording:
         ...     poses = recording["TRANSFORM/ToolToBase"].poses()

@@ -150,7 +150,7 @@ class Stream:
         Raises:
             ConfigError: a moment cannot be read.
 
-        Example:
+        Examples:
             >>> last_second = recording["TRANSFORM/ToolToBase"].between(-1.0)
         """
         return Stream(self._source, self._channel, self.key, narrowed(self._source, self._window, start, end))
@@ -191,7 +191,7 @@ class Stream:
         Raises:
             ConfigError: the type has no pose, or ``frame`` is missing or unknown.
 
-        Example:
+        Examples:
             >>> poses = recording["TRANSFORM/ToolToBase"].poses()
             >>> poses.matrices.shape, poses.unit, poses.parent, poses.child
             ((1200, 4, 4), 'mm', 'Base', 'Tool')

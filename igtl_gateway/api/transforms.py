@@ -113,7 +113,7 @@ class TransformTree:
         Raises:
             ConfigError: a frame is unknown, the frames are not connected, or a time is out of range.
 
-        Example:
+        Examples:
             >>> recording.tf.lookup("lwr_base", "suture_tool", recording["/star/cloud"].times, out_of_range="nan")
         """
         if out_of_range not in ("error", "nan"):

@@ -43,7 +43,7 @@ def verify(path: AnyPath, *, config: AnyPath | None = None) -> Verification:
         DamagedRecording: the recording cannot be read to its end.
         ConfigError: the configuration file is invalid.
 
-    Example:
+    Examples:
         >>> verify("fixtures/star.mcap").good
         True
     """
@@ -70,7 +70,7 @@ def diff(
         DamagedRecording: a recording cannot be read to its end.
         ConfigError: a tolerance is out of range.
 
-    Example:
+    Examples:
         >>> diff("fixtures/star.mcap", "fixtures/star.mcap").equal
         True
     """
@@ -106,7 +106,7 @@ def review(
         GatewayError: the recording has no plan or no cloud.
         ConfigError: it does not have the requested ones, or a threshold is out of range.
 
-    Example:
+    Examples:
         >>> len(review("fixtures/star.mcap").last.stitches)
         8
     """
