@@ -44,7 +44,7 @@ NOTES: dict[str, dict[str, str]] = {
     "Messages that are changed or not converted": {
         "not_a_rotation": "the matrix is not orthonormal; the nearest rotation is used",
         "not_a_pose": "an element of tracking data is not a pose and is left out",
-        "text_cut": "a text is longer than its field and is cut",
+        "text_cut": "a string is longer than its field and is cut",
         "encoding_changed": "the text of a command has another encoding in ROS",
         "empty": "a message of a known type has no content and is not published",
         "no_conversion": "the type has no conversion and is forwarded as igtl_msgs/RawMessage",
