@@ -67,6 +67,7 @@ SLOW = (
     "integration/test_simulate.py",
     "integration/test_crash.py",
     "integration/test_relay.py",
+    "integration/test_lifecycle.py",
     "integration/test_demo.py",
     "test_notebooks.py",
     "test_site.py",
