@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from igtl_gateway.api import aio
     from igtl_gateway.api.alignment import align
     from igtl_gateway.api.bridge import Bridge
+    from igtl_gateway.api.lags import lag
     from igtl_gateway.api.peer import Peer, Server, connect, serve
     from igtl_gateway.api.poses import Poses
     from igtl_gateway.api.recording import Recording, open
@@ -33,6 +34,7 @@ __all__ = [
     "align",
     "connect",
     "diff",
+    "lag",
     "open",
     "replay",
     "review",
@@ -52,6 +54,7 @@ _HOMES: dict[str, str] = {
     "align": "alignment",
     "connect": "peer",
     "diff": "verbs",
+    "lag": "lags",
     "open": "recording",
     "replay": "verbs",
     "review": "verbs",

@@ -7,6 +7,7 @@ _EXTRAS = {
     "rclpy": ("ros", " (Linux x86_64), or source a ROS 2 installation"),
     "rerun": ("view", ""),
     "av": ("video", ""),
+    "matplotlib": ("plot", ""),
     "nibabel": ("nifti", ""),
     "pcapng": ("pcap", ""),
     "pyarrow": ("arrow", ""),

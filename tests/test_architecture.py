@@ -48,6 +48,7 @@ LEVELS = {
     "passage": 1,  # the part in C; without it, nothing
     "config": 2,
     "notations": 1,  # of settings: addresses, sizes, CPUs
+    "sync": 2,  # lags, on arrays
     "settings": 2,  # one table for options, files and parameters
     "convert": 2,
     "gateway": 3,
@@ -91,6 +92,7 @@ STRANGERS = ("lab.demo",)
 #: recording states about itself is checked like everything that is foreign.
 SIBLINGS: dict[str, str | tuple[str, ...]] = {
     TOP: "api",  # the public names, imported at their first use
+    "cli": "api",  # a verb that needs a recording as arrays
     "config": ("convert", "settings"),
     "settings": "convert",  # names of units and profiles
     "session": "untrusted",
@@ -143,7 +145,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "pyigtl": ("lab.bench.pyigtl_side",),  # a peer of another project
     "mcap": ("exchange", "sessionfile"),
     "nibabel": ("exchange.nifti", "lab.simulate.volume"),
-    "matplotlib": ("lab.bench.plot",),
+    "matplotlib": ("lab.bench.plot", "sync.plot"),
     "pandas": ("api",),
     "pyarrow": ("api", "exchange.arrow_tables", "exchange.arrow_out"),
     "pcapng": ("exchange.pcap_file",),
@@ -159,6 +161,7 @@ HOMES: dict[str, tuple[str, ...]] = {
         "review",
         "ros_interfaces.build",
         "sessionfile",
+        "sync",
         "view",
         "api",
         "cli",

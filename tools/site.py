@@ -84,6 +84,10 @@ REFERENCE = {
         "app.verification.Verification",
         "app.comparison.RecordingDiff",
     ),
+    "Lags": (
+        "api.lags.lag",
+        "sync.lag.Lag",
+    ),
 }
 
 _FENCE = re.compile(r"^( *)(`{3,}|~{3,})[^\n]*\n.*?^\1\2`* *$", re.DOTALL | re.MULTILINE)

@@ -18,7 +18,7 @@ from igtl_gateway.sessionfile.reader import SessionFile
 #: Key of the version that recorded the session.
 _VERSION = "igtl_gateway_version"
 #: Key of the source format of an imported session.
-_IMPORTED = "imported_format"
+IMPORTED = "imported_format"
 #: ``Verification.config`` of the recorded configuration.
 RECORDED = "recorded"
 
@@ -84,9 +84,9 @@ def verify_recording(path: Path, config_path: Path | None = None) -> Verificatio
             raise UnsupportedRecording(
                 f"{path}: found an MCAP file of another program, expected a session of igtl-gateway"
             )
-        if _IMPORTED in file.session:
+        if IMPORTED in file.session:
             raise UnsupportedRecording(
-                f"{path}: found an import ({file.session[_IMPORTED]}), expected a recording of the gateway: "
+                f"{path}: found an import ({file.session[IMPORTED]}), expected a recording of the gateway: "
                 "it has no outputs; `replay --through-gateway` computes them"
             )
         recorded_by = file.session.get(_VERSION, "")

@@ -18,8 +18,8 @@ SHELLS = ("bash", "zsh", "fish")
 
 EXAMPLES = """\
   # bash: in new shells, if the package bash-completion is installed
-  mkdir -p ~/.local/share/bash-completion/completions
-  igtl-gateway completion bash > ~/.local/share/bash-completion/completions/igtl-gateway
+  cd ~/.local/share/bash-completion/completions
+  igtl-gateway completion bash > igtl-gateway
   # bash: in this shell
   eval "$(igtl-gateway completion bash)"
   # zsh: in a folder of $fpath, before compinit runs

@@ -40,6 +40,7 @@ VERBS = {
     "replay": _own("replay", "send a recording to OpenIGTLink peers, to ROS 2 or to both"),
     "verify": _own("verify", "check that the outputs of a recording follow from its inputs, byte for byte"),
     "diff": _own("diff", "compare two recordings stream by stream, in millimetres and degrees"),
+    "sync": _own("sync", "measure the lags between streams from what moves in them"),
     "slice": _own("slice", "cut a part out of a recording, by time and stream; the part verifies"),
     "import": _own("import_", "convert a recording of another program to a session"),
     "export": _own("export", "convert a session to formats of other programs"),

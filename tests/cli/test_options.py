@@ -29,9 +29,9 @@ def parser(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> a
 
 
 def commands(epilog: str) -> Iterator[list[str]]:
-    """The words of each example, without what stands before and behind a pipe."""
+    """The words of each example, without what stands before and behind a pipe or a redirection."""
     for line in epilog.replace("\\\n", " ").splitlines():
-        if match := re.search(r"^ +(?:.*\| )?(igtl-gateway [^|]*)", line):
+        if match := re.search(r"^ +(?:.*\| )?(igtl-gateway [^|>]*)", line):
             yield shlex.split(match[1])
 
 

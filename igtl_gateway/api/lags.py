@@ -1,0 +1,185 @@
+"""Lags between streams of a recording: what moves in each of them, and how late one is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.api.stream import Stream
+from igtl_gateway.convert.common_msgs import TFMessage
+from igtl_gateway.convert.igtl_msgs import PointList, Volume
+from igtl_gateway.convert.rosmsg import Image as RosImage
+from igtl_gateway.convert.rosmsg import Marker, PointCloud2, PointStamped
+from igtl_gateway.errors import ConfigError
+from igtl_gateway.sync.lag import CUT_OFF_HZ, MAX_LAG_S, Lag, measure_lag
+from igtl_gateway.sync.plus import line_height
+from igtl_gateway.sync.signal import Signal
+
+Array = npt.NDArray[Any]
+
+#: Types with several poses, of which ``frame`` chooses one.
+POSES_BY_NAME = frozenset({"TDATA", "QTDATA", TFMessage.TYPE})
+
+#: Rows and columns of the picture that the movement in images is found in.
+_THUMBNAIL = 32
+_COMPONENTS = 3
+#: A rotation by 1 rad counts as much as a translation by this: about the length of a tool.
+_TOOL_M = 0.1
+#: Fields of messages that count or name something, and the most numbers of one message that are compared.
+_NOT_MOVING = frozenset({"header", "stamp", "unit", "id", "status", "layout"})
+_MOST_NUMBERS = 64
+
+
+def lag(
+    fixed: Stream,
+    moving: Stream,
+    *,
+    max_lag_s: float = MAX_LAG_S,
+    cut_off_hz: float = CUT_OFF_HZ,
+    frame: str = "",
+    line: bool = False,
+) -> Lag:
+    """Return how late the stamps of ``moving`` are relative to those of ``fixed``, from what moves in both.
+
+    The stamps are those of the senders, or gateway times for a stream in which a message has no stamp.
+
+    Args:
+        fixed, moving: streams with poses, images, point clouds, joint states or other numbers.
+        max_lag_s: search range to both sides, s.
+        cut_off_hz: highest cut-off of the low-pass for both signals, Hz.
+        frame: tool or child frame, for streams with several poses.
+        line: follow the bright line in images, as PLUS does in a water tank.
+
+    Returns:
+        The lag with its interval, or the reason why the data give no lag (``Lag.verdict``).
+
+    Raises:
+        ConfigError: a stream has nothing that could move.
+
+    Example:
+        >>> found = igtl_gateway.lag(recording["TRANSFORM/Probe"], recording["IMAGE/Video"])  # doctest: +SKIP
+        >>> found.lag_s, found.low_s, found.high_s  # doctest: +SKIP
+    """
+    signals = [movement(stream, frame=frame, line=line) for stream in (fixed, moving)]
+    return measure_lag(*signals, max_lag_s=max_lag_s, cut_off_hz=cut_off_hz)
+
+
+def movement(stream: Stream, *, frame: str = "", line: bool = False) -> Signal:
+    """Return what moves in a stream, at the stamps of its sender, or at gateway times if a message has no stamp.
+
+    Of poses it is the translation (and the rotation, times 0.1 m); of images their first principal components, or the
+    height of a bright line; of point clouds the centroid; of joint states, sensors and arrays the numbers.
+
+    Args:
+        stream: the stream.
+        frame: as of ``Stream.poses``.
+        line: follow the bright line in images.
+
+    Raises:
+        ConfigError: it has nothing that could move.
+    """
+    for types, read in _READERS:
+        if types & {stream.type}:
+            values, unit = read(stream, line)
+            break
+    else:
+        values, unit = _of_poses(stream, frame)
+    times = stream.source_times if len(stream) and bool(np.all(stream.source_times)) else stream.times
+    return Signal.of(times, values, stream.key, unit)
+
+
+def _of_poses(stream: Stream, frame: str) -> tuple[Array, str]:
+    try:
+        poses = stream.poses(frame).in_unit("m")
+    except ConfigError:
+        if frame or stream.type in POSES_BY_NAME:
+            raise
+        return _of_numbers(stream), ""
+    if not len(poses):
+        return _of_numbers(stream), ""
+    turned = _rotation_vectors(poses.matrices[:, :3, :3]) * _TOOL_M
+    values = np.full((len(stream), 6), np.nan)
+    values[np.isin(stream.times, poses.times)] = np.concatenate([poses.positions, turned], axis=1)
+    return values, "m"
+
+
+def _rotation_vectors(rotations: Array) -> Array:
+    """Return rotation vectors (N, 3) in rad, relative to the rotation in the middle of the stream."""
+    turned = np.einsum("ij,njk->nik", rotations[len(rotations) // 2].T, rotations) if len(rotations) else rotations
+    axes = np.stack(
+        [turned[:, 2, 1] - turned[:, 1, 2], turned[:, 0, 2] - turned[:, 2, 0], turned[:, 1, 0] - turned[:, 0, 1]], 1
+    )
+    sines = np.linalg.norm(axes, axis=1) / 2
+    angles = np.arctan2(sines, (np.trace(turned, axis1=1, axis2=2) - 1) / 2)
+    return np.asarray(axes / 2 * (angles / np.maximum(sines, 1e-12))[:, np.newaxis])
+
+
+def _of_images(stream: Stream, line: bool) -> tuple[Array, str]:
+    """The first principal components of small grey pictures, or the height of the bright line."""
+    pictures = (_grey(view.array) for view in stream.images())
+    if line:
+        return np.array([line_height(picture) for picture in pictures]), "px"
+    small = np.array([_thumbnail(picture) for picture in pictures])
+    if not len(small):
+        return small.reshape(0, 1), ""
+    centred = small - small.mean(axis=0)
+    # of the smaller of the two products: a second of video, or an hour
+    left, sizes, _ = np.linalg.svd(centred, full_matrices=False)
+    return left[:, :_COMPONENTS] * sizes[:_COMPONENTS], ""
+
+
+def _grey(array: Array) -> Array:
+    """The middle slice, as the mean of its components: (rows, columns)."""
+    plane = array[array.shape[0] // 2]
+    return np.asarray(plane.mean(axis=2) if plane.ndim == 3 else plane)
+
+
+def _thumbnail(picture: Array) -> Array:
+    """The means of the parts of a picture, one after the other."""
+    rows, columns = (np.linspace(0, size, min(size, _THUMBNAIL) + 1).astype(int)[:-1] for size in picture.shape)
+    sums = np.add.reduceat(np.add.reduceat(picture.astype(np.float64), rows, axis=0), columns, axis=1)
+    counts = np.diff([*rows, picture.shape[0]])[:, np.newaxis] * np.diff([*columns, picture.shape[1]])
+    return np.asarray((sums / counts).ravel())
+
+
+def _of_clouds(stream: Stream, _line: bool) -> tuple[Array, str]:
+    """The centroids; NaN for a cloud without points."""
+    clouds = stream.points()
+    centroids = np.full((len(clouds), 3), np.nan)
+    for index, cloud in enumerate(clouds):
+        known = cloud.xyz[np.isfinite(cloud.xyz).all(axis=1)]
+        if len(known):
+            centroids[index] = known.mean(axis=0, dtype=np.float64)
+    return centroids, stream.unit
+
+
+def _of_numbers(stream: Stream) -> Array:
+    """The numbers in the messages, as many as the first message has; NaN for one that has others."""
+    rows = [_numbers(message.content) for message in stream.messages()]
+    size = len(rows[0]) if rows else 0
+    if rows and not size:
+        raise ConfigError(f"{stream.key}: found {stream.type}, expected poses, images, points or numbers")
+    return np.array([row if len(row) == size else [np.nan] * size for row in rows]).reshape(len(rows), size)
+
+
+def _numbers(content: Any) -> list[float]:
+    """The numbers in the fields of a message, without its header; of joints only the positions."""
+    names = [name for name in getattr(content, "__dataclass_fields__", ()) if name not in _NOT_MOVING]
+    if len(getattr(content, "position", ())):
+        names = ["position"]
+    found: list[float] = []
+    for name in names:
+        value = np.asarray(getattr(content, name))
+        if value.dtype.kind in "fiu" and len(found) + value.size <= _MOST_NUMBERS:
+            found += value.astype(np.float64).ravel().tolist()
+    return found
+
+
+#: Types → what moves in them; other types have poses or numbers.
+_READERS: tuple[tuple[frozenset[str], Callable[[Stream, bool], tuple[Array, str]]], ...] = (
+    (frozenset({"IMAGE", RosImage.TYPE, Volume.TYPE}), _of_images),
+    (frozenset({"POINT", "POLYDATA", PointCloud2.TYPE, PointList.TYPE, Marker.TYPE, PointStamped.TYPE}), _of_clouds),
+)

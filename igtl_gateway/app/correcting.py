@@ -1,0 +1,48 @@
+"""A session with corrected source stamps of one stream, as a new file that verifies."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from igtl_gateway import __version__
+from igtl_gateway.app.verification import IMPORTED, verify_recording
+from igtl_gateway.errors import GatewayError, UnsupportedRecording
+from igtl_gateway.qos import Qos
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.writer import SessionWriter
+from igtl_gateway.sync.correction import StampCorrection, corrected
+
+
+def write_corrected(path: Path, out: Path, correction: StampCorrection) -> None:
+    """Write the session with the correction, and check that it verifies; an import has no outputs to check.
+
+    Args:
+        path: the session.
+        out: the file to write; an existing one is replaced.
+        correction: the stream, and what is subtracted from its stamps.
+
+    Raises:
+        UnsupportedRecording: the file is of another program.
+        GatewayError: the outputs of the gateway depend on these stamps, or the file cannot be written.
+    """
+    partial = out.with_name(f".igtl-gateway-{os.getpid()}.part.mcap")
+    try:
+        with SessionFile.open(path) as file:
+            if file.foreign:
+                raise UnsupportedRecording(f"{path}: found an MCAP file of another program, expected a session")
+            qos = {(channel.topic, channel.type): channel.qos for channel in file.channels}
+
+            def qos_of(topic: str, ros_type: str) -> Qos | None:
+                return qos.get((topic, ros_type))
+
+            facts = {**file.session, "corrected_by": __version__}
+            writer = SessionWriter(partial, facts, qos_of=qos_of, compression="zstd", overwrite=True)
+            for entry in corrected(file.entries(), correction):
+                writer.write(entry)
+            writer.close(dict(file.ledger or {}))
+        if IMPORTED not in facts and not verify_recording(partial).good:
+            raise GatewayError(f"{correction.stream}: found outputs that depend on its source stamps, expected none")
+        os.replace(partial, out)
+    finally:
+        partial.unlink(missing_ok=True)

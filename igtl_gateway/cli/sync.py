@@ -1,0 +1,211 @@
+"""``igtl-gateway sync``: the lags between the streams of a recording, and their correction."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway.api import recording as recordings
+from igtl_gateway.api.lags import movement
+from igtl_gateway.api.recording import Recording
+from igtl_gateway.api.stream import Stream
+from igtl_gateway.app.correcting import write_corrected
+from igtl_gateway.cli.options import add_file, add_json, add_overwrite, default
+from igtl_gateway.cli.outputs import check_target, written
+from igtl_gateway.cli.terminal import aligned, print_json, print_line
+from igtl_gateway.errors import ConfigError, GatewayError
+from igtl_gateway.session.entry import Kind
+from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.sync.correction import StampCorrection
+from igtl_gateway.sync.lag import CUT_OFF_HZ, MAX_LAG_S, Lag, measure_lag
+from igtl_gateway.sync.signal import Signal
+
+EXAMPLES = """\
+  # how late is each stream against the first one?
+  igtl-gateway sync out.mcap TRANSFORM/Probe IMAGE/Video /joint_states
+  # all streams in which something moves
+  igtl-gateway sync out.mcap
+  # the water tank of PLUS: two imported files, and the line in the pictures
+  igtl-gateway sync video.mcap IMAGE/Image TRANSFORM/ProbeToTracker \\
+      --with tracker.mcap --line --plot lag.svg
+  # write a session with corrected stamps
+  igtl-gateway sync out.mcap TRANSFORM/Probe IMAGE/Video --apply -o new.mcap
+
+A positive lag means that the stamps of the stream are late: what the first
+stream shows at time t, it shows at t + lag.  Exit code 0: all lags are
+measured; 1: the data give no lag, and the reason is printed."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_file(parser)
+    parser.add_argument(
+        "streams",
+        metavar="STREAM",
+        nargs="*",
+        help="streams such as TRANSFORM/Probe or /camera/image; the lags are those behind the first one "
+        + default("all input streams in which something moves"),
+    )
+    parser.add_argument("--with", dest="other", type=Path, metavar="FILE", help="second recording, for further streams")
+    parser.add_argument(
+        "--max-lag",
+        type=float,
+        default=MAX_LAG_S,
+        metavar="S",
+        help="search lags up to this size " + default(MAX_LAG_S),
+    )
+    parser.add_argument(
+        "--cut-off",
+        type=float,
+        default=CUT_OFF_HZ,
+        metavar="HZ",
+        help="highest cut-off of the low-pass filter; noisy signals get a lower one by themselves "
+        + default(CUT_OFF_HZ),
+    )
+    parser.add_argument("--frame", default="", metavar="NAME", help="tool or child frame of streams with several poses")
+    parser.add_argument("--line", action="store_true", help="follow the bright line in images, as in a water tank")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw signals, search and windows (SVG)")
+    parser.add_argument(
+        "--apply", action="store_true", help="write a session in which the stamps of the second stream are corrected"
+    )
+    parser.add_argument("-o", "--out", type=Path, metavar="FILE", help="with --apply: the file to write")
+    add_overwrite(parser, "files")
+    add_json(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    _check(options)
+    with ExitStack() as stack:
+        opened = [
+            stack.enter_context(recordings.open(path)) for path in (options.file, options.other) if path is not None
+        ]
+        signals = _signals(opened, options)
+    if len(signals) < 2:
+        raise GatewayError(f"{options.file}: found {len(signals)} streams in which something could move, expected two")
+    fixed, *others = signals
+    lags = [
+        (signal, measure_lag(fixed, signal, max_lag_s=options.max_lag, cut_off_hz=options.cut_off)) for signal in others
+    ]
+    if options.plot:
+        from igtl_gateway.sync.plot import lag_chart  # here: matplotlib is an extra
+
+        chart = lag_chart(fixed, lags)
+        with written(options.plot) as path:
+            path.write_text(chart, encoding="utf-8")
+    if options.json:
+        print_json({"file": str(options.file), "fixed": fixed.name, "lags": [_facts(*each) for each in lags]})
+    else:
+        _print(fixed, lags)
+    good = all(lag.verdict.has_lag for _, lag in lags)
+    if options.apply and good:
+        _apply(options, fixed, *lags[0])
+        if not options.json:
+            print_line(f"{options.out}: the stamps of {lags[0][0].name} are corrected; the session verifies")
+    return 0 if good else 1
+
+
+def _check(options: argparse.Namespace) -> None:
+    for name in ("max_lag", "cut_off"):
+        if not 0 < getattr(options, name) < math.inf:
+            raise ConfigError(f"--{name.replace('_', '-')}: found {getattr(options, name):g}, expected more than 0")
+    if options.apply != (options.out is not None):
+        raise ConfigError("--apply: found it or --out alone, expected both")
+    if options.apply and (len(options.streams) != 2 or options.other):
+        raise ConfigError(f"--apply: found {len(options.streams)} streams, expected two of one file")
+    for target in (options.out, options.plot):
+        if target:
+            check_target(target, overwrite=options.overwrite)
+
+
+def _signals(opened: Sequence[Recording], options: argparse.Namespace) -> list[Signal]:
+    """Return the movements of the requested streams, or of all inputs that have one."""
+    if options.streams:
+        return [_movement(_stream(opened, name), options) for name in options.streams]
+    found = []
+    for stream in (stream for each in opened for stream in each.streams.values()):
+        if stream.direction in (Kind.IGTL_IN.value, Kind.ROS_IN.value):
+            try:
+                found.append(_movement(stream, options))
+            except ConfigError:
+                continue
+    return sorted(found, key=lambda signal: -len(signal.times_ns))
+
+
+def _stream(opened: Sequence[Recording], name: str) -> Stream:
+    for each in opened:
+        if name in each:
+            return each[name]
+    files, names = (", ".join(map(str, words)) for words in ([each.path for each in opened], chain(*opened)))
+    raise GatewayError(f"{files}: found no stream {name!r}, expected one of {names}")
+
+
+def _movement(stream: Stream, options: argparse.Namespace) -> Signal:
+    return movement(stream, frame=options.frame, line=options.line)
+
+
+def _facts(signal: Signal, lag: Lag) -> dict[str, Any]:
+    facts = {key: value for key, value in asdict(lag).items() if key != "search"}
+    return {"stream": signal.name, **_finite(facts), "verdict": lag.verdict.name.lower(), "reason": lag.verdict.value}
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no NaN and no infinity: null."""
+    match value:
+        case dict():
+            return {key: _finite(part) for key, part in value.items()}
+        case list() | tuple():
+            return [_finite(part) for part in value]
+        case float() if not math.isfinite(value):
+            return None
+        case _:
+            return value
+
+
+def _print(fixed: Signal, lags: Sequence[tuple[Signal, Lag]]) -> None:
+    print_line(f"behind {fixed.name}: {len(fixed.times_ns):,} samples, {1 / fixed.period_s:.1f} Hz")
+    rows = [("stream", "lag", "95 %", "R²", "skew", "samples", ""), *(_row(*each) for each in lags)]
+    print_line(*aligned(rows, left=1))
+    for signal, lag in lags:
+        for line in _remarks(lag):
+            print_line(f"{signal.name}: {line}")
+
+
+def _row(signal: Signal, lag: Lag) -> tuple[str, ...]:
+    if not lag.verdict.has_lag:
+        return signal.name, "", "", _number(lag.r2, ".3f"), "", f"{lag.samples:,}", lag.verdict.value
+    return (
+        signal.name,
+        f"{lag.lag_s * 1e3:+.1f} ms",
+        f"{lag.low_s * 1e3:+.1f} to {lag.high_s * 1e3:+.1f}",
+        f"{lag.r2:.3f}",
+        f"{lag.skew_ppm:+.0f} ppm" if lag.has_skew else "",
+        f"{lag.samples:,}",
+        "",
+    )
+
+
+def _remarks(lag: Lag) -> Iterator[str]:
+    if lag.verdict.has_lag and len(lag.windows) > 1:
+        spread = [window.lag_s * 1e3 for window in lag.windows]
+        text = f"{min(spread):+.1f} to {max(spread):+.1f} ms in {len(spread)} windows"
+        yield f"{lag.verdict.value}: {text}" if lag.verdict.name == "VARIES" else text
+    if not math.isnan(lag.period_s):
+        yield f"period {lag.period_s:.2f} s; move irregularly, or search less than a quarter of it (--max-lag)"
+    if not math.isnan(lag.other_s):
+        yield f"{lag.lag_s * 1e3:+.0f} ms and {lag.other_s * 1e3:+.0f} ms are similar"
+
+
+def _number(value: float, form: str) -> str:
+    return "" if math.isnan(value) else format(value, form)
+
+
+def _apply(options: argparse.Namespace, fixed: Signal, moving: Signal, lag: Lag) -> None:
+    low_ns, lag_ns, high_ns = (round(value * NS_PER_S) for value in (lag.low_s, lag.lag_s, lag.high_s))
+    skew_ppm = lag.skew_ppm if lag.has_skew else 0.0
+    correction = StampCorrection(moving.name, fixed.name, lag_ns, low_ns, high_ns, skew_ppm, lag.middle_ns)
+    write_corrected(options.file, options.out, correction)
