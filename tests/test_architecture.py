@@ -203,7 +203,7 @@ UNMIRRORED = (
     "test_contributing.py",  # Makefile, git hooks, workflow
     "test_defects.py",  # docs/defects.md
     "test_docs.py",  # tools/docs.py
-    "api/test_documents.py",  # docs/python-recordings.md
+    "api/test_documents.py",  # docs/python-*.md
     "test_examples.py",  # examples/
     "test_package.py",  # igtl_gateway/__init__.py
     "test_packaging.py",  # pyproject.toml, lab/pyproject.toml

@@ -63,6 +63,8 @@ REFERENCE = {
         "api.peer.Peer",
         "api.peer.Server",
         "api.received.ReceivedMessage",
+        "api.conversation.CommandReply",
+        "api.conversation.PeerCounts",
     ),
     "Peers with asyncio": (
         "api.aio.connect",

@@ -88,7 +88,8 @@ class Bridge:
 
     Examples:
         >>> with Bridge(listen=["127.0.0.1:0"], ros=False) as bridge:
-        ...     bridge.addresses[0][0]
+        ...     host, port = bridge.addresses[0]
+        >>> host
         '127.0.0.1'
     """
 

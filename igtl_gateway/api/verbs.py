@@ -108,7 +108,7 @@ def review(
 
     Examples:
         >>> len(review("fixtures/star.mcap").last.stitches)
-        8
+        11
     """
     limits = thresholds or Thresholds()
     checked_thresholds({each.name: getattr(limits, each.name) for each in fields(Thresholds)}, clouds)

@@ -1,4 +1,4 @@
-"""The examples of docs/python-recordings.md print what the document has."""
+"""The examples of docs/python-*.md print what the document has."""
 
 from __future__ import annotations
 
@@ -11,17 +11,24 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = re.compile(r"```python\n([^`]*)```\n\n((?:    .*\n)+)")
-EXAMPLES = EXAMPLE.findall((ROOT / "docs" / "python-recordings.md").read_text())
+DOCUMENTS = sorted((ROOT / "docs").glob("python-*.md"))
+EXAMPLES = [
+    pytest.param(path, code, output, id=f"{path.stem}-{number}")
+    for path in DOCUMENTS
+    for number, (code, output) in enumerate(EXAMPLE.findall(path.read_text("utf-8")))
+]
 
 
-@pytest.mark.parametrize(("code", "output"), EXAMPLES, ids=[str(number) for number in range(len(EXAMPLES))])
-def test_an_example_prints_its_output(code: str, output: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("path", "code", "output"), EXAMPLES)
+def test_an_example_prints_its_output(path: Path, code: str, output: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed):
-        exec(compile(code, "docs/python-recordings.md", "exec"), {})
-    assert printed.getvalue().splitlines() == [line.removeprefix("    ") for line in output.splitlines()]
+        exec(compile(code, str(path), "exec"), {})
+    shown = [line.removeprefix("    ").rstrip() for line in output.splitlines()]
+    assert [line.rstrip() for line in printed.getvalue().splitlines()] == shown
 
 
-def test_there_are_examples() -> None:
-    assert len(EXAMPLES) >= 2
+@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.stem)
+def test_every_document_has_examples(path: Path) -> None:
+    assert len(EXAMPLE.findall(path.read_text("utf-8"))) >= 2
