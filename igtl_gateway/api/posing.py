@@ -12,8 +12,9 @@ from igtl_gateway.api.poses import Poses, matrices_of
 from igtl_gateway.api.source import Source
 from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
 from igtl_gateway.convert.names import frames_of
-from igtl_gateway.errors import ConfigError, GatewayError
-from igtl_gateway.exchange.cdr_columns import Column, NotColumns, ros_columns
+from igtl_gateway.errors import ConfigError, DamagedRecording, GatewayError
+from igtl_gateway.exchange.cdr_columns import NotColumns, ros_columns
+from igtl_gateway.exchange.columns import name_ros_fields
 from igtl_gateway.exchange.igtl_columns import POSE_TYPES, pose_rows
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.sessionfile.bulk import MessageBlock
@@ -88,57 +89,66 @@ def _of_igtl(block: MessageBlock, igtl_type: str, frames: tuple[str, str]) -> _P
 
 
 def _of_ros(source: Source, block: MessageBlock, ros_type: str) -> _Part:
-    columns, left_out = _ros_columns(source, block, ros_type)
-    if columns is None:
-        return *(3 * (np.zeros(0, np.int64),)), np.zeros((0, 4, 4)), set(), left_out
-    kept, by_name = columns
-    found = _pose_of(by_name)
-    if found is None:
-        raise ConfigError(f"found type {ros_type}, expected one with a pose, such as geometry_msgs/msg/PoseStamped")
-    position, rotation = found
-    stamps = by_name["header.stamp_ns"].values if "header.stamp_ns" in by_name else np.zeros(len(kept), np.int64)
-    names = [
-        by_name[name].texts() if name in by_name else [""] * len(kept) for name in ("header.frame_id", "child_frame_id")
-    ]
-    pairs = set(zip(*names, strict=True))
-    return kept.times, kept.source_times, stamps, matrices_of(position, rotation), pairs, left_out
+    rows, fields = _fields_of(source, block, ros_type)
+    kept = block.where(rows)
+    if not len(rows):
+        return kept.times, kept.times, kept.times, np.zeros((0, 4, 4)), set(), len(block)
+    names = _pose_names(fields, ros_type)
+    position, rotation = (np.stack([np.asarray(fields[name]) for name in each], axis=1) for each in names)
+    stamps = np.asarray(fields.get("header.stamp_ns", np.zeros(len(rows), np.int64)))
+    frames = [fields.get(name, [""] * len(rows)) for name in ("header.frame_id", "child_frame_id")]
+    pairs = set(zip(*frames, strict=True))
+    return kept.times, kept.source_times, stamps, matrices_of(position, rotation), pairs, len(block) - len(rows)
 
 
-def _ros_columns(
-    source: Source, block: MessageBlock, ros_type: str
-) -> tuple[tuple[MessageBlock, dict[str, Column]] | None, int]:
-    """The columns of the messages that can be decoded, and the number of the others."""
-    types = source.types(ros_type)
+def _fields_of(source: Source, block: MessageBlock, ros_type: str) -> tuple[Array, dict[str, Any]]:
+    """Indices of the messages that can be decoded, and their numbers (N,) and strings by name of column."""
     try:
-        return (block, {column.name: column for column in ros_columns(block, types, ros_type)}), 0
+        columns = ros_columns(block, source.types(ros_type), ros_type)
     except NotColumns:
         pass
-    good = []
+    else:
+        plain = [each for each in columns if each.is_text or (each.offsets is None and each.values.ndim == 1)]
+        return np.arange(len(block)), {each.name: each.texts() if each.is_text else each.values for each in plain}
+    rows: list[int] = []
+    found: list[dict[str, Any]] = []
     for index in range(len(block)):
         try:
-            ros_columns(block.where(slice(index, index + 1)), types, ros_type)
-            good.append(index)
-        except NotColumns:
-            pass
-    if not good:
-        return None, len(block)
-    kept = block.where(np.array(good))
-    return (kept, {column.name: column for column in ros_columns(kept, types, ros_type)}), len(block) - len(good)
+            message = source.decode(ros_type, bytes(block.payload(index)))
+        except DamagedRecording:
+            continue
+        fields = dict(_scalars("", name_ros_fields(source.decoder.store(ros_type), message)))
+        if not found:
+            _pose_names(fields, ros_type)
+        rows.append(index)
+        found.append(fields)
+    names = found[0] if found else {}
+    return np.array(rows, np.intp), {name: [each[name] for each in found] for name in names}
 
 
-def _pose_of(columns: dict[str, Column]) -> tuple[Array, Array] | None:
-    """Positions (N, 3) and quaternions (N, 4) in columns of a type that has one pose."""
+def _scalars(place: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Numbers and strings with the names of columns, as ``columns`` has them."""
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            yield from _scalars(f"{place}.{name}" if place else name, inner)
+    elif isinstance(value, int | float | str):
+        yield place, value
+
+
+def _pose_names(fields: Iterable[str], ros_type: str) -> tuple[list[str], list[str]]:
+    """The names of position and quaternion of a type that has one pose.  Raises ConfigError."""
+    names = list(fields)
     for place, turn in _PAIRS.items():
-        for name in columns:
+        for name in names:
             head, found, _ = name.rpartition(f"{place}.x_")
             if not found or (head and not head.endswith(".")):
                 continue
             unit = name.rpartition("_")[2]
-            names = [f"{head}{place}.{axis}_{unit}" for axis in "xyz"] + [f"{head}{turn}.{axis}" for axis in "xyzw"]
-            if all(each in columns for each in names):
-                values = [columns[each].values for each in names]
-                return np.stack(values[:3], axis=1), np.stack(values[3:], axis=1)
-    return None
+            position = [f"{head}{place}.{axis}_{unit}" for axis in "xyz"]
+            rotation = [f"{head}{turn}.{axis}" for axis in "xyzw"]
+            if {*position, *rotation} <= {*names}:
+                return position, rotation
+    raise ConfigError(f"found type {ros_type}, expected one with a pose, such as geometry_msgs/msg/PoseStamped")
 
 
 def _of_several(block: MessageBlock, is_igtl: bool, frame: str) -> _Part:

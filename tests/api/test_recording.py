@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from rosbags.typesys import Stores, get_typestore
 
 import igtl_gateway
 from igtl_gateway.cli import main
@@ -341,3 +342,22 @@ def test_a_url_is_read_by_ranges() -> None:
         igtl_gateway.open(url)
     with server(data[:1000]) as url, pytest.raises(DamagedRecording, match=r"^http:.*star.mcap.key=1: was cut off"):
         igtl_gateway.open(url)
+
+
+def test_poses_that_do_not_fit_columns_are_decoded_one_by_one(tmp_path: Path) -> None:
+    store = get_typestore(Stores.ROS2_JAZZY)
+    pose, vector, turn = (store.types[f"geometry_msgs/msg/{name}"] for name in ("Pose", "Point", "Quaternion"))
+    given = [pose(vector(float(x), 2.0, 3.0), turn(0.0, 0.0, 0.0, 1.0)) for x in range(5)]
+    # some of them are big-endian
+    data = [
+        bytes(store.serialize_cdr(each, "geometry_msgs/msg/Pose", little_endian=x < 3)) for x, each in enumerate(given)
+    ]
+    data.insert(1, data[0][:20])
+    writer = SessionWriter(tmp_path / "a.mcap", {})
+    for number, each in enumerate(data, 1):
+        writer.write(Entry(number, number, Kind.ROS_IN, "/pose", "geometry_msgs/msg/Pose", (each,)))
+    writer.close({})
+    with igtl_gateway.open(tmp_path / "a.mcap") as recording:
+        poses = recording["/pose"].poses()
+        assert poses.positions.tolist() == [[float(x), 2.0, 3.0] for x in range(5)]
+        assert (poses.left_out, poses.times.tolist()) == (1, [1, 3, 4, 5, 6])
