@@ -1,8 +1,8 @@
 """The messages of one stream in blocks of arrays: places and times instead of an object for each message.
 
 The message index of a chunk has the place of each message of a channel, so a chunk without the stream is not read, and
-numpy finds the times and payloads of the others.  A chunk is under a checksum and its index is not: channel, time and
-end of each message are compared with the index, and the number of messages with the summary.
+numpy finds the times and payloads of the others.  A chunk is under a checksum and its index is not: the sizes of the
+index records are compared with the summary, and channel and end of each message with the index.
 
 A file without usable index, or whose chunks overlap in time, is read entry by entry; the blocks are the same.
 """
@@ -10,7 +10,7 @@ A file without usable index, or whose chunks overlap in time, is read entry by e
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import IO, Any
@@ -115,10 +115,10 @@ class ChunkReader:
         if any(not chunk.places and chunk.size for chunk in self._index.chunks):
             raise Unfit
         check_work(self._index.size, work_of(chunks), self._path)
+        places = [self._places(chunk, wanted)[1] for chunk in chunks]
         count = 0
-        for chunk in chunks:
-            places = np.concatenate([self.places(chunk, number)[1] for number in sorted(wanted & set(chunk.channels))])
-            block = self._block(chunk, places, wanted)
+        for chunk, offsets in zip(chunks, places, strict=True):
+            block = self._block(chunk, offsets, wanted)
             count += len(block)
             inside = (block.times >= start_ns) & (block.times < end_ns)
             if not inside.all():
@@ -139,31 +139,44 @@ class ChunkReader:
         chunks = [chunk for chunk in self._index.chunks if not wanted.isdisjoint(chunk.channels)]
         if not chunks:
             raise Unfit
-        first, last = (
-            np.concatenate([self.places(chunk, number)[0] for number in wanted & set(chunk.channels)])
-            for chunk in (chunks[0], chunks[-1])
-        )
+        first, last = (self._places(chunk, wanted)[0] for chunk in (chunks[0], chunks[-1]))
         if not len(first) or not len(last):
             raise Unfit
         return int(first.min()), int(last.max())
 
-    def places(self, chunk: ChunkEntry, channel: int) -> tuple[Numbers, Numbers]:
-        """Times and offsets of the messages of a channel, by the message index of a chunk.  Raises Malformed."""
-        at = chunk.message_indexes[channel]
+    def _places(self, chunk: ChunkEntry, wanted: set[int]) -> tuple[Numbers, Numbers]:
+        """Times and offsets of the messages of some channels, by the index of a chunk.  Raises Unfit."""
+        indexes = chunk.message_indexes
+        found = [self._pairs(chunk, number, indexes) for number in sorted(wanted & indexes.keys())]
+        pairs = np.concatenate(found)
+        return pairs[:, 0], pairs[:, 1]
+
+    def _pairs(self, chunk: ChunkEntry, channel: int, indexes: Mapping[int, int]) -> Numbers:
+        """(n, 2): time and offset of the messages of a channel.  Raises Unfit."""
+        at = indexes[channel]
+        end = chunk.at + chunk.length + chunk.index_length
         self._stream.seek(at)
         size = HEAD.size + MESSAGE_INDEX_HEAD.size
         head = self._stream.read(size)
-        end = chunk.at + chunk.length + chunk.index_length
-        if len(head) == size:
-            opcode, length = HEAD.unpack_from(head)
-            number, pairs_size = MESSAGE_INDEX_HEAD.unpack_from(head, HEAD.size)
-            inside = chunk.at + chunk.length <= at and at + size + pairs_size <= end
-            if opcode == MESSAGE_INDEX and number == channel and inside and length >= pairs_size + 6:
-                pairs = np.frombuffer(self._stream.read(pairs_size), "<u8")
-                if len(pairs) * 8 == pairs_size and not len(pairs) % 2:
-                    table = pairs.reshape(-1, 2).astype(np.int64)
-                    return table[:, 0], table[:, 1]
-        raise Malformed(f"found no index of channel {channel} at offset {at:,}")
+        if len(head) < size:
+            raise Unfit
+        opcode, length = HEAD.unpack_from(head)
+        number, pairs_size = MESSAGE_INDEX_HEAD.unpack_from(head, HEAD.size)
+        # where the next index begins is in the summary, which has a checksum: a wrong size would lose messages
+        is_whole = (
+            at + HEAD.size + length in {*indexes.values(), end} and length == MESSAGE_INDEX_HEAD.size + pairs_size
+        )
+        if (
+            (opcode, number) != (MESSAGE_INDEX, channel)
+            or not is_whole
+            or at + size + pairs_size > end
+            or pairs_size % 16
+        ):
+            raise Unfit
+        pairs = np.frombuffer(self._stream.read(pairs_size), "<u8")
+        if pairs.nbytes != pairs_size:
+            raise Unfit
+        return pairs.reshape(-1, 2).astype(np.int64)
 
     def _unpacked(self, chunk: ChunkEntry) -> bytes:
         data = self._kept.get(chunk.at)
