@@ -112,8 +112,10 @@ def test_every_public_name_is_in_the_reference() -> None:
 def test_links_lead_to_the_pages_of_the_site(tmp_path: Path) -> None:
     for name in ("docs/adr/README.md", "docs/a.md", "src/x.msg", "README.md"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / name).write_text("`")
+        (tmp_path / name).write_text("`" if name == "src/x.msg" else "# Title\n")
     found: list[str] = []
+    assert site.rewrite("[a.md](a.md#b), [b.md](a.md)", "docs/c.md", found, tmp_path) == "[Title](a.md#b), [b.md](a.md)"
+    found.clear()
     text = "[a](../a.md#b) [m](../../src/x.msg)\n- [r](../../README.md)\n\n```\n[no](gone.md)\n```\n`[no](gone.md)`\n"
     assert site.rewrite(text, "docs/adr/README.md", found, tmp_path) == (
         "[a](../a.md#b) [m](../source/src/x.msg.md)\n\n- [r](../project/readme.md)\n\n"

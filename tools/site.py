@@ -93,7 +93,7 @@ REFERENCE = {
 }
 
 _FENCE = re.compile(r"^( *)(`{3,}|~{3,})[^\n]*\n.*?^\1\2`* *$", re.DOTALL | re.MULTILINE)
-_LINK = re.compile(r"(?P<code>(`+)(?!`).+?(?<!`)\2(?!`))|\]\((?P<target>[^)\s]+)\)", re.DOTALL)
+_LINK = re.compile(r"(?P<code>(`+)(?!`).+?(?<!`)\2(?!`))|(?P<text>\[[\w./-]+\.md)?\]\((?P<target>[^)\s]+)\)", re.DOTALL)
 _LIST = re.compile(r"^(?! *(?:[-*+]|\d+\.) |\s|$)(?P<before>[^\n]+)\n(?=(?:[-*+]|\d+\.) )", re.MULTILINE)
 
 
@@ -134,10 +134,15 @@ def rewrite(text: str, path: str, found: list[str], root: Path = ROOT) -> str:
             return match[0]
         place, mark, part = target.partition("#")
         wanted = posixpath.normpath(posixpath.join(posixpath.dirname(path), place))
-        if not (root / wanted).exists() or wanted.startswith(".."):
+        is_document = wanted.split("/")[0] == "docs"  # a folder of them has no page
+        exists = (root / wanted).is_file() if is_document else (root / wanted).exists()
+        if not exists or wanted.startswith(".."):
             raise SiteError(f"{path}: found a link to {target}, expected a file of the repository")
         found.append(wanted)
-        return f"]({posixpath.relpath(page_of(wanted), here)}{mark}{part})"
+        text = match["text"] or ""
+        if text.lstrip("[") == wanted.removeprefix("docs/"):  # the name of a file: on a site, the title of its page
+            text = "[" + (root / wanted).read_text("utf-8").partition("\n")[0].lstrip("# ")
+        return f"{text}]({posixpath.relpath(page_of(wanted), here)}{mark}{part})"
 
     def prose(piece: str) -> str:
         # GitHub starts a list without an empty line before it, Python's Markdown does not.
