@@ -37,6 +37,8 @@ class ManagedBridge(Generic[B]):
 
     Attributes:
         bridge: the bridge; None in the states *unconfigured* and *finalized*.
+        host: the node; `start` starts it, unless its owner has done so before, for example to read its parameters.
+            Transitions wait until `start`.
     """
 
     def __init__(
@@ -49,13 +51,14 @@ class ManagedBridge(Generic[B]):
         on_end: Callable[[], None],
     ) -> None:
         self.bridge: B | None = None
-        self._host = NodeHost(node_name, transitions=self, starts_active=autostart)
+        self.host = NodeHost(node_name, transitions=self, starts_active=autostart)
         self._make = make
         self._autostart = autostart
         self._on_failure = on_failure
         self._on_end = on_end
         self._lock = threading.RLock()
-        self._is_starting = False  # by itself: the first two transitions have nothing to do
+        self._is_starting = autostart  # by itself: the first two transitions have nothing to do
+        self._is_ready = threading.Event()  # for transitions
         self._sessions = 0
         self._is_stopping = False
 
@@ -65,23 +68,24 @@ class ManagedBridge(Generic[B]):
         Raises what ``Bridge.start`` raises; then everything is closed.
         """
         with self._lock:
-            if not self._autostart:
-                self._host.start(lambda error: self._on_failure(f"{type(error).__name__}: {error}"))
-                return
-            self._is_starting = True
             try:
-                self._open(active=True)
+                if self._autostart:
+                    self._open(active=True)
+                elif not self.host.is_running:
+                    self.host.start(lambda error: self._on_failure(f"{type(error).__name__}: {error}"))
             except BaseException:
-                self._host.stop()
+                self.stop()
                 raise
             finally:
                 self._is_starting = False
+                self._is_ready.set()
 
     def stop(self) -> None:
         """Close the bridge and leave the graph.  A second call has no effect."""
         self._is_stopping = True
+        self._is_ready.set()
         self._close()
-        self._host.stop()
+        self.host.stop()
 
     # -- transitions, in a thread of the node's executor ----------------------------------------------------------
 
@@ -114,6 +118,7 @@ class ManagedBridge(Generic[B]):
 
     def _does(self, name: str, action: Callable[[], None]) -> bool:
         """Return whether an action succeeds; report why not.  Raises what is not an error of the gateway."""
+        self._is_ready.wait()
         with self._lock:
             try:
                 action()
@@ -128,7 +133,7 @@ class ManagedBridge(Generic[B]):
     def _open(self, *, active: bool) -> None:
         if self._is_stopping:
             raise RosError("the node is about to leave the graph")
-        bridge = self._make(self._host, self._sessions + 1)
+        bridge = self._make(self.host, self._sessions + 1)
         bridge.start(active=active)
         self.bridge = bridge
         self._sessions += 1

@@ -372,3 +372,21 @@ def test_the_command_line_waits_for_another_node_and_records_each_session(tmp_pa
     for name in recorded:
         with SessionFile.open(tmp_path / name) as file:
             assert verify(file.entries(), Config.from_dict(json.loads(file.session["config"]))).good
+
+
+def test_transitions_wait_until_the_owner_of_the_node_has_started(tmp_path: Path) -> None:
+    stage, manager = Stage(tmp_path), Manager()
+    try:
+        stage.managed.host.start(lambda error: stage.failures.append(str(error)))  # for example to read its parameters
+        manager.meet()
+        done: list[bool] = []
+        caller = threading.Thread(target=lambda: done.append(manager.change("configure")))
+        caller.start()
+        time.sleep(0.3)
+        assert stage.bridges == [] and done == []
+        stage.managed.start()
+        caller.join(TIMEOUT_S)
+        assert done == [True] and len(stage.bridges) == 1
+    finally:
+        stage.managed.stop()
+        manager.close()
