@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ import pytest
 import igtl_gateway
 from igtl_gateway import Peer, Server
 from igtl_gateway.api.received import ReceivedMessage
-from igtl_gateway.edges.tcp import PeerLimits
+from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from igtl_gateway.errors import (
     ConfigError,
     ConversionError,
@@ -30,6 +31,7 @@ from igtl_gateway.wire.query import StartTracking
 from igtl_gateway.wire.text import String
 from tests.wire.test_corpus import OWN
 
+PEMS = Path(__file__).parents[1] / "edges" / "tcp" / "pems"
 POSE = np.array([[0.0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]])
 
 
@@ -317,3 +319,16 @@ def test_a_closed_peer(server: Server, peer: Peer) -> None:
     assert server.receive().text == "last"  # what was queued is sent
     with pytest.raises(LinkClosed, match=r"closed by close\(\)"):
         peer.receive()
+
+
+def test_tls() -> None:
+    def files(name: str) -> TlsFiles:
+        return TlsFiles(PEMS / f"{name}.pem", None, PEMS / "ca.pem")
+
+    with igtl_gateway.serve(0, tls=files("server")) as server:
+        with igtl_gateway.connect(port=server.port, tls=files("viewer")) as peer:
+            server.wait_connected()
+            peer.send("TRANSFORM", "Tool", POSE)
+            assert server.receive().matrix.tolist() == POSE.tolist()
+    with pytest.raises(ConfigError, match="found no certificate"):
+        igtl_gateway.serve(0, tls=TlsFiles())
