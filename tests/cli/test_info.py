@@ -9,7 +9,8 @@ import pytest
 
 from igtl_gateway.cli import main
 from igtl_gateway.config import Config
-from igtl_gateway.session.entry import Entry
+from igtl_gateway.gateway.live_settings import LiveSettings
+from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile.writer import SessionWriter
 from tests.files import BytesRead
 from tests.record import samples
@@ -126,3 +127,17 @@ def test_a_recording_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
     read = BytesRead(monkeypatch)
     assert main(["info", str(path)]) == 0
     assert read.count < 1.05 * path.stat().st_size
+
+
+def test_changes_of_settings_are_shown(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "session.mcap"
+    before = LiveSettings()
+    changes = [before.changed({"deny_in": ["COMMAND"]}), before.changed({"active": False})]
+    notes = [changes[0].note(before), changes[1].note(changes[0])]
+    entries = enumerate(notes, start=1)
+    write(path, [Entry(seq, samples.START_NS + seq, Kind.EDGE_NOTE, payload=(note.pack(),)) for seq, note in entries])
+    text = said(capsys, path).partition("  settings\n")[2]
+    assert 'changed: deny_in from [] to ["COMMAND"]\n' in text
+    assert 'changed: deny_in from ["COMMAND"] to [], active from true to false\n' in text
+    told = json.loads(said(capsys, path, "--json"))["changes"]
+    assert [change["settings"]["active"] for change in told] == [True, False]

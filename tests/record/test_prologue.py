@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from igtl_gateway.gateway.live_settings import LiveSettings
 from igtl_gateway.record import prologue
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.selection import StateInputRule
@@ -41,6 +42,12 @@ def test_links_what_was_learned_and_the_last_of_each_stream() -> None:
 def test_a_step_of_the_hosts_clock_is_remembered() -> None:
     step = Entry(2, samples.START_NS, Kind.EDGE_NOTE, payload=(ClockStep.after(-(10**12), 0).note().pack(),))
     assert kept(Prologue(RULE), [samples.note(1, Kind.EDGE_NOTE), step, samples.note(3, Kind.EDGE_NOTE)]) == [2]
+
+
+def test_changes_of_settings_are_remembered() -> None:
+    changed = LiveSettings().changed({"deny_in": ["COMMAND"]}).note(LiveSettings())
+    change = Entry(2, samples.START_NS, Kind.EDGE_NOTE, payload=(changed.pack(),))
+    assert kept(Prologue(RULE), [samples.note(1, Kind.EDGE_NOTE), change, samples.note(3, Kind.EDGE_NOTE)]) == [2]
 
 
 def test_an_output_says_of_its_own_cause_only() -> None:
