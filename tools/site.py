@@ -41,6 +41,10 @@ LANGUAGES = {".py": "python", ".toml": "toml", ".xml": "xml", ".yaml": "yaml", "
 
 #: The page of the Python API, which is written only for the site.
 API = "python-api.md"
+API_INTRODUCTION = (
+    "The names of `import igtl_gateway`, and what its functions return. There are introductions to "
+    "[recordings](python-recordings.md), [peers](python-peers.md), and [bridge and verbs](python-verbs.md)."
+)
 #: Its groups, with the place of each name below ``igtl_gateway``.
 REFERENCE = {
     "Recordings": (
@@ -190,7 +194,7 @@ def notebook_page(path: str, pictures: dict[str, bytes], root: Path = ROOT) -> s
 
 def api_page() -> str:
     """The reference of the Python API, as directives for mkdocstrings."""
-    parts = ["# Python API", "The names of `import igtl_gateway`, and what its functions return."]
+    parts = ["# Python API", API_INTRODUCTION]
     for group, places in REFERENCE.items():
         parts += [f"## {group}", *(f"::: igtl_gateway.{place}" for place in places)]
     return "\n\n".join(parts) + "\n"
