@@ -12,10 +12,12 @@ from __future__ import annotations
 
 import argparse
 import inspect
+import json
 import re
 import sys
 import textwrap
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -35,11 +37,13 @@ from igtl_gateway.doctor import checks, host_checks, host_probe
 from igtl_gateway.doctor.observer import MAX_STREAMS
 from igtl_gateway.doctor.protocols import PROTOCOLS
 from igtl_gateway.doctor.rules import RULES, Rule
+from igtl_gateway.edges.ros.parameters import constraints, description
 from igtl_gateway.gateway import metadata
 from igtl_gateway.gateway.diagnostics import DIAGNOSTICS_TOPIC
 from igtl_gateway.gateway.dialogue import answers
 from igtl_gateway.gateway.dialogue.links import LINKS_TOPIC
 from igtl_gateway.qos import Qos
+from igtl_gateway.settings import ROWS, SETTINGS, Setting, of_table
 from igtl_gateway.stamp import NS_PER_MS
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.elements import Elements
@@ -988,12 +992,131 @@ def _queries_as_one(types: Iterable[str]) -> list[str]:
     return list(dict.fromkeys(re.sub(r"_.*", "_…", name) if name in QUERIES else name for name in types))
 
 
+# -- docs/parameters.md -----------------------------------------------------------------------------------------------
+
+_SETTING_TYPES: dict[type, str] = {bool: "bool", int: "integer", float: "double", str: "string", tuple: "strings"}
+
+
+def node_parameters() -> str:
+    """docs/parameters.md."""
+    return document(
+        "# Parameters of the node",
+        GENERATED,
+        prose(
+            """`igtl-gateway bridge` is a ROS 2 node with the name `/igtl_gateway`. All its settings are
+            parameters, with the names of the keys of the configuration file. `ros2 param list` and
+            `ros2 param describe` show them while the bridge runs."""
+        ),
+        fenced(
+            """ros2 run igtl_gateway bridge --ros-args --params-file or1.yaml -p stall_s:=5.0 \\
+    -r __ns:=/or1 -r __node:=gw -r /camera/image:=/microscope/image --log-level warn
+ros2 param set /or1/gw deny_in "['COMMAND']" """
+        ),
+        prose(
+            """Everything from `--ros-args` on belongs to ROS, up to `--` or to the end. `igtl-gateway bridge
+            --ros-args …` is the same without `ros2 run`."""
+        ),
+        "## Where a value comes from",
+        prose(
+            """A setting has the value of the command line; else that of its parameter (`-p`, `--params-file`,
+            launch file); else that of the configuration file (`--config`, or the parameter
+            `config`); else its default. Among the parameters, the section of a file with the full
+            name of the node applies before `-p`, and `-p` before the section `/**`: that is the
+            order of ROS.
+
+            `--deny-in`, `--deny-out`, `--send`, `--tf-out`, `--kinds` and `--peer` add to the lists of the
+            parameters or of the file. All other settings are replaced.
+
+            A wrong value has the same message in a file, on the command line and in the answer of `ros2 param set`,
+            such as `stall_s: found 0, expected 0.001 to 31536000`. A wrong value or an unknown name ends the start:
+            a deny list with a wrong name must not pass unnoticed. So write parameters of other nodes below the
+            names of these nodes.
+
+            An integer is accepted for a double. `[]` is an empty list of strings."""
+        ),
+        "## While the bridge runs",
+        prose(
+            f"""{code(row.name for row in SETTINGS if row.changes)} can change. A change is an input of the session,
+            so the recording verifies ([lifecycle.md](lifecycle.md)). All other parameters are
+            read-only. Pause, resume and snapshot of a recording are services: `~/pause_recording`,
+            `~/resume_recording`, `~/snapshot`."""
+        ),
+        "## Rows of messages",
+        prose(
+            f"""{code(of_table(ROWS))} are tables in a configuration file. As parameters they are lists of strings,
+            one for each row. A row is written as its option has it, such as `/camera/image=Camera`,
+            or as a JSON object with the keys of the table. One string for each row keeps a row
+            together, and it has all keys; lists of single columns would have to be of one length.
+            `ros2 param get` shows all rows as JSON objects, also those of a file."""
+        ),
+        fenced(
+            """/**:
+  ros__parameters:
+    to_igtl: ["/camera/image=Camera", '{"topic": "/arm/pose", "device": "Arm", "max_age_s": 0.5}']
+    tf_out: ["tool0:base_link"]"""
+        ),
+        "## Names of topics",
+        prose(
+            """Remapping works for all topics and services, in Python and in the native passage. In a namespace,
+            topics below `/igtl/` move into it: with `-r __ns:=/or1`, messages of a device are
+            published on `/or1/igtl/in/<device>/<kind>`, and messages on `/or1/igtl/out/<device>`
+            are sent to the peers. So two bridges in two namespaces have separate topics. Absolute
+            topics of other names, such as `/tf`, `/diagnostics` and those in rows of messages,
+            stay, as in all nodes; `-r /tf:=tf` moves them.
+
+            **The configuration and the recording have the names before remapping**, such as
+            `/igtl/in/<device>/<kind>`. A session then depends only on its configuration: `verify` and `replay` need
+            no rules, and a replay can have other rules or none. The metadata of a recording has the command line
+            with the rules (`info`). Topics that are recorded only (`record_topics`) and that no rule names have
+            their names in the graph."""
+        ),
+        "## Log",
+        prose(
+            """`/rosout` has what the terminal shows: all states, and the first warning and error of each cause,
+            with their levels. `--log-level` and the service `~/set_logger_levels` set the lowest
+            level of `/rosout` and of the terminal. The recording has all notes. It does not have
+            `/rosout`."""
+        ),
+        "## All parameters",
+        prose(
+            """*table*: the table of the configuration file; without one, the setting is an option and a parameter.
+            A setting without a mark in *changes* is read-only while the bridge runs. `relay`,
+            `faults` and `fault_seed` are not in the table: a relay has no node."""
+        ),
+        table(
+            ("parameter", "type", "default", "range", "meaning", "option", "table", "changes"),
+            [
+                (
+                    f"`{row.name}`",
+                    _SETTING_TYPES[type(row.default)],
+                    _default(row),
+                    _escape(constraints(row)),
+                    _escape(description(row)),
+                    f"`{row.flag}`" if row.flag else "",
+                    {ROWS: f"`[[{row.name}]]`", "": ""}.get(row.table, f"`[{row.table}]`"),
+                    "yes" if row.changes else "",
+                )
+                for row in SETTINGS
+                if row.parameter
+            ],
+        ),
+    )
+
+
+def _default(row: Setting) -> str:
+    """The default as in a file of parameters."""
+    if row.shown and not row.default:
+        return description(replace(row, about=row.shown))
+    return json.dumps(list(row.default) if isinstance(row.default, tuple) else row.default)
+
+
 # -- files ------------------------------------------------------------------------------------------------------------
 
 PAGES = {
     "conversions.md": conversions,
     "doctor.md": doctor,
     "messages.md": messages,
+    "parameters.md": node_parameters,
     "notes.md": notes,
     "topics.md": topics,
     "verbs.md": verbs,

@@ -21,6 +21,7 @@ from igtl_gateway.app.commands import SERVICE, SERVICE_TYPE, CommandService
 from igtl_gateway.app.hub import LARGE_BYTES, Hub, Rest, Sink
 from igtl_gateway.app.passage import BridgePassage, make_passage
 from igtl_gateway.app.recording import serve_recording
+from igtl_gateway.app.ros_log import NOTED, RosLog
 from igtl_gateway.app.timer import Timer
 from igtl_gateway.app.video import VideoCodecs
 from igtl_gateway.clock import Clock
@@ -164,7 +165,7 @@ class Bridge:
             self.hub.tick,
             lambda: self.gateway.due_ns,
             self.hub.now_ns,
-            self._publish_diagnostics,
+            self._report,
             _FAULTY_TICK_NS if config.faults else _TICK_NS,
             clock,
         )
@@ -181,6 +182,7 @@ class Bridge:
             reserved=options.reserved,
         )
         self.ros: RosEdge | None = None
+        self._log: RosLog | None = None
         self._all_built = viewer is not None or options.record is not None  # also outputs without a subscriber
         if options.ros:
             self.ros = RosEdge(
@@ -192,6 +194,7 @@ class Bridge:
                 host=host,
                 passage=passage,
             )
+            self._log = RosLog(self.ros.log)
             if not self._all_built:
                 self.gateway.has_subscriber = self._has_subscriber
             if options.diagnostics:
@@ -245,6 +248,7 @@ class Bridge:
                 self.change({"active": False})
             if self.ros:
                 self.ros.start()
+                self.ros.follow(self.change)
                 self._publish_initial_state(self.ros)
         except Exception:
             self.stop()
@@ -291,6 +295,9 @@ class Bridge:
         if self._passage:
             self._passage.stop()
         if self.ros:
+            self.ros.follow(None)
+            if self._log:
+                self._log.flush()
             self.ros.stop()
         if not self.losses:
             ledger = self.ledger()
@@ -371,6 +378,12 @@ class Bridge:
         if self.gateway.has_subscriber:
             self.hub.note(Note(Level.INFO, LISTENED, f"{topic} has a subscriber", topic))
 
+    def _report(self) -> None:
+        """Publish log and diagnostics.  Runs once a second in the timer's thread."""
+        if self._log:
+            self._log.flush()
+        self._publish_diagnostics()
+
     def _publish_diagnostics(self) -> None:
         """Publish the diagnostics, which are not part of the log, if they have a subscriber.
 
@@ -435,6 +448,8 @@ class Bridge:
             note = Note.unpack(entry.data())
             if note.code == CUT:
                 self.tcp.disconnect(entry.links, note.text)
+        elif self._log and entry.kind in NOTED:
+            self._log.add(entry)
 
     def subscription_for(self, topic: str, ros_type: str) -> Qos | None:
         """Return the QoS for a discovered topic, or None if it is not subscribed to.

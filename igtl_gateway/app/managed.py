@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Generic, Protocol, TypeVar
 
 from igtl_gateway.edges.ros.host import NodeHost
@@ -31,6 +31,7 @@ class ManagedBridge(Generic[B]):
     Args:
         make: returns a new bridge on the node of a host for the session with this number, from 1.
         node_name: name of the node.
+        arguments: of ROS, see ``NodeHost``.
         autostart: configure and activate at the start; else the node waits for the transitions.
         on_failure: called with one line about a transition that failed.
         on_end: called after the transition *shutdown*.
@@ -47,11 +48,12 @@ class ManagedBridge(Generic[B]):
         node_name: str,
         *,
         autostart: bool,
+        arguments: Sequence[str] = (),
         on_failure: Callable[[str], None],
         on_end: Callable[[], None],
     ) -> None:
         self.bridge: B | None = None
-        self.host = NodeHost(node_name, transitions=self, starts_active=autostart)
+        self.host = NodeHost(node_name, transitions=self, arguments=arguments, starts_active=autostart)
         self._make = make
         self._autostart = autostart
         self._on_failure = on_failure

@@ -18,6 +18,7 @@ from collections.abc import Sequence
 
 from igtl_gateway.cli.early_port import early_ports
 from igtl_gateway.cli.options import HelpFormatter, add_limits_of_files, shorten_usage
+from igtl_gateway.cli.ros_arguments import without_ros_arguments
 from igtl_gateway.cli.terminal import Parser, discard_outputs, flush_outputs, open_outputs, print_line
 from igtl_gateway.cli.verbs import LABORATORY, VERBS, WITHOUT_LABORATORY, Verb, available
 from igtl_gateway.cli.versions import VersionAction
@@ -34,11 +35,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     asked = next((word for word in given if not word.startswith("-")), "")
     if asked != "bridge":
         return _run(given, asked)
+    given, ros_args = without_ros_arguments(given)
     from igtl_gateway.edges.reserved import ReservedPorts  # here: other verbs need no socket
 
-    reserved = ReservedPorts(early_ports(given))
+    reserved = ReservedPorts(early_ports([*given, *ros_args[:1]]))
     try:
-        return _run(given, asked, reserved=reserved)
+        return _run(given, asked, reserved=reserved, ros_args=ros_args)
     finally:
         reserved.close()
 

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import argparse
 from collections import deque
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from dataclasses import replace
 from importlib.util import find_spec
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.app.bridge_options import bridge_options
 from igtl_gateway.app.interpreter import tune_interpreter
 from igtl_gateway.app.managed import ManagedBridge
+from igtl_gateway.app.settings import declared
 from igtl_gateway.cli import admission, recording
 from igtl_gateway.cli.bridge_output import BridgeOutput, JsonOutput, TextOutput
 from igtl_gateway.cli.bridge_session import BridgeSession, PlainRunner, options_of_session
 from igtl_gateway.cli.common import stop_event
 from igtl_gateway.cli.options import default
+from igtl_gateway.cli.ros_arguments import BEGIN
 from igtl_gateway.cli.settings import add_faults, add_settings, settled
 from igtl_gateway.cli.terminal import is_terminal, print_line
 from igtl_gateway.cli.type_tables import types
@@ -68,6 +72,9 @@ EXAMPLES = """\
       --fault delay=50ms,loss=1% --seed 7
   # wait until another node configures and activates the bridge
   igtl-gateway bridge --no-autostart
+  # parameters, a namespace and another name of a topic, as for all ROS nodes
+  igtl-gateway bridge --ros-args -p stall_s:=5.0 -r __ns:=/or1 \\
+      -r /camera/image:=/microscope/image
   # counts for Prometheus at http://127.0.0.1:9464/metrics
   igtl-gateway bridge --metrics 9464
 
@@ -101,6 +108,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--no-autostart",
         action="store_true",
         help="start as a managed node that other nodes configure and activate, in the state unconfigured",
+    )
+    group.add_argument(
+        BEGIN,
+        nargs=argparse.REMAINDER,
+        default=[],
+        metavar="…",
+        help="arguments of ROS 2, to the end or to --: parameters, remapping, namespace, log level",
     )
     group = parser.add_argument_group("video (needs PyAV)")
     add_settings(group, "video_codec", "video_bit_rate", "video_key_interval")
@@ -138,33 +152,42 @@ def run(options: argparse.Namespace) -> int:
         return 0
     if options.duration is not None and not 0 < options.duration < float("inf"):
         raise ConfigError(f"--duration: found {options.duration:g}, expected a number of seconds above 0")
-    values = settled(options, {})
-    if RelayFaults.parse(options.fault or "") and not values["relay"]:
-        raise ConfigError("--fault: found no --relay, expected it: only a relay has a connection to inject faults into")
-    config, how = bridge_options(values, ros=not options.no_ros, node_name=options.node_name, reserved=options.reserved)
-    if options.no_autostart and not how.ros:
-        raise ConfigError("--no-autostart: found no ROS, expected it: other nodes configure and activate the bridge")
+    if options.ros_args and options.no_ros:
+        raise ConfigError("--ros-args: found --no-ros, expected ROS: they are arguments of its node")
     clock = SystemClock()
-    metrics_at = address(values["metrics"]) if values["metrics"] else None
-    out: BridgeOutput = JsonOutput(clock) if options.log_format == "json" else TextOutput(is_terminal())
+    plan = _Plan(options)
     problems: deque[str] = deque()  # of transitions
     with stop_event() as stop:
-        notes = [tune_malloc()] if not how.ros else prepare_environment()
-        window = _window(config) if options.view else None
+        notes = prepare_environment() if plan.ros else [tune_malloc()]
 
         def make(host: NodeHost | None, number: int) -> BridgeSession:
-            own = options_of_session(how, number)
-            return BridgeSession(config, own, clock, window=window, metrics_at=metrics_at, host=host)
+            own = options_of_session(plan.how, number)
+            window, metrics_at = plan.open_window(), plan.metrics_at
+            return BridgeSession(plan.config(host), own, clock, window=window, metrics_at=metrics_at, host=host)
 
+        out: BridgeOutput = JsonOutput(clock)
         runner: PlainRunner | ManagedBridge[BridgeSession]
-        if how.ros:
-            starts = not options.no_autostart
-            runner = ManagedBridge(make, how.node_name, autostart=starts, on_failure=problems.append, on_end=stop.set)
+        if plan.ros:
+            runner = ManagedBridge(
+                make,
+                options.node_name,
+                autostart=not options.no_autostart,
+                arguments=options.ros_args,
+                on_failure=problems.append,
+                on_end=stop.set,
+            )
+            if options.log_format == "text":
+                out = TextOutput(is_terminal(), runner.host.logs)
         else:
             runner = PlainRunner(make(None, 1))
-        show = _Show(out, config, how.node_name, notes, clock)
+            if options.log_format == "text":
+                out = TextOutput(is_terminal())
+        show = _Show(out, lambda: runner.host.full_name if isinstance(runner, ManagedBridge) else "", notes, clock)
         viewer_problem = ""
         try:
+            if isinstance(runner, ManagedBridge):
+                runner.host.start(lambda error: problems.append(f"callback: {error}"))
+                plan.prepare(runner.host)
             runner.start()
             started_ns = clock.monotonic_ns()
             show.update(runner.bridge)
@@ -179,11 +202,65 @@ def run(options: argparse.Namespace) -> int:
         finally:
             show.release()
             runner.stop()
-            viewer_problem = window.close() if window else ""
+            viewer_problem = plan.window.close() if plan.window else ""
         show.end()
         if viewer_problem:
             print_line(f"igtl-gateway bridge: --view: {viewer_problem}", error=True)
     return 1 if show.has_failed else 0
+
+
+class _Plan:
+    """The configuration of the sessions: of the command line and a file, and of the parameters of the node.
+
+    Attributes:
+        ros: whether there is a node.
+        how: options of the bridge.
+        metrics_at: address of ``--metrics``; None: there is none.
+        window: of ``--view``, once a session has needed it.
+
+    Raises:
+        ConfigError: for a wrong setting; with ``--ros-args``, only after `prepare` all are known.
+    """
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        self._options = options
+        values = settled(options, {})
+        if RelayFaults.parse(options.fault or "") and not values["relay"]:
+            raise ConfigError(
+                "--fault: found no --relay, expected it: only a relay has a connection to inject faults into"
+            )
+        self.ros = not (options.no_ros or values["relay"])
+        if options.no_autostart and not self.ros:
+            raise ConfigError(
+                "--no-autostart: found no ROS, expected it: other nodes configure and activate the bridge"
+            )
+        self.window: LiveWindow | None = None
+        if not options.ros_args:
+            self._take(values)
+
+    def _take(self, values: Mapping[str, Any]) -> None:
+        options = self._options
+        self._config, self.how = bridge_options(
+            values, ros=self.ros, node_name=options.node_name, reserved=options.reserved
+        )
+        self._values = values
+        self.metrics_at = address(values["metrics"]) if values["metrics"] else None
+
+    def prepare(self, host: NodeHost) -> None:
+        """Take the parameters that the node was started with, and declare all."""
+        if self._options.ros_args:
+            self._take(settled(self._options, host.overrides()))
+        host.declare(declared(self._values, self._config))
+
+    def config(self, host: NodeHost | None) -> Config:
+        """Return the configuration of the next session, with the parameters that have changed since the start."""
+        return replace(self._config, **host.changed_values()) if host else self._config  # type: ignore[arg-type]
+
+    def open_window(self) -> LiveWindow | None:
+        """Return the window of ``--view``.  Raises ViewerError without rerun."""
+        if self._options.view and self.window is None:
+            self.window = _window(self._config)
+        return self.window
 
 
 class _Show:
@@ -193,10 +270,9 @@ class _Show:
         has_failed: whether the recording of a session that has ended failed.
     """
 
-    def __init__(self, out: BridgeOutput, config: Config, node_name: str, notes: list[str], clock: Clock) -> None:
+    def __init__(self, out: BridgeOutput, node_name: Callable[[], str], notes: list[str], clock: Clock) -> None:
         self.has_failed = False
         self._out = out
-        self._config = config
         self._node_name = node_name
         self._notes = notes
         self._clock = clock
@@ -220,7 +296,7 @@ class _Show:
         if session is None:
             if not self._is_waiting:
                 self._is_waiting = True
-                self._out.waiting(self._node_name)
+                self._out.waiting(self._node_name())
             return
         bridge, watch = session.bridge, session.watch
         self._out.events(watch.take())
@@ -234,7 +310,7 @@ class _Show:
         bridge = session.bridge
         keys = self._controls.enter_context(recording.recording_controls(bridge.recorder))
         notes = [note for note in (*self._notes, bridge.realtime, keys) if note]
-        self._out.started(bridge, self._config, notes, session.metrics)
+        self._out.started(bridge, bridge.gateway.config, notes, session.metrics)
 
     def release(self) -> None:
         """Release keys and signals, which control the recording of the session."""

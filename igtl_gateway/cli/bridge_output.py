@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Protocol
 
 from igtl_gateway import __version__
 from igtl_gateway.app.bridge import Bridge
 from igtl_gateway.app.entry_watch import EntryWatch, Event
+from igtl_gateway.app.ros_log import note_text
 from igtl_gateway.cli import admission
 from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.losses import losses
@@ -44,12 +46,17 @@ class TextOutput:
     """Lines for people; on a terminal the last one is a live status.
 
     Marks: ``=`` state, ``!`` fault, ``?`` warning.
+
+    Args:
+        terminal: whether the output is one.
+        logs: whether notes of a level are shown; the node has a lowest level.
     """
 
     _MARKS = {Level.INFO: "=", Level.WARN: "?", Level.ERROR: "!"}  # noqa: RUF012
 
-    def __init__(self, terminal: bool) -> None:
+    def __init__(self, terminal: bool, logs: Callable[[Level], bool] = lambda _level: True) -> None:
         self._terminal = terminal
+        self._logs = logs
         self._status = ""
         self._last: tuple[float, Counter[Kind]] = (0.0, Counter())
         self._repeats: Counter[tuple[str, str]] = Counter()
@@ -71,7 +78,7 @@ class TextOutput:
             tls = ", TLS" if (host, port) in bridge.options.tls_connect else ""
             print_line(f"OpenIGTLink  client of {host}:{port}{tls}, {how}")
         off = "--relay" if config.relay else "--no-ros"
-        print_line(f"ROS 2        node /{bridge.options.node_name}" if bridge.ros else f"ROS 2        off ({off})")
+        print_line(f"ROS 2        node {bridge.ros.full_name}" if bridge.ros else f"ROS 2        off ({off})")
         for note in notes:
             print_line(f"             {note.partition(' (')[0]}")
         print_line(f"recording    {bridge.options.record or 'off (--record FILE)'}")
@@ -89,7 +96,7 @@ class TextOutput:
     def waiting(self, node_name: str) -> None:
         """Print that no session runs: the managed node is unconfigured."""
         self._status = ""
-        self._print(f"ROS 2        node /{node_name} is unconfigured: another node configures and activates it")
+        self._print(f"ROS 2        node {node_name} is unconfigured: another node configures and activates it")
 
     def problem(self, text: str) -> None:
         """Print why a transition of the managed node failed."""
@@ -103,9 +110,9 @@ class TextOutput:
                 cause = (note.code, "(other streams)")
             self._repeats[cause] += 1
             # the recording has all notes; the terminal has the first of each cause
-            if (note.level is Level.INFO and note.code != FAULT) or self._repeats[cause] == 1:
-                link = f" [link {', '.join(map(str, links))}]" if links else ""
-                self._print(f"{self._MARKS[note.level]} {note.text}{link}")
+            is_shown = (note.level is Level.INFO and note.code != FAULT) or self._repeats[cause] == 1
+            if is_shown and self._logs(note.level):
+                self._print(f"{self._MARKS[note.level]} {note_text(note, links)}")
 
     def status(self, bridge: Bridge, watch: EntryWatch, seconds: float) -> None:
         if not self._terminal:

@@ -12,7 +12,7 @@ from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT, address
 
 _LISTEN = "--listen"
 #: With one of these, a bridge without ``--listen`` may have other ports than the usual one.
-_ELSEWHERE = ("--connect", "--config")
+_ELSEWHERE = ("--connect", "--config", "--ros-args")
 #: With one of these there is no bridge, or not yet.
 _NO_BRIDGE = ("--types", "--help", "-h", "--version", "--no-autostart")
 

@@ -10,6 +10,12 @@ from igtl_gateway.session.entry import Kind
 from igtl_gateway.session.note import Level, Note
 
 
+def test_the_node_has_a_lowest_level(capsys: pytest.CaptureFixture[str]) -> None:
+    out = TextOutput(terminal=False, logs=lambda level: level >= Level.WARN)
+    out.events([Event(0, Kind.NOTE, Note(level, level.name, level.name), ()) for level in Level])
+    assert capsys.readouterr().out == "? WARN\n! ERROR\n"
+
+
 def test_a_device_name_writes_no_lines_and_no_escape_sequences(capsys: pytest.CaptureFixture[str]) -> None:
     name = "\x1b[2J\x9b31m\rTool\n= 10.0.0.9:18944 connected\x7f"
     note = Note(Level.WARN, "stale", f"{name} is too old", f"STRING/{name}")

@@ -75,7 +75,7 @@ REFUSED = [
 #: Errors that a retry does not repair: 2.
 USAGE = [
     Case("bridge --listen 127.0.0.1:99999", 2, "found '127.0.0.1:99999', expected HOST:PORT"),
-    Case(f"{BRIDGE} --realtime-priority 100", 2, "found 100, expected 1 (lowest) to 99"),
+    Case(f"{BRIDGE} --realtime-priority 100", 2, "found 100, expected 0 to 99"),
     Case(f"{BRIDGE} --cpu-affinity two", 2, "found 'two', expected CPUs such as 2,4-6"),
     Case("bridge --listen 0.0.0.0:0 --no-ros", 2, "none may connect"),
     Case("bridge --listen no.such.host.invalid:0 --no-ros", 2, "expected an address of this machine"),

@@ -23,7 +23,7 @@ from tests.integration.bridge import ROOT, Bridge, RawPeer, string
 EXAMPLE = ROOT / "examples" / "operating-room.toml"
 
 #: Options of ``bridge`` without a row: what it prints, how long it runs, where it runs.
-NO_SETTINGS = {"help", "duration", "types", "no_ros", "no_autostart", "node_name", "view", "log_format"}
+NO_SETTINGS = {"help", "duration", "types", "no_ros", "no_autostart", "node_name", "ros_args", "view", "log_format"}
 
 
 @pytest.fixture

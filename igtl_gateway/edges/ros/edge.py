@@ -28,6 +28,7 @@ from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.ros.keeper import Keeper
 from igtl_gateway.edges.ros.middleware import first_line, import_rclpy, interface_class
 from igtl_gateway.edges.ros.node import RosNode
+from igtl_gateway.edges.ros.parameters import Change
 from igtl_gateway.edges.ros.publishing import Publishing
 from igtl_gateway.edges.ros.receiver import DirectReceiver, ExecutorReceiver, NativeReceiver, Receiver
 from igtl_gateway.edges.ros.reports import OnNote, Reports
@@ -99,13 +100,29 @@ class RosEdge:
         """The Python class of a message type.  Raises RosError if it is not installed here."""
         return interface_class(type_name)
 
+    @property
+    def full_name(self) -> str:
+        """The name of the node with its namespace; only after the start."""
+        return self._node.host.full_name
+
     def start(self) -> None:
-        """Join the graph.  Raises RosError, in one line, if ROS is missing or refuses."""
+        """Join the graph.
+
+        Raises RosError, in one line, if ROS is missing or refuses, and ConfigError for invalid arguments of the host.
+        """
         context = self._node.start()
         # The threads wait inside the middleware: it must not be torn down under them at exit.
         atexit.register(self.stop)
         self._subscribing.start(self._make_receiver(context))
         self._keeper.start()
+
+    def follow(self, change: Change | None) -> None:
+        """Have the parameters that may change while a bridge runs call this; None: they wait for the next bridge."""
+        self._node.host.on_change = change
+
+    def log(self, level: Level, text: str, stamp_ns: int) -> None:
+        """Publish a line on ``/rosout``; see ``NodeHost.log``."""
+        self._node.host.log(level, text, stamp_ns)
 
     def stop(self) -> None:
         """Send what is held, leave the graph, end the threads.  Further calls do nothing."""

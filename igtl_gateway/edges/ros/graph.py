@@ -17,7 +17,7 @@ class Publication:
     """A topic that other nodes publish.
 
     Attributes:
-        topic: full name.
+        topic: full name in the gateway.
         type: ``"pkg/msg/Name"``.
         publishers: the number of publishers beside our own.
     """
@@ -42,9 +42,10 @@ class Graph:
             node = self._node.handle
             own = Counter(publisher.topic_name for publisher in node.publishers)
             return [
-                Publication(topic, type_name, count)
+                Publication(name, type_name, count)
                 for topic, types in node.get_topic_names_and_types()
                 if (count := node.count_publishers(topic) - own[topic]) > 0
+                and (name := self._node.names.in_gateway(topic)) is not None
                 for type_name in types
             ]
 
@@ -74,11 +75,14 @@ class Graph:
 
     def subscriptions_of(self, topic: str) -> int:
         """The number of subscriptions to a topic.  Raises RosError where the node does not run."""
-        return int(self._node.handle.count_subscribers(topic)) - int(topic in self._topics.subscriptions)
+        in_graph = self._node.names.in_graph(topic)
+        own = len(self._topics.subscriptions_at(in_graph))
+        return int(self._node.handle.count_subscribers(in_graph)) - own
 
     def matching_qos(self, topic: str, wanted: Qos) -> Qos:
         """The QoS that every present publisher satisfies, by the rule of foxglove_bridge and rosbag2."""
         node: Any = self._node.handle
+        topic = self._node.names.in_graph(topic)
         mine = sum(publisher.topic_name == topic for publisher in node.publishers)
         offered = []
         for info in node.get_publishers_info_by_topic(topic):

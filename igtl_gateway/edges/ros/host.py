@@ -7,12 +7,18 @@ the node has to outlive the bridge.
 from __future__ import annotations
 
 import atexit
+import re
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
-from igtl_gateway.edges.ros.middleware import first_line, import_lifecycle, import_rclpy
-from igtl_gateway.errors import RosError
+from igtl_gateway.edges.ros.middleware import first_line, import_lifecycle, import_rclpy, interface_class, profile_of
+from igtl_gateway.edges.ros.parameters import Change, changeable, checking_node, declare, overrides
+from igtl_gateway.errors import ConfigError, RosError
+from igtl_gateway.qos import Qos
+from igtl_gateway.session.note import Level
+from igtl_gateway.settings import Value
+from igtl_gateway.stamp import NS_PER_S
 
 _CALLS_AT_ONCE = 8  # of services; a call may wait for a peer
 
@@ -40,15 +46,24 @@ class NodeHost:
     Args:
         name, namespace: of the node.
         transitions: what the transitions of a managed node do; None: the node is not a managed one.
+        arguments: what follows on the command line from ``--ros-args`` on: remapping, parameters, log levels.
         starts_active: lead a managed node to the state *active* when it starts, else it is *unconfigured*.
 
     Attributes:
+        on_change: called with the parameters that are set; a ConfigError refuses them.  None: no bridge runs, and they
+            apply to the next one.
         rclpy: the module; None before the start.
         context, node, executor: of rclpy; None before the start and after the stop.
     """
 
     def __init__(
-        self, name: str, namespace: str = "", transitions: Transitions | None = None, *, starts_active: bool = False
+        self,
+        name: str,
+        namespace: str = "",
+        transitions: Transitions | None = None,
+        arguments: Sequence[str] = (),
+        *,
+        starts_active: bool = False,
     ) -> None:
         self.name = name
         self.namespace = namespace
@@ -56,6 +71,9 @@ class NodeHost:
         self.context: Any = None
         self.node: Any = None
         self.executor: Any = None
+        self.on_change: Change | None = None
+        self._log: _Rosout | None = None
+        self.arguments = tuple(arguments)
         self._transitions = transitions
         self._starts_active = starts_active
         self._stopping = threading.Event()
@@ -70,17 +88,64 @@ class NodeHost:
     def is_running(self) -> bool:
         return self.node is not None
 
+    def logs(self, level: Level) -> bool:
+        """Return whether the node logs this level: by ``--log-level``, or as ``~/set_logger_levels`` has set it."""
+        return self._log is None or self._log.is_enabled(level)
+
+    def log(self, level: Level, text: str, stamp_ns: int) -> None:
+        """Publish a line on ``/rosout``, unless its level is not logged; nothing before the start and after the stop.
+
+        Args:
+            level: its severity.
+            text: the line.
+            stamp_ns: its time, UTC ns.
+        """
+        if (log := self._log) and log.is_enabled(level):
+            log.publish(level, text, stamp_ns)
+
+    @property
+    def full_name(self) -> str:
+        """The name of the node with its namespace; arguments may change both.  Only while it is in the graph."""
+        return str(self.node.get_fully_qualified_name())
+
+    def overrides(self) -> dict[str, Any]:
+        """Return name → value of the parameters that the arguments set."""
+        return overrides(self.node)
+
+    def declare(self, values: Mapping[str, Value]) -> None:
+        """Declare the settings of a bridge as parameters with these values; once."""
+        declare(self.rclpy, self.node, values, lambda changes: self.on_change and self.on_change(changes))
+
+    def changed_values(self) -> dict[str, Value]:
+        """Return the values of the parameters that may change while a bridge runs; none if they are not declared."""
+        return changeable(self.node)
+
     def start(self, on_error: OnError) -> None:
-        """Join the graph.  Raises RosError, in one line, if ROS is missing or refuses."""
+        """Join the graph.
+
+        Raises:
+            RosError: in one line, if ROS is missing or refuses.
+            ConfigError: for an argument that rcl does not know.
+        """
         self.rclpy = rclpy = import_rclpy()
         context = rclpy.context.Context()
         try:
-            # Context.init (unlike rclpy.init) leaves the signal handlers alone; [] keeps sys.argv out of ROS.
-            context.init(args=[])
-            make = rclpy.node.Node if self._transitions is None else _managed_node(self._transitions)
-            # No /rosout: our own log must not come back as a publication of another node.
-            node = make(self.name, namespace=self.namespace or None, context=context, enable_rosout=False)
+            # Context.init (unlike rclpy.init) leaves the signal handlers alone; a list keeps sys.argv out of ROS.
+            context.init(args=list(self.arguments))
+            base = rclpy.node.Node if self._transitions is None else _managed_node(self._transitions)
+            make = checking_node(rclpy, base)
+            # rcl's /rosout would have each line on stderr, too, where the terminal shows it already; `log` has our own.
+            node = make(
+                self.name,
+                namespace=self.namespace or None,
+                context=context,
+                enable_rosout=False,
+                enable_logger_service=True,
+            )
+            self._log = _Rosout(rclpy, node)
         except Exception as error:
+            if self.arguments and not context.ok():
+                raise ConfigError(f"--ros-args: {_refused(error)}") from None
             context.try_shutdown()
             raise RosError(f"node {self.name!r} in {self.namespace!r}: {first_line(error)}") from error
         atexit.register(self.stop)  # the threads wait inside the middleware: it must not be torn down under them
@@ -107,6 +172,7 @@ class NodeHost:
         if self.node is None:
             return
         atexit.unregister(self.stop)
+        self._log = None
         self.end_calls()
         self.executor.shutdown()
         if pool := getattr(self.executor, "_executor", None):  # rclpy leaves its threads to the interpreter's end
@@ -142,7 +208,32 @@ class NodeHost:
                 on_error(error)
 
 
-def _managed_node(transitions: Transitions) -> Callable[..., Any]:
+class _Rosout:
+    """The log of a node on ``/rosout``, with the QoS that all nodes have there."""
+
+    def __init__(self, rclpy: Any, node: Any) -> None:
+        self._message = interface_class("rcl_interfaces/msg/Log")
+        self._publisher = node.create_publisher(self._message, "/rosout", profile_of(rclpy, Qos(1000, latched=True)))
+        self._logger = node.get_logger()
+
+    def is_enabled(self, level: Level) -> bool:
+        return bool(self._logger.is_enabled_for(level))
+
+    def publish(self, level: Level, text: str, stamp_ns: int) -> None:
+        line = self._message(level=int(level), name=self._logger.name, msg=text)
+        line.stamp.sec, line.stamp.nanosec = divmod(stamp_ns, NS_PER_S)
+        self._publisher.publish(line)
+
+
+def _refused(error: Exception) -> str:
+    """Return what rcl does not accept; of a flag that it does not know, rclpy gives the list of flags."""
+    flags = ", ".join(re.findall(r"'([^']+)'", first_line(error)))
+    if type(error).__name__.startswith("Unknown") and flags:
+        return f"found {flags}, expected arguments of ROS 2 such as -p, -r, --params-file and --log-level"
+    return first_line(error).removeprefix("failed to initialize rcl: ").partition(" Error: ")[0]
+
+
+def _managed_node(transitions: Transitions) -> type:
     """Return the class of a managed node whose callbacks are these transitions."""
     lifecycle = import_lifecycle()
     returned = lifecycle.TransitionCallbackReturn

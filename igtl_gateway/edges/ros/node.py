@@ -10,6 +10,7 @@ from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros.graph_watch import BlindWatch, GraphWatch, watch_graph
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.ros.middleware import interface_class
+from igtl_gateway.edges.ros.names import GraphNames
 from igtl_gateway.edges.ros.reports import Reports
 from igtl_gateway.errors import RosError
 
@@ -23,11 +24,15 @@ class RosNode:
         lock: guards the making of entities and the tables of topics; no message on its way takes it.
         stopping: set as soon as the stop has begun.
         changed: notified when subscribers are matched, when held messages are sent, and at stop.
+        host: where the node is.
         graph: where the edge's own thread waits for changes of the graph; made by the start.
         clock: the system's; DDS stamps are compared with it.
         started_ns: when the node joined the graph (monotonic).
         rclpy: the module; None before the start.
+        names: of topics; only after the start.
     """
+
+    names: GraphNames
 
     def __init__(self, host: NodeHost, reports: Reports) -> None:
         self.lock = threading.RLock()
@@ -37,7 +42,7 @@ class RosNode:
         self.clock = SystemClock()
         self.started_ns = 0
         self.rclpy: Any = None
-        self._host = host
+        self.host = host
         self._owns_host = False
         self._kept: set[Any] = set()  # entities that are not of this edge
         self._reports = reports
@@ -52,18 +57,18 @@ class RosNode:
         """The rclpy node.  Raises RosError before start and after stop."""
         if not self._is_running:
             raise RosError("the node is not running")
-        return self._host.node
+        return self.host.node
 
     @property
     def executor(self) -> Any:
         """The rclpy executor.  Raises RosError before start and after stop."""
         if not self._is_running:
             raise RosError("the node is not running")
-        return self._host.executor
+        return self.host.executor
 
     def start(self) -> Any:
-        """Join the graph; returns rclpy's context.  Raises RosError, in one line, if ROS is missing or refuses."""
-        host = self._host
+        """Join the graph; returns rclpy's context.  Raises what ``NodeHost.start`` raises."""
+        host = self.host
         if self._is_running or self.stopping.is_set():
             raise RosError(f"node {host.name!r}: started before, an edge starts once")
         if not host.is_running:
@@ -71,6 +76,7 @@ class RosNode:
             self._owns_host = not host.is_managed
         self._kept = host.entities()
         self.rclpy = host.rclpy
+        self.names = GraphNames(host.node, host.arguments)
         self.graph = watch_graph(host.rclpy, host.context, host.node)
         self._is_running = True
         self.started_ns = self.clock.monotonic_ns()
@@ -88,15 +94,15 @@ class RosNode:
             return None
         self.graph.wake()
         if self._owns_host:
-            self._host.end_calls()
+            self.host.end_calls()
         return self._leave
 
     def _leave(self) -> None:
         with self.lock:
             if self._owns_host:
-                self._host.stop()
+                self.host.stop()
             else:
-                self._host.destroy_all_but(self._kept)
+                self.host.destroy_all_but(self._kept)
         self.notify()
 
     def serve(self, name: str, type_name: str, answer: Callable[[Any, Any], Any]) -> bool:

@@ -11,7 +11,7 @@ from igtl_gateway.edges.ros.graph import Graph
 from igtl_gateway.edges.ros.middleware import interface_class, profile_of
 from igtl_gateway.edges.ros.node import RosNode
 from igtl_gateway.edges.ros.reports import Reports
-from igtl_gateway.edges.ros.streams import HOLD_MESSAGES, EchoFilter, TopicPublisher, Topics
+from igtl_gateway.edges.ros.streams import HOLD_MESSAGES, TopicPublisher, Topics
 from igtl_gateway.errors import RosError
 from igtl_gateway.passage import Publisher as NativePublisher
 from igtl_gateway.qos import Qos
@@ -128,7 +128,7 @@ class Publishing:
             return None
         try:
             with self._node.lock:
-                full = self._node.handle.resolve_topic_name(topic)
+                full = self._node.names.full(topic)
                 publisher = self._publishers.get(full)
                 if publisher is None:
                     publisher = self._make(full, type_name, qos)
@@ -146,7 +146,7 @@ class Publishing:
             publisher = self._publishers.get(topic)
             if publisher is None or not self._node.is_running:
                 return 0
-            own = int(publisher.topic in self._topics.subscriptions)
+            own = len(self._topics.subscriptions_at(publisher.in_graph))
             return max(0, int(publisher.publisher.get_subscription_count()) - own)
 
     def wait_for_subscribers(self, topic: str, count: int, timeout_s: float) -> bool:
@@ -226,14 +226,15 @@ class Publishing:
             use_default_callbacks=False,
         )
         made = self._node.handle.create_publisher(
-            interface_class(type_name), topic, profile_of(rclpy, qos), event_callbacks=events
+            interface_class(type_name), self._node.names.asked(topic), profile_of(rclpy, qos), event_callbacks=events
         )
         publisher = TopicPublisher(topic, type_name, direct_publisher(made), qos, self._reports.counts(topic))
-        subscription = self._topics.subscriptions.get(topic)
+        publisher.in_graph = self._node.names.in_graph(topic)
+        subscriptions = self._topics.subscriptions_at(publisher.in_graph)
         # a latched message might also reach a subscription that we make later
-        if subscription is not None or qos.latched:
-            publisher.echo = EchoFilter()
-        if subscription is not None:
+        if subscriptions or qos.latched:
+            publisher.echo = self._topics.echo(publisher.in_graph)
+        for subscription in subscriptions:
             subscription.echo = publisher.echo
         now_ns = self._clock.monotonic_ns()
         publisher.deadline_ns = now_ns + HOLD_NS

@@ -110,6 +110,7 @@ class TopicSubscription:
         self.type_name = type_name
         self.counts = counts
         self.echo = echo
+        self.in_graph = topic
         self.noted_lost = 0
         self.subscription: Any = None
         self.native: NativeSubscription | None = None
@@ -176,6 +177,7 @@ class TopicPublisher:
         self.native: NativePublisher | None = None
         self.qos = qos
         self.counts = counts
+        self.in_graph = topic
         self.echo: EchoFilter | None = None
         self.lock = threading.Lock()
         self.held: deque[bytes] = deque()
@@ -255,9 +257,23 @@ class Topics:
     """The publishers and subscriptions of our node.
 
     Attributes:
-        publishers: by the name as given and by the full name.
-        subscriptions: by the full name.
+        publishers: by the name as given and by the full name in the gateway.
+        subscriptions: by the full name in the gateway.
+        echoes: by the name in the graph, which two topics of the gateway may share.
     """
 
     publishers: dict[str, TopicPublisher] = field(default_factory=dict)
     subscriptions: dict[str, TopicSubscription] = field(default_factory=dict)
+    echoes: dict[str, EchoFilter] = field(default_factory=dict)
+
+    def publishers_at(self, in_graph: str) -> list[TopicPublisher]:
+        """Return the publishers of a topic in the graph."""
+        return list({id(each): each for each in self.publishers.values() if each.in_graph == in_graph}.values())
+
+    def subscriptions_at(self, in_graph: str) -> list[TopicSubscription]:
+        """Return the subscriptions to a topic in the graph."""
+        return [each for each in self.subscriptions.values() if each.in_graph == in_graph]
+
+    def echo(self, in_graph: str) -> EchoFilter:
+        """Return what recognises our own messages on a topic in the graph."""
+        return self.echoes.setdefault(in_graph, EchoFilter())

@@ -11,7 +11,7 @@ from igtl_gateway.edges.ros.middleware import interface_class, profile_of
 from igtl_gateway.edges.ros.node import RosNode
 from igtl_gateway.edges.ros.receiver import Receiver
 from igtl_gateway.edges.ros.reports import Reports
-from igtl_gateway.edges.ros.streams import EchoFilter, Topics, TopicSubscription
+from igtl_gateway.edges.ros.streams import Topics, TopicSubscription
 from igtl_gateway.errors import RosError
 from igtl_gateway.passage import Subscription as NativeSubscription
 from igtl_gateway.qos import Qos
@@ -106,7 +106,7 @@ class Subscribing:
                 self._reports.refuse("subscribe", topic, type_name, error)
             else:
                 facts = {"type": type_name, **asdict(offered)}
-                text = f"subscribed to {topic} ({type_name}), {_describe(offered)}"
+                text = f"subscribed to {topic}{self._alias(topic)} ({type_name}), {_describe(offered)}"
                 self._reports.note(Level.INFO, "ros_subscribed", text, topic, facts)
 
     def poll_events(self) -> None:
@@ -133,18 +133,20 @@ class Subscribing:
 
     def _make(self, topic: str, type_name: str, wanted: Qos) -> Qos:
         """Subscribe (with the lock held); returns the resulting QoS."""
-        node, rclpy = self._node.handle, self._node.rclpy
+        node, rclpy, node_names = self._node.handle, self._node.rclpy, self._node.names
         if self._receiver is None:
             raise RosError("the node is not running")
         message_class = interface_class(type_name)
         qos = self._graph.matching_qos(topic, wanted)
-        publisher = self._topics.publishers.get(topic)
-        if publisher is not None and publisher.echo is None:
-            with publisher.lock:
-                publisher.echo = EchoFilter()
-        subscription = TopicSubscription(
-            topic, type_name, self._reports.counts(topic), publisher.echo if publisher else None
-        )
+        in_graph = node_names.in_graph(topic)
+        echo = None
+        for publisher in self._topics.publishers_at(in_graph):
+            echo = self._topics.echo(in_graph)
+            if publisher.echo is None:
+                with publisher.lock:
+                    publisher.echo = echo
+        subscription = TopicSubscription(topic, type_name, self._reports.counts(topic), echo)
+        subscription.in_graph = in_graph
         events = rclpy.event_handler.SubscriptionEventCallbacks(
             incompatible_qos=lambda event: self._note_incompatible(topic, event),
             message_lost=lambda event: subscription.lost(event.total_count_change),
@@ -153,7 +155,7 @@ class Subscribing:
         )
         subscription.subscription = node.create_subscription(
             message_class,
-            topic,
+            node_names.asked(topic),
             self._make_callback(subscription),
             profile_of(rclpy, qos),
             callback_group=self._receiver.group,
@@ -175,6 +177,11 @@ class Subscribing:
         """Take over what the native passage has counted."""
         for subscription in list(self._subscriptions.values()):
             subscription.sync()
+
+    def _alias(self, topic: str) -> str:
+        """The name of a topic in the graph, where it is another one."""
+        in_graph = self._node.names.in_graph(topic)
+        return "" if in_graph == topic else f", in the graph {in_graph}"
 
     def _note_incompatible(self, topic: str, event: Any) -> None:
         policy = self._node.rclpy.qos.qos_policy_name_from_kind(event.last_policy_kind)

@@ -1,0 +1,51 @@
+"""The log of the node: the notes that the terminal shows, on ``/rosout``."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+
+from igtl_gateway.gateway import FAULT
+from igtl_gateway.once import Once
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Level, Note
+
+#: Called with level, text and time (UTC ns).
+Log = Callable[[Level, str, int], None]
+
+#: Kinds of entries with a note.
+NOTED = frozenset({Kind.LINK, Kind.EDGE_NOTE, Kind.NOTE})
+
+_MAX_WAITING = 1000  # notes from one second to the next
+_MAX_CAUSES = 1000  # that are distinguished: a peer that invents device names must not flood the log
+
+
+class RosLog:
+    """Collects notes under the hub's lock, and passes them on later.
+
+    The log has the first warning and the first error of each cause; the recording has all.
+
+    Args:
+        log: takes one line.
+    """
+
+    def __init__(self, log: Log) -> None:
+        self._log = log
+        self._once = Once(_MAX_CAUSES)
+        self._waiting: deque[tuple[Level, str, int]] = deque(maxlen=_MAX_WAITING)
+
+    def add(self, entry: Entry) -> None:
+        """Take the note of an entry of the kinds ``NOTED``."""
+        note = Note.unpack(entry.data())
+        if (note.level is Level.INFO and note.code != FAULT) or self._once.first(note.code, note.stream):
+            self._waiting.append((note.level, note_text(note, entry.links), entry.stamp_ns))
+
+    def flush(self) -> None:
+        """Pass on what has been collected; not under a lock that delays messages."""
+        while self._waiting:
+            self._log(*self._waiting.popleft())
+
+
+def note_text(note: Note, links: tuple[int, ...]) -> str:
+    """Return a note as the terminal and the log of the node have it."""
+    return f"{note.text} [link {', '.join(map(str, links))}]" if links else note.text

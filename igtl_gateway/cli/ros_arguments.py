@@ -1,0 +1,29 @@
+"""Arguments of ROS 2 in a command line: from ``--ros-args`` to ``--`` or to the end, as in every ROS node."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+BEGIN, END = "--ros-args", "--"
+
+
+def without_ros_arguments(words: Sequence[str]) -> tuple[list[str], list[str]]:
+    """Return the words of a command line in two parts.
+
+    Args:
+        words: the command line.
+
+    Returns:
+        The words that are ours, and those of ROS: each part from ``--ros-args`` to before ``--``.
+    """
+    own: list[str] = []
+    ros: list[str] = []
+    part = own
+    for word in words:
+        if word == BEGIN and part is own:
+            part = ros
+        if word == END and part is ros:
+            part = own
+        else:
+            part.append(word)
+    return own, ros

@@ -1,0 +1,38 @@
+"""What the log of the node has: each cause once, and all states."""
+
+from __future__ import annotations
+
+from igtl_gateway.app.ros_log import RosLog
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Level, Note
+
+
+def entry(number: int, note: Note, *links: int) -> Entry:
+    return Entry(number, number, Kind.NOTE, "", note.code, (note.pack(),), links=links)
+
+
+def test_faults_are_logged_once_and_states_always() -> None:
+    lines: list[tuple[Level, str, int]] = []
+    log = RosLog(lambda *line: lines.append(line))
+    stale = Note(Level.WARN, "stale", "Tool is too old", "TRANSFORM/Tool")
+    other = Note(Level.WARN, "stale", "Probe is too old", "TRANSFORM/Probe")
+    state = Note(Level.INFO, "link_up", "connected")
+    for number, note in enumerate((stale, state, stale, other, state)):
+        log.add(entry(number, note, 3) if note is state else entry(number, note))
+    assert lines == []
+    log.flush()
+    assert lines == [
+        (Level.WARN, "Tool is too old", 0),
+        (Level.INFO, "connected [link 3]", 1),
+        (Level.WARN, "Probe is too old", 3),
+        (Level.INFO, "connected [link 3]", 4),
+    ]
+
+
+def test_a_flood_costs_no_memory() -> None:
+    lines: list[str] = []
+    log = RosLog(lambda _level, text, _stamp_ns: lines.append(text))
+    for number in range(3000):
+        log.add(entry(number, Note(Level.ERROR, "bad", f"device {number}", f"STRING/{number}")))
+    log.flush()
+    assert lines == [f"device {number}" for number in range(1000)]
