@@ -96,7 +96,9 @@ class Aligned:
             if match.poses is not None and match.interpolated:
                 columns |= {f"{key}.{name}": cell for name, cell in _pose_cells(match.poses).items()}
             else:
-                tables[key] = (match.stream.to_arrow(), match.stream.times[match.rows], gone)
+                wanted = np.zeros(len(gone), np.int64)
+                wanted[~gone] = match.stream.times[match.rows[~gone]]
+                tables[key] = (match.stream.to_arrow(), wanted, gone)
         return arrow_tables.side_by_side(columns, tables)
 
     def to_pandas(self) -> pandas.DataFrame:

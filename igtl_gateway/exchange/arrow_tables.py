@@ -270,7 +270,7 @@ def joined(parts: list[tuple[pa.Table, list[str]]]) -> pa.Table:
     """One table of the parts of a stream; its metadata has the number of messages that are left out, by reason."""
     tables = [table for table, _ in parts]
     if not tables:
-        return pa.table({"entry": pa.array([], pa.int64()), "time_ns": pa.array([], pa.int64())})
+        return pa.table({name: pa.array([], pa.int64()) for name in HEAD[:3]})
     schema = tables[0].schema
     for table in tables[1:]:
         schema = schema if table.schema.equals(schema) else unified(schema, table.schema)

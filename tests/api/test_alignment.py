@@ -129,6 +129,18 @@ def test_the_tool_of_star_at_the_times_of_the_clouds() -> None:
             table["nothing"]
 
 
+def test_a_stream_without_messages_has_none_at_all_times() -> None:
+    with igtl_gateway.open(FIXTURES / "star.mcap") as recording:
+        cloud, nothing = recording["/star/cloud"], recording["TRANSFORM/ToolToBase"].between(100.0)
+        assert (nothing.count, nothing.first_time, len(nothing.poses()), len(nothing.to_pandas())) == (0, 0, 0, 0)
+        assert recording.between(100.0).tf.frames == ()
+        for method in ("nearest", "interpolate"):
+            table = igtl_gateway.align([nothing], on=cloud, method=method)
+            assert np.isnan(table.poses(nothing.key).matrices).all()
+            assert table.to_arrow()[f"{nothing.key}.offset_ns"].null_count == 12
+            assert len(igtl_gateway.align([nothing], on=cloud, missing="drop")) == 0
+
+
 def test_wrong_arguments_are_errors_in_one_line() -> None:
     with igtl_gateway.open(FIXTURES / "star.mcap") as recording:
         tool = recording["TRANSFORM/ToolToBase"]
