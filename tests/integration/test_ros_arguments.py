@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.cli import main
+from igtl_gateway.passage import is_compiled
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.sessionfile.reader import SessionFile
 from tests.integration.bridge import Bridge, RawPeer, RosClient, string
@@ -57,6 +58,7 @@ def test_a_bridge_is_a_node_like_any_other(tmp_path: Path) -> None:
             assert (line["level"], line["name"]) == (30, "or1.gw")  # the level hides what is no warning
             assert line["msg"].startswith(denied["text"])
         assert bridge.end().code == 0
+        assert bool(bridge.events[-1].get("native_times")) is is_compiled()
     finally:
         bridge.close()
     with SessionFile.open(path) as session:
