@@ -223,9 +223,13 @@ def test_one_of_several_clients(server: Server) -> None:
 
 
 def test_a_reply_that_cannot_come_any_more(server: Server, peer: Peer) -> None:
-    server.on_command()(lambda command: server.disconnect(command.link))
-    server.on_query("TRANSFORM")(lambda query: server.disconnect(query.link))
-    with pytest.raises((LinkClosed, NoReply)):
+    @server.on_query("TRANSFORM")
+    def leave(query: ReceivedMessage) -> object:
+        server.disconnect(query.link)
+        server._talk.wait(lambda: not server.links or None, 5, "the end")
+        return POSE
+
+    with pytest.raises(LinkClosed, match="expected a reply"):
         peer.query("TRANSFORM", timeout_s=5)
 
 
