@@ -168,6 +168,7 @@ _STAND_INS: dict[str, dict[str, Any]] = {
     "launch.substitutions": {
         "LaunchConfiguration": _var,
         "NotEqualsSubstitution": _not_equals,
+        "NotSubstitution": lambda value: f"$(not {value})",
         "ThisLaunchFileDir": lambda: "$(dirname)",
     },
     "launch_ros": {},

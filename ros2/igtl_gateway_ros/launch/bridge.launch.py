@@ -6,7 +6,7 @@ An argument that is empty sets no parameter: the value is that of params_file, e
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument, GroupAction
 from launch.conditions import IfCondition
-from launch.substitutions import LaunchConfiguration, NotEqualsSubstitution
+from launch.substitutions import LaunchConfiguration, NotEqualsSubstitution, NotSubstitution
 from launch_ros.actions import Node, SetParameter, SetParametersFromFile
 
 ARGUMENTS = (
@@ -19,6 +19,7 @@ ARGUMENTS = (
     ("allow", "", "accept clients of this network only: CIDR, or any"),
     ("record", "", "record all messages to this MCAP file"),
     ("overwrite", "", "true: overwrite an existing recording"),
+    ("autostart", "true", "false: wait until other nodes configure and activate the bridge"),
     ("log_level", "info", "lowest level of the log: debug, info, warn, error or fatal"),
 )
 TEXTS = ("config", "record", "overwrite")
@@ -33,6 +34,14 @@ def generate_launch_description():
     values = {name: LaunchConfiguration(name) for name, _, _ in ARGUMENTS}
     parameters = {name: [values[name]] for name in TEXTS}
     parameters |= {name: ["'[\"", values[name], "\"]'"] for name in LISTS}  # a list in the notation of ROS
+    node = {
+        "package": "igtl_gateway",
+        "executable": "bridge",
+        "name": values["node_name"],
+        "namespace": values["namespace"],
+        "output": "screen",
+        "ros_arguments": ["--log-level", values["log_level"]],
+    }
     return LaunchDescription(
         [
             *(
@@ -43,13 +52,11 @@ def generate_launch_description():
                 [
                     SetParametersFromFile(values["params_file"], condition=given(values["params_file"])),
                     *(SetParameter(name, value, condition=given(values[name])) for name, value in parameters.items()),
+                    Node(**node, condition=IfCondition(values["autostart"])),
                     Node(
-                        package="igtl_gateway",
-                        executable="bridge",
-                        name=values["node_name"],
-                        namespace=values["namespace"],
-                        output="screen",
-                        ros_arguments=["--log-level", values["log_level"]],
+                        **node,
+                        arguments=["--no-autostart"],
+                        condition=IfCondition(NotSubstitution(values["autostart"])),
                     ),
                 ]
             ),
