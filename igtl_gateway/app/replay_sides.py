@@ -23,6 +23,7 @@ from igtl_gateway.app.replay_plan import (
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.ros.env import prepare_environment
+from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.tcp import TcpEdge, TlsFiles
 from igtl_gateway.replay.restamp import Mode
 from igtl_gateway.replay.simclock import CLOCK_TOPIC, CLOCK_TYPE
@@ -64,6 +65,7 @@ class ReplayOptions:
         clock_hz: rate of /clock; None: do not publish it.
         fault, seed: fault injection.
         digest: compute the SHA-256 of the sent bytes.
+        ros_args: arguments of ROS for the node, from ``--ros-args`` on.
     """
 
     to: To
@@ -91,6 +93,7 @@ class ReplayOptions:
     fault: str = ""
     seed: int = 0
     digest: bool = True
+    ros_args: tuple[str, ...] = ()
 
 
 @dataclass(slots=True)
@@ -203,7 +206,7 @@ def _open_ros(
 ) -> ReplaySides | None:
     """A sender to the ROS graph, its topics advertised."""
     edge = RosEdge(
-        node_name="igtl_gateway_replay",
+        host=NodeHost("igtl_gateway_replay", arguments=options.ros_args),
         on_message=lambda *_: None,
         wants=lambda *_: None,
         on_note=lambda note: tell(f"= {note.text}"),

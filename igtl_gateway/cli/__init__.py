@@ -33,9 +33,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     open_outputs()
     given = list(sys.argv[1:] if argv is None else argv)
     asked = next((word for word in given if not word.startswith("-")), "")
-    if asked != "bridge":
+    if asked not in ("bridge", "replay"):
         return _run(given, asked)
     given, ros_args = without_ros_arguments(given)
+    if asked == "replay":
+        return _run(given, asked, ros_args=ros_args)
     from igtl_gateway.edges.reserved import ReservedPorts  # here: other verbs need no socket
 
     reserved = ReservedPorts(early_ports([*given, *ros_args[:1]]))

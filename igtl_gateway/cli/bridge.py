@@ -19,7 +19,7 @@ from igtl_gateway.cli.bridge_output import BridgeOutput, JsonOutput, TextOutput
 from igtl_gateway.cli.bridge_session import BridgeSession, PlainRunner, options_of_session
 from igtl_gateway.cli.common import stop_event
 from igtl_gateway.cli.options import default
-from igtl_gateway.cli.ros_arguments import BEGIN
+from igtl_gateway.cli.ros_arguments import add_ros_arguments
 from igtl_gateway.cli.settings import add_faults, add_settings, settled
 from igtl_gateway.cli.terminal import is_terminal, print_line
 from igtl_gateway.cli.type_tables import types
@@ -109,13 +109,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="start as a managed node that other nodes configure and activate, in the state unconfigured",
     )
-    group.add_argument(
-        BEGIN,
-        nargs=argparse.REMAINDER,
-        default=[],
-        metavar="…",
-        help="arguments of ROS 2, to the end or to --: parameters, remapping, namespace, log level",
-    )
+    add_ros_arguments(group, "parameters, remapping, namespace, log level")
     group = parser.add_argument_group("video (needs PyAV)")
     add_settings(group, "video_codec", "video_bit_rate", "video_key_interval")
     recording.add_arguments(parser.add_argument_group("recording"))

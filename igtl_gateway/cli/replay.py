@@ -25,6 +25,7 @@ from igtl_gateway.cli.options import (
     default,
 )
 from igtl_gateway.cli.replay_report import print_report
+from igtl_gateway.cli.ros_arguments import add_ros_arguments
 from igtl_gateway.cli.settings import add_faults, add_settings
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.edges.ros.edge import RosEdge
@@ -101,6 +102,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     admission.add_tls(group)
     _add_selection(parser.add_argument_group("selection of messages"))
     _add_pace(parser.add_argument_group("pace"))
+    add_ros_arguments(parser.add_argument_group("ROS"), "remapping, namespace, log level")
     add_faults(parser)
     parser.set_defaults(fault="", seed=0)
 
@@ -211,6 +213,7 @@ def _replay_options(options: argparse.Namespace) -> ReplayOptions:
         options.fault,
         options.seed,
         not options.no_digest,
+        tuple(options.ros_args),
     )
 
 

@@ -2,9 +2,28 @@
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Sequence
 
+from igtl_gateway.cli.options import Options
+
 BEGIN, END = "--ros-args", "--"
+
+
+def add_ros_arguments(group: Options, what: str) -> None:
+    """Add ``--ros-args`` for the help; `without_ros_arguments` has taken it before the options are read.
+
+    Args:
+        group: the parser, or a group of it.
+        what: what the arguments of ROS may be.
+    """
+    group.add_argument(
+        BEGIN,
+        nargs=argparse.REMAINDER,
+        default=[],
+        metavar="…",
+        help=f"arguments of ROS 2, to the end or to --: {what}",
+    )
 
 
 def without_ros_arguments(words: Sequence[str]) -> tuple[list[str], list[str]]:

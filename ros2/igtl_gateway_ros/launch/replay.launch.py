@@ -14,7 +14,7 @@ ARGUMENTS = (
     ("to", "ros", "send to ros, or to both: ROS and OpenIGTLink peers"),
     ("rate", "1.0", "recorded seconds per second"),
     ("delay", "2.0", "seconds before the first message, in which subscribers can join"),
-    ("namespace", "", "namespace of the nodes; recorded topics are absolute and keep their names"),
+    ("namespace", "", "namespace of the nodes, into which the topics below /igtl/ move"),
     ("test_node", "true", "false: without the node that counts messages"),
     ("log_level", "info", "lowest level of the log: debug, info, warn, error or fatal"),
 )
