@@ -98,8 +98,6 @@ def _of_poses(stream: Stream, frame: str) -> tuple[Array, str]:
         if frame or stream.type in POSES_BY_NAME:
             raise
         return _of_numbers(stream), ""
-    if not len(poses):
-        return _of_numbers(stream), ""
     turned = _rotation_vectors(poses.matrices[:, :3, :3]) * _TOOL_M
     values = np.full((len(stream), 6), np.nan)
     values[np.isin(stream.times, poses.times)] = np.concatenate([poses.positions, turned], axis=1)

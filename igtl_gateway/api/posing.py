@@ -44,6 +44,11 @@ def read_poses(source: Source, channel: ChannelSummary, unit: str, blocks: Itera
     parents, children = {parent for parent, _ in names}, {child for _, child in names}
     if frame and not len(times):
         raise ConfigError(f"{channel.stream}: found no pose of frame {frame!r}")
+    left_out = sum(each[5] for each in parts)
+    if left_out and not len(times):
+        raise ConfigError(
+            f"{channel.stream}: found {channel.entry_type} without a pose in any of {left_out:,} messages"
+        )
     return Poses(
         matrices,
         unit,
@@ -52,7 +57,7 @@ def read_poses(source: Source, channel: ChannelSummary, unit: str, blocks: Itera
         stamps,
         parents.pop() if len(parents) == 1 else "",
         children.pop() if len(children) == 1 else "",
-        sum(each[5] for each in parts),
+        left_out,
     )
 
 

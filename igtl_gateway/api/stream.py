@@ -189,7 +189,7 @@ class Stream:
             The poses in the unit of the messages; ``Poses.in_unit`` converts them.
 
         Raises:
-            ConfigError: the type has no pose, or ``frame`` is missing or unknown.
+            ConfigError: the type has no pose, no message has one, or ``frame`` is missing or unknown.
 
         Examples:
             >>> poses = recording["TRANSFORM/ToolToBase"].poses()

@@ -361,3 +361,10 @@ def test_poses_that_do_not_fit_columns_are_decoded_one_by_one(tmp_path: Path) ->
         poses = recording["/pose"].poses()
         assert poses.positions.tolist() == [[float(x), 2.0, 3.0] for x in range(5)]
         assert (poses.left_out, poses.times.tolist()) == (1, [1, 3, 4, 5, 6])
+
+
+def test_a_type_without_a_pose_is_an_error() -> None:
+    with igtl_gateway.open(FIXTURES / "lego.mcap") as recording:
+        for key in ("/lego/joint_states", "STRING/Planner"):
+            with pytest.raises(ConfigError, match="pose"):
+                recording[key].poses()
