@@ -46,7 +46,8 @@ check: static
 	@$(BIN)/python -m pytest -q tests/test_architecture.py
 
 # Each check has a target of its own: a git hook runs one (.pre-commit-config.yaml).
-static: format lint types pins documents terms
+static: $(READY)
+	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target format lint types pins documents terms
 
 format: $(READY)
 	@$(BIN)/ruff format --check --quiet --output-format concise . || { echo "To format: $(BIN)/ruff format"; exit 1; }

@@ -88,6 +88,7 @@ class Fit:
         since = (times - times[0]) / max(float(times[-1] - times[0]), 1e-9)
         slow = int(2 * float(times[-1] - times[0]) / _DRIFT_S)
         self._drift = np.cos(np.pi * np.arange(slow + 1) * since[:, np.newaxis])
+        self._slow, _ = np.linalg.qr(self._drift)
         values = faster.at(times[faster.covers(times)])
         spread = np.std(values, axis=0)
         _, _, axes = np.linalg.svd(values - values.mean(axis=0), full_matrices=False)
@@ -111,7 +112,7 @@ class Fit:
 
     def _without_drift(self, inside: npt.NDArray[np.bool_], target: Floats, values: Floats) -> tuple[Floats, Floats]:
         """Return target and values without what slow cosines explain."""
-        slow, _ = np.linalg.qr(self._drift[inside])
+        slow = self._slow if inside.all() else np.linalg.qr(self._drift[inside])[0]
         return target - slow @ (slow.T @ target), values - slow @ (slow.T @ values)
 
     def difference_t(self, lag_s: float, other_s: float) -> float:

@@ -14,7 +14,7 @@ from igtl_gateway.edges.ros.subscribing import message_callback
 from igtl_gateway.errors import RosError
 from igtl_gateway.passage import Passage, Publisher, Subscription
 from igtl_gateway.qos import Qos
-from igtl_gateway.session.note import Note
+from igtl_gateway.session.note import Level, Note
 
 _OK, _NOTHING = 0, 401
 _libc = ctypes.CDLL(None)
@@ -153,6 +153,12 @@ class RosEdge:
                 lambda error: self.errors.append(str(error)),
             )
             self._receiver.start()
+
+    def follow(self, _owner: object) -> None:
+        """There is no managed node."""
+
+    def log(self, _level: Level, _text: str, _stamp_ns: int) -> None:
+        """There is no /rosout."""
 
     def stop(self) -> None:
         if self._receiver:
