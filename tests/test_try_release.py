@@ -19,6 +19,7 @@ def test_the_page_has_both_programs_with_the_port_of_the_bridge() -> None:
 
 @pytest.mark.ros
 @pytest.mark.slow
+@pytest.mark.skipif("IGTL_GATEWAY_TRIAL" not in os.environ, reason="opt-in: set IGTL_GATEWAY_TRIAL=1")
 def test_a_pose_passes_and_the_recording_verifies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "igtl").symlink_to(sys.prefix)
     trial = Trial(tmp_path)
