@@ -79,7 +79,7 @@ BOUNDS: Sequence[Bound] = (
     Bound("lost after resume", 0, ("stalled-client",), stream="transform"),
     Bound("gateway_cpu_percent", 0.5, ("idle",)),
     Bound("times_mixed_load", 8, ("recording",), least=True),
-    Bound("p50_s", 0.5, ("start-up",)),
+    Bound("port_p50_s", 0.5, ("start-up",)),
     Bound("gateway_rss_mb", 120, ("start-up", "idle")),
 )
 

@@ -76,7 +76,7 @@ def gateway(case: Case, seconds: float, recording: Path | None) -> Iterator[Brid
 def foreign(name: str, case: Case, library: Path | None) -> Iterator[Bridge]:
     """The hop (``HOP``), or a bridge by its command.  Raises BenchError."""
     prepare_environment()  # the profile of DDS is that of the gateway
-    port = _free_port()
+    port = free_port()
     command = hop_command(port, case, library) if name == HOP else split(name, port, case)
     try:
         program = Program(name, command)
@@ -115,6 +115,6 @@ def wait_ready(programs: Sequence[Program], bridge: Bridge | None) -> None:
             raise late
 
 
-def _free_port() -> int:
+def free_port() -> int:
     with socket.create_server(("127.0.0.1", 0)) as server:
         return int(server.getsockname()[1])

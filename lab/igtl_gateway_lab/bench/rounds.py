@@ -36,13 +36,21 @@ def _merged(rows: Sequence[Row]) -> Row:
         if not values or _names(name, values[0]):
             told[name] = rows[0][name]
         else:
-            told[name] = max(values) if name in _MOST else median_low(values)
+            told[name] = _typical(name, values)
     for sent, delivered in _LOSSES:
         if delivered in told and sent in told:
             worst = max(rows, key=lambda row: row[sent] - row[delivered])
             told |= {sent: worst[sent], delivered: worst[delivered]}
     told["rounds"] = [{name: value for name, value in row.items() if not _names(name, value)} for row in rows]
     return told
+
+
+def _typical(name: str, values: Sequence[Any]) -> Any:
+    """The median, or the most; of a group of figures, each by itself."""
+    if isinstance(values[0], dict):
+        names = dict.fromkeys(inner for value in values for inner in value)
+        return {inner: _typical(inner, [value[inner] for value in values if inner in value]) for inner in names}
+    return max(values) if name in _MOST else median_low(values)
 
 
 def _names(name: str, value: Any) -> bool:

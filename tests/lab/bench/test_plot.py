@@ -21,7 +21,7 @@ def test_one_picture_a_direction_with_a_bar_for_each_number() -> None:
         row("transform", "ros-to-igtl", 0.375) | {"bridge": "hop"},
         row("transform", "igtl-to-ros", 1.0),
         row("lost", "igtl-to-ros", None),
-        {"case": "start-up", "p50_s": 1.0},
+        {"case": "start-up", "port_p50_s": 1.0},
     ]
     plots = latency_plots(rows)
     assert list(plots) == ["latency-ros-to-igtl.svg", "latency-igtl-to-ros.svg"]

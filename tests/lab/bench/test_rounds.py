@@ -41,6 +41,12 @@ def test_what_was_not_measured_in_one_round() -> None:
     assert merge_rounds([[row(1.0) | {"ratio": None}]] * 2)[0]["ratio"] is None
 
 
+def test_groups_of_figures_are_merged_figure_by_figure() -> None:
+    figures: list[Row] = [{"a": {"p50_us": 3}}, {"a": {"p50_us": 5}}, {"b": {}}]
+    (merged,) = merge_rounds([[row(1.0) | {"native_times": times}] for times in figures])
+    assert merged["native_times"] == {"a": {"p50_us": 3}, "b": {}}
+
+
 def test_what_a_recording_costs() -> None:
     other: Row = row(1.0) | {"bridge": "hop"}
     plain, recorded, _ = with_costs([row(2.0), row(3.0, recording=True), other])
