@@ -25,6 +25,10 @@ _FORMS = frozenset({TEXT, POINT, POINTS, CLOUD})
 #: Largest message, in bytes, that the passage reads for Python, if the limits of the links permit it.
 LARGEST_BYTES = 16 << 20
 
+#: Messages of a stream in Python, after which it is copied if it can be now: half a second at 30 Hz, and 3 % of the
+#: time of a message if it never can.
+_RETRY_AFTER = 16
+
 #: Kind, channel, type and links of entries → number of their stream in the recorder's queue; None: it has none.
 NumberOf = Callable[[Kind, str, str, tuple[int, ...]], int | None]
 #: Kind and number of entries that passed natively.
@@ -141,7 +145,7 @@ class PassageStreams:
                 return
             self.drop(key)
         tries = self._tries[key] = self._tries.get(key, 0) + 1
-        if tries & (tries - 1):  # at 1, 2, 4, 8 … messages: what is missing may come, such as a subscriber
+        if tries & (tries - 1) and tries % _RETRY_AFTER:  # what is missing may come, such as a subscriber
             return
         if isinstance(stream, CompiledToRos) and isinstance(key[0], int) and isinstance(key[1], bytes):
             copied = self._copy_to_ros(key[0], key[1], stream)

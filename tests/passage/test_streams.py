@@ -185,6 +185,23 @@ def check_recording(path: Path, config: Config, ledger: dict[str, Any]) -> Count
 # -- what passes ------------------------------------------------------------------------------------------------------
 
 
+def test_a_stream_becomes_native_soon_after_its_publisher_can(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A publisher holds its first messages until discovery ends; the stream must not wait for as long again."""
+    with scene(monkeypatch) as here:
+        peer = here.connect()
+        native_publisher = here.ros.native_publisher
+        here.ros.native_publisher = lambda *_: None  # type: ignore[method-assign]
+        for number in range(100):
+            peer.send(transform(number))
+            wait_for(lambda number=number: here.received("igtl_in") > number)
+        assert here.native == 0
+        here.ros.native_publisher = native_publisher  # type: ignore[method-assign]
+        for number in range(100, 118):
+            peer.send(transform(number))
+            wait_for(lambda number=number: here.received("igtl_in") > number)
+        assert here.native == 1
+
+
 def test_poses_to_ros_pass_natively(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     path = tmp_path / "session.mcap"
     sent = [transform(number) for number in range(300)]
