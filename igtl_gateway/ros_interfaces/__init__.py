@@ -1,4 +1,4 @@
-"""ROS 2 interface packages for which no wheel exists: igtl_msgs, tf2_msgs, foxglove_msgs, rosbag2_interfaces.
+"""ROS 2 interface packages for which no wheel exists: igtl_msgs, tf2_msgs, foxglove_msgs, crtk_msgs ….
 
 After ``pip install "igtl-gateway[ros]"`` each program of this environment can execute ``from igtl_msgs.msg import
 TrackingData``.  Strategy:

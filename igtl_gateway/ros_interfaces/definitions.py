@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 #: The packages with a stand-in in ``python/``.
-PACKAGES = ("igtl_msgs", "tf2_msgs", "foxglove_msgs", "rosbag2_interfaces")
+PACKAGES = ("igtl_msgs", "tf2_msgs", "foxglove_msgs", "rosbag2_interfaces", "crtk_msgs")
 
 #: Folders with ``PACKAGE/msg/NAME.msg``.  In the source tree igtl_msgs is an ordinary ROS package in ros2/; in the
 #: wheel it is with the others.

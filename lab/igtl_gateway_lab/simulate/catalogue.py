@@ -6,6 +6,7 @@ from igtl_gateway.config import Config
 from igtl_gateway_lab.simulate import (
     acquisition,
     brain,
+    crtk,
     dummies,
     every_type,
     lego,
@@ -51,6 +52,7 @@ SCENARIOS = {
         brain.CONFIG,
         actors=brain.actors,
     ),
+    "crtk": Scenario(crtk.TITLE, crtk.CONFIG, actors=crtk.actors),
     "ultrasound": Scenario(
         "a tracked freehand sweep over a phantom of vessel and bone, pieced together on the ROS side, synthetic",
         ultrasound.CONFIG,
