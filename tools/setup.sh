@@ -77,6 +77,17 @@ make_venv() {
     "$python" -m venv --clear "$VENV"
 }
 
+# install REQUIREMENT...: with uv, in a third of the time of pip, or with pip, where uv has no access to the packages because
+# a mirror or a certificate is configured for pip only.
+install() {
+    local pip=("$VENV/bin/python" -m pip install -qq --disable-pip-version-check --retries 10 -c constraints.txt)
+    if [ ! -x "$VENV/bin/uv" ]; then
+        "${pip[@]}" uv </dev/null || true
+    fi
+    "$VENV/bin/uv" pip install -qq --python "$VENV/bin/python" -c constraints.txt "$@" </dev/null 2>/dev/null ||
+        "${pip[@]}" "$@" </dev/null
+}
+
 setup_venv() {
     local extras=${EXTRAS:-ros,view,video,nifti,pcap,arrow,pandas,lab,dev} attempt
     if [ -n "${AMENT_PREFIX_PATH:-}" ]; then
@@ -87,8 +98,7 @@ setup_venv() {
     "$VENV/bin/python" -c 'import pip' 2>/dev/null || make_venv
     say "Installing Python packages into $VENV (about 1 GB, a few minutes, only once)."
     for attempt in 1 2 3; do
-        if "$VENV/bin/python" -m pip install -qq --disable-pip-version-check --retries 10 \
-            -c constraints.txt -e ".[$extras]" -e ./lab </dev/null; then
+        if install -e ".[$extras]" -e ./lab; then
             setup_interfaces
             return
         fi
