@@ -70,6 +70,7 @@ LEVELS = {
     "passage.times": 2,
     "app": 5,
     "api": 6,
+    "lerobot": 6,  # training sets, of recordings as arrays
     "cli": 6,
     "testing": 6,
     "__main__": 7,
@@ -92,7 +93,8 @@ STRANGERS = ("lab.demo",)
 #: recording states about itself is checked like everything that is foreign.
 SIBLINGS: dict[str, str | tuple[str, ...]] = {
     TOP: "api",  # the public names, imported at their first use
-    "cli": "api",  # a verb that needs a recording as arrays
+    "cli": ("api", "lerobot"),  # verbs that need a recording as arrays
+    "lerobot": "api",
     "config": ("convert", "settings"),
     "settings": "convert",  # names of units and profiles
     "session": "untrusted",
@@ -147,7 +149,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "nibabel": ("exchange.nifti", "lab.simulate.volume"),
     "matplotlib": ("lab.bench.plot", "sync.plot"),
     "pandas": ("api",),
-    "pyarrow": ("api", "exchange.arrow_tables", "exchange.arrow_out"),
+    "pyarrow": ("api", "exchange.arrow_tables", "exchange.arrow_out", "lerobot"),
     "pcapng": ("exchange.pcap_file",),
     "numpy": (
         "wire",
@@ -165,6 +167,7 @@ HOMES: dict[str, tuple[str, ...]] = {
         "view",
         "api",
         "cli",
+        "lerobot",
         "lab",
     ),
     "pytest": ("testing.plugin",),

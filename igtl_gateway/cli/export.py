@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.cli.common import count_text
+from igtl_gateway.cli.export_lerobot import LEROBOT, LEROBOT_TEXT, add_lerobot, refuse_lerobot_options, run_lerobot
 from igtl_gateway.cli.options import add_file, add_json, add_streams, definitions
 from igtl_gateway.cli.terminal import cell, print_json, print_line, width
-from igtl_gateway.errors import GatewayError
+from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.exchange.account import ExportAccount, ExportedStream
 from igtl_gateway.exchange.source import MESSAGES
 from igtl_gateway.exchange.targets import TARGETS, export_to
@@ -28,23 +29,37 @@ EXAMPLES = """\
   igtl-gateway export out.mcap --to ply -o clouds/ --streams /star/cloud
   # volumes
   igtl-gateway export out.mcap --to nrrd -o volumes/
+  # a training set for LeRobot: a starting recipe, the set, and its check
+  igtl-gateway export out.mcap --to lerobot --write-recipe recipe.toml
+  igtl-gateway export out.mcap --to lerobot --recipe recipe.toml -o set/
+  igtl-gateway export out.mcap --to lerobot --check set/
 
 formats of --to:
 {formats}
 
-exit code 1 if messages of the selected streams cannot be written; the output
-has the reasons.""".format(formats="\n".join(definitions([(name, target.text) for name, target in TARGETS.items()])))
+exit code 1 if messages of the selected streams cannot be written, or if
+--check finds something; the output has the reasons.""".format(
+    formats="\n".join(
+        definitions([*((name, target.text) for name, target in TARGETS.items()), (LEROBOT, LEROBOT_TEXT)])
+    )
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_file(parser)
-    parser.add_argument("--to", choices=tuple(TARGETS), required=True, help="format to write, see below")
-    parser.add_argument("-o", "--out", metavar="OUT", type=Path, required=True, help="file or directory to write")
+    parser.add_argument("--to", choices=(*TARGETS, LEROBOT), required=True, help="format to write, see below")
+    parser.add_argument("-o", "--out", metavar="OUT", type=Path, help="file or directory to write")
     add_streams(parser)
+    add_lerobot(parser)
     add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:
+    if options.to == LEROBOT:
+        return run_lerobot(options)
+    refuse_lerobot_options(options)
+    if options.out is None:
+        raise ConfigError("-o: found none, expected the file or directory to write")
     with SessionFile.open(options.file) as file:
         try:
             account = export_to(options.to, file, options.out, options.streams)

@@ -1,0 +1,40 @@
+"""``export --to lerobot``: recording and recipe → data set."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from igtl_gateway.api import recording as recordings
+from igtl_gateway.lerobot.frames import Plan, build
+from igtl_gateway.lerobot.recipe_file import read_recipe
+from igtl_gateway.lerobot.streams import Facts, stream_facts
+from igtl_gateway.lerobot.writing import write_data_set
+
+
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """What was written.
+
+    Attributes:
+        plan: the frames.
+        streams: what was found about the streams.
+        files: number of files.
+    """
+
+    plan: Plan
+    streams: list[Facts]
+    files: int
+
+
+def export_lerobot(path: Path, recipe_path: Path, out: Path) -> Exported:
+    """Write a data set to a new or empty directory.
+
+    Raises ConfigError for a recipe that does not fit, GatewayError, OSError.
+    """
+    recipe = read_recipe(recipe_path)
+    with recordings.open(path) as recording:
+        plan = build(recording, recipe)
+        streams = stream_facts(recording, plan)
+        files = write_data_set(plan, out, recipe_path, streams)
+    return Exported(plan, streams, files)

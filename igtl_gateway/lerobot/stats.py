@@ -1,0 +1,75 @@
+"""Statistics of features, as the readers of the format expect them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[Any]
+Stats = dict[str, list[Any]]
+
+QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
+#: Pictures of an episode that are sampled, evenly.
+SAMPLED_PICTURES = 100
+
+
+def number_stats(values: Array) -> Stats:
+    """Return the statistics of numbers (N, K), each as K values."""
+    exact = values.astype(np.float64)
+    found = {
+        "min": exact.min(axis=0),
+        "max": exact.max(axis=0),
+        "mean": exact.mean(axis=0),
+        "std": exact.std(axis=0),
+    }
+    quantiles = np.quantile(exact, list(QUANTILES.values()), axis=0)
+    found |= dict(zip(QUANTILES, quantiles, strict=True))
+    return {name: each.tolist() for name, each in found.items()} | {"count": [len(values)]}
+
+
+@dataclass(slots=True)
+class PictureStats:
+    """Statistics of pictures, per channel, on a scale of 0 to 1: exact for the pictures that were added.
+
+    Attributes:
+        counts: (3, 256), how often each value occurs.
+        pictures: number of pictures.
+    """
+
+    counts: npt.NDArray[np.int64] = field(default_factory=lambda: np.zeros((3, 256), np.int64))
+    pictures: int = 0
+
+    def add(self, picture: npt.NDArray[np.uint8]) -> None:
+        """Add a picture (rows, columns, 3)."""
+        for channel in range(3):
+            self.counts[channel] += np.bincount(picture[:, :, channel].ravel(), minlength=256)
+        self.pictures += 1
+
+    def join(self, other: PictureStats) -> None:
+        """Add the pictures of others."""
+        self.counts += other.counts
+        self.pictures += other.pictures
+
+    def stats(self) -> Stats:
+        """Return the statistics; each has the shape (3, 1, 1)."""
+        levels = np.arange(256) / 255
+        total = self.counts.sum(axis=1)
+        mean = self.counts @ levels / total
+        found = {
+            "min": levels[np.argmax(self.counts > 0, axis=1)],
+            "max": levels[255 - np.argmax(self.counts[:, ::-1] > 0, axis=1)],
+            "mean": mean,
+            "std": np.sqrt(np.maximum(self.counts @ levels**2 / total - mean**2, 0)),
+        }
+        running = np.cumsum(self.counts, axis=1)
+        for name, share in QUANTILES.items():
+            found[name] = levels[np.argmax(running >= share * total[:, None], axis=1)]
+        return {name: each.reshape(3, 1, 1).tolist() for name, each in found.items()} | {"count": [self.pictures]}
+
+
+def sampled(count: int) -> npt.NDArray[np.int64]:
+    """Return the frames of an episode whose pictures count for the statistics."""
+    return np.unique(np.linspace(0, count - 1, min(count, SAMPLED_PICTURES)).round().astype(np.int64))

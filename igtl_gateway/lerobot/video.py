@@ -1,0 +1,95 @@
+"""Videos of a data set: constant frame rate, frame i at i / fps, a key frame at every second frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.edges.video.worker import THREADS, import_av
+from igtl_gateway.errors import DamagedRecording, Unavailable
+
+Pixels = npt.NDArray[np.uint8]
+
+KEY_FRAME_INTERVAL = 2
+PIXEL_FORMAT = "yuv420p"
+#: Codec → encoder and its options; B-frames would delay the first picture.
+_ENCODERS: dict[str, tuple[str, dict[str, str]]] = {
+    "h264": ("libx264", {"preset": "veryfast", "crf": "18", "bf": "0"}),
+    "av1": ("libsvtav1", {"preset": "10", "crf": "30"}),
+}
+_BT601, _LIMITED = 6, 1  # AVCOL_SPC_SMPTE170M, AVCOL_RANGE_MPEG
+
+
+class VideoFile:
+    """An mp4 file that is being written.
+
+    Args:
+        path: new file.
+        size: rows and columns, both even.
+        fps: frames per second.
+        codec: ``h264`` or ``av1``.
+
+    Raises Unavailable where PyAV is missing or lacks the codec; OSError.
+    """
+
+    def __init__(self, path: Path, size: tuple[int, int], fps: int, codec: str) -> None:
+        self._av = import_av()
+        encoder, options = _ENCODERS[codec]
+        if encoder not in self._av.codecs_available:
+            raise Unavailable(f"video codec {codec}: this PyAV has no {encoder}")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        self.path, self.count = path, 0
+        self._file = self._av.open(str(path), "w", format="mp4")
+        self._stream = self._file.add_stream(encoder, rate=fps, options=options)
+        self._stream.height, self._stream.width = size
+        self._stream.pix_fmt = PIXEL_FORMAT
+        self._stream.codec_context.time_base = Fraction(1, fps)
+        self._stream.codec_context.gop_size = KEY_FRAME_INTERVAL
+        self._stream.codec_context.thread_count = THREADS
+        self._stream.codec_context.colorspace, self._stream.codec_context.color_range = _BT601, _LIMITED
+
+    def add(self, picture: Pixels) -> None:
+        """Add a picture (rows, columns, 3), RGB."""
+        frame = self._av.VideoFrame.from_ndarray(picture, format="rgb24")
+        frame.pts, frame.time_base = self.count, self._stream.codec_context.time_base
+        for packet in self._stream.encode(frame):
+            self._file.mux(packet)
+        self.count += 1
+
+    def close(self) -> None:
+        """Write the end of the file."""
+        for packet in self._stream.encode(None):
+            self._file.mux(packet)
+        self._file.close()
+
+
+def read_video(path: Path) -> Iterator[tuple[float, Pixels]]:
+    """Yield time (s) and picture (rows, columns, 3) of the frames of a file.  Raises DamagedRecording."""
+    av = import_av()
+    try:
+        with av.open(str(path)) as file:
+            if not file.streams.video:
+                raise DamagedRecording(f"{path}: found no video, expected one")
+            for frame in file.decode(video=0):
+                yield float(frame.time or 0.0), frame.to_ndarray(format="rgb24")
+    except (av.FFmpegError, OSError) as error:
+        raise DamagedRecording(f"{path}: cannot be decoded: {error}") from None
+
+
+def video_info(size: tuple[int, int], fps: int, codec: str) -> dict[str, Any]:
+    """Return the description of a video for info.json."""
+    return {
+        "video.height": size[0],
+        "video.width": size[1],
+        "video.codec": codec,
+        "video.pix_fmt": PIXEL_FORMAT,
+        "video.is_depth_map": False,
+        "video.fps": fps,
+        "video.channels": 3,
+        "has_audio": False,
+    }
