@@ -11,6 +11,7 @@ import sys
 from collections.abc import Mapping
 from configparser import ConfigParser
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import pytest
@@ -21,8 +22,8 @@ from igtl_gateway.cli import complete
 from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT
 from igtl_gateway.cli.verbs import VERBS
 from igtl_gateway.settings import parameters
-from tests.integration.bridge import ROOT
-from tests.launch_files import LaunchFile, every, read
+from tests.integration.bridge import ROOT, START_S, Program, RawPeer, RosClient, environment, string
+from tests.launch_files import LaunchFile, commands, every, read
 
 PACKAGE = ROOT / "ros2" / "igtl_gateway_ros"
 #: What the bridge publishes, subscribes to or serves, without the packages of the Python distribution's own wheels.
@@ -195,6 +196,58 @@ def test_the_example_of_parameters_has_settings_with_their_defaults() -> None:
         known[name].check(YAML(typ="safe", pure=True).load(value))
     units = {name: unit for name, unit in re.findall(r"^    (\w+): \S+ +# (\w+)(?:;.*)?$", text, re.MULTILINE)}
     assert {name: known[name].unit for name in units} == units
+
+
+@pytest.mark.ros
+def test_the_nodes_run_as_launch_starts_them(installed: Path, tmp_path: Path) -> None:
+    session, file = tmp_path / "session.mcap", tmp_path / "or1.yaml"
+    file.write_text('/**:\n  ros__parameters:\n    deny_in: ["SENSOR"]\n    record: refused\n', "utf-8")
+    given = {"namespace": "or1", "listen": "127.0.0.1:0", "record": str(session), "params_file": str(file)}
+    given |= {"rate": "20.0"}
+    remaps = {"igtl/in/Raw/string": "/said"}
+    lines = commands(LAUNCH / "recorded_test.launch.xml", given, remaps)
+    assert commands(LAUNCH / "recorded_test.launch.py", given, remaps) == lines
+    site = next((installed / "lib").glob("python*/site-packages"))
+    env = environment(PYTHONPATH=f"{site}{os.pathsep}{ROOT}")
+    bridge, node = (Program([str(installed / "lib" / "igtl_gateway" / name), *words], env) for name, *words in lines)
+    room = RosClient("room", subscribe={"/said": "std_msgs/msg/String"})
+
+    def asked(service: str, kind: str, fields: dict[str, object]) -> dict[str, Any]:
+        name = f"/or1/igtl_gateway/{service}"
+        room.call(name, f"lifecycle_msgs/srv/{kind}", fields)
+        answer: dict[str, Any] = room.receive(name)
+        return answer
+
+    def changed(transition: str) -> str:
+        """The state after a transition."""
+        assert asked("change_state", "ChangeState", {"transition": {"label": transition}}) == {"success": True}
+        return str(asked("get_state", "GetState", {})["current_state"]["label"])
+
+    def shows(text: str) -> None:
+        bridge.wait_until(lambda: any(text in line for line in bridge.lines), text, START_S)
+
+    try:
+        shows("Press Ctrl-C to stop.")
+        shows("node /or1/igtl_gateway")
+        shows("denied       from peers: SENSOR")
+        (port,) = re.findall(r"server on 127\.0\.0\.1:(\d+)", bridge.said())
+        with RawPeer(int(port)) as peer:
+            assert peer.receive("NodeTransform").type == "TRANSFORM"
+            assert peer.receive("NodeString").body.endswith("of the node: Grüße".encode())
+            peer.send(string("before"))
+            assert room.receive("/said")["data"] == "before"
+            assert changed("deactivate") == "inactive"
+            peer.send(string("refused"))
+            shows("STRING/Raw is refused: the gateway is not active")
+            assert changed("activate") == "active"
+            peer.send(string("after"))
+            assert room.receive("/said")["data"] == "after"
+        assert node.end().code == 0
+        assert bridge.end().code == 0
+    finally:
+        for program in (room, node, bridge):
+            program.close()
+    assert run(installed / "lib" / "igtl_gateway" / "verify", session, environment=env).endswith("byte for byte\n")
 
 
 def with_defaults(file: LaunchFile, text: str) -> str:
