@@ -1,7 +1,5 @@
 """Launch files of ROS 2 read without ``launch``: what a file declares and starts, from XML and from Python alike.
 
-`commands` gives the command lines that launch_ros would start.
-
 Strategy: both notations become the same plain tuples, so a test compares them with ``==``.  Substitutions have the
 notation of XML: ``$(var listen)``.  Python files run with small stand-ins for ``launch`` and ``launch_ros``, which know
 only the classes and arguments that our files use: anything else is an error of the test.
@@ -48,65 +46,6 @@ def every(actions: Iterable[Action], kind: str) -> list[dict[str, Any]]:
         found += [attributes] if name == kind else []
         found += every(attributes.get("actions", []), kind)
     return found
-
-
-# -- command lines -----------------------------------------------------------------------------------------------------
-
-
-def commands(path: Path, given: Mapping[str, str], remaps: Mapping[str, str]) -> list[list[str]]:
-    """The command lines of the nodes of a launch file, as launch_ros makes them; executables are names.
-
-    launch_ros writes the parameters of ``<param>`` into a file of parameters; here they are arguments, too.
-
-    Args:
-        path: the launch file.
-        given: name → value of its arguments.
-        remaps: of ``SetRemap`` in a launch file around it.
-    """
-    file = read(path)
-    assert given.keys() <= file.arguments.keys()
-    values = {name: given.get(name, default) for name, (default, _) in file.arguments.items()}
-    assert None not in values.values(), values
-
-    def text(template: str) -> str:
-        return re.sub(r"\$\(var (\w+)\)", lambda match: str(values[match[1]]), template)
-
-    def is_met(condition: str) -> bool:
-        if condition.startswith("given "):
-            return bool(values[condition.removeprefix("given ")])
-        inner = re.fullmatch(r"\$\(not (.*)\)", condition)
-        return not is_met(inner[1]) if inner else text(condition) == "true"
-
-    def started(actions: Iterable[Action], parameters: list[str]) -> list[list[str]]:
-        found = []
-        for kind, each in actions:
-            if not is_met(each.get("if", "true")):
-                continue
-            if kind == "group":  # its parameters end with it
-                found += started(each["actions"], [*parameters])
-            elif kind == "set_parameter":
-                value = text(each["value"]).strip("'")
-                parameters += ["-p", f"{each['name']}:={value.title() if value in ('true', 'false') else value}"]
-            elif kind == "set_parameters_from_file":
-                parameters += ["--params-file", text(each["filename"])]
-            elif kind == "include":
-                other = path.with_name(text(each["file"].removeprefix("$(dirname)/")) + "".join(path.suffixes[-2:]))
-                found += commands(other, {name: text(value) for name, value in each["arguments"].items()}, remaps)
-            else:
-                found.append(command(each, parameters))
-        return found
-
-    def command(node: dict[str, Any], parameters: list[str]) -> list[str]:
-        words = [node["exec"], *text(node.get("args", "")).split()]
-        if ros_args := text(node.get("ros_args", "")):
-            words += ["--ros-args", *ros_args.split()]
-        words += ["--ros-args", "-r", f"__node:={text(node['name'])}"]
-        words += ["-r", f"__ns:=/{text(node.get('namespace', ''))}", *parameters]
-        for name, value in node["parameters"].items():
-            words += ["-p", f"{name}:={text(str(value))}"]
-        return words + [word for rule in remaps.items() for word in ("-r", ":=".join(rule))]
-
-    return started(file.actions, [])
 
 
 # -- XML ---------------------------------------------------------------------------------------------------------------
@@ -216,14 +155,45 @@ def _node(
     return "node", {"pkg": package, "exec": executable, "parameters": parameter} | names | given | _condition(condition)
 
 
+def _lifecycle_node(**node: Any) -> Action:
+    kind, attributes = _node(**node)
+    return kind, attributes | {"managed": True}
+
+
+def _on_transition(
+    *,
+    target_lifecycle_node: Action,
+    start_state: str,
+    goal_state: str,
+    entities: list[Action],
+    handle_once: bool = False,
+) -> Action:
+    states = {"from": start_state, "to": goal_state, "once": handle_once}
+    return "on_transition", {"node": target_lifecycle_node, "actions": entities} | states
+
+
+def _change_state(*, lifecycle_node_matcher: Action, transition_id: int) -> Action:
+    return "change_state", {"node": lifecycle_node_matcher, "transition": transition_id}
+
+
+class _Transition:
+    """The numbers of lifecycle_msgs."""
+
+    TRANSITION_CONFIGURE = 1
+    TRANSITION_ACTIVATE = 3
+
+
 _STAND_INS: dict[str, dict[str, Any]] = {
     "launch": {"LaunchDescription": list},
     "launch.actions": {
         "DeclareLaunchArgument": _declare,
+        "EmitEvent": lambda *, event: event,
         "GroupAction": _group,
         "IncludeLaunchDescription": _include,
+        "RegisterEventHandler": lambda handler: handler,
         "Shutdown": lambda: "shutdown",
     },
+    "launch.events": {"matches_action": lambda action: action},
     "launch.conditions": {"IfCondition": _text},
     "launch.launch_description_sources": {"PythonLaunchDescriptionSource": _text},
     "launch.substitutions": {
@@ -234,10 +204,16 @@ _STAND_INS: dict[str, dict[str, Any]] = {
     },
     "launch_ros": {},
     "launch_ros.actions": {
+        "LifecycleNode": _lifecycle_node,
         "Node": _node,
         "SetParameter": _set_parameter,
         "SetParametersFromFile": _set_parameters_from_file,
     },
+    "launch_ros.event_handlers": {"OnStateTransition": _on_transition},
+    "launch_ros.events": {},
+    "launch_ros.events.lifecycle": {"ChangeState": _change_state},
+    "lifecycle_msgs": {},
+    "lifecycle_msgs.msg": {"Transition": _Transition},
     "launch_ros.parameter_descriptions": {"ParameterValue": lambda value, *, value_type: value_type and _text(value)},
 }
 

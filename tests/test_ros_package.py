@@ -23,7 +23,8 @@ from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT
 from igtl_gateway.cli.verbs import VERBS
 from igtl_gateway.settings import parameters
 from tests.integration.bridge import ROOT, START_S, Program, RawPeer, RosClient, environment, string
-from tests.launch_files import LaunchFile, commands, every, read
+from tests.launch_commands import commands
+from tests.launch_files import LaunchFile, every, read
 
 PACKAGE = ROOT / "ros2" / "igtl_gateway_ros"
 #: What the bridge publishes, subscribes to or serves, without the packages of the Python distribution's own wheels.
@@ -127,16 +128,18 @@ def test_the_manifest_has_version_licence_and_dependencies() -> None:
 
 
 LAUNCH = PACKAGE / "launch"
-NAMES = ("bridge", "recorded_test", "replay", "two_bridges")
-FILES = {name: read(LAUNCH / f"{name}.launch.xml") for name in NAMES}
+BOTH = ("bridge", "recorded_test", "replay", "two_bridges")
+PYTHON_ONLY = "managed_bridge"
+NAMES = (*BOTH, PYTHON_ONLY)
+FILES = {name: read(LAUNCH / f"{name}.launch.{'xml' if name in BOTH else 'py'}") for name in NAMES}
 
 
-def test_every_launch_file_has_both_notations() -> None:
+def test_every_launch_file_but_one_has_both_notations() -> None:
     names = {path.name for path in LAUNCH.iterdir() if path.is_file()}
-    assert names == {f"{name}.launch.{kind}" for name in NAMES for kind in ("py", "xml")}
+    assert names == {f"{name}.launch.{kind}" for name in BOTH for kind in ("py", "xml")} | {f"{PYTHON_ONLY}.launch.py"}
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", BOTH)
 def test_python_and_xml_declare_and_start_the_same(name: str) -> None:
     assert read(LAUNCH / f"{name}.launch.py") == FILES[name]
 
@@ -196,6 +199,19 @@ def test_the_example_of_parameters_has_settings_with_their_defaults() -> None:
         known[name].check(YAML(typ="safe", pure=True).load(value))
     units = {name: unit for name, unit in re.findall(r"^    (\w+): \S+ +# (\w+)(?:;.*)?$", text, re.MULTILINE)}
     assert {name: known[name].unit for name in units} == units
+
+
+def test_a_launch_file_configures_and_activates_a_bridge_once() -> None:
+    """Once: a bridge that an operator deactivates also becomes inactive, and must stay so."""
+    actions = FILES[PYTHON_ONLY].actions
+    (bridge,) = (node for node in every(actions, "node") if node["exec"] == "bridge")
+    assert bridge["managed"] and bridge["args"] == "--no-autostart"
+    assert actions[-1] == ("change_state", {"node": ("node", bridge), "transition": 1})
+    configured, active = (each for kind, each in actions if kind == "on_transition")
+    assert (configured["from"], configured["to"]) == ("configuring", "inactive")
+    assert configured["actions"] == [("change_state", {"node": ("node", bridge), "transition": 3})]
+    assert (active["from"], active["to"], active["once"]) == ("activating", "active", True)
+    assert [node["exec"] for node in every(active["actions"], "node")] == ["test_node"]
 
 
 @pytest.mark.ros
