@@ -36,7 +36,7 @@ class Picture:
 
     Attributes:
         name: of its file.
-        fixture: the recording that it shows.
+        fixture: the recording that it shows, or the scenario if there is no such recording.
         part: when, as part of the recording's time, 0 … 1.
     """
 
@@ -52,6 +52,7 @@ TABLE = (
     Picture("ultrasound", "ultrasound", 0.6),
     Picture("brain", "brain", 0.9),
     Picture("acquisition", "acquisition", 0.97),
+    Picture("crtk", "crtk", 0.8),
 )
 
 
@@ -78,6 +79,9 @@ def make(picture: Picture) -> bool:
         recording = Path(folder) / f"{picture.fixture}.rrd"
         fixture = ROOT / "fixtures" / f"{picture.fixture}.mcap"
         with redirect_stdout(io.StringIO()):
+            if not fixture.exists():
+                fixture = Path(folder) / fixture.name
+                igtl_gateway(["simulate", picture.fixture, "--out", str(fixture)])
             failed = igtl_gateway(["view", str(fixture), "--save", str(recording)])
         if failed:
             raise GatewayError(f"cannot draw {fixture}")

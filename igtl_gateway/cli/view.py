@@ -44,6 +44,9 @@ EXAMPLES = """\
   igtl-gateway view out.mcap --blueprint navigation
   # with point clouds coloured by one of their fields
   igtl-gateway view out.mcap --colour-by intensity
+  # with a robot, if the session has no /robot_description; two arms
+  igtl-gateway view out.mcap --urdf psm.urdf
+  igtl-gateway view out.mcap --urdf /PSM1=psm.urdf --urdf /PSM2=psm.urdf
 
 Shows all ROS messages, and messages of OpenIGTLink peers as the ROS messages
 that they were converted to.  Needs the extra `view`:
@@ -69,6 +72,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--blueprint", metavar="NAME", default="", help="layout of the views " + default("chosen by the content")
     )
     parser.add_argument("--colour-by", metavar="FIELD", default="", help="colour point clouds by this field")
+    parser.add_argument(
+        "--urdf",
+        metavar="[NAMESPACE=]FILE",
+        action="append",
+        default=[],
+        help="draw this robot; joint states below the namespace move it (repeatable)",
+    )
     parser.add_argument("--no-review", action="store_true", help="do not review the suture plan of the session")
     add_overwrite(parser)
     add_json(parser)
@@ -130,6 +140,14 @@ def _check(options: argparse.Namespace) -> None:
         check_target(path, overwrite=options.overwrite)
 
 
+def _robot(word: str) -> tuple[str, Path]:
+    """Return the namespace and the file of a robot."""
+    namespace, separator, name = word.partition("=")
+    if not separator or Path(word).exists():
+        return "", Path(word)
+    return f"/{namespace.strip('/')}" if namespace.strip("/") else "", Path(name)
+
+
 def _draw(options: argparse.Namespace, out: Path, stopped: Any) -> tuple[SessionView, dict[str, Any]]:
     """The session as a recording of rerun in ``out``."""
     from igtl_gateway.view import stream
@@ -146,6 +164,9 @@ def _draw(options: argparse.Namespace, out: Path, stopped: Any) -> tuple[Session
         view = SessionView(
             recording, config.base_frame, Options(colour_by=options.colour_by, plain=bool(options.screenshot))
         )
+        for word in options.urdf:
+            namespace, urdf = _robot(word)
+            view.add_robot(urdf, namespace)
         material = None if options.no_review else Material()
         damage = _draw_entries(file, config, view, material, stopped)
         if material:

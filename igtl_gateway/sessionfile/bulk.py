@@ -18,6 +18,7 @@ from typing import IO, Any
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.errors import UnsupportedRecording
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.sessionfile.chunks import packed_chunk
 from igtl_gateway.sessionfile.contents import ChunkEntry, Index, check_work, work_of
@@ -30,6 +31,7 @@ Bytes = npt.NDArray[np.uint8]
 _KEPT_BYTES = 64 << 20
 #: Entries of one block where a file is read entry by entry.
 _BATCH, _BATCH_BYTES = 10_000, 8 << 20
+_LAST = (1 << 63) - 1  #: of the times in a block
 
 _RECORD = np.dtype(
     [
@@ -289,10 +291,13 @@ def blocks_of_entries(entries: Iterable[Entry]) -> Iterator[MessageBlock]:
 
 
 def block_of(entries: Collection[Entry]) -> MessageBlock:
-    """One block of entries: their payloads in one piece."""
+    """One block of entries: their payloads in one piece.  Raises UnsupportedRecording for times after 2262."""
     payloads = [entry.data() for entry in entries]
     ends = np.cumsum([len(payload) for payload in payloads], dtype=np.int64)
     begins = np.concatenate((np.zeros(1, np.int64), ends[:-1])) if payloads else ends
+    for entry in entries:
+        if (found := max(entry.seq, entry.stamp_ns, entry.source_ns)) > _LAST:
+            raise UnsupportedRecording(f"entry {entry.seq}: found {found}, expected times up to 2^63 - 1 ns")
     numbers, times, source = (
         np.array([getattr(entry, name) for entry in entries], np.int64) for name in ("seq", "stamp_ns", "source_ns")
     )

@@ -1,8 +1,9 @@
 """Blueprints: which views a session gets, where the eye of each view is, and what it contains.
 
 A blueprint is built from ``SessionContents`` alone.  There are four: ``star`` for suture plans on a cloud,
-``ultrasound`` for images with a pose, ``navigation`` for volumes, surfaces and tools, ``generic`` for everything else.
-They differ in the size and the position of their views.  The same functions build the views of all four.
+``ultrasound`` for images with a pose, ``navigation`` for volumes, surfaces, robots and tools, ``generic`` for
+everything else.  They differ in the size and the position of their views.  The same functions build the views of all
+four.
 
 Two rules keep the views free of errors.  A 3-D view shows entities of one frame tree only, because no transform
 connects different trees.  A 2-D view shows 3-D entities only where the intrinsics of its camera are known.
@@ -41,6 +42,7 @@ _SUBJECTS = (
     EntityKind.CLOUD,
     EntityKind.VOLUME,
     EntityKind.MESH,
+    EntityKind.ROBOT,
     EntityKind.PLANE,
     EntityKind.LINES,
     EntityKind.POINTS,
@@ -65,7 +67,7 @@ def choose(seen: SessionContents) -> str:
         return "star"
     if any(plane.count > 1 for plane in seen.of(EntityKind.PLANE)) and not seen.of(EntityKind.VOLUME):
         return "ultrasound"
-    if seen.of(EntityKind.VOLUME, EntityKind.MESH, EntityKind.POSE, EntityKind.POSES):
+    if seen.of(EntityKind.VOLUME, EntityKind.MESH, EntityKind.ROBOT, EntityKind.POSE, EntityKind.POSES):
         return "navigation"
     return "generic"
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,9 @@ from igtl_gateway.view.colours import SERIES
 from igtl_gateway.view.contents import FRAMES, LOG, EntityKind, SessionContents, ShownTopic, escape_path_part
 from igtl_gateway.view.pen import Pen, Pose, Xyz
 
+if TYPE_CHECKING:
+    from igtl_gateway.view.robots import Robots
+
 NS_PER_MS = 1_000_000
 
 #: A trail: its length in time, the time between its points, and the time between two drawings.
@@ -25,6 +28,8 @@ TRAIL_NS, _STEP_NS, _DRAW_NS = 5_000 * NS_PER_MS, 20 * NS_PER_MS, 100 * NS_PER_M
 _SAMPLE, _MANY = 2000, 500
 #: Coordinates beyond this distance, in metres, are invalid and do not count for the eye of a view.
 _FAR_M = 1e6
+#: The owner of frames that are computed from joint states, instead of a topic.
+MODEL = ""
 #: Maximum number of lines that a topic can log by ``text_once``.
 _ONCES = 20
 
@@ -59,13 +64,17 @@ class Canvas:
     """What the function that draws a message of the topic draws on.
 
     Attributes:
+        robots: the robots of the session.
         shown: the facts of the topic; drawing functions refine them.
         rows: number of rows at the path of the topic: one for each message, see ``SessionView``.
         memory: what a drawing function keeps between messages (a colour scale, the visible markers).
     """
 
-    def __init__(self, pen: Pen, seen: SessionContents, shown: ShownTopic, options: Options, number: int) -> None:
+    def __init__(
+        self, pen: Pen, seen: SessionContents, shown: ShownTopic, options: Options, number: int, robots: Robots
+    ) -> None:
         self.pen = pen
+        self.robots = robots
         self.shown = shown
         self.options = options
         self.rows = 0
@@ -90,9 +99,15 @@ class Canvas:
         if not self.shown.count:
             self.shown.what = what
 
-    def log(self, *archetypes: Any, child: str = "", frame: str = "") -> None:
-        """Log a row of the topic, or of the entity ``child`` below it; 3-D contents are in ``frame``."""
+    def log(self, *archetypes: Any, child: str = "", frame: str = "", static: bool = False) -> None:
+        """Log a row of the topic, or of the entity ``child`` below it; 3-D contents are in ``frame``.
+
+        ``static`` contents are there at all times: only for entities without rows.
+        """
         path = self._path(child)
+        if static:
+            self.pen.static(path, rr.CoordinateFrame(frame), *archetypes)
+            return
         if frame:
             self.pen.set_default_frame(path, frame)
         where: tuple[Any, ...] = (rr.CoordinateFrame(frame),) if frame else ()
@@ -157,22 +172,29 @@ class Canvas:
             self.shown.low = (min(low[0], x), min(low[1], y), min(low[2], z))
             self.shown.high = (max(high[0], x), max(high[1], y), max(high[2], z))
 
-    def link(self, child: str, frame: str, pose: Xyz, *, static: bool = False) -> None:
+    def link(self, child: str, frame: str, pose: Xyz, *, static: bool = False, modelled: bool = False) -> None:
         """Log one edge of the transform tree: the pose of the frame ``child`` in the frame ``frame``.
 
-        Each frame has one entity.  If several topics publish a frame, the first of them counts.
+        Each frame has one entity.  If several topics publish a frame, the first of them counts; every topic that
+        publishes it takes precedence over a pose that is ``modelled``: computed from joint states.
         """
         child = self.pen.displayable(child.lstrip("/"))
-        owner = self.pen.owners.setdefault(child, self.shown.path)
-        if not child or child == frame or owner != self.shown.path:
+        owner = self.pen.owners.get(child)
+        if owner is None or (owner == MODEL and not modelled):
+            if owner == MODEL:
+                self.text_once(f"moves {child} and other links: joint states do not move them now", "takes a robot")
+            owner = self.pen.owners[child] = MODEL if modelled else self.shown.path
+        if not child or child == frame or owner != (MODEL if modelled else self.shown.path):
             return
         path = self._seen.frames.get(child)
         if path is None:
             path = self._seen.frames[child] = self.pen.unique_path(f"{FRAMES}/{escape_path_part(child)}")
         self._seen.parents[child] = frame
         self._seen.places[child] = tuple(pose)
-        pose_drawn = Pose(frame, child, pose[:3], pose[3:], self.options.axis_m)
-        if static:
+        axis_m = self.pen.link_axes.get(child)
+        drawn_m = self.options.axis_m if axis_m is None else axis_m
+        pose_drawn = Pose(frame, child, pose[:3], pose[3:], drawn_m, labelled=axis_m is None)
+        if static and not self.pen.has_begun(path):  # a robot may have had a pose for it before
             self.pen.static_pose(path, pose_drawn)
         else:
             self.pen.set_default_frame(path, child)

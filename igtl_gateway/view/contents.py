@@ -34,6 +34,7 @@ class EntityKind(Enum):
     LINES = "lines"  #: lines, trajectories, markers of lines: plans, 3-D
     MARKERS = "markers"  #: other markers at ``<path>/<namespace>/<id>``, 3-D
     MESH = "mesh"  #: surface, 3-D
+    ROBOT = "robot"  #: links of a robot, ``<path>/<link>`` each; its frames are in the tree, 3-D
     IMAGE = "image"  #: image, 2-D
     PLANE = "plane"  #: image with a pose: 2-D at ``<path>``, 3-D at ``<path>/plane``
     VOLUME = "volume"  #: tensor at ``<path>``, slice 2-D at ``<path>/slice``, slices 3-D at ``<path>/plane/i, j, k``
@@ -56,6 +57,7 @@ IN_3D = frozenset(
         EntityKind.LINES,
         EntityKind.MARKERS,
         EntityKind.MESH,
+        EntityKind.ROBOT,
         EntityKind.PLANE,
         EntityKind.VOLUME,
     )
@@ -83,6 +85,7 @@ class ShownTopic:
         scale: colour scale of a cloud that is coloured by a field: field, range and unit.
         low, high: corners of the bounding box (of a cloud without its outliers), metres in ``frame``; None at first.
             The eye of a 3-D view depends on it.
+        links: frames of the links of a robot, at whose latest poses the eye looks; empty for other kinds.
         right, up: directions to the right and to the top of an image with a pose, in ``frame``; None for other kinds.
     """
 
@@ -101,6 +104,7 @@ class ShownTopic:
     scale: str = ""
     low: tuple[float, float, float] | None = None
     high: tuple[float, float, float] | None = None
+    links: tuple[str, ...] = ()
     right: tuple[float, float, float] | None = None
     up: tuple[float, float, float] | None = None
 
@@ -112,7 +116,7 @@ class ShownTopic:
     @property
     def superseded(self) -> bool:
         """Whether every message has a fuller sibling."""
-        return self.outdone >= self.count
+        return 0 < self.count <= self.outdone
 
 
 @dataclass(slots=True)
@@ -196,6 +200,7 @@ _WEIGHTS = {
     EntityKind.CLOUD: 5,
     EntityKind.VOLUME: 5,
     EntityKind.MESH: 4,
+    EntityKind.ROBOT: 4,
     EntityKind.PLANE: 3,
     EntityKind.LINES: 3,
     EntityKind.POSE: 2,

@@ -78,16 +78,17 @@ def _view_direction(seen: SessionContents, tree: list[ShownTopic], frame: str, c
 
 
 def _corners(seen: SessionContents, tree: list[ShownTopic], frame: str) -> list[Xyz]:
-    """Return the corners of all boxes in ``frame``; if there is a body, tools and robots do not count."""
+    """Return the corners of all boxes and the links of robots in ``frame``; if there is a body, tools do not count."""
     boxed = [shown for shown in tree if shown.low is not None and shown.high is not None]
     bodies = {shown.frame for shown in boxed if shown.what in _BODIES}
     if bodies and not any(shown.what is EntityKind.PLANE for shown in boxed):
         boxed = [shown for shown in boxed if shown.frame in bodies and shown.what not in _TOOLS]
-    return [
+    corners = [
         _moved(seen, shown.frame, frame, corner)
         for shown in boxed
         for corner in itertools.product(*zip(shown.low or (), shown.high or (), strict=True))
     ]
+    return corners + [_moved(seen, link, frame, (0.0, 0.0, 0.0)) for shown in tree for link in shown.links]
 
 
 def _moved(seen: SessionContents, source: str, target: str, point: Sequence[float], *, turn_only: bool = False) -> Xyz:

@@ -27,10 +27,11 @@ _JOINTS = {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "Nm or 
 
 
 def draw_joints(message: JointState, canvas: Canvas) -> None:
-    """sensor_msgs/JointState: positions at the path of the topic, velocities and efforts below it."""
+    """sensor_msgs/JointState: positions at the path of the topic, velocities and efforts below it; moves robots."""
     for (what, unit), values in zip(_JOINTS.items(), (message.position, message.velocity, message.effort), strict=True):
         names = [f"{name} ({unit})" for name in message.name]
         _curves(canvas, values.tolist(), names, "" if what == "position" else what)
+    canvas.robots.move(message.name, message.position.tolist(), canvas)
 
 
 def draw_sensor(message: Sensor, canvas: Canvas) -> None:

@@ -42,7 +42,8 @@ class Pose:
         child: the frame, which labels the axes; "" = the implicit frame of the entity, without a label.
         xyz: position in metres.
         quaternion: x, y, z, w.
-        axis_m: length of the axes in metres.
+        axis_m: length of the axes in metres; 0 = no axes.
+        labelled: show the name of ``child`` at the axes.
     """
 
     parent: str
@@ -50,6 +51,7 @@ class Pose:
     xyz: Xyz
     quaternion: Xyz
     axis_m: float
+    labelled: bool = True
 
 
 #: Characters that the built-in font of the rerun viewer does not have: all but Latin, Greek, Cyrillic and some signs.
@@ -76,6 +78,7 @@ class Pen:
         recording.set_log_tick_enabled(False)
         self.number = self.stamp_ns = self.source_ns = 0
         self.owners: dict[str, str] = {}  # frame → topic that publishes its pose
+        self.link_axes: dict[str, float] = {}  # link of a robot → length of its axes in metres
         self.cameras: set[str] = set()  # frames with a pinhole
         self._times_set: tuple[int, int, int] | None = None
         self._waiting: dict[tuple[str, str], _Column] = {}
@@ -115,6 +118,10 @@ class Pen:
             self._placed.add(place)
             self.static(place, _transform(pose))
 
+    def has_begun(self, path: str) -> bool:
+        """Return whether ``begin`` was called: static data of the frame at its own entity would be an error."""
+        return f"{PLACES}/{path}/frame" in self._placed
+
     def at(self, entry: Entry) -> None:
         """Set the times of the following rows from this entry; a ``timeless`` stamp is left out."""
         self.number = entry.seq
@@ -136,7 +143,7 @@ class Pen:
 
     def static_pose(self, path: str, pose: Pose) -> None:
         """Send static axes."""
-        axes = rr.TransformAxes3D(pose.axis_m, show_frame=True)
+        axes = rr.TransformAxes3D(pose.axis_m, show_frame=pose.labelled)
         self.static(path, rr.CoordinateFrame(pose.child), axes, _transform(pose))
 
     def numbers(self, path: str, values: Sequence[float]) -> None:
@@ -232,7 +239,7 @@ def _poses(values: list[Pose]) -> Any:
     children = [pose.child for pose in values]
     named = bool(children[0])
     lengths = np.array([pose.axis_m for pose in values], np.float32)
-    axes = rr.TransformAxes3D.columns(axis_length=lengths, show_frame=[named] * len(values))
+    axes = rr.TransformAxes3D.columns(axis_length=lengths, show_frame=[named and pose.labelled for pose in values])
     if not named:
         return [*rr.Transform3D.columns(**columns), *axes]
     columns["child_frame"] = children

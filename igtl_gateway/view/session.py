@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import rerun as rr
@@ -19,6 +20,7 @@ from igtl_gateway.review import Review
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.untrusted.files import read_bytes
 from igtl_gateway.view.canvas import Canvas, Options
 from igtl_gateway.view.colours import ERROR, INFO, WARN
 from igtl_gateway.view.contents import (
@@ -37,6 +39,7 @@ from igtl_gateway.view.contents import (
 )
 from igtl_gateway.view.pen import GATEWAY_TIME, LAST_NS, SENDER_TIME, Pen, timeless
 from igtl_gateway.view.review_drawing import draw_review
+from igtl_gateway.view.robots import Robots
 from igtl_gateway.view.table import PICTURES, Picture
 
 _ROS = frozenset((Kind.ROS_IN, Kind.ROS_OUT))
@@ -111,6 +114,7 @@ class SessionView:
         self._options = options or Options()
         self._pen = Pen(recording, plain=self._options.plain)
         self._topics: dict[tuple[str, str], _DrawnTopic] = {}
+        self._robots = Robots()
         self._siblings: list[_Sibling] = []
         self._rhythms: dict[tuple[Kind, str], _StreamRate] = {}
         self._begin_ns = self._second = 0
@@ -156,6 +160,17 @@ class SessionView:
         """Draw the review of a suture plan."""
         self.seen.reviewed = True
         self.seen.scales = draw_review(review, self._pen)
+
+    @ieee_754
+    def add_robot(self, urdf: Path, namespace: str = "") -> None:
+        """Draw the robot of a file at all times, before the first entry; joint states of ``namespace`` move it.
+
+        Raises UnsupportedRecording, DamagedRecording, LimitExceeded.
+        """
+        path = self._pen.unique_path(path_of(f"robots/{namespace}/{urdf.stem}"))
+        shown = self.seen.shown[str(urdf)] = ShownTopic(path, str(urdf), "URDF", EntityKind.ROBOT, self.seen.base_frame)
+        canvas = Canvas(self._pen, self.seen, shown, self._options, len(self.seen.shown), self._robots)
+        self._robots.describe(read_bytes(urdf), namespace, canvas, urdf)
 
     # Messages
 
@@ -203,7 +218,7 @@ class SessionView:
         )
         known = entry.channel in self.seen.shown
         self.seen.shown[f"{entry.channel} ({entry.type})" if known else entry.channel] = shown
-        canvas = Canvas(self._pen, self.seen, shown, self._options, len(self._topics))
+        canvas = Canvas(self._pen, self.seen, shown, self._options, len(self._topics), self._robots)
         if picture is None:
             self._pen.text(LOG, f"not drawn: {entry.channel} ({entry.type})", "WARN", WARN)
         topic = self._topics[(entry.channel, entry.type)] = _DrawnTopic(canvas, picture)

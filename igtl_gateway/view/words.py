@@ -8,9 +8,13 @@ import rerun as rr
 
 from igtl_gateway.convert import igtl_msgs
 from igtl_gateway.convert.rosmsg import DiagnosticStatus, String
+from igtl_gateway.errors import ConversionError, RecordingError
 from igtl_gateway.view.canvas import Canvas
 from igtl_gateway.view.colours import ERROR, WARN
 from igtl_gateway.view.other_msgs import Log
+
+#: Last part of the topic of a URDF (robot_state_publisher).
+ROBOT_DESCRIPTION = "robot_description"
 
 _LEVELS = (("INFO", None), ("WARN", WARN), ("ERROR", ERROR), ("WARN", WARN))
 _MAX_LINE = 300
@@ -20,8 +24,16 @@ _REPLIES = {1: "success", 2: "failed", 3: "no reply in time", 4: "no peer"}
 
 
 def draw_string(message: String, canvas: Canvas) -> None:
-    """std_msgs/String: the text unchanged."""
-    _log_text(canvas, message.data)
+    """std_msgs/String: the text unchanged; a robot description is drawn as a robot, too."""
+    namespace, _, name = canvas.shown.topic.rpartition("/")
+    if name != ROBOT_DESCRIPTION:
+        _log_text(canvas, message.data)
+        return
+    canvas.log(rr.TextDocument(canvas.pen.displayable(message.data)))
+    try:
+        canvas.robots.describe(message.data, namespace, canvas)
+    except RecordingError as error:
+        raise ConversionError(str(error)) from None
 
 
 def draw_status(message: DiagnosticStatus, canvas: Canvas) -> None:

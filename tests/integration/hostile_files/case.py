@@ -80,7 +80,12 @@ _SESSION_VERBS = (
     "replay F --to igtl --listen 127.0.0.1:0 --wait-peers 0 --as-fast-as-possible",
     "replay F --to igtl --through-gateway --listen 127.0.0.1:0 --wait-peers 0 --as-fast-as-possible",
     "import F --out OUT.mcap",
-    *(f"export F --to {target} --out OUT" for target in ("csv", "rosbag2", "igs.mha", "nrrd", "ply", "vtk")),
+    *(
+        f"export F --to {target} --out OUT"
+        for target in ("csv", "rosbag2", "igs.mha", "nrrd", "ply", "vtk", "parquet", "arrow")
+    ),
+    "sync F",
+    "sync F --json",
     "view F --save OUT.rrd",
     "review F",
     "review F --json",
