@@ -182,7 +182,8 @@ class Robots:
             whole = bool(drawn) and None not in drawn
             name = escape_path_part(link)
             bodies[link] = [(f"{name}/{n}", body) for n, body in enumerate(drawn, 1) if body is not None]
-            if not whole and (lines := _lines(model, link)):
+            ground = link == model.root and link not in model.visuals and bool(model.visuals)
+            if not whole and not ground and (lines := _lines(model, link)):
                 bodies[link].append((f"{name}/lines", [rr.LineStrips3D(lines, colors=[GREY], radii=[_LINE_M])]))
             bare = not whole and (link in model.visuals or not model.visuals)
             if link != _WORLD:
