@@ -25,7 +25,7 @@ from igtl_gateway.view.urdf import parse_urdf
 if TYPE_CHECKING:
     from igtl_gateway.view.canvas import Canvas
 
-#: CRTK: joint states with these names are positions that somebody wants, not those of the robot.
+#: CRTK: joint states with these names are commands and goals, not positions of the robot.
 _WANTED = ("setpoint_", "goal_", "servo_", "interpolate_", "move_")
 #: The link that all robots of a URDF share, by convention: it gets no prefix.
 _WORLD = "world"
@@ -139,7 +139,7 @@ class Robots:
         """Return which positions of a message move which joints, and log those that move none."""
         topic = canvas.shown.topic
         if topic.rpartition("/")[2].startswith(_WANTED):
-            canvas.text_once("wanted positions: they do not move the robot", "wanted")
+            canvas.text_once("commands and goals: they do not move the robot", "wanted")
             return []
         if not names:
             canvas.text_once("joint states without names: they do not move a robot", "unnamed")
@@ -183,7 +183,7 @@ class Robots:
             name = escape_path_part(link)
             bodies[link] = [(f"{name}/{n}", body) for n, body in enumerate(drawn, 1) if body is not None]
             ground = link == model.root and link not in model.visuals and bool(model.visuals)
-            if not whole and not ground and (lines := _lines(model, link)):
+            if lines := _lines(model, link, segments=not whole and not ground):
                 bodies[link].append((f"{name}/lines", [rr.LineStrips3D(lines, colors=[GREY], radii=[_LINE_M])]))
             bare = not whole and (link in model.visuals or not model.visuals)
             if link != _WORLD:
@@ -237,12 +237,13 @@ def _followers(bindings: Sequence[_Binding], topic: str) -> list[_Binding]:
     return found
 
 
-def _lines(model: Robot, link: str) -> list[list[Xyz]]:
-    """Return lines from a link to the joints below it, and along the travel of prismatic joints."""
+def _lines(model: Robot, link: str, *, segments: bool) -> list[list[Xyz]]:
+    """Return lines along the travel of prismatic joints below a link, and ``segments`` from the link to all joints."""
     lines = []
     for joint in model.joints:
         if joint.parent == link:
-            lines.append([(0.0, 0.0, 0.0), joint.xyz])
+            if segments:
+                lines.append([(0.0, 0.0, 0.0), joint.xyz])
             if joint.kind is JointKind.PRISMATIC:
                 low, high = (joint.pose(limit)[:3] for limit in joint.travel)
                 lines.append([(low[0], low[1], low[2]), (high[0], high[1], high[2])])

@@ -23,7 +23,7 @@ _GREY = (0.7, 0.7, 0.72, 1.0)
 def parse_urdf(data: str | bytes, place: str) -> Robot:
     """Return the robot of a URDF.
 
-    Raises DamagedRecording for text that is no URDF or has no tree of links, LimitExceeded above the limits.
+    Raises DamagedRecording for an invalid URDF or links that are not a tree, LimitExceeded above the limits.
     """
     root = parse_xml(data, place)
     if root.name != "robot":

@@ -213,7 +213,7 @@ def test_wanted_positions_other_names_and_second_sources_move_nothing(draw: Draw
     rows = [row for row in drawn.rows("frames/b") if row["entry"] > 1]
     assert [row["entry"] for row in rows] == [8]
     text = "\n".join(drawn.log())
-    for line in ("wanted positions", "no robot has: jaw, other", "yaw: /measured_js moves it", "without names"):
+    for line in ("commands and goals", "no robot has: jaw, other", "yaw: /measured_js moves it", "without names"):
         assert text.count(line) == 1
     assert text.count("found nan, expected a position") == 1
     assert drawn.view.counts.refused == {}
