@@ -95,4 +95,4 @@ class CallablePackage(type(sys)):  # type: ignore[misc]
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})
