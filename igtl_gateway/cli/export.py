@@ -47,7 +47,9 @@ exit code 1 if messages of the selected streams cannot be written, or if
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_file(parser)
-    parser.add_argument("--to", choices=(*TARGETS, LEROBOT), required=True, help="format to write, see below")
+    parser.add_argument(
+        "--to", choices=(*TARGETS, LEROBOT), required=True, metavar="FORMAT", help="format to write, see below"
+    )
     parser.add_argument("-o", "--out", metavar="OUT", type=Path, help="file or directory to write")
     add_streams(parser)
     add_lerobot(parser)

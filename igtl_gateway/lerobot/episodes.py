@@ -94,7 +94,7 @@ def moving(times: Times, positions: npt.NDArray[Any], pause_s: float, still_m: f
         if times[end] - times[at] >= pause_ns:
             if at > begin:
                 found.append((int(times[begin]), int(times[at])))
-            begin = at = end + 1
+            begin = at = end
         else:
             at += 1
     if begin < len(times) - 1:

@@ -135,7 +135,9 @@ def read_samples(recording: Recording, row: Feature, clock: str, place: str) -> 
         raise ConfigError(f"{place}: {error}") from None
     rule = row.rule or {"pose": "interpolate", "picture": "nearest"}.get(kind, "hold")
     if rule == "interpolate" and kind in ("text", "picture"):
-        raise ConfigError(f"{place}.rule: found interpolate for a {kind}, expected nearest or hold")
+        raise ConfigError(
+            f"{place}.rule: found interpolate for a {'string' if kind == 'text' else kind}, expected nearest or hold"
+        )
     if not len(rows):
         raise ConfigError(f"{place}: found no usable value in {len(stream):,} messages of {row.stream}, expected one")
     names = _named(names, row, place)
