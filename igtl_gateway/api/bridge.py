@@ -3,30 +3,28 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
+from igtl_gateway.api.keywords import checked, of_a_bridge, ros_arguments
 from igtl_gateway.app.bridge import Bridge as RunningBridge
 from igtl_gateway.app.bridge_options import bridge_options
 from igtl_gateway.app.entry_watch import EntryWatch
 from igtl_gateway.app.recording import pause, resume, snapshot
-from igtl_gateway.app.rows import rows_of
-from igtl_gateway.app.settings import settled
+from igtl_gateway.app.settings import declared, settled
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros.env import prepare_environment
+from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.tcp import LinkInfo
-from igtl_gateway.errors import ConfigError, NoReply, RecordingError
+from igtl_gateway.errors import NoReply, RecordingError
 from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Note
-from igtl_gateway.settings import BY_SETTING, ROWS, Setting, unknown
+from igtl_gateway.session.note import Level, Note
 
 _NOTES = 100
-#: Settings of the command line alone: it serves them from its own thread.
-_OF_THE_COMMAND_LINE = frozenset({"metrics"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,19 +70,22 @@ class Bridge:
 
     The keyword arguments are the settings: the options of ``igtl-gateway bridge`` and the keys of its configuration
     file, with underscores, such as ``listen``, ``record``, ``deny_in``.  A setting has the value of its argument, else
-    that of the configuration file, else its default.
+    of the parameter in ``ros_args``, else that of the configuration file, else its default.  The node has all settings
+    as parameters.
 
     Args:
         config: configuration file (TOML); None: the defaults.
         ros: join the ROS graph; False: OpenIGTLink only, for recordings of peers.
         node_name: name of the ROS node.
+        ros_args: arguments of ROS for the node, such as ``["-r", "__ns:=/or1", "-p", "max_age_s:=0.5"]``.
         on_note: called with each note (connections, refused and invalid messages, drops).  It must return quickly: the
             bridge waits for it.
         settings: name → value.  Lists of messages (``to_igtl``, ``to_ros``, ``tf_out``, ``peers``) take strings as
             their options do, or dicts as in a configuration file.
 
     Raises:
-        ConfigError: an unknown setting, or a value that is out of range.
+        ConfigError: an unknown setting, or a value that is out of range; parameters in ``ros_args`` are checked by
+            `start`.
 
     Examples:
         >>> with Bridge(listen=["127.0.0.1:0"], ros=False) as bridge:
@@ -99,19 +100,25 @@ class Bridge:
         config: str | PathLike[str] | None = None,
         ros: bool = True,
         node_name: str = "igtl_gateway",
+        ros_args: Sequence[str] = (),
         on_note: Callable[[Note], None] | None = None,
         **settings: Any,
     ) -> None:
-        ours = _checked(settings)
+        self._ours = checked(settings)
         if config is not None:
-            ours["config"] = fspath(config)
-        session, options = bridge_options(settled(ours, {}), ros=ros, node_name=node_name)
+            self._ours["config"] = fspath(config)
+        self._node_name = node_name
         self._on_note = on_note
         self._notes: deque[Note] = deque(maxlen=_NOTES)
         self._watch = EntryWatch()
-        if options.ros:
-            prepare_environment()
-        self._bridge = RunningBridge(session, options, SystemClock(), self._on_entry, on_passed=self._watch.add)
+        self._host: NodeHost | None = None
+        with of_a_bridge():
+            values = settled(self._ours, {})
+            has_node = ros and not values["relay"]
+            arguments = ros_arguments(ros_args, ros=has_node, without="relay=True" if ros else "ros=False")
+            if has_node:
+                self._host = NodeHost(node_name, arguments=arguments)
+            self._bridge = self._make(values)
 
     def start(self) -> None:
         """Open the ports, join the ROS graph and begin the recording; the context manager calls it.
@@ -120,12 +127,22 @@ class Bridge:
             Unavailable: a port is in use, or a permission is missing.
             RosError: ROS 2 is not installed.
             RecordingError: the recording cannot be written.
+            ConfigError: wrong arguments or parameters of ROS.
         """
-        self._bridge.start()
+        try:
+            with of_a_bridge():
+                if self._host:
+                    self._start_node(self._host)
+                self._bridge.start()
+        except BaseException:
+            self.stop()
+            raise
 
     def stop(self) -> None:
         """Close all connections, and the recording; the context manager calls it.  A second call does nothing."""
         self._bridge.stop()
+        if self._host:
+            self._host.stop()
 
     def __enter__(self) -> Self:
         self.start()
@@ -180,7 +197,8 @@ class Bridge:
     def change(self, **changes: object) -> None:
         """Change settings while the bridge runs: ``deny_in``, ``deny_out``, ``max_age_s``, ``kinds``, ``active``.
 
-        The change is an entry of the session, so that a recording can be verified.
+        The change is an entry of the session, so that a recording can be verified.  The parameters of the node change
+        with it.
 
         Raises:
             ConfigError: another setting, or a wrong value; nothing has changed.
@@ -206,6 +224,28 @@ class Bridge:
             raise RecordingError("snapshot: found no buffer for it, expected the settings record and snapshot")
         return Path(self._control(snapshot))
 
+    def _start_node(self, host: NodeHost) -> None:
+        """Join the graph, and take the parameters that the node was started with."""
+        prepare_environment()
+        host.start(self._on_callback_error)
+        if overrides := host.overrides():
+            self._bridge.stop()
+            values = settled(self._ours, overrides)
+            self._bridge = self._make(values)
+        else:
+            values = settled(self._ours, {})
+        host.declare(declared(values, self._bridge.gateway.config))
+
+    def _make(self, values: Mapping[str, Any]) -> RunningBridge:
+        """Return the bridge for the values of all settings; it does not run."""
+        session, options = bridge_options(values, ros=self._host is not None, node_name=self._node_name)
+        return RunningBridge(
+            session, options, SystemClock(), self._on_entry, on_passed=self._watch.add, host=self._host
+        )
+
+    def _on_callback_error(self, error: Exception) -> None:
+        self._bridge.hub.note(Note(Level.ERROR, "internal_error", f"callback: {type(error).__name__}: {error}"))
+
     def _control(self, action: Callable[[Any], tuple[bool, str]]) -> str:
         if self._bridge.recorder is None:
             raise RecordingError("recording: found none, expected the setting record")
@@ -220,30 +260,3 @@ class Bridge:
             self._notes.append(event.note)
             if self._on_note:
                 self._on_note(event.note)
-
-
-def _checked(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings as the types of the table.  Raises ConfigError with the name of the setting."""
-    values: dict[str, Any] = {}
-    for name, value in settings.items():
-        row = BY_SETTING.get(name)
-        if row is None or name in _OF_THE_COMMAND_LINE:
-            raise ConfigError(f"{name}: {unknown(BY_SETTING.keys() - _OF_THE_COMMAND_LINE)}")
-        try:
-            values[name] = _rows(row, value) if row.table == ROWS else row.check(_plain(row, value))
-        except ConfigError as error:
-            raise ConfigError(f"{name}: {error}") from None
-    return values
-
-
-def _plain(row: Setting, value: Any) -> Any:
-    """A path as a string."""
-    return fspath(value) if isinstance(row.default, str) and isinstance(value, PathLike) else value
-
-
-def _rows(row: Setting, value: Any) -> tuple[dict[str, Any], ...]:
-    """Rows of messages: strings as of the option, or dicts."""
-    if isinstance(value, str | Mapping) or not all(isinstance(item, str | Mapping) for item in value):
-        raise ConfigError(f"found {value!r}, expected a list of strings or of dicts")
-    texts = [item for item in value if isinstance(item, str)]
-    return (*rows_of(row, texts), *(dict(item) for item in value if not isinstance(item, str)))

@@ -10,7 +10,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import fields
 from os import PathLike
 from pathlib import Path
+from typing import get_args
 
+from igtl_gateway.api.keywords import addresses, numbers, of_a_replay, one_of, ros_arguments
 from igtl_gateway.api.peer import HOST, PORT
 from igtl_gateway.app.comparison import RecordingDiff, compare_recordings
 from igtl_gateway.app.replay_sides import ReplayOptions, To
@@ -20,7 +22,7 @@ from igtl_gateway.app.verification import Verification, verify_recording
 from igtl_gateway.edges.tcp import TlsFiles
 from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.replay.compare import Tolerance
-from igtl_gateway.replay.restamp import Mode
+from igtl_gateway.replay.restamp import MODES, Mode
 from igtl_gateway.review import Review, Thresholds
 from igtl_gateway.review.material import CLOUDS
 
@@ -141,6 +143,7 @@ def replay(
     allow: Sequence[str] = (),
     tls: TlsFiles | None = None,
     digest: bool = True,
+    ros_args: Sequence[str] = (),
     stop: threading.Event | None = None,
     on_line: Callable[[str], None] | None = None,
 ) -> ReplayResult:
@@ -170,6 +173,7 @@ def replay(
         allow: networks (CIDR) whose peers may connect beside those of this host.
         tls: files for TLS at all addresses; None: no TLS.
         digest: compute the SHA-256 of the sent bytes.
+        ros_args: arguments of ROS for the node, such as ``["-r", "__ns:=/or1"]``.
         stop: an event; the replay ends when it is set, also while it waits for peers.
         on_line: called with each line of text about what the replay does, from any of its threads.
 
@@ -177,14 +181,16 @@ def replay(
         What was sent, and what was not and why.
 
     Raises:
-        ConfigError: an argument is out of range, or does not fit the recording; the error has the name of the option
-            of the command line.
+        ConfigError: an argument is out of range, or does not fit the recording.
         GatewayError: the recording has no message to send; the replay was stopped before it started.
         Unavailable: a port is in use.
         RosError: ROS is not installed.
     """
-    listening: tuple[Address, ...] = tuple((host, port) for host, port in listen)
-    connecting = tuple((host, port) for host, port in connect)
+    one_of("to", to, get_args(To))
+    one_of("restamp", restamp, MODES)
+    numbers(optional=True, rate=rate, duration=duration, wait_peers=wait_peers, clock_hz=clock_hz)
+    numbers(delay_s=delay_s, seed=seed)
+    listening, connecting = addresses("listen", listen), addresses("connect", connect)
     if to != "ros" and not (listening or connecting):
         listening = ((HOST, PORT),)
     if to == "ros" and (listening or connecting):
@@ -215,9 +221,11 @@ def replay(
         fault,
         seed,
         digest,
+        ros_arguments(ros_args, ros=to != "igtl", without="to='igtl'"),
     )
     events = ReplayEvents(on_line=on_line) if on_line else ReplayEvents()
-    result = run_replay(Path(path), options, stop or threading.Event(), events)
+    with of_a_replay():
+        result = run_replay(Path(path), options, stop or threading.Event(), events)
     if result is None:
         raise GatewayError(f"{path}: the replay was stopped before it started")
     return result

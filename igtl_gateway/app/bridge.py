@@ -11,6 +11,7 @@ import platform
 import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -248,7 +249,7 @@ class Bridge:
                 self.change({"active": False})
             if self.ros:
                 self.ros.start()
-                self.ros.follow(self.change)
+                self.ros.follow(self._change)
                 self._publish_initial_state(self.ros)
         except Exception:
             self.stop()
@@ -309,7 +310,8 @@ class Bridge:
         """Change settings while the bridge runs: ``deny_in``, ``deny_out``, ``max_age_s``, ``kinds``, ``active``.
 
         The change is an input of the session: it applies to the messages after its entry, and the recording has it.
-        Values that are as before change nothing.  Any thread may call it, except in a sink.
+        Parameters of the node change with it.  Values that are as before change nothing.  Any thread may call it,
+        except in a sink.
 
         Args:
             changes: name → new value.
@@ -317,6 +319,13 @@ class Bridge:
         Raises:
             ConfigError: another name, or a wrong value; nothing has changed.
         """
+        with self.ros.changing if self.ros else nullcontext():
+            self._change(changes)
+            if self.ros:
+                self.ros.show({name: getattr(self._settings, name) for name in changes})
+
+    def _change(self, changes: Mapping[str, object]) -> None:
+        """Change settings; the parameters of the node have changed already, or change afterwards."""
         with self._change_lock:
             settings = self._settings.changed(changes)
             if settings != self._settings:

@@ -89,7 +89,14 @@ def test_rows_of_messages() -> None:
         ({"max_age_s": "1"}, r"^max_age_s: found '1', expected a number"),
         ({"to_igtl": "/camera"}, r"^to_igtl: found '/camera', expected a list"),
         ({"to_igtl": [{"topik": "/camera"}]}, r"to_igtl\[0\]\.topik: unknown setting"),
-        ({"relay": True}, r"^--relay: found 0 servers, expected one"),
+        ({"custom_data": ["a=b"]}, r"^custom_data: found no record FILE, expected it"),
+        ({"record": "a.mcap", "snapshot": 5.0, "split_size": 3}, r"^snapshot: found split_size or split_duration"),
+        ({"video_codec": "h264"}, r"^video_codec: found ros=False, expected ROS"),
+        ({"tls_key": "key.pem"}, r"^tls_ca, tls_cert: found no address with TLS, expected tls or tls://HOST:PORT$"),
+        ({"to_igtl": 5}, r"^to_igtl: found 5, expected a list"),
+        ({"ros_args": ["-r", "__ns:=/a"]}, r"^ros_args: found ros=False, expected ROS"),
+        ({"ros_args": "-r __ns:=/a"}, r"^ros_args: found '-r __ns:=/a', expected a list of strings"),
+        ({"relay": True}, r"^relay: found 0 servers, expected one: connect HOST:PORT$"),
     ],
 )
 def test_settings(settings: dict[str, Any], text: str) -> None:

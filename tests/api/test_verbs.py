@@ -95,15 +95,25 @@ def test_replay_stops() -> None:
 @pytest.mark.parametrize(
     ("options", "text"),
     [
-        ({"rate": -1.0}, "--rate: found -1.0"),
+        ({"rate": -1.0}, "rate: found -1.0, expected a number above 0"),
+        ({"rate": "2"}, "rate: found '2', expected a number"),
         ({"to": "ros", "listen": [("127.0.0.1", 0)]}, "to: found 'ros' with addresses"),
-        ({"clock_hz": 10.0}, "--clock: found --to igtl"),
-        ({"start": 1e5}, "--start: found"),
-        ({"fault": "luck=1%"}, "luck"),
+        ({"to": "rviz"}, "to: found 'rviz', expected one of 'igtl', 'ros', 'both'"),
+        ({"listen": "127.0.0.1:0"}, "listen: found '127.0.0.1:0', expected a list of pairs"),
+        ({"connect": [("127.0.0.1", "18944")]}, r"connect: found \('127.0.0.1', '18944'\), expected a list"),
+        ({"clock_hz": 10.0}, "clock_hz: found to='igtl', expected to='ros' or to='both'"),
+        ({"wait_peers": -1}, "wait_peers: found -1, expected 0 or more"),
+        ({"delay_s": float("nan")}, "delay_s: found nan, expected seconds"),
+        ({"delay_s": None}, "delay_s: found None, expected a number$"),
+        ({"start": 1e5}, "start: found"),
+        ({"fault": "luck=1%"}, "fault: .*luck"),
+        ({"fault": "clock-step=1s", "restamp": "now"}, "fault: clock-step: found restamp='now', which replaces"),
+        ({"restamp": "later"}, "restamp: found 'later', expected one of 'keep', 'now', 'shift'"),
+        ({"ros_args": ["-r", "__ns:=/a"]}, "ros_args: found to='igtl', expected ROS"),
     ],
 )
 def test_arguments_of_replay(options: dict[str, object], text: str) -> None:
-    with pytest.raises(ConfigError, match=text):
+    with pytest.raises(ConfigError, match="^" + text):
         igtl_gateway.replay(LEGO, **options)  # type: ignore[arg-type]
 
 

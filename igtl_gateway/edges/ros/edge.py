@@ -19,7 +19,8 @@ Three rules that DDS leaves to its users:
 from __future__ import annotations
 
 import atexit
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from typing import Any
 
 from igtl_gateway.edges.ros.direct import Rcl
@@ -39,6 +40,7 @@ from igtl_gateway.passage import Publisher as NativePublisher
 from igtl_gateway.passage import Subscription as NativeSubscription
 from igtl_gateway.qos import Endpoint, Qos
 from igtl_gateway.session.note import Level
+from igtl_gateway.settings import Value
 
 
 class RosEdge:
@@ -119,6 +121,15 @@ class RosEdge:
     def follow(self, change: Change | None) -> None:
         """Have the parameters that may change while a bridge runs call this; None: they wait for the next bridge."""
         self._node.host.on_change = change
+
+    @property
+    def changing(self) -> AbstractContextManager[object]:
+        """The lock of ``NodeHost.changing``."""
+        return self._node.host.changing
+
+    def show(self, values: Mapping[str, Value]) -> None:
+        """Set parameters to settings that have changed; see ``NodeHost.show``."""
+        self._node.host.show(values)
 
     def log(self, level: Level, text: str, stamp_ns: int) -> None:
         """Publish a line on ``/rosout``; see ``NodeHost.log``."""

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 from igtl_gateway.edges.ros.middleware import first_line, import_lifecycle, import_rclpy, interface_class, profile_of
-from igtl_gateway.edges.ros.parameters import Change, changeable, checking_node, declare, overrides
+from igtl_gateway.edges.ros.parameters import Change, changeable, checking_node, declare, overrides, show
 from igtl_gateway.errors import ConfigError, RosError
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.note import Level
@@ -50,6 +50,8 @@ class NodeHost:
         starts_active: lead a managed node to the state *active* when it starts, else it is *unconfigured*.
 
     Attributes:
+        changing: a lock that is held while parameters are set; who changes settings otherwise holds it, too, until
+            `show` has shown them, so that parameters and settings change in the same order.
         on_change: called with the parameters that are set; a ConfigError refuses them.  None: no bridge runs, and they
             apply to the next one.
         rclpy: the module; None before the start.
@@ -71,6 +73,7 @@ class NodeHost:
         self.context: Any = None
         self.node: Any = None
         self.executor: Any = None
+        self.changing = threading.RLock()
         self.on_change: Change | None = None
         self._log: _Rosout | None = None
         self.arguments = tuple(arguments)
@@ -120,6 +123,15 @@ class NodeHost:
         """Return the values of the parameters that may change while a bridge runs; none if they are not declared."""
         return changeable(self.node)
 
+    def show(self, values: Mapping[str, Value]) -> None:
+        """Set the declared parameters to settings that have changed, while a bridge runs; other nodes get the event.
+
+        Args:
+            values: name → value; names without a parameter are skipped.
+        """
+        if self.node is not None and self.on_change is not None:
+            show(self.rclpy, self.node, values)
+
     def start(self, on_error: OnError) -> None:
         """Join the graph.
 
@@ -133,7 +145,7 @@ class NodeHost:
             # Context.init (unlike rclpy.init) leaves the signal handlers alone; a list keeps sys.argv out of ROS.
             context.init(args=list(self.arguments))
             base = rclpy.node.Node if self._transitions is None else _managed_node(self._transitions)
-            make = checking_node(rclpy, base)
+            make = checking_node(rclpy, base, self.changing)
             # rcl's /rosout would have each line on stderr, too, where the terminal shows it already; `log` has our own.
             node = make(
                 self.name,

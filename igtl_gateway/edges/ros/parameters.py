@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from typing import Any
 
 from igtl_gateway.edges.ros.middleware import interface_class
@@ -23,8 +24,14 @@ _FLAGS = {row.flag: row.name for row in SETTINGS if row.flag}
 _QOS = "qos_overrides."
 
 
-def checking_node(rclpy: Any, base: type) -> type:
-    """Return a class of nodes that check their parameters by the table of settings; ``base`` is one of rclpy's."""
+def checking_node(rclpy: Any, base: type, changing: AbstractContextManager[object]) -> type:
+    """Return a class of nodes that check their parameters by the table of settings.
+
+    Args:
+        rclpy: the module.
+        base: a class of nodes of rclpy.
+        changing: a lock that is held while parameters are set, from the check to the new values.
+    """
     rows, make = parameters(), _Parameters(rclpy)
 
     def set_parameters_atomically(node: Any, given: Sequence[Any]) -> Any:
@@ -38,7 +45,8 @@ def checking_node(rclpy: Any, base: type) -> type:
                 checked.append(make.of(row, row.check(listed(row, parameter.value))) if row else parameter)
             except ConfigError as error:
                 return make.result(successful=False, reason=f"{parameter.name}: {error}")
-        return base.set_parameters_atomically(node, checked)  # type: ignore[attr-defined]
+        with changing:
+            return base.set_parameters_atomically(node, checked)  # type: ignore[attr-defined]
 
     return type("GatewayNode", (base,), {"set_parameters_atomically": set_parameters_atomically})
 
@@ -85,6 +93,14 @@ def declare(rclpy: Any, node: Any, values: Mapping[str, Value], change: Change) 
         return make.result(successful=True)
 
     node.add_on_set_parameters_callback(on_set)
+
+
+def show(rclpy: Any, node: Any, values: Mapping[str, Value]) -> None:
+    """Set the declared parameters that may change while a bridge runs to these values, where they are others."""
+    make, rows, now = _Parameters(rclpy), parameters(), changeable(node)
+    changed = [name for name, value in now.items() if name in values and values[name] != value]
+    if changed:
+        node.set_parameters_atomically([make.of(rows[name], values[name]) for name in changed])
 
 
 def changeable(node: Any) -> dict[str, Value]:
