@@ -15,7 +15,7 @@ from pathlib import Path
 import lz4.frame  # type: ignore[import-untyped]
 
 ROOT = Path(__file__).resolve().parents[3]
-GOOD = ROOT / "fixtures" / "ultrasound.mcap"
+GOOD, SMALL = ROOT / "fixtures" / "ultrasound.mcap", ROOT / "fixtures" / "acquisition.mcap"
 MIB = 1 << 20
 GIB = 1 << 30
 
@@ -91,7 +91,7 @@ _SESSION_VERBS = (
     "review F --json",
 )
 
-#: Sort of file → the verbs that read it.  F is the file, GOOD a sound recording, OUT what is written.
+#: Sort of file → the verbs that read it.  F is the file, GOOD and SMALL are sound recordings, OUT is what is written.
 VERBS: dict[str, tuple[str, ...]] = {
     "session": _SESSION_VERBS,
     "foreign MCAP": _SESSION_VERBS,
@@ -100,6 +100,7 @@ VERBS: dict[str, tuple[str, ...]] = {
     "sequence": ("import F --out OUT.mcap", "import F --out OUT.mcap --json", "info F"),
     "capture": ("import F --out OUT.mcap", "import F --out OUT.mcap --json", "decode F"),
     "stream": ("decode F", "decode F --reencode OUT.igtl", "import F --out OUT.mcap", "info F"),
+    "robot": ("view SMALL --save OUT.rrd --urdf F", "view SMALL --save OUT.rrd --json --urdf F"),
     "configuration": (
         "verify GOOD --config F",
         "slice GOOD OUT.mcap --config F --start 0 --end 1",

@@ -15,10 +15,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from tests.integration.hostile_files import bags, foreign, images, sessions, streams
-from tests.integration.hostile_files.case import FORGED, GOOD, ROOT, VERBS, Hostile
+from tests.integration.hostile_files import bags, foreign, images, robots, sessions, streams
+from tests.integration.hostile_files.case import FORGED, GOOD, ROOT, SMALL, VERBS, Hostile
 
-CASES: tuple[Hostile, ...] = (*sessions.CASES, *foreign.CASES, *bags.CASES, *images.CASES, *streams.CASES)
+CASES: tuple[Hostile, ...] = (
+    *sessions.CASES,
+    *foreign.CASES,
+    *bags.CASES,
+    *images.CASES,
+    *streams.CASES,
+    *robots.CASES,
+)
 
 WORKER = Path(__file__).with_name("worker.py")
 #: Seconds of the processor, and of the clock, after which a verb hangs; seconds of the processor, and megabytes, that
@@ -181,7 +188,7 @@ def _cpu_s(process: int) -> float:
 
 def words(verb: str, path: Path, out: Path) -> list[str]:
     """The arguments of a verb of ``VERBS`` for a file."""
-    told = {"F": str(path), "GOOD": str(GOOD)}
+    told = {"F": str(path), "GOOD": str(GOOD), "SMALL": str(SMALL)}
     return [told.get(word, word.replace("OUT", str(out)) if word.startswith("OUT") else word) for word in verb.split()]
 
 
