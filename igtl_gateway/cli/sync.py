@@ -98,7 +98,7 @@ def run(options: argparse.Namespace) -> int:
         with written(options.plot) as path:
             path.write_text(chart, encoding="utf-8")
     if options.json:
-        print_json({"file": str(options.file), "fixed": fixed.name, "lags": [_facts(*each) for each in lags]})
+        print_json({"file": str(options.file), "fixed": fixed.name, "lags": [lag_facts(*each) for each in lags]})
     else:
         _print(fixed, lags)
     good = all(lag.verdict.has_lag for _, lag in lags)
@@ -125,7 +125,7 @@ def _check(options: argparse.Namespace) -> None:
 def _signals(opened: Sequence[Recording], options: argparse.Namespace) -> list[Signal]:
     """Return the movements of the requested streams, or of all inputs that have one."""
     if options.streams:
-        return [_movement(_stream(opened, name), options) for name in options.streams]
+        return [_movement(stream_named(opened, name), options) for name in options.streams]
     found = []
     for stream in (stream for each in opened for stream in each.streams.values()):
         if stream.direction in (Kind.IGTL_IN.value, Kind.ROS_IN.value):
@@ -136,7 +136,8 @@ def _signals(opened: Sequence[Recording], options: argparse.Namespace) -> list[S
     return sorted(found, key=lambda signal: -len(signal.times_ns))
 
 
-def _stream(opened: Sequence[Recording], name: str) -> Stream:
+def stream_named(opened: Sequence[Recording], name: str) -> Stream:
+    """Return a stream of the first recording that has it.  Raises GatewayError."""
     for each in opened:
         if name in each:
             return each[name]
@@ -148,7 +149,8 @@ def _movement(stream: Stream, options: argparse.Namespace) -> Signal:
     return movement(stream, frame=options.frame, line=options.line)
 
 
-def _facts(signal: Signal, lag: Lag) -> dict[str, Any]:
+def lag_facts(signal: Signal, lag: Lag) -> dict[str, Any]:
+    """Return a lag for JSON."""
     facts = {key: value for key, value in asdict(lag).items() if key != "search"}
     return {"stream": signal.name, **_finite(facts), "verdict": lag.verdict.name.lower(), "reason": lag.verdict.value}
 

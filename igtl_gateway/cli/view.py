@@ -13,9 +13,14 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from igtl_gateway.api import recording as recordings
+from igtl_gateway.api.lags import movement
 from igtl_gateway.cli.common import count_text, size_text, stop_event
 from igtl_gateway.cli.options import RECORDING_OR_BAG, add_file, add_json, add_overwrite, default
 from igtl_gateway.cli.outputs import check_target, write_error, written
+from igtl_gateway.cli.sync import lag_facts, stream_named
 from igtl_gateway.cli.terminal import cell, clear_live_line, is_terminal, live_line, print_json, print_line, width
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config
@@ -27,6 +32,8 @@ from igtl_gateway.review import Material, review_of
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.sync.curves import lag_text
+from igtl_gateway.sync.lag import measure_lag
 
 if TYPE_CHECKING:
     from igtl_gateway.view.session import SessionView
@@ -44,6 +51,8 @@ EXAMPLES = """\
   igtl-gateway view out.mcap --blueprint navigation
   # with point clouds coloured by one of their fields
   igtl-gateway view out.mcap --colour-by intensity
+  # with the lag of a stream behind another one
+  igtl-gateway view out.mcap --sync TRANSFORM/Probe IMAGE/Video
   # with a robot, if the session has no /robot_description; two arms
   igtl-gateway view out.mcap --urdf psm.urdf
   igtl-gateway view out.mcap --urdf /PSM1=psm.urdf --urdf /PSM2=psm.urdf
@@ -78,6 +87,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         help="draw this robot; joint states below the namespace move it (repeatable)",
+    )
+    parser.add_argument(
+        "--sync", nargs=2, metavar="STREAM", help="draw the lag of the second stream behind the first, as `sync` does"
     )
     parser.add_argument("--no-review", action="store_true", help="do not review the suture plan of the session")
     add_overwrite(parser)
@@ -164,6 +176,7 @@ def _draw(options: argparse.Namespace, out: Path, stopped: Any) -> tuple[Session
         view = SessionView(
             recording, config.base_frame, Options(colour_by=options.colour_by, plain=bool(options.screenshot))
         )
+        measured = _lag(options, view)
         for word in options.urdf:
             namespace, urdf = _robot(word)
             view.add_robot(urdf, namespace)
@@ -183,6 +196,7 @@ def _draw(options: argparse.Namespace, out: Path, stopped: Any) -> tuple[Session
         "out": str(options.save or options.screenshot or ""),
         "blueprint": name,
         "reviewed": view.seen.reviewed,
+        "lag": measured,
         "seconds_of_session": view.seen.seconds,
         "messages": sum(facts.messages.values()),
         "topics": [
@@ -195,6 +209,20 @@ def _draw(options: argparse.Namespace, out: Path, stopped: Any) -> tuple[Session
         "without_time": dict(sorted(facts.timeless.items())),
         "without_field": bool(options.colour_by) and options.colour_by not in view.seen.fields,
     }
+
+
+def _lag(options: argparse.Namespace, view: SessionView) -> dict[str, Any] | None:
+    """Draw the lag between two streams, and return it for JSON."""
+    if not options.sync:
+        return None
+    with recordings.open(options.file) as recording:
+        fixed, moving = (stream_named([recording], name) for name in options.sync)
+        signals = movement(fixed), movement(moving)
+        is_stamped = len(fixed) and bool(np.all(fixed.source_times))
+        shift_ns = int(np.median(fixed.times - fixed.source_times)) if is_stamped else 0
+    lag = measure_lag(*signals)
+    view.lag(*signals, lag, shift_ns)
+    return lag_facts(signals[1], lag) | {"fixed": signals[0].name, "text": lag_text(lag)}
 
 
 def _draw_entries(file: SessionFile, config: Config, view: SessionView, material: Material | None, stopped: Any) -> str:
@@ -275,6 +303,8 @@ def _print(options: argparse.Namespace, view: SessionView, facts: dict[str, Any]
         f"{options.file}: {count_text(facts['messages'], 'message')} drawn in {facts['seconds']:.1f} s, "
         f"blueprint {facts['blueprint']}" + (", suture plan reviewed" if facts["reviewed"] else "")
     )
+    if lag := facts["lag"]:
+        print_line(f"{lag['stream']} behind {lag['fixed']}: {lag['text']}")
     if options.save:
         print_line(f"{options.save}: {size_text(facts['bytes'])}; `rerun {options.save}` shows it")
 

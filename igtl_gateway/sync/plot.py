@@ -12,8 +12,9 @@ import numpy as np
 from igtl_gateway.errors import ViewerError
 from igtl_gateway.extras import missing
 from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.sync.curves import lag_curves, lag_text
 from igtl_gateway.sync.lag import Lag
-from igtl_gateway.sync.signal import Floats, Signal, main_component
+from igtl_gateway.sync.signal import Signal
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -36,7 +37,7 @@ def lag_chart(fixed: Signal, lags: Sequence[tuple[Signal, Lag]]) -> str:
         rows = figure.subfigures(len(lags), 1, squeeze=False)
         for (signal, lag), row in zip(lags, rows[:, 0], strict=True):
             axes = row.subplot_mosaic([["signals", "signals"], ["search", "windows"]])
-            row.suptitle(f"{signal.name} behind {fixed.name}: {_text(lag)}", fontsize="medium")
+            row.suptitle(f"{signal.name} behind {fixed.name}: {lag_text(lag)}", fontsize="medium")
             _draw_signals(axes["signals"], fixed, signal, lag)
             _draw_search(axes["search"], lag)
             _draw_windows(axes["windows"], lag)
@@ -45,29 +46,15 @@ def lag_chart(fixed: Signal, lags: Sequence[tuple[Signal, Lag]]) -> str:
         return out.getvalue()
 
 
-def _text(lag: Lag) -> str:
-    if not lag.verdict.has_lag:
-        return lag.verdict.value
-    return f"{lag.lag_s * 1e3:+.1f} ms ({lag.low_s * 1e3:+.1f} to {lag.high_s * 1e3:+.1f})"
-
-
 def _draw_signals(axes: Axes, fixed: Signal, moving: Signal, lag: Lag) -> None:
     """The main components, normalised, in the common time; the moving one without its lag."""
-    shift_s = lag.lag_s if lag.verdict.has_lag else 0.0
+    one, other, late_ns = lag_curves(fixed, moving, lag)
     begin_ns = int(max(fixed.times_ns[0], moving.times_ns[0]))
-    end_ns = int(min(fixed.times_ns[-1], moving.times_ns[-1]))
-    curves: list[tuple[Floats, Floats]] = []
-    for signal, late_s in ((fixed, 0.0), (moving, shift_s)):
-        common = (signal.times_ns >= begin_ns) & (signal.times_ns <= end_ns)
-        seconds = (signal.times_ns[common] - begin_ns) / NS_PER_S - late_s
-        values = main_component(signal.values[common]) if np.any(common) else np.zeros(0)
-        curves.append((seconds, values / (np.std(values) or 1.0) if len(values) else values))
-    (seconds, values), (others, seen) = curves
-    if len(seconds) and len(others) and float(np.sum(np.interp(seconds, others, seen) * values)) < 0:
-        seen = -seen  # the sign of a main component means nothing
-    axes.plot(seconds, values, color=_FIXED, linewidth=1, label=fixed.name)
-    label = f"{moving.name}, {-shift_s * 1e3:+.1f} ms" if shift_s else moving.name
-    axes.plot(others, seen, color=_MOVING, linewidth=0.8, label=label)
+    seconds = (one.times_ns - begin_ns) / NS_PER_S
+    others = (other.times_ns - late_ns - begin_ns) / NS_PER_S
+    axes.plot(seconds, one.values, color=_FIXED, linewidth=1, label=fixed.name)
+    label = f"{moving.name}, {-late_ns / 1e6:+.1f} ms" if late_ns else moving.name
+    axes.plot(others, other.values, color=_MOVING, linewidth=0.8, label=label)
     axes.set_xlabel("s")
     axes.set_ylabel("movement")
     axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, frameon=False, fontsize="small")

@@ -20,6 +20,8 @@ from igtl_gateway.errors import ConfigError
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.view.contents import (
     DROPS,
+    LAG_CURVES,
+    LAG_TEXT,
     LATENCIES,
     LOG,
     RATES,
@@ -91,7 +93,7 @@ def blueprint(name: str, seen: SessionContents) -> rrb.Blueprint:
 
 def _star(seen: SessionContents) -> Part:
     """Large: the tissue.  Beside it: the camera image and the noise.  Below: text and plots."""
-    words: list[Part] = [_log()]
+    words = _words(seen)
     if seen.reviewed:
         words.insert(0, rrb.TextDocumentView(name="Stitches", origin=f"/{REVIEW_TABLE}"))
     side = _stack([*_pictures(seen)[:1], *_noise(seen), *_pictures(seen)[1:]])
@@ -231,7 +233,12 @@ def _log() -> rrb.TextLogView:
 
 
 def _words_and_numbers(seen: SessionContents) -> Part:
-    return _row((_log(), 1), (_plots(seen), 1))
+    return _row((_tabs(_words(seen)), 1), (_plots(seen), 1))
+
+
+def _words(seen: SessionContents) -> list[Part]:
+    lag = [rrb.TextDocumentView(name="Lag", origin=f"/{LAG_TEXT}")] if seen.lag else []
+    return [*lag, _log()]
 
 
 def _plots(seen: SessionContents) -> Part:
@@ -239,7 +246,8 @@ def _plots(seen: SessionContents) -> Part:
     plots = [_plot(shown.topic, f"/{shown.path}") for shown in seen.of(EntityKind.PLOT)]
     inputs = [f"+ $origin/{kind.value}/**" for kind in (Kind.ROS_IN, Kind.IGTL_IN)]  # outputs follow from the inputs
     rates = [_plot("Rate (Hz)", f"/{RATES}", inputs)] if seen.seconds >= 1 else []  # a shorter session has no rate
-    return _tabs([*plots, *rates, _plot("Latency (ms)", f"/{LATENCIES}"), _plot("Drops and gaps", f"/{DROPS}")])
+    lag = [_plot(seen.lag, f"/{LAG_CURVES}")] if seen.lag else []
+    return _tabs([*lag, *plots, *rates, _plot("Latency (ms)", f"/{LATENCIES}"), _plot("Drops and gaps", f"/{DROPS}")])
 
 
 def _plot(name: str, origin: str, contents: list[str] | str = "$origin/**") -> rrb.TimeSeriesView:

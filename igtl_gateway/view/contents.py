@@ -13,6 +13,9 @@ from igtl_gateway.stamp import NS_PER_S
 #: Entities that belong to no topic.
 LOG, LINKS, DROPS = "session/log", "session/links", "session/drops"
 RATES, LATENCIES = "plots/rate", "plots/latency"
+#: The lag between two streams.
+LAG = "lag"
+LAG_TEXT, LAG_CURVES = f"{LAG}/text", f"{LAG}/curves"
 #: Frames of the transform tree: one entity ``frames/<frame id>`` each, with axes.
 FRAMES = "frames"
 #: Frames of entities before their first row, see ``Pen.stand``.
@@ -130,6 +133,7 @@ class SessionContents:
         places: child frame → its latest pose in the parent frame: x, y, z in metres, quaternion x, y, z, w.
         first_ns, last_ns: gateway time of the first and last entry, UTC ns; 0 = none.
         reviewed: whether a review of the suture plan was drawn.
+        lag: names of the two streams whose lag was drawn; "" = none.
         scales: cloud of the review → its colour scale.
         fields: names of fields of clouds, for ``--color-by``.
         frames: child frame → its entity, ``frames/<frame id>``.
@@ -142,6 +146,7 @@ class SessionContents:
     first_ns: int = 0
     last_ns: int = 0
     reviewed: bool = False
+    lag: str = ""
     scales: dict[str, str] = field(default_factory=dict)
     fields: set[str] = field(default_factory=set)
     frames: dict[str, str] = field(default_factory=dict)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import rerun as rr
 
 from igtl_gateway.errors import ConversionError
@@ -149,6 +150,14 @@ class Pen:
     def numbers(self, path: str, values: Sequence[float]) -> None:
         """Add one value to each of several series, NaN for none."""
         self._wait((path, f"numbers {len(values)}"), values)
+
+    def series(self, path: str, times_ns: npt.NDArray[np.int64], values: npt.NDArray[np.float64]) -> None:
+        """Send (N,) values at (N,) gateway times, UTC ns; those outside the time lines are left out."""
+        on = (times_ns > 0) & (times_ns <= LAST_NS)
+        if on.any():
+            stamps = np.ascontiguousarray(times_ns[on])
+            times = [rr.TimeColumn(GATEWAY_TIME, timestamp=stamps.view("datetime64[ns]"))]
+            self.recording.send_columns(path, times, rr.Scalars.columns(scalars=values[on]))
 
     def text(self, path: str, text: str, level: str, colour: int | None = None) -> None:
         """Write a line to a log."""

@@ -20,12 +20,15 @@ from igtl_gateway.review import Review
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.sync.lag import Lag
+from igtl_gateway.sync.signal import Signal
 from igtl_gateway.untrusted.files import read_bytes
 from igtl_gateway.view.canvas import Canvas, Options
 from igtl_gateway.view.colours import ERROR, INFO, WARN
 from igtl_gateway.view.contents import (
     DROPS,
     FRAMES,
+    LAG,
     LATENCIES,
     LINKS,
     LOG,
@@ -37,6 +40,7 @@ from igtl_gateway.view.contents import (
     ShownTopic,
     path_of,
 )
+from igtl_gateway.view.lag_drawing import draw_lag
 from igtl_gateway.view.pen import GATEWAY_TIME, LAST_NS, SENDER_TIME, Pen, timeless
 from igtl_gateway.view.review_drawing import draw_review
 from igtl_gateway.view.robots import Robots
@@ -44,7 +48,7 @@ from igtl_gateway.view.table import PICTURES, Picture
 
 _ROS = frozenset((Kind.ROS_IN, Kind.ROS_OUT))
 _NOTES = frozenset((Kind.LINK, Kind.EDGE_NOTE, Kind.NOTE))
-_RESERVED = frozenset((LOG.partition("/")[0], RATES.partition("/")[0], FRAMES, PLACES, REVIEW))
+_RESERVED = frozenset((LOG.partition("/")[0], RATES.partition("/")[0], FRAMES, LAG, PLACES, REVIEW))
 _COLOURS = {Level.INFO: INFO, Level.WARN: WARN, Level.ERROR: ERROR}
 _DROP_WORDS = ("drop", "lost", "full", "missed", "left_out")
 
@@ -171,6 +175,11 @@ class SessionView:
         shown = self.seen.shown[str(urdf)] = ShownTopic(path, str(urdf), "URDF", EntityKind.ROBOT, self.seen.base_frame)
         canvas = Canvas(self._pen, self.seen, shown, self._options, len(self.seen.shown), self._robots)
         self._robots.describe(read_bytes(urdf), namespace, canvas, urdf)
+
+    def lag(self, fixed: Signal, moving: Signal, lag: Lag, shift_ns: int) -> None:
+        """Draw the lag of one stream behind another; stamps + ``shift_ns`` are times of the gateway."""
+        self.seen.lag = f"{moving.name} behind {fixed.name}"
+        draw_lag(fixed, moving, lag, shift_ns, self._pen)
 
     # Messages
 

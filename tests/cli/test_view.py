@@ -11,6 +11,7 @@ import pytest
 pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 
 import mcap.writer
+import numpy as np
 
 from igtl_gateway.cli import main
 from igtl_gateway.convert import rosmsg
@@ -173,3 +174,63 @@ def test_a_field_that_no_cloud_has_is_told(tmp_path: Path, capsys: pytest.Captur
 def test_a_live_view_needs_a_screen(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bridge", "--no-ros", "--view", "--listen", "127.0.0.1:0"]) == 1
     assert "found no screen" in capsys.readouterr().err
+
+
+def irregular(path: Path, late_s: float) -> Path:
+    """Two tools with the same irregular movement, one of them late; stamps 5 ms before gateway time."""
+    chance = np.random.default_rng(0)
+    waves = chance.uniform((0.01, 0.5, 0), (0.03, 6, 6), (8, 3))
+    messages = []
+    for topic, period, late in (("/a", 0.025, 0.0), ("/b", 0.04, late_s)):
+        for time in np.arange(0, 20, period):
+            place = float(np.sum(waves[:, 0] * np.sin(waves[:, 1] * (time - late) + waves[:, 2])))
+            stamp_ns = START_NS + round(time * 1e9)
+            header = rosmsg.Header(stamp_ns, "base")
+            messages.append((stamp_ns, topic, rosmsg.TransformStamped(header, topic[1:], (place, 0, 0), (0, 0, 0, 1))))
+    writer = SessionWriter(path, {})
+    for number, (stamp_ns, topic, message) in enumerate(sorted(messages, key=lambda each: each[:2]), 1):
+        entry = (
+            number,
+            stamp_ns + 5_000_000 + number,
+            Kind.ROS_IN,
+            topic,
+            message.TYPE,
+            (message.pack(),),
+            (),
+            stamp_ns,
+        )
+        writer.write(Entry(*entry))
+    writer.close({})
+    return path
+
+
+def test_the_lag_of_a_stream_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, out = irregular(tmp_path / "lag.mcap", 0.05), tmp_path / "out.rrd"
+    assert main(["view", str(path), "--save", str(out), "--sync", "/a", "/b", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)["lag"]
+    assert told["lag_s"] == pytest.approx(0.05, abs=0.002)
+    assert main(["sync", str(path), "/a", "/b", "--json"]) == 0
+    (expected,) = json.loads(capsys.readouterr().out)["lags"]
+    assert told.items() >= expected.items()
+    rows = counts(out)
+    assert {path: number for path, number in rows.items() if path.startswith("/lag/")} == {
+        "/lag/curves/fixed": 799,
+        "/lag/curves/moving": 500,
+        "/lag/curves/corrected": 500,
+    }
+    assert main(["view", str(path), "--save", str(out), "--overwrite", "--sync", "/a", "/c"]) == 1
+    assert "found no stream '/c', expected one of /a, /b" in capsys.readouterr().err
+    assert main(["view", str(path), "--save", str(out), "--overwrite", "--sync", "/a", "/b"]) == 0
+    assert "/b behind /a: +5" in capsys.readouterr().out
+
+
+def test_a_robot_of_the_user(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    urdf = tmp_path / "a=b.urdf"
+    urdf.write_text('<robot name="arm"><link name="base"/></robot>')
+    path, out = irregular(tmp_path / "in.mcap", 0.0), tmp_path / "out.rrd"
+    for word in (str(urdf), f"/PSM1={urdf}"):
+        assert main(["view", str(path), "--save", str(out), "--overwrite", "--urdf", word]) == 0
+        assert "a=b.urdf" in capsys.readouterr().out
+    for word, found in (("none.urdf", "none.urdf: No such file"), (str(path), "invalid XML"), ("", "found")):
+        assert main(["view", str(path), "--save", str(out), "--overwrite", "--urdf", word]) in (1, 2)
+        assert found in capsys.readouterr().err

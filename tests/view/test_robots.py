@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import struct
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,6 @@ from igtl_gateway.view.urdf import parse_urdf
 from .conftest import Draw, Drawn
 
 Array = npt.NDArray[Any]
-DATA = Path(os.environ.get("IGTL_GATEWAY_DATA", "/nowhere"))
 BALL = '<visual><geometry><sphere radius="0.01"/></geometry></visual>'
 STL = bytes(80) + struct.pack("<I", 1) + bytes(50)
 
@@ -161,12 +159,11 @@ def test_links_are_where_independent_kinematics_puts_them(draw: Draw, seed: int)
     blueprints.blueprint("navigation", drawn.view.seen)
 
 
-@pytest.mark.skipif(not (DATA / "dvrk-urdf").is_dir(), reason="IGTL_GATEWAY_DATA has no dvrk-urdf")
 @pytest.mark.parametrize("name", ["dvrk_psm1_classic", "dvrk_psm1_virtual", "dvrk_ecm_classic"])
-def test_arms_of_dvrk_move_as_rerun_moves_them(draw: Draw, name: str) -> None:
+def test_arms_of_dvrk_move_as_rerun_moves_them(draw: Draw, shared_dir: Path, name: str) -> None:
     from rerun.urdf import UrdfTree
 
-    path = DATA / "dvrk-urdf" / f"{name}.urdf"
+    path = shared_dir / "data/dvrk-urdf" / f"{name}.urdf"
     tree = UrdfTree.from_file_path(path)
     free = [each for each in tree.joints() if each.mimic is None and each.joint_type != "fixed"]
     chance = np.random.default_rng(1)

@@ -54,7 +54,7 @@ def named(name: str) -> str:
 
 
 def many(text: str, count: int) -> str:
-    """A text with a number for each %d."""
+    """A string repeated, with its number for %d."""
     return "".join(text % number for number in range(count))
 
 
