@@ -13,7 +13,7 @@ from igtl_gateway.view.pen import Pen
 
 
 def draw_lag(fixed: Signal, moving: Signal, lag: Lag, shift_ns: int, pen: Pen) -> None:
-    """Draw three curves, the fixed stream, the moving one, and the moving one without its lag; and a text.
+    """Draw three curves, the fixed stream, the moving one, and the moving one without its lag; and the verdict.
 
     Args:
         fixed, moving: what moves in the streams, at their stamps.
