@@ -182,3 +182,58 @@ def test_what_ros_refuses_is_not_counted_as_sent(tmp_path: Path) -> None:
     assert told["account"] == {"recorded": 30, "made": 0, "sent": 10, "not_sent": {"refused": 20}}
     assert [(each["stream"], each["messages"]) for each in told["refused"]] == [("/not a name", 10), ("/unknown", 10)]
     assert "lab_msgs/msg/Thing: unknown type" in told["refused"][1]["reason"]
+
+
+def test_node_and_topics_are_where_ros_args_put_them() -> None:
+    """Relative and absolute names on the left of a rule, the namespace, the services below the name of the node."""
+    pose = "/igtl/in/ProbeToTracker/transform"
+    heard = {"/said": HEARD[STRING], "/room" + MESH: HEARD[MESH], "/poses": HEARD[pose]}
+    clock = "/or1/clock"
+    rules = (
+        "__node:=player",
+        "__ns:=/room",
+        "igtl/in/Greeting/string:=/said",
+        f"/room{pose}:=/poses",
+        f"/clock:={clock}",
+    )
+    with RosClient("listener", subscribe=heard) as node:
+        for name in (STRING, MESH, "/room" + STRING):
+            node.subscribe(name, HEARD[MESH if name == MESH else STRING])  # where nothing must be
+        node.subscribe(clock, "rosgraph_msgs/msg/Clock", depth=1)
+        streams = [word for topic in (STRING, MESH, pose) for word in ("--streams", topic)]
+        options = ("--to", "ros", "--json", "--start-paused", "--clock", *streams)
+        program = gateway(
+            "replay", str(TYPES), *options, "--ros-args", *(word for rule in rules for word in ("-r", rule))
+        )
+        try:
+            service = "/room/player/resume"
+            node.call(service, "rosbag2_interfaces/srv/Resume", {})
+            node.receive(service)
+            assert node.receive("/said")["data"] == "hello from OpenIGTLink"
+            assert node.receive("/poses")["child_frame_id"] == "Probe"
+            assert len(node.receive("/room" + MESH)["triangles"]) == 4
+            assert node.receive(clock)["clock"]["sec"] == START_S
+            program.wait_until(lambda: '"complete"' in program.said(), "the outcome")
+            told = json.loads(next(line for line in program.lines if '"complete"' in line))
+            assert told["streams"].keys() == {STRING, MESH, pose}  # names of the recording
+            assert program.end(None).code == 0
+            assert [node.waiting(name) for name in (STRING, MESH, "/room" + STRING)] == [0, 0, 0]
+        finally:
+            program.close()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["--no-such-flag"], "--ros-args: found --no-such-flag, expected arguments of ROS 2 such as -p, -r"),
+        (["-r", "__node:=not a name"], "--ros-args: "),
+    ],
+)
+def test_wrong_arguments_of_ros_are_one_line(arguments: list[str], text: str) -> None:
+    program = gateway("replay", str(TYPES), "--to", "ros", "--ros-args", *arguments)
+    try:
+        result = program.end(None)
+    finally:
+        program.close()
+    assert result.code == 2
+    assert text in result.err.splitlines()[-1]
