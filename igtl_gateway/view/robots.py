@@ -183,7 +183,7 @@ class Robots:
             name = escape_path_part(link)
             bodies[link] = [(f"{name}/{n}", body) for n, body in enumerate(drawn, 1) if body is not None]
             ground = link == model.root and link not in model.visuals and bool(model.visuals)
-            if lines := _lines(model, link, segments=not whole and not ground):
+            if not whole and not ground and (lines := _lines(model, link)):
                 bodies[link].append((f"{name}/lines", [rr.LineStrips3D(lines, colors=[GREY], radii=[_LINE_M])]))
             bare = not whole and (link in model.visuals or not model.visuals)
             if link != _WORLD:
@@ -237,13 +237,12 @@ def _followers(bindings: Sequence[_Binding], topic: str) -> list[_Binding]:
     return found
 
 
-def _lines(model: Robot, link: str, *, segments: bool) -> list[list[Xyz]]:
-    """Return lines along the travel of prismatic joints below a link, and ``segments`` from the link to all joints."""
+def _lines(model: Robot, link: str) -> list[list[Xyz]]:
+    """Return lines from a link to the joints below it, and along the travel of prismatic joints."""
     lines = []
     for joint in model.joints:
         if joint.parent == link:
-            if segments:
-                lines.append([(0.0, 0.0, 0.0), joint.xyz])
+            lines.append([(0.0, 0.0, 0.0), joint.xyz])
             if joint.kind is JointKind.PRISMATIC:
                 low, high = (joint.pose(limit)[:3] for limit in joint.travel)
                 lines.append([(low[0], low[1], low[2]), (high[0], high[1], high[2])])

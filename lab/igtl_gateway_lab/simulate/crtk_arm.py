@@ -101,6 +101,10 @@ class Arm:
 ARMS = (Arm("PSM1", (0.06, 0.0, 0.15), 0.35), Arm("PSM2", (-0.06, 0.0, 0.15), -0.35))
 
 
+#: Name of a joint → length of the cylinder of its link along z, in metres.  The shaft always reaches the remote centre.
+_LENGTHS = {"insertion": 0.26, "wrist_yaw": -TIP_M, "jaw": 0.012}
+
+
 def urdf() -> str:
     """The text of /robot_description: both arms, with spheres and cylinders and without meshes."""
     parts = ['<?xml version="1.0"?>', '<robot name="dvrk_like">', f'  <link name="{WORLD}"/>']
@@ -115,8 +119,7 @@ def urdf() -> str:
             else:
                 child = f"{arm.name}_{joint.name}_link"
                 parts += _joint(f"{arm.name}_{joint.name}", joint.kind, (parent, child), row=joint)
-            length = {"insertion": 0.10, "wrist_yaw": TIP_M, "jaw": 0.012}.get(joint.name if joint else "", 0.0)
-            parts += _link(child, 0.004, -length if joint is not JAW else length)
+            parts += _link(child, 0.004, _LENGTHS.get(joint.name if joint else "", 0.0))
             parent = child
     return "\n".join((*parts, "</robot>", ""))
 
