@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -120,13 +120,18 @@ def _of_images(stream: Stream, line: bool) -> tuple[Array, str]:
     pictures = (_grey(view.array) for view in stream.images())
     if line:
         return np.array([line_height(picture) for picture in pictures]), "px"
+    return picture_components(pictures), ""
+
+
+def picture_components(pictures: Iterable[Array]) -> Array:
+    """Return the first principal components (N, up to 3) of small versions of grey pictures (rows, columns)."""
     small = np.array([_thumbnail(picture) for picture in pictures])
     if not len(small):
-        return small.reshape(0, 1), ""
+        return small.reshape(0, 1)
     centred = small - small.mean(axis=0)
     # of the smaller of the two products: a second of video, or an hour
     left, sizes, _ = np.linalg.svd(centred, full_matrices=False)
-    return left[:, :_COMPONENTS] * sizes[:_COMPONENTS], ""
+    return np.asarray(left[:, :_COMPONENTS] * sizes[:_COMPONENTS])
 
 
 def _grey(array: Array) -> Array:

@@ -55,6 +55,8 @@ def run_lerobot(options: argparse.Namespace) -> int:
 def _write_recipe(options: argparse.Namespace) -> int:
     from igtl_gateway.lerobot.drafting import draft
 
+    if options.write_recipe.exists():
+        raise ConfigError(f"{options.write_recipe}: exists already, expected a new file")
     check_target(options.write_recipe, overwrite=False)
     with recordings.open(options.file) as recording:
         text = draft(recording)

@@ -168,6 +168,8 @@ def _synchronization(plan: Plan, streams: list[Facts]) -> Iterator[str]:
         "left over",
         "interpolated",
         "held",
+        "cuts",
+        "missing",
         "distance",
         "largest",
     )
@@ -177,12 +179,14 @@ def _synchronization(plan: Plan, streams: list[Facts]) -> Iterator[str]:
         tolerance = "any" if row.tolerance_ms is None else f"{row.tolerance_ms:g}"
         uses.append((
             _label(plan, each), row.rule, tolerance, f"{each.used:,}", f"{len(each.samples.times) - each.used:,}",
-            f"{each.interpolated:,}", f"{each.held:,}", f"{each.median_ms:.2f}", f"{each.furthest_ms:.2f}",
+            f"{each.interpolated:,}", f"{each.held:,}", f"{each.cuts:,}", f"{each.missing_s:.2f} s",
+            f"{each.median_ms:.2f}", f"{each.furthest_ms:.2f}",
         ))  # fmt: skip
     yield from _rows(*uses, titles=uses_titles)
     yield ""
     yield f"The data set has {plan.frame_count:,} frames in {len(plan.episodes):,} episodes. Distance is the median,"
-    yield "over the frames, of the time between frame and sample (the one before, for interpolate)."
+    yield "over the frames, of the time between frame and sample (the one before, for interpolate). Cuts are times"
+    yield "without a value by the rule, between the first and the last sample; missing is their sum."
     yield ""
     yield f"* episodes that were divided at a gap: {plan.cuts:,} more episodes"
     yield from (f"* left out: {number:,} frames: {why}" for why, number in plan.left_out.items())

@@ -86,11 +86,11 @@ def _files(found: FoundDataSet) -> Iterator[str]:
 
 
 def _episodes(found: FoundDataSet) -> Iterator[str]:
-    first = 0
+    first, tables = 0, Tables()
     for episode in found.episodes:
         place = f"episode {episode.index}"
         try:
-            table = table_of(found, episode)
+            table = tables.of(episode)
         except GatewayError as error:
             yield str(error)
             continue
@@ -103,12 +103,20 @@ def _episodes(found: FoundDataSet) -> Iterator[str]:
     yield from _videos(found)
 
 
-def table_of(found: FoundDataSet, episode: FoundEpisode) -> pa.Table:
-    """Return the rows of an episode.  Raises GatewayError."""
-    table = read_table(episode.data)
-    if episode.rows is None:
-        return table
-    return table.slice(episode.rows[0], episode.rows[1] - episode.rows[0])
+class Tables:
+    """The rows of episodes; a file with several episodes is read once."""
+
+    def __init__(self) -> None:
+        self._last: tuple[Path, pa.Table] | None = None
+
+    def of(self, episode: FoundEpisode) -> pa.Table:
+        """Return the rows of an episode.  Raises GatewayError."""
+        if self._last is None or self._last[0] != episode.data:
+            self._last = episode.data, read_table(episode.data)
+        table = self._last[1]
+        if episode.rows is None:
+            return table
+        return table.slice(episode.rows[0], episode.rows[1] - episode.rows[0])
 
 
 def _columns(found: FoundDataSet, table: pa.Table) -> Iterator[str]:

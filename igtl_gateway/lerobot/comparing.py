@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from igtl_gateway.api import recording as recordings
 from igtl_gateway.errors import GatewayError
-from igtl_gateway.lerobot.checking import check_rules, matrix_of, pictures_of, table_of
+from igtl_gateway.lerobot.checking import Tables, check_rules, matrix_of, pictures_of
 from igtl_gateway.lerobot.frames import Episode, Plan, build
 from igtl_gateway.lerobot.reading import FoundDataSet, read_table
 from igtl_gateway.lerobot.recipe_file import read_recipe
@@ -58,11 +58,12 @@ def _compare(found: FoundDataSet, plan: Plan) -> Iterator[str]:
     if lengths[0] != lengths[1]:
         yield f"episodes: found {_short(lengths[0])} frames, expected {_short(lengths[1])} from the recording"
         return
+    tables = Tables()
     for one, two in zip(found.episodes, plan.episodes, strict=True):
         if one.tasks != [two.task]:
             yield f"episode {two.index}: tasks: found {_short(one.tasks)}, expected {_short([two.task])}"
         try:
-            table = table_of(found, one)
+            table = tables.of(one)
         except GatewayError:
             continue  # the rules have it
         yield from (f"episode {two.index}: {each}" for each in _columns(plan, two, table))

@@ -166,7 +166,7 @@ class _Version30:
         if is_open and is_open.file.count:
             # a reader compares float32 times, which end where their steps are larger than its tolerance
             is_long = (is_open.file.count + count) / fps > float32_horizon_s()
-            if is_long or is_open.file.path.stat().st_size >= VIDEO_MB * 1_000_000:
+            if is_long or is_open.file.size >= VIDEO_MB * 1_000_000:
                 is_open.file.close()
                 is_open, number = None, number + 1
         if is_open is None:

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.api.lags import POSES_BY_NAME, movement
+from igtl_gateway.api.lags import POSES_BY_NAME, movement, picture_components
 from igtl_gateway.api.poses import between_poses
 from igtl_gateway.api.recording import Recording
 from igtl_gateway.api.stream import Stream
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.exchange.igtl_columns import quaternions_of
 from igtl_gateway.lerobot.pictures import Pictures, has_pictures
 from igtl_gateway.lerobot.recipe import Feature
@@ -142,7 +142,7 @@ def read_samples(recording: Recording, row: Feature, clock: str, place: str) -> 
         raise ConfigError(f"{place}: found no usable value in {len(stream):,} messages of {row.stream}, expected one")
     names = _named(names, row, place)
     stamps = times_of(stream, clock)
-    lag, correction = _correction(recording, stream, row, clock, place)
+    lag, correction = _correction(recording, stream, row, clock, place, pictures)
     every = stamps if correction is None else np.array([correction.corrected_ns(int(at)) for at in stamps], np.int64)
     disordered = int(np.sum(stamps[1:] < stamps[:-1]))
     order = np.argsort(every[rows], kind="stable")
@@ -267,8 +267,22 @@ def _element_names(table: Any, name: str, size: int) -> list[str]:
     return [f"{name}_{number}" for number in range(size)]
 
 
-def signal_of(stream: Stream, clock: str, frame: str = "") -> Signal:
-    """Return what moves in a stream, on a clock.  Raises ConfigError."""
+def signal_of(stream: Stream, clock: str, frame: str = "", pictures: Pictures | None = None) -> Signal:
+    """Return what moves in a stream, on a clock, with the recorded stamps.
+
+    Args:
+        stream: the stream.
+        clock: ``source`` or ``gateway``.
+        frame: of streams with several poses.
+        pictures: the pictures of the stream, if they are read already.
+
+    Raises:
+        GatewayError: nothing in it could move, or a message is damaged.
+    """
+    if has_pictures(stream):
+        pictures = pictures or Pictures(stream)
+        grey = (pictures.rgb(int(index)).mean(axis=2) for index in pictures.usable)
+        return Signal.of(times_of(stream, clock)[pictures.usable], picture_components(grey), stream.key)
     found = movement(stream, frame=frame)
     # of the stream's own choice of clock: back to the messages, and to the times on the wanted clock
     own = stream.source_times if bool(np.all(stream.source_times)) else stream.times
@@ -277,7 +291,7 @@ def signal_of(stream: Stream, clock: str, frame: str = "") -> Signal:
 
 
 def _correction(
-    recording: Recording, stream: Stream, row: Feature, clock: str, place: str
+    recording: Recording, stream: Stream, row: Feature, clock: str, place: str, pictures: Pictures | None
 ) -> tuple[Lag | None, StampCorrection | None]:
     if row.lag_ms:
         lag_ns = round(row.lag_ms * 1e6)
@@ -286,8 +300,8 @@ def _correction(
         return None, None
     other = stream_of(recording, row.against, f"{place}.against")
     try:
-        lag = measure_lag(signal_of(other, clock), signal_of(stream, clock, row.frame))
-    except ConfigError as error:
+        lag = measure_lag(signal_of(other, clock), signal_of(stream, clock, row.frame, pictures))
+    except GatewayError as error:
         raise ConfigError(f"{place}.lag: {error}") from None
     if lag.verdict is not Verdict.MEASURED:
         raise ConfigError(f"{place}.lag: found {lag.verdict.value} ({row.stream} behind {row.against}), expected a lag "

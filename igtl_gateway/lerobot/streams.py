@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from igtl_gateway.api.recording import Recording
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.errors import GatewayError
 from igtl_gateway.lerobot.frames import Plan
+from igtl_gateway.lerobot.resampling import coverage
 from igtl_gateway.lerobot.samples import Samples, signal_of
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.sync.lag import Lag, measure_lag
+from igtl_gateway.sync.signal import Signal
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +28,7 @@ class Facts:
         jitter_ms: standard deviation of the intervals, without gaps.
         largest_ms: largest interval.
         gaps: intervals above three median ones.
+        cuts, missing_s: times without a value by the rule between the first and the last sample, and their sum.
         used: samples that are in a frame.
         interpolated, held: frames between two samples, and frames with a sample older than the tolerance.
         median_ms, furthest_ms: distance in time of the samples before (or nearest to) the frames.
@@ -37,6 +41,8 @@ class Facts:
     jitter_ms: float
     largest_ms: float
     gaps: int
+    cuts: int
+    missing_s: float
     used: int
     interpolated: int
     held: int
@@ -71,10 +77,13 @@ def _facts(plan: Plan, index: int, samples: Samples, lag: Lag | str) -> Facts:
         held += int(np.sum(picks.held[:count]))
         offsets.append(np.abs(samples.times[picks.before[:count]] - episode.times))
     away = np.concatenate(offsets) / NS_PER_MS
+    covered = coverage(samples)
+    missing = [start - end for (_, end), (start, _) in pairwise(covered)]
     return Facts(
         index, samples, NS_PER_S / middle if middle else 0.0,
         float(usual.std()) / NS_PER_MS if len(usual) else 0.0,
         float(steps.max()) / NS_PER_MS if len(steps) else 0.0, int(np.sum(steps > 3 * middle)),
+        len(missing), sum(missing) / NS_PER_S,
         int(used.sum()), interpolated, held, float(np.median(away)), float(away.max()), lag,
     )  # fmt: skip
 
@@ -85,6 +94,7 @@ def _lags(recording: Recording, plan: Plan, rows: list[tuple[int, Samples]]) -> 
         return ["not measured: measure_lags = false"] * len(rows)
     found: list[Lag | str] = []
     known: dict[tuple[str, str], Lag | str] = {}
+    fixed: Signal | None = None
     first = rows[0][1].row
     for _, samples in rows:
         key = (samples.row.stream, samples.row.frame)
@@ -93,11 +103,13 @@ def _lags(recording: Recording, plan: Plan, rows: list[tuple[int, Samples]]) -> 
             continue
         if key not in known:
             try:
-                fixed, moving = (
-                    signal_of(recording[each.stream], plan.clock, each.frame) for each in (first, samples.row)
-                )
-                known[key] = measure_lag(fixed, moving)
-            except ConfigError as error:
+                fixed = fixed or _signal(recording, plan, rows[0][1])
+                known[key] = measure_lag(fixed, _signal(recording, plan, samples))
+            except GatewayError as error:
                 known[key] = f"not measured: {error}"
         found.append(known[key])
     return found
+
+
+def _signal(recording: Recording, plan: Plan, samples: Samples) -> Signal:
+    return signal_of(recording[samples.row.stream], plan.clock, samples.row.frame, samples.pictures)

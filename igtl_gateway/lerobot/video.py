@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
@@ -42,6 +43,7 @@ class VideoFile:
         encoder, options = _ENCODERS[codec]
         if encoder not in self._av.codecs_available:
             raise Unavailable(f"video codec {codec}: this PyAV has no {encoder}")
+        os.environ.setdefault("SVT_LOG", "1")  # libsvtav1 writes its settings to stderr: errors only
         path.parent.mkdir(parents=True, exist_ok=True)
         self.path, self.count = path, 0
         self._file = self._av.open(str(path), "w", format="mp4")
@@ -52,6 +54,11 @@ class VideoFile:
         self._stream.codec_context.gop_size = KEY_FRAME_INTERVAL
         self._stream.codec_context.thread_count = THREADS
         self._stream.codec_context.colorspace, self._stream.codec_context.color_range = _BT601, _LIMITED
+
+    @property
+    def size(self) -> int:
+        """Bytes so far: the file exists from its first encoded frame on."""
+        return self.path.stat().st_size if self.path.exists() else 0
 
     def add(self, picture: Pixels) -> None:
         """Add a picture (rows, columns, 3), RGB."""
