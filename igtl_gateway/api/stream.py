@@ -235,7 +235,8 @@ class Stream:
         """Return all messages as an Arrow table: a row per message.
 
         The columns ``entry``, ``time_ns`` and ``source_ns`` (null = unset) come first, then the fields of the message
-        with the names that ``export --to csv`` has.  The metadata of a field has its ``unit``.  Messages that cannot be
+        with the names that ``export --to csv`` has.  The metadata of header version 2 is the column ``metadata``, a
+        map, if any message has some.  The metadata of a field has its ``unit``.  Messages that cannot be
         decoded have no row; ``schema.metadata[b"left_out"]`` has their number by reason, as JSON.
 
         Raises:

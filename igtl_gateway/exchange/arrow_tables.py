@@ -1,8 +1,9 @@
 """Messages of one stream as an Arrow table: a row per message, a column per field, units in the metadata of the fields.
 
 Columns have the names that ``columns`` gives them, after ``entry``, ``time_ns`` and ``source_ns``.  A list of messages
-in a message is a list of structs, numbers are lists, pixels and other bytes are binary.  Poses and ROS types of numbers
-and strings are converted all at once; other messages one by one.
+in a message is a list of structs, numbers are lists, pixels and other bytes are binary.  Metadata of header version 2
+is a map from key to text.  Poses and ROS types of numbers and strings are converted all at once; other messages one by
+one.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from igtl_gateway.session.entry import Kind
 from igtl_gateway.sessionfile.bulk import MessageBlock
 from igtl_gateway.untrusted.decoding import MessageDecoder
 from igtl_gateway.wire import decode
+from igtl_gateway.wire.message import metadata_of
 from igtl_gateway.wire.registry import describe_content
 
 try:
@@ -41,6 +43,8 @@ _SURROGATES = re.compile(r"[\ud800-\udfff]")
 _MAX_OFFSET = (1 << 31) - 1
 
 Fields = dict[str, Any]
+#: Column of the metadata of header version 2; no type has a field of this name.
+METADATA = "metadata"
 
 
 class TableMaker:
@@ -75,6 +79,7 @@ class TableMaker:
             ("time_ns", pa.array(block.times), "ns"),
             ("source_ns", pa.array(block.source_times, mask=block.source_times == 0), "ns"),
         ]
+        columns += _metadata_column(block) if self._is_igtl else []
         taken = [(f"{name}_" if name in HEAD else name, array, unit) for name, array, unit in columns]
         return _table([*head, *taken], self._metadata), reasons
 
@@ -109,6 +114,15 @@ class TableMaker:
             raise ConversionError("the session has no definition of its type")
         message = self._decoder.decode(self._type, bytes(payload))
         return _flat("", name_ros_fields(self._decoder.store(self._type), message))
+
+
+def _metadata_column(block: MessageBlock) -> list[tuple[str, pa.Array, str]]:
+    """The column of the metadata of header version 2; none if no message has any."""
+    values: list[list[tuple[str, str]] | None] = [None] * len(block)
+    for row in np.flatnonzero(block.data[block.begins + 1] != 1).tolist():  # last byte of the version
+        items = [(_text(item.key), _text(item.text)) for item in metadata_of(block.payload(row))]
+        values[row] = items or None
+    return [(METADATA, pa.array(values, pa.map_(pa.string(), pa.string())), "")] if any(values) else []
 
 
 def _raw_fields(content: Any) -> Fields:

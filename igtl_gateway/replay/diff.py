@@ -14,7 +14,8 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from types import SimpleNamespace
 from typing import Any
 
 from igtl_gateway.replay.compare import EXACT, Delta, LeafDecoder, Tolerance, Undecodable, compare_values, first_byte
@@ -60,7 +61,7 @@ class DiffLocation:
         )
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class StreamDiff:
     """One stream in both recordings.
 
@@ -252,7 +253,7 @@ class _WaitingMessages:
 
 @dataclass(slots=True)
 class _StreamPairing:
-    diff: StreamDiff
+    diff: SimpleNamespace  # the values of a StreamDiff, until the end
     one: _WaitingMessages = field(default_factory=_WaitingMessages)
     other: _WaitingMessages = field(default_factory=_WaitingMessages)
     times: _Times = field(default_factory=_Times)
@@ -273,7 +274,7 @@ class _Pairing:
         """Take the next entry of one side."""
         stream = self._streams.get(key)
         if stream is None:
-            stream = self._streams[key] = _StreamPairing(StreamDiff(*key))
+            stream = self._streams[key] = _StreamPairing(SimpleNamespace(**asdict(StreamDiff(*key))))
         if first:
             stream.diff.messages += 1
             stream.one.push(entry)
@@ -298,7 +299,7 @@ class _Pairing:
                     "stamp", f"{offset_ns:+,} ns (most stamps)", f"{first:+,} ns (this stamp)"
                 )
             diff_so_far.offset_ns, diff_so_far.jitter_ns = stream.times.mean, stream.times.deviation
-        streams = [stream.diff for _, stream in sorted(self._streams.items())]
+        streams = [StreamDiff(**vars(stream.diff)) for _, stream in sorted(self._streams.items())]
         return DiffReport(streams, offset_ns, self._all.mean)
 
     def _commonest_offset(self) -> int:

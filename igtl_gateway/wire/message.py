@@ -147,6 +147,16 @@ def decode(data: Buffer, *, check_crc: bool = True) -> Message:
     )
 
 
+def metadata_of(data: Buffer) -> tuple[Item, ...]:
+    """The metadata of a whole message, without its content; () in header version 1.  Raises what `decode` raises."""
+    view = memoryview(data)
+    if Header.unpack(view).version == 1:
+        return ()
+    body = view[HEADER_SIZE:]
+    _, head, items = ExtendedHeader.unpack(body).split(body)
+    return _metadata(head, items)[0]
+
+
 @value(frozen=True, slots=True)
 class ExtendedHeader:
     """The extended header of version 2: sizes in bytes and the message id.

@@ -12,13 +12,14 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
+import igtl_gateway
 from igtl_gateway.exchange import arrow_out
 from igtl_gateway.exchange.arrow_tables import fitted, unified
 from igtl_gateway.exchange.targets import export_to
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.writer import SessionWriter
-from igtl_gateway.wire.message import Message, encode
+from igtl_gateway.wire.message import Item, Message, encode
 from igtl_gateway.wire.transform import Transform
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
@@ -136,6 +137,33 @@ def test_later_messages_may_add_columns(form: str, tmp_path: Path, monkeypatch: 
     table = parquet.read_table(path) if form == "parquet" else pa.ipc.open_file(path).read_all()
     assert table["x_mm"].to_pylist() == [0.0, 1.0, 2.0, 3.0, 4.0, None]
     assert table["entry"].to_pylist() == [1, 2, 3, 4, 5, 6]
+
+
+@pytest.mark.parametrize("form", ["parquet", "arrow"])
+def test_metadata_is_a_column_of_those_that_have_it(form: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(arrow_out, "_ROWS", 2)  # the column comes with a later table
+    pose = Transform((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 2.0, 3.0, 4.0))
+    items = (Item.of("MessageIDString", "7"), Item.of("Bediener", "Müller"), Item.of("", ""), Item("raw", b"\xff\0"))
+    twice = (Item.of("a", "1"), Item.of("a", "2"))
+    messages = [
+        *(Message("TRANSFORM", "A", pose, header_version=version) for version in (1, 1, 2)),
+        *(Message("TRANSFORM", "A", pose, header_version=2, metadata=each) for each in (items, twice)),
+    ]
+    writer = SessionWriter(tmp_path / "a.mcap", {})
+    for number, message in enumerate(messages, 1):
+        data = b"".join(bytes(part) for part in encode(message))
+        writer.write(Entry(number, number, Kind.IGTL_IN, "TRANSFORM/A", "TRANSFORM", (data,), (1,)))
+    writer.close({})
+    with SessionFile.open(tmp_path / "a.mcap") as file:
+        assert [(row.declared, row.taken) for row in export_to(form, file, tmp_path / "out", ()).rows] == [(5, 5)]
+    (path,) = (tmp_path / "out").iterdir()
+    table = parquet.read_table(path) if form == "parquet" else pa.ipc.open_file(path).read_all()
+    assert table["x_mm"].to_pylist() == [2.0] * 5
+    own = [[(item.key, item.text) for item in each] for each in (items, twice)]
+    assert table["metadata"].to_pylist() == [None, None, None, *own]
+    with igtl_gateway.open(tmp_path / "a.mcap") as recording:
+        assert recording["TRANSFORM/A"].to_arrow()["metadata"].to_pylist() == [None, None, None, *own]
+        assert recording["TRANSFORM/A"].to_pandas()["metadata"].iloc[4] == own[1]
 
 
 def test_columns_of_different_types_become_text() -> None:
