@@ -12,6 +12,7 @@ replay and verification use the settings of the recorded session.
     stamp = "source"               # source: the sender's stamp, if set; receive: the gateway time of receipt
     check_crc = true
     profile = "auto"               # profile of all peers: slicer, plus …; auto: detected from their messages
+                                   # crtk:/PSM*: auto, and the CRTK topics of these arms
     publish_tf = true              # publish poses on /tf, too
     command_timeout_s = 5.0        # time after which a COMMAND without a reply has failed
     relay = false                  # true: forward bytes unchanged between clients and one server, without ROS
@@ -19,6 +20,8 @@ replay and verification use the settings of the recorded session.
     fault_seed = 0                 # seed of the fault injection
     deny_in = []                   # types that are refused from peers, such as ["COMMAND", "TRANSFORM"] or ["*"]
     deny_out = []                  # types that are not sent to peers
+    allow_in = []                  # CRTK devices that peers may send to ROS, such as ["PSM1/servo_cp", "ECM/move_*"]
+    allow_out = []                 # CRTK commands of ROS that are sent to peers
     max_age_s = 0.0                # default of the rows: messages that are older on arrival are withheld; 0: no limit
     kinds = []                     # default of the rows of [[to_ros]], see there
     watch = true                   # report jumps of units, decreasing stamps …; by default in live sessions only
@@ -46,6 +49,11 @@ replay and verification use the settings of the recorded session.
     at = "127.0.0.1:18945"         # address of the peer, or the one that it connects to
     profile = "plus"
 
+    [[crtk]]                       # arms with CRTK topics, and the limits of commands to them, see docs/crtk.md
+    arms = "/PSM*"
+    workspace = [-0.1, -0.1, -0.2, 0.1, 0.1, 0.0]  # m; in frame_id, by default that of measured_cp
+    max_speed = 0.1                # m/s
+
     [igtl]                         # the OpenIGTLink side of a bridge; ``settings`` has all names; not recorded
     listen = ["127.0.0.1:18944"]
 
@@ -67,6 +75,8 @@ from pathlib import Path
 from string import Formatter
 from typing import Any, TypeVar
 
+from igtl_gateway.convert import crtk
+from igtl_gateway.convert.arms import ArmsRow, arms_of_profile, arms_row
 from igtl_gateway.convert.frames import TfRequest
 from igtl_gateway.convert.profiles import AUTO
 from igtl_gateway.convert.table import TO_IGTL
@@ -185,6 +195,8 @@ class Config:
     fault_seed: int = 0
     deny_in: tuple[str, ...] = ()
     deny_out: tuple[str, ...] = ()
+    allow_in: tuple[str, ...] = ()
+    allow_out: tuple[str, ...] = ()
     max_age_s: float = 0.0
     kinds: tuple[str, ...] = ()
     watch: bool | None = None
@@ -192,6 +204,7 @@ class Config:
     to_ros: tuple[ToRosRow, ...] = ()
     tf_out: tuple[TfOutRow, ...] = ()
     peers: tuple[PeerRow, ...] = ()
+    crtk: tuple[ArmsRow, ...] = ()
 
     def __post_init__(self) -> None:
         values = {name: getattr(self, name) for name in of_table(GATEWAY)}
@@ -203,6 +216,8 @@ class Config:
             raise ConfigError(f"gateway.faults: found {self.faults!r}, expected relay = true with it")
         for index, peer in enumerate(self.peers):
             _check_choices(f"peers[{index}]", peer, optional=False)
+        for index, arms in enumerate(self.crtk):
+            arms.check(f"crtk[{index}]")
         for index, frames in enumerate(self.tf_out):
             _check_choices(f"tf_out[{index}]", frames, optional=True)
             frames.request(f"tf_out[{index}]")
@@ -239,14 +254,57 @@ class Config:
 
     def row_to_igtl(self, topic: str) -> ToIgtlRow | None:
         """Return the first row that matches a ROS topic; None if the topic is not bridged."""
-        return next((row for row in (*self.to_igtl, _DEFAULT_TO_IGTL) if matches(row.topic, topic)), None)
+        if row := next((row for row in self.to_igtl if matches(row.topic, topic)), None):
+            return row
+        if self.all_arms and (row := self._crtk_row_to_igtl(topic)):
+            return row
+        return _DEFAULT_TO_IGTL if matches(_DEFAULT_TO_IGTL.topic, topic) else None
+
+    def _crtk_row_to_igtl(self, topic: str) -> ToIgtlRow | None:
+        """Return the row of a state of an arm, or of a command that ``allow_out`` has; None for other topics.
+
+        A device goes in one direction: what peers may send is not sent back to them.
+        """
+        device = topic.removeprefix("/")
+        arms, name = arms_row(self.all_arms, device), crtk.row_of(device)
+        if arms is None or name is None or self.allows_in(device):
+            return None
+        if name.motion and not any(matches(glob, device) for glob in self.allow_out):
+            return None
+        return ToIgtlRow(topic=topic, device=device, type=name.igtl_type, ros_unit="m", igtl_unit=arms.igtl_unit)
 
     def row_to_ros(self, igtl_type: str, device: str) -> ToRosRow:
         """Return the first row that matches an OpenIGTLink stream; the default row matches all."""
+        arms = arms_row(self.all_arms, device) if self.all_arms else None
+        if arms and (name := crtk.row_of(device)) and self.allows_in(device):
+            return ToRosRow(
+                device=device,
+                topic=f"/{device}",
+                kinds=(name.kind,),
+                ros_unit="m",
+                igtl_unit=arms.igtl_unit,
+                frame_id=arms.frame_id,
+                max_age_s=0.0 if name.motion else None,  # the age of a command has a check of its own
+            )
         for row in self.to_ros:
             if matches(row.device, device) and matches(row.type, igtl_type):
                 return row
-        return _DEFAULT_TO_ROS
+        return ToRosRow(igtl_unit=arms.igtl_unit) if arms else _DEFAULT_TO_ROS
+
+    @property
+    def all_arms(self) -> tuple[ArmsRow, ...]:
+        """The arms with CRTK topics: those of ``crtk``, then those of the profile."""
+        glob = arms_of_profile(self.profile)
+        return self.crtk if glob is None else (*self.crtk, ArmsRow(glob))
+
+    @property
+    def peer_profile(self) -> str:
+        """The profile of peers without a row in ``peers``."""
+        return self.profile if arms_of_profile(self.profile) is None else AUTO
+
+    def allows_in(self, device: str) -> bool:
+        """Return whether peers may send a CRTK device, such as ``PSM1/servo_cp``, to its topic."""
+        return any(matches(glob, device) for glob in self.allow_in)
 
     def lengths(self, row: _Row) -> LengthUnits:
         """Return the length units of a row."""
@@ -280,7 +338,7 @@ class Config:
         Settings that older programs do not know are left out if they are not set: these can then read the recording.
         """
         values = dataclasses.asdict(self)
-        for name in ("max_age_s", "kinds"):
+        for name in ("max_age_s", "kinds", "allow_in", "allow_out", "crtk"):
             if not values[name]:
                 del values[name]
         for table in ("to_igtl", "to_ros", "tf_out"):
@@ -307,7 +365,8 @@ class Config:
         to_ros = _rows("to_ros", settings.pop("to_ros", ()), ToRosRow)
         tf_out = _rows("tf_out", settings.pop("tf_out", ()), TfOutRow)
         peers = _rows("peers", settings.pop("peers", ()), PeerRow)
-        rows = {"to_igtl": to_igtl, "to_ros": to_ros, "tf_out": tf_out, "peers": peers}
+        arms = _rows("crtk", settings.pop("crtk", ()), ArmsRow)
+        rows = {"to_igtl": to_igtl, "to_ros": to_ros, "tf_out": tf_out, "peers": peers, "crtk": arms}
         return from_values("gateway", cls, settings | rows)
 
     @classmethod
@@ -339,7 +398,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError(str(error)) from None
 
 
-_TABLES = frozenset({"to_igtl", "to_ros", "tf_out", "peers"})
+_TABLES = frozenset({"to_igtl", "to_ros", "tf_out", "peers", "crtk"})
 
 
 def _toml_lines(settings: Mapping[str, Any]) -> list[str]:
@@ -450,6 +509,10 @@ def _checked(place: str, name: str, kind: type, value: Any) -> Any:
         if not (isinstance(value, list | tuple) and all(isinstance(item, str) for item in value)):
             raise ConfigError(f'{place}: found {value!r}, expected strings such as ["a", "b"]')
         return tuple(value)
+    if name in _NUMBER_LISTS:
+        if not (isinstance(value, list | tuple) and all(type(item) in (int, float) for item in value)):
+            raise ConfigError(f"{place}: found {value!r}, expected numbers such as [0.1, 0.2]")
+        return tuple(map(float, value))
     if name == "metadata":
         return _pairs(place, value)
     if name == "qos" and not (value is None or isinstance(value, Qos)):
@@ -464,4 +527,7 @@ def _pairs(place: str, value: Any) -> tuple[tuple[str, str], ...]:
     return pairs
 
 
-_TEXT_LISTS = frozenset({"allow", "connect", "deny_in", "deny_out", "frames", "kinds", "listen"})
+_NUMBER_LISTS = frozenset({"workspace", "joint_min", "joint_max", "joint_speed"})
+_TEXT_LISTS = frozenset(
+    {"allow", "allow_in", "allow_out", "connect", "deny_in", "deny_out", "frames", "kinds", "listen"}
+)

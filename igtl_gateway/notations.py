@@ -70,6 +70,13 @@ def type_glob(text: str) -> str:
     return text
 
 
+def device_glob(text: str) -> str:
+    """Return a device of CRTK or a glob of them: printable ASCII without blanks and without a slash before it."""
+    if not (text.isascii() and text.isprintable() and text.strip("/") == text != "" and not set(text) & set(" ,")):
+        raise ConfigError(f"found {text!r}, expected a device or a glob such as PSM1/servo_cp, PSM*/move_*")
+    return text
+
+
 def key_value(text: str) -> tuple[str, str]:
     """Parse ``KEY=VALUE``."""
     key, equals, value = text.partition("=")

@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 from igtl_gateway import notations
+from igtl_gateway.convert.arms import PROFILE, arms_of_profile
 from igtl_gateway.convert.profiles import AUTO, BY_NAME
 from igtl_gateway.convert.table import TO_ROS
 from igtl_gateway.convert.units import UNITS
@@ -195,6 +196,14 @@ def _ros_kind(text: str) -> str:
     return text
 
 
+def _profile(text: str) -> str:
+    """Return the profile of peers, or ``crtk`` with its arms.  Raises ConfigError."""
+    if arms_of_profile(text) is None and text not in PROFILE_NAMES:
+        expected = ", ".join((*PROFILE_NAMES, PROFILE, f"{PROFILE}:/NAMESPACE"))
+        raise ConfigError(f"found {text!r}, expected one of {expected}")
+    return text
+
+
 #: All settings, in the order of the documents.
 SETTINGS: tuple[Setting, ...] = (
     Setting("config", "", "read the configuration from this file (TOML); options override it", metavar="FILE"),
@@ -254,6 +263,21 @@ SETTINGS: tuple[Setting, ...] = (
             adds=True,
         )
         for way, text in (("in", "reject messages of this type from peers"), ("out", "send no messages of this type"))
+    ),
+    *(
+        Setting(
+            f"allow_{way}",
+            (),
+            f"{text}, such as {example}; * matches one level, ** any number",
+            GATEWAY,
+            metavar="DEVICE",
+            reads=notations.device_glob,
+            adds=True,
+        )
+        for way, text, example in (
+            ("in", "with a CRTK profile: let peers send this device to its topic", "PSM1/servo_cp or 'PSM1/move_*'"),
+            ("out", "with a CRTK profile: send this command of ROS to peers", "PSM1/servo_cp"),
+        )
     ),
     # -- limits of a peer ----------------------------------------------------------------------------------------------
     Setting("max_clients", 32, "maximum number of connected clients", IGTL, metavar="N", least=1, most=1_000_000),
@@ -315,10 +339,21 @@ SETTINGS: tuple[Setting, ...] = (
     Setting(
         "profile",
         AUTO,
-        "profile of all peers",
+        f"profile of all peers: {', '.join(PROFILE_NAMES)}; crtk or crtk:/NAMESPACE (* matches one level): send and "
+        "receive the CRTK topics of these arms, with peers as with auto",
         GATEWAY,
-        choices=PROFILE_NAMES,
+        metavar="PROFILE",
+        reads=_profile,
         shown=f"{AUTO}, detected from their messages",
+    ),
+    Setting(
+        "crtk",
+        (),
+        "the arms at these namespaces have CRTK topics; a row also has the limits of commands to them",
+        ROWS,
+        "",
+        metavar="NAMESPACE",
+        adds=True,
     ),
     Setting(
         "peers",

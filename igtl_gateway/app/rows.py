@@ -69,5 +69,14 @@ def _peer_row(text: str) -> dict[str, str]:
     return {"at": place, "profile": profile}
 
 
+def _arms_row(text: str) -> dict[str, str]:
+    return {"arms": text}
+
+
 #: Setting → the row of one text.
-_ROW: dict[str, Callable[[str], dict[str, Any]]] = {"to_igtl": send_row, "tf_out": _tf_row, "peers": _peer_row}
+_ROW: dict[str, Callable[[str], dict[str, Any]]] = {
+    "to_igtl": send_row,
+    "tf_out": _tf_row,
+    "peers": _peer_row,
+    "crtk": _arms_row,
+}

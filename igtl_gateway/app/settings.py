@@ -111,7 +111,7 @@ def declared(values: Mapping[str, Any], config: Config) -> dict[str, Value]:
     """Return the values of all parameters; rows of messages as JSON objects."""
     result = {name: values[name] for name in parameters()}
     for name in of_table(ROWS):
-        rows = config.to_dict()[name]
+        rows = config.to_dict().get(name, ())
         usual = type(getattr(config, name)[0])() if rows else None
         result[name] = tuple(
             json.dumps({key: value for key, value in row.items() if value != getattr(usual, key)}) for row in rows

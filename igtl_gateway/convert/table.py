@@ -24,6 +24,8 @@ from igtl_gateway.convert import (
     polydata,
     poses,
     queries,
+    robot_msgs,
+    robots,
     rosmsg,
     surfaces,
     texts,
@@ -57,6 +59,8 @@ from igtl_gateway.wire.video import Video
 _STATES = Qos(depth=2000)
 #: Strings are rare, and each one matters.
 _TEXTS = Qos(depth=100)
+#: The operating state of a robot changes rarely, and late joiners need it.
+_STATES_LATCHED = Qos(depth=5, latched=True)
 #: Images: 0.2 s at 30 Hz.  Old images have megabytes each and no value for a subscriber that lags.
 _PICTURES = Qos(depth=6)
 #: Clouds are smaller: 1 s at 30 Hz.
@@ -469,6 +473,49 @@ TO_ROS: tuple[ConversionToRos, ...] = (
         lossy=_FRAME_LOSS,
         applies=videos.is_compressed,
     ),
+    ConversionToRos(
+        ("TRANSFORM",),
+        Transform,
+        common_msgs.PoseStamped,
+        "pose",
+        robots.transform_to_pose,
+        _STATES,
+        lossy=f"child frame; {_ROUNDED}; scale and shear if the matrix is not orthonormal (a warning)",
+        role=Role.ON_REQUEST,
+    ),
+    ConversionToRos(
+        ("NDARRAY",),
+        NdArray,
+        common_msgs.JointState,
+        "joint_state",
+        robots.array_to_joints,
+        _STATES,
+        lossy="values of a quantity that no joint has; names for peers with header version 1",
+        applies=robots.is_joint_state,
+        role=Role.ON_REQUEST,
+    ),
+    *(
+        ConversionToRos(("SENSOR",), Sensor, message, kind, convert, _STATES, lossy, role=Role.ON_REQUEST)
+        for message, kind, convert, lossy in (
+            (common_msgs.JointState, "joint_command", robots.sensor_to_joints, "unit, status"),
+            (robot_msgs.TwistStamped, "twist", robots.sensor_to_twist, "unit, status"),
+            (robot_msgs.WrenchStamped, "wrench", robots.sensor_to_wrench, "unit, status"),
+            (
+                robot_msgs.Joy,
+                "buttons",
+                robots.sensor_to_joy,
+                "unit, status; values that are not integers are rejected",
+            ),
+        )
+    ),
+    *(
+        ConversionToRos(("STRING",), String, message, kind, convert, _TEXTS, lossy, role=Role.ON_REQUEST)
+        for message, kind, convert, lossy in (
+            (robot_msgs.OperatingState, "operating_state", robots.string_to_state, "words other than homed and busy"),
+            (robot_msgs.StringStamped, "string_stamped", robots.string_to_stamped, "encoding (UTF-8)"),
+            (robot_msgs.Empty, "empty", robots.string_to_empty, "the text"),
+        )
+    ),
 )
 
 TO_IGTL: tuple[ConversionToIgtl, ...] = (
@@ -626,6 +673,22 @@ TO_IGTL: tuple[ConversionToIgtl, ...] = (
     ),
     ConversionToIgtl(common_msgs.CompressedImage, "VIDEO", videos.compressed_image_to_igtl, _FRAMES, _FORMAT_LOSS),
     ConversionToIgtl(common_msgs.CompressedVideo, "VIDEO", videos.compressed_video_to_igtl, _FRAMES, _FORMAT_LOSS),
+    ConversionToIgtl(
+        common_msgs.JointState, "NDARRAY", robots.joints_to_array, _STATES, f"names with a comma, names and {_HEADER_1}"
+    ),
+    *(
+        ConversionToIgtl(message, igtl_type, convert, qos, lossy)
+        for message, igtl_type, convert, qos, lossy in (
+            (robot_msgs.TwistStamped, "SENSOR", robots.twist_to_sensor, _STATES, _HEADER_1),
+            (robot_msgs.WrenchStamped, "SENSOR", robots.wrench_to_sensor, _STATES, _HEADER_1),
+            (robot_msgs.Joy, "SENSOR", robots.joy_to_sensor, _STATES, f"axes; {_HEADER_1}"),
+            (
+                *(robot_msgs.OperatingState, "STRING", robots.state_to_string, _STATES_LATCHED),
+                f"states with a blank; {_HEADER_1}",
+            ),
+            (robot_msgs.StringStamped, "STRING", robots.stamped_to_string, _TEXTS, _HEADER_1),
+        )
+    ),
 )
 
 

@@ -14,6 +14,7 @@ from igtl_gateway.config import Config
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.igtl_msgs import RawMessage
 from igtl_gateway.gateway.activity import Activity
+from igtl_gateway.gateway.command_guard import CommandGuard
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.commanding import Commands
 from igtl_gateway.gateway.dialogue.links import LINKS_QOS, LINKS_TOPIC, Links
@@ -85,7 +86,8 @@ class Gateway:
         tracking = Tracking(peers, latest, delivery)
         self._frames = frames = TfReceiver(tf, guard, peers, delivery, tracking)
         self._converter = Converter(streams, subscribers, frames)
-        router = Router(config, streams, guard, volumes, self._converter)
+        robots = CommandGuard(config, latest.entries.get)
+        router = Router(config, streams, guard, volumes, self._converter, robots)
 
         self._commands = commands = Commands(config, peers, streams, composer, delivery)
         queries = Queries(

@@ -139,7 +139,7 @@ class Peers:
         address, role = str(facts.get("peer", "")), str(facts.get("role", ""))
         place = str(facts.get("local", "")) if role == "server" else address
         rows = (row.profile for row in self._config.peers if matches(row.at, place) or matches(row.at, address))
-        name = next(rows, self._config.profile)
+        name = next(rows, self._config.peer_profile)
         peer = Peer(link, address, role, BY_NAME.get(name, DEFAULT), name != AUTO, said_ns=now_ns)
         self._peers[link] = peer
         return peer

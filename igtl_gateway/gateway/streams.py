@@ -36,6 +36,7 @@ class ToIgtlStream:
         lengths: units.
         latched: whether late joiners get the latest message.
         row_metadata: metadata of the row of the configuration.
+        of_robot: a CRTK topic: a stamp of 0 means that the data are not valid.
     """
 
     row: ToIgtlRow
@@ -46,6 +47,7 @@ class ToIgtlStream:
     lengths: LengthUnits
     latched: bool
     row_metadata: tuple[MetadataItem, ...]
+    of_robot: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,7 +210,8 @@ class Streams:
         latched = (row.qos or conversion.qos).latched
         metadata = tuple(MetadataItem(key, 0, value) for key, value in row.metadata)
         max_age_s, lengths = self._config.max_age_of(row), self._config.lengths(row)
-        return ToIgtlStream(row, conversion, max_age_s, device, full_name, lengths, latched, metadata)
+        of_robot = row.topic == topic and row not in self._config.to_igtl  # a row that the CRTK profile has made
+        return ToIgtlStream(row, conversion, max_age_s, device, full_name, lengths, latched, metadata, of_robot)
 
     def device(self, full_name: str) -> str:
         """Return the device name of at most 20 bytes for a full name."""

@@ -720,7 +720,72 @@ def command(number: int, name: str, text: str) -> bytes:
     return struct.pack(">I128sHI", number, name.encode(), 3, len(text)) + text.encode()
 
 
-CASES = [*POSES, *TEXTS, *IMAGES, *SHAPES, *TRACKING, *ARRAYS, *LISTS, *VIDEOS]
+SIX = [0.125, 0.25, 0.5, 1.0, 2.0, 4.0]
+SIX_BY_NAME = xyz(*SIX[:3]), xyz(*SIX[3:])
+
+
+def string(text: str) -> bytes:
+    return struct.pack(">HH", 3, len(text)) + text.encode()
+
+
+ROBOTS = [
+    Case(
+        "TRANSFORM",
+        "Wrist",
+        struct.pack(">12f", *TURNED, 400, -250, 1125),
+        {
+            "pose": (
+                "geometry_msgs/msg/PoseStamped",
+                {"header": head(), "pose": {"position": xyz(0.4, -0.25, 1.125), "orientation": TURN}},
+            )
+        },
+    ),
+    Case(
+        "NDARRAY",
+        "ArmJoints",
+        struct.pack(">BB2H12d", 11, 2, 6, 2, 1, 1, 0.5, -1.25, 0, 0, 9, 9, 1, 1, 2.0, 3.0),
+        {
+            "joint_state": (
+                "sensor_msgs/msg/JointState",
+                {"header": head(), "name": [], "position": [0.5, -1.25], "velocity": [], "effort": [2.0, 3.0]},
+            )
+        },
+    ),
+    *(
+        Case("SENSOR", device, struct.pack(f">BBQ{len(values)}d", len(values), 0, 0, *values), {kind: (ros_type, told)})
+        for device, kind, ros_type, values, told in (
+            (
+                *("Goal", "joint_command", "sensor_msgs/msg/JointState", READINGS),
+                {"header": head(), "name": [], "position": READINGS, "velocity": [], "effort": []},
+            ),
+            (
+                *("Speed", "twist", "geometry_msgs/msg/TwistStamped", SIX),
+                {"header": head(), "twist": {"linear": SIX_BY_NAME[0], "angular": SIX_BY_NAME[1]}},
+            ),
+            (
+                *("Load", "wrench", "geometry_msgs/msg/WrenchStamped", SIX),
+                {"header": head(), "wrench": {"force": SIX_BY_NAME[0], "torque": SIX_BY_NAME[1]}},
+            ),
+            (*("Pedal", "buttons", "sensor_msgs/msg/Joy", [2.0]), {"header": head(), "axes": [], "buttons": [2]}),
+        )
+    ),
+    *(
+        Case("STRING", device, string(text), {kind: (ros_type, told)})
+        for device, kind, ros_type, text, told in (
+            (
+                *("State", "operating_state", "crtk_msgs/msg/OperatingState", "ENABLED homed"),
+                {"header": head(), "state": "ENABLED", "is_homed": True, "is_busy": False},
+            ),
+            (
+                *("Word", "string_stamped", "crtk_msgs/msg/StringStamped", "home"),
+                {"header": head(), "string": "home"},
+            ),
+            ("Stop", "empty", "std_msgs/msg/Empty", "now", {}),
+        )
+    ),
+]
+
+CASES = [*ROBOTS, *POSES, *TEXTS, *IMAGES, *SHAPES, *TRACKING, *ARRAYS, *LISTS, *VIDEOS]
 
 #: Type of what is asked for → its names behind the prefix, where that is not itself.
 SHORT_NAMES = {"TRANS": "TRANSFORM", "TRANSFOR": "TRANSFORM", "CAPABIL": "CAPABILITY", "VMETA": "VIDEOMETA"}
@@ -1120,6 +1185,42 @@ VIDEOS_OUT = [
     ),
 ]
 OUTGOING += VIDEOS_OUT
+OUTGOING += [
+    Sent(
+        "sensor_msgs/msg/JointState",
+        "NDARRAY",
+        "ArmState",
+        {"header": head("Base"), "name": ["a", "b"], "position": [0.5, -1.25], "effort": [2.0, 3.0]},
+        {
+            "scalar_type": 11,
+            "size": [6, 2],
+            "data": [1, 1, 0.5, -1.25, 0, 0, 0, 0, 1, 1, 2, 3],
+        },
+    ),
+    *(
+        Sent(ros_type, "SENSOR", device, {"header": head("Base"), **fields}, {"unit": unit(0), "values": values})
+        for ros_type, device, fields, values in (
+            (
+                *("geometry_msgs/msg/TwistStamped", "ArmSpeed"),
+                {"twist": {"linear": SIX_BY_NAME[0], "angular": SIX_BY_NAME[1]}},
+                SIX,
+            ),
+            (
+                *("geometry_msgs/msg/WrenchStamped", "ArmLoad"),
+                {"wrench": {"force": SIX_BY_NAME[0], "torque": SIX_BY_NAME[1]}},
+                SIX,
+            ),
+            ("sensor_msgs/msg/Joy", "ArmPedal", {"axes": [0.5], "buttons": [1, 0]}, [1.0, 0.0]),
+        )
+    ),
+    *(
+        Sent(f"crtk_msgs/msg/{name}", "STRING", device, {"header": head("Base"), **fields}, {"string": text})
+        for name, device, fields, text in (
+            ("OperatingState", "ArmMode", {"state": "PAUSED", "is_busy": True}, "PAUSED busy"),
+            ("StringStamped", "ArmWord", {"string": "enable"}, "enable"),
+        )
+    ),
+]
 
 #: More than a content: they have tests of their own below.
 SPECIAL = {(COMMAND_TYPE, "COMMAND"), (REPLY_TYPE, "RTS_COMMAND"), (QUERY, "GET_STATUS")}

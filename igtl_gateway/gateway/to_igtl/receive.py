@@ -33,6 +33,9 @@ from igtl_gateway.gateway.to_igtl.tracking import Tracking
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level
 
+#: Code and fate of data that a robot marks as not valid.
+NOT_VALID = "not_valid"
+
 
 class RosReceiver:
     """Receives the messages of ROS."""
@@ -80,7 +83,7 @@ class RosReceiver:
             return self._unrouted(entry)
         is_command = stream.conversion.igtl_type == "COMMAND"
         unsent = not is_command and not (active and self._peers)
-        if not stream.max_age_s:  # a message that is too old must not become the latest
+        if not stream.max_age_s and not stream.of_robot:  # a message that is too old must not become the latest
             self._latest.entries[topic] = entry
             if unsent:
                 return self._unsent(entry, [])
@@ -95,6 +98,8 @@ class RosReceiver:
             if is_command and not active:
                 reply = self._commands.refuse_ros(entry, stream, outgoing, "the gateway is not active")
                 return self._refused(entry, Outcome([*reply]))
+            if stream.of_robot and not outgoing.stamp_ns and hasattr(message, "header"):
+                return Outcome([_not_valid(entry)], NOT_VALID)
             watched = self._guard.of(0, topic, stream.max_age_s)
             if watched:
                 own_ns = outgoing.stamp_ns or entry.source_ns
@@ -102,7 +107,7 @@ class RosReceiver:
                 withheld, found = check_stamp(entry, watched, own_ns, shown_ns, translation_of(message))
                 if withheld:
                     return Outcome(found, STALE)
-                self._latest.entries[topic] = entry
+            self._latest.entries[topic] = entry
             if unsent:
                 return self._unsent(entry, found)
             outcome = self._sent(entry, stream, outgoing, watched)
@@ -139,7 +144,8 @@ class RosReceiver:
             out = self._composer.compose(entry, stream, stream.conversion, outgoing)
             items = self._delivery.deliver_stream(entry, self._addressed(outgoing), out, stream.lengths)
             items += self._tracking.follow_pose(entry, out, stream.lengths)
-            origin = IgtlOrigin(stream, out, watched)
+            # the validity of a robot's data is checked on the full path only
+            origin = None if stream.of_robot else IgtlOrigin(stream, out, watched)
         sent = any(isinstance(item, Output) and item.kind is Kind.IGTL_OUT for item in items)
         return Outcome(items, CONVERTED if sent else "not_wanted", origin=origin)
 
@@ -160,3 +166,9 @@ class RosReceiver:
                 f"found link {outgoing.link}, expected 0 (all peers) or the number of a connected peer"
             )
         return (peer,)
+
+
+def _not_valid(entry: Entry) -> Finding:
+    """Return the finding about data that a robot itself marks as not valid."""
+    text = f"{entry.channel}: data without a stamp are not valid (CRTK) and are not sent"
+    return Finding(Level.INFO, NOT_VALID, text, entry.channel, entry.links, subject=entry.channel)

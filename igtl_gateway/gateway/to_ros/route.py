@@ -9,6 +9,7 @@ from igtl_gateway.config import Config
 from igtl_gateway.convert.context import ToRosContext
 from igtl_gateway.convert.names import short_device_name
 from igtl_gateway.errors import ConversionError, WireError
+from igtl_gateway.gateway.command_guard import CommandGuard, Refused
 from igtl_gateway.gateway.guard import STALE, Guard, GuardedStream, check_stamp, translation_of
 from igtl_gateway.gateway.metadata import RestoredMetadata
 from igtl_gateway.gateway.outcome import CONVERTED, Finding, Item, Outcome, conversion_failure
@@ -37,15 +38,42 @@ class RosOrigin(NamedTuple):
 class Router:
     """Routes decoded messages to their streams."""
 
-    def __init__(self, config: Config, streams: Streams, guard: Guard, volumes: Volumes, converter: Converter) -> None:
+    def __init__(
+        self,
+        config: Config,
+        streams: Streams,
+        guard: Guard,
+        volumes: Volumes,
+        converter: Converter,
+        robots: CommandGuard,
+    ) -> None:
         self._config = config
         self._streams = streams
         self._guard = guard
         self._volumes = volumes
         self._converter = converter
+        self._robots = robots
 
     def route(self, entry: Entry, message: Message, restored: RestoredMetadata) -> Outcome:
         """Return the outcome of a decoded message for ROS; ``restored`` has the contents of its metadata."""
+        device = restored.device_name
+        if not self._robots.is_command(device):
+            return self._routed(entry, message, restored)
+        stamp_ns = restored.stamp_ns or ticks_to_ns(message.ticks)
+        try:
+            frame_id = self._robots.check(
+                entry, message.content, device, stamp_ns, restored.frame_id, self._guard.ahead_ns
+            )
+        except Refused as error:
+            return Outcome([Finding(Level.WARN, error.code, str(error), entry.channel, entry.links)], error.code)
+        outcome = self._routed(entry, message, restored, frame_id)
+        outcome.origin = None  # each command passes the guard: no compiled stream has one
+        return outcome
+
+    def _routed(
+        self, entry: Entry, message: Message, restored: RestoredMetadata, frame_id: str | None = None
+    ) -> Outcome:
+        """Return the outcome of a message that may be routed; ``frame_id``: of a command to a robot."""
         igtl_type, link = visible(message.type), entry.links[0]
         stream = self._streams.to_ros(igtl_type, restored.device_name)
         if stream is None:
@@ -53,10 +81,12 @@ class Router:
             finding = Finding(Level.WARN, "too_many_streams", text, entry.channel, entry.links, subject="", by=link)
             return Outcome([finding], "too_many_streams")
         source_ns = restored.stamp_ns or ticks_to_ns(message.ticks)
+        if frame_id is None:
+            frame_id = stream.row.frame_id or restored.frame_id or stream.frame_id
         to = ToRosContext(
             restored.device_name,
             self._config.pick_stamp(stream.row, source_ns, entry.stamp_ns),
-            stream.row.frame_id or restored.frame_id or stream.frame_id,
+            frame_id,
             stream.row.child_frame_id or restored.child_frame_id or stream.child_frame_id,
             stream.lengths,
             igtl_type,

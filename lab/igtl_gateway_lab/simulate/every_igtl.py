@@ -183,6 +183,25 @@ def _numbers() -> Iterator[Said]:
     yield "COLORTABLE", "Colors", ColorTable(3, MAP_RGB, np.repeat(ramp, 3).astype("u1").tobytes())
 
 
+def robot_messages() -> Iterator[tuple[str, str, Body]]:
+    """Type, kind of the message in ROS, and content of what an arm with CRTK devices sends and receives."""
+    joints = np.array([[1, 1], [0.25, 0.125], [0, 0], [0, 0], [1, 1], [0.5, 1]], ">f8")
+    yield "TRANSFORM", "pose", Transform((*TILTED, 10.0, 20.0, 30.0))
+    yield "NDARRAY", "joint_state", NdArray(11, (6, 2), joints.tobytes())
+    yield "SENSOR", "joint_command", Sensor(np.array([0.25, 0.125]))
+    yield "SENSOR", "twist", Sensor(np.array([0.125, 0.25, 0.5, 1.0, 2.0, 4.0]))
+    yield "SENSOR", "wrench", Sensor(np.array([1.0, 2.0, 3.0, 0.125, 0.25, 0.5]))
+    yield "SENSOR", "buttons", Sensor(np.array([1.0]))
+    yield "STRING", "operating_state", String.of("ENABLED homed")
+    yield "STRING", "string_stamped", String.of("home")
+    yield "STRING", "empty", String.of("")
+
+
+def _robots() -> Iterator[Said]:
+    for igtl_type, kind, content in robot_messages():
+        yield igtl_type, f"As_{kind}", content
+
+
 def _lists() -> Iterator[Said]:
     scanned = ns_to_ticks(1_700_000_000 * NS_PER_S + 500 * NS_PER_MS)
     head = (b"Head", b"MR_1", b"MR", b"Phantom^One", b"P-1", scanned, (256, 256, 60), 5, 0)
@@ -227,6 +246,7 @@ def contents() -> Iterator[Said]:
     yield from _numbers()
     yield from _lists()
     yield from _binds()
+    yield from _robots()
     yield "MYTYPE", "Custom", Raw(b"what no gateway knows")
     yield "IMAGE", "NoImage", Raw(b"")
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from igtl_gateway.config import ToIgtlRow
-from igtl_gateway.convert import common_msgs, igtl_msgs, rosmsg
+from igtl_gateway.convert import common_msgs, igtl_msgs, robot_msgs, rosmsg
 from igtl_gateway.convert.common_msgs import FrameTransform, MultiArrayDimension, MultiArrayLayout, TFMessage
 from igtl_gateway.convert.igtl_msgs import MetadataItem, Pose, Query, TrackedTool
 from igtl_gateway.convert.rosmsg import Header, RosMessage
@@ -126,6 +126,17 @@ def _numbers() -> Iterator[Published]:
     yield "Colors", "", igtl_msgs.ColorTable(_BASE, 3, 5, False, ramp.tobytes(), _ITEMS)
 
 
+def _robots() -> Iterator[Published]:
+    """What an arm with CRTK topics sends."""
+    state = common_msgs.JointState(_BASE, ("yaw", "insertion"), np.array([0.25, 0.125]), effort=np.array([0.5, 1.0]))
+    yield "Arm/measured_js", "NDARRAY", state
+    yield "Arm/measured_cv", "", robot_msgs.TwistStamped(_BASE, (0.125, 0.25, 0.5, 1.0, 2.0, 4.0))
+    yield "Arm/measured_cf", "", robot_msgs.WrenchStamped(_BASE, (1.0, 2.0, 3.0, 0.125, 0.25, 0.5))
+    yield "Arm/clutch", "", robot_msgs.Joy(_BASE, buttons=np.array([1], np.int32))
+    yield "Arm/operating_state", "", robot_msgs.OperatingState(_BASE, "ENABLED", is_homed=True)
+    yield "Arm/state_command", "", robot_msgs.StringStamped(_BASE, "home")
+
+
 def _videos() -> Iterator[Published]:
     """A key frame, which contains the image size, and the frame that follows it."""
     yield "Camera/compressed_image", "", common_msgs.CompressedImage(_BASE, "h264", H264_KEY)
@@ -160,6 +171,7 @@ def messages() -> Iterator[Published]:
     yield from _numbers()
     yield from _lists()
     yield from _videos()
+    yield from _robots()
 
 
 def topic(name: str) -> str:

@@ -59,6 +59,7 @@ CONFIG = Config(
     ),
     to_ros=(
         ToRosRow(device="Sliced*", kinds=("+slices",)),
+        *(ToRosRow(device=f"As_{kind}", kinds=(kind,)) for _, kind, _ in every_igtl.robot_messages()),
         ToRosRow(device="Metres", igtl_unit="m", topic="/metres/{kind}", frame_id="room", child_frame_id="probe"),
     ),
     tf_out=(
