@@ -66,7 +66,7 @@ class Setting:
         unit: of the value.
         least, most: the range of a number, both included.
         open_ends: the ends of the range are not part of it.
-        choices: the values that a string may have.
+        choices: the values that a string may have; with ``reads``, the usual ones.
         reads: returns the meaning of a string, or of each string of a list.  Raises ConfigError.
         shown: the default, as the help of the option has it; None: the value, where it is more than nothing.
         changes: whether it may change while the bridge runs.
@@ -121,7 +121,7 @@ class Setting:
             raise ConfigError(f"found {found!r}, expected {TYPE_NAMES[kind]}")
         if isinstance(value, int | float) and not self._is_in_range(value):
             raise ConfigError(f"found {value:.15g}, expected {self.range_text}")
-        if self.choices and value not in self.choices:
+        if self.choices and not self.reads and value not in self.choices:
             raise ConfigError(f"found {value!r}, expected one of {', '.join(filter(None, self.choices))}")
         if self.reads and value:
             for text in value if isinstance(value, tuple) else (value,):
@@ -339,10 +339,10 @@ SETTINGS: tuple[Setting, ...] = (
     Setting(
         "profile",
         AUTO,
-        f"profile of all peers: {', '.join(PROFILE_NAMES)}; crtk or crtk:/NAMESPACE (* matches one level): send and "
-        "receive the CRTK topics of these arms, with peers as with auto",
+        "profile of all peers; crtk or crtk:/NAMESPACE: auto, with the CRTK topics of the arms at these namespaces "
+        "(* matches one level)",
         GATEWAY,
-        metavar="PROFILE",
+        choices=(*PROFILE_NAMES, PROFILE),
         reads=_profile,
         shown=f"{AUTO}, detected from their messages",
     ),

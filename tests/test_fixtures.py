@@ -36,7 +36,7 @@ from igtl_gateway.wire.registry import BODIES
 from tools.fixtures import Recipe, difference, make, packs_alike, recipes
 
 FIXTURES = Path(__file__).parent.parent / "fixtures"
-NAMES = ("star", "paper-types", "every-type", "acquisition", "lego", "ultrasound", "brain")
+NAMES = ("star", "paper-types", "every-type", "acquisition", "lego", "ultrasound", "crtk", "brain")
 RECIPES = recipes()
 
 

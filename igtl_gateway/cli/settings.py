@@ -13,6 +13,13 @@ from igtl_gateway.faults import FAULTS
 from igtl_gateway.settings import BY_SETTING, ROWS, SETTINGS, Setting
 
 
+class Usual(tuple[str, ...]):
+    """Values that the help and the completion show, among others that are possible."""
+
+    def __contains__(self, _value: object) -> bool:
+        return True
+
+
 def add_settings(group: Options, *names: str, words: bool = False) -> None:
     """Add the options of settings to a group; without a value they are None, False or [].
 
@@ -32,7 +39,8 @@ def add_settings(group: Options, *names: str, words: bool = False) -> None:
             more = {"action": "extend", "nargs": "+"} if words else {"action": "append"}
             more["default"] = []
         if row.choices:
-            more["choices"] = tuple(filter(None, row.choices))
+            usual = tuple(filter(None, row.choices))
+            more["choices"] = Usual(usual) if row.reads else usual
         else:
             more["metavar"] = row.metavar
         group.add_argument(row.flag, type=parser_of(row.parse), help=_help(row, row.about), **more)

@@ -34,7 +34,7 @@ from igtl_gateway.wire.transform import Transform
 
 #: Rows of a joint state as NDARRAY, and the scalar type float64.
 JOINT_ROWS, _FLOAT64 = 6, 11
-#: Maximum number of joints: NDARRAY has 16 bits for a size, and a robot with more is none.
+#: Maximum number of joints: NDARRAY has 16 bits for a size, and no robot has more.
 MAX_JOINTS = 1_000
 #: Key of the metadata with the names of the joints, separated by commas.
 JOINT_NAMES = "JointNames"

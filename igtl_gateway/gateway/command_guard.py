@@ -3,7 +3,7 @@
 Strategy: a command passes if ``allow_in`` has its device, and if the command, the last accepted command of the device
 and the last states of the arm on ROS give no reason against it.  All of it is a function
 of the inputs of the session: stamps are arguments, so a verification gives the same result.  A refusal has a code,
-which is the fate of the message, and a text with the value found and the value expected.
+which is the fate of the message, and its note has the value found and the value expected.
 
 A stream with such a check is not compiled: neither the fast path nor the native passage has a command.
 """

@@ -193,7 +193,7 @@ def test_the_keys_of_a_file_are_those_of_the_table(path: Path) -> None:
         ("[igtl]\nmax_body = { STRING = -1 }", "igtl.max_body: found 'STRING=-1', expected TYPE=MIB"),
         ("igtl = 4", "found igtl = 4, expected a table [igtl]"),
         ("host = 1", "found host = 1, expected a table [host]"),
-        ("[edge]\nlisten = []", "found [edge], expected [gateway], [host], [igtl], [[peers]]"),
+        ("[edge]\nlisten = []", "found [edge], expected [gateway], [host], [igtl], [[crtk]], [[peers]]"),
     ],
 )
 def test_what_is_wrong_in_a_file_is_named_with_its_place(path: Path, text: str, words: str) -> None:

@@ -16,7 +16,7 @@ from igtl_gateway.wire.registry import BODIES
 from tests import strategies
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
-for _package in ("igtl_msgs", "foxglove_msgs"):
+for _package in ("igtl_msgs", "foxglove_msgs", "crtk_msgs"):
     for _path in sorted(definition_folder(_package).glob("msg/*.msg")):
         STORE.register(get_types_from_msg(_path.read_text("utf-8"), f"{_package}/msg/{_path.stem}"))
 
@@ -54,7 +54,7 @@ def test_a_topic_has_one_type() -> None:
 
 def test_there_is_no_row_for_the_unknown() -> None:
     assert rows_to_ros("MYSTERY") == ()
-    assert row_to_igtl("sensor_msgs/msg/Joy") is None
+    assert row_to_igtl("sensor_msgs/msg/Imu") is None
     assert row_to_igtl("std_msgs/msg/String", "IMAGE") is None
 
 

@@ -16,7 +16,7 @@ from igtl_gateway.replay.stamp_places import StampPlaces
 from igtl_gateway.ros_interfaces.definitions import SHARES, definition_folder
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
-for _package in ("igtl_msgs", "foxglove_msgs"):
+for _package in ("igtl_msgs", "foxglove_msgs", "crtk_msgs"):
     _found: dict[str, Any] = {}
     for _path in sorted(definition_folder(_package).glob("msg/*.msg")):
         _found |= get_types_from_msg(_path.read_text("utf-8"), f"{_package}/msg/{_path.stem}")
@@ -42,7 +42,7 @@ TYPES = {
     "visualization_msgs/msg/InteractiveMarkerInit": 2 * (1 + 2 * (2 * 2)),
     "visualization_msgs/msg/Marker": 2,
     "visualization_msgs/msg/MarkerArray": 4,
-} | {name: -1 for name in STORE.fielddefs if name.startswith(("igtl_msgs/", "foxglove_msgs/"))}
+} | {name: -1 for name in STORE.fielddefs if name.startswith(("igtl_msgs/", "foxglove_msgs/", "crtk_msgs/"))}
 
 _NUMBERS = {"float32": "f4", "float64": "f8", "bool": "?", "octet": "u1", "byte": "u1", "char": "u1"}
 

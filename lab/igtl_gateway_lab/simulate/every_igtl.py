@@ -197,11 +197,6 @@ def robot_messages() -> Iterator[tuple[str, str, Body]]:
     yield "STRING", "empty", String.of("")
 
 
-def _robots() -> Iterator[Said]:
-    for igtl_type, kind, content in robot_messages():
-        yield igtl_type, f"As_{kind}", content
-
-
 def _lists() -> Iterator[Said]:
     scanned = ns_to_ticks(1_700_000_000 * NS_PER_S + 500 * NS_PER_MS)
     head = (b"Head", b"MR_1", b"MR", b"Phantom^One", b"P-1", scanned, (256, 256, 60), 5, 0)
@@ -246,7 +241,6 @@ def contents() -> Iterator[Said]:
     yield from _numbers()
     yield from _lists()
     yield from _binds()
-    yield from _robots()
     yield "MYTYPE", "Custom", Raw(b"what no gateway knows")
     yield "IMAGE", "NoImage", Raw(b"")
 

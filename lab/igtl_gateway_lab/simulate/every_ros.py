@@ -126,7 +126,7 @@ def _numbers() -> Iterator[Published]:
     yield "Colors", "", igtl_msgs.ColorTable(_BASE, 3, 5, False, ramp.tobytes(), _ITEMS)
 
 
-def _robots() -> Iterator[Published]:
+def robot_messages() -> Iterator[Published]:
     """What an arm with CRTK topics sends."""
     state = common_msgs.JointState(_BASE, ("yaw", "insertion"), np.array([0.25, 0.125]), effort=np.array([0.5, 1.0]))
     yield "Arm/measured_js", "NDARRAY", state
@@ -171,7 +171,6 @@ def messages() -> Iterator[Published]:
     yield from _numbers()
     yield from _lists()
     yield from _videos()
-    yield from _robots()
 
 
 def topic(name: str) -> str:
@@ -181,7 +180,10 @@ def topic(name: str) -> str:
 
 def rows() -> tuple[ToIgtlRow, ...]:
     """The configuration that gives each message its device and type, where its topic alone does not."""
-    asked = {(topic(name), name.partition("/")[0], igtl_type): None for name, igtl_type, _ in messages()}
+    asked = {
+        (topic(name), name.partition("/")[0], igtl_type): None
+        for name, igtl_type, _ in (*messages(), *robot_messages())
+    }
     return tuple(
         ToIgtlRow(topic=place, device=device, type=igtl_type)
         for place, device, igtl_type in asked

@@ -158,6 +158,7 @@ def _steps() -> Iterator[_Step]:
     yield from _streams()
     yield from _commands()
     yield from _raw()
+    yield from _robots()
     yield from _ends()
 
 
@@ -312,6 +313,13 @@ def _raw() -> Iterator[_Step]:
 
 def _raw_message(data: bytes, links: Iterable[int]) -> igtl_msgs.RawMessage:
     return igtl_msgs.RawMessage(0, 0, 0, 1, np.array(list(links), np.uint32), "", "", data)
+
+
+def _robots() -> Iterator[_Step]:
+    """The messages of an arm with CRTK names, each way."""
+    yield from (_Published(topic(device), message) for device, _, message in every_ros.robot_messages())
+    for igtl_type, kind, content in every_igtl.robot_messages():
+        yield _Said(NEW, igtl_type, f"As_{kind}", content, version=2)
 
 
 def _ends() -> Iterator[_Step]:
