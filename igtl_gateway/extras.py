@@ -12,6 +12,7 @@ _EXTRAS = {
     "pcapng": ("pcap", ""),
     "pyarrow": ("arrow", ""),
     "pandas": ("pandas", ""),
+    "cryptography": ("seal", ""),
     "pyigtl": ("dev", ""),
 }
 

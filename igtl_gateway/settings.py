@@ -511,6 +511,12 @@ SETTINGS: tuple[Setting, ...] = (
         most=_YEAR_S,
     ),
     Setting(
+        "seal",
+        "",
+        "sign the recording with this private key (Ed25519, PEM) while it is written; `keys new` makes one",
+        metavar="KEY",
+    ),
+    Setting(
         "on_record_failure",
         "continue",
         "what the bridge does if the recording fails, for example if the disk is full",

@@ -40,6 +40,7 @@ LEVELS = {
     "qos": 0,
     "stamp": 0,
     "values": 0,
+    "seal": 1,
     "session": 1,
     "untrusted": 1,
     "wire": 1,
@@ -97,6 +98,7 @@ SIBLINGS: dict[str, str | tuple[str, ...]] = {
     "lerobot": "api",
     "config": ("convert", "settings"),
     "settings": "convert",  # names of units and profiles
+    "seal": "untrusted",
     "session": "untrusted",
     "faults": "wire.header",
     "wire": "wire.header",
@@ -142,6 +144,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "uuid": (),
     # Libraries
     "av": ("edges.video",),
+    "cryptography": ("seal.keys",),
     "fastcrc": ("wire", "sessionfile"),
     "lz4": ("sessionfile.compression", "untrusted.unpack"),
     "pyigtl": ("lab.bench.pyigtl_side",),  # a peer of another project

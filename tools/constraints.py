@@ -17,13 +17,13 @@ from pathlib import Path
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-PROJECT = Requirement("igtl-gateway[ros,view,video,nifti,pcap,arrow,pandas,lab,dev]")
+PROJECT = Requirement("igtl-gateway[ros,view,video,nifti,pcap,arrow,pandas,seal,lab,dev]")
 CONSTRAINTS = Path(__file__).parent.parent / "constraints.txt"
 HEADER = """\
-# What the extras [ros,view,video,nifti,pcap,arrow,pandas,lab,dev] install, with all that they need;
+# What the extras [ros,view,video,nifti,pcap,arrow,pandas,seal,lab,dev] install, with all that they need;
 # CPython 3.11, Linux x86_64.
 # To renew: make a virtual environment without this file, and in it
-#   pip install -e '.[ros,view,video,nifti,pcap,arrow,pandas,lab,dev]' -e ./lab
+#   pip install -e '.[ros,view,video,nifti,pcap,arrow,pandas,seal,lab,dev]' -e ./lab
 #   python tools/constraints.py > constraints.txt
 """
 

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 NAME = "igtl-gateway"
 #: What users install; the extra ``dev`` is for developers, and ``lab`` is a distribution of the same release.
-PROJECT = Requirement(f"{NAME}[ros,view,video,nifti,pcap,arrow,pandas]")
+PROJECT = Requirement(f"{NAME}[ros,view,video,nifti,pcap,arrow,pandas,seal]")
 #: A field of the metadata that is longer has the text of a licence, not its name.
 _LONGEST_NAME = 80
 

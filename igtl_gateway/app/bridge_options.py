@@ -30,6 +30,7 @@ _OF_A_RECORDING = (
     "split_size",
     "split_duration",
     "snapshot",
+    "seal",
 )
 
 
@@ -148,6 +149,7 @@ def record_options(values: Mapping[str, Any]) -> RecordOptions:
         overwrite=values["overwrite"],
         stop_on_failure=values["on_record_failure"] == "stop",
         custom=tuple(map(key_value, values["custom_data"])),
+        seal=Path(values["seal"]) if values["seal"] else None,
     )
 
 

@@ -7,10 +7,14 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 from igtl_gateway.config import Config
+from igtl_gateway.stamp import NS_PER_S
+
+_NS_PER_MS = 1_000_000
 
 
 def load_config(path: Path | None) -> Config:
@@ -65,3 +69,12 @@ def size_text(number: float) -> str:
             return f"{number:.0f} {unit}" if unit == "B" else f"{number:.1f} {unit}"
         number /= 1000
     raise AssertionError
+
+
+def utc_text(stamp_ns: int) -> str:
+    """UTC nanoseconds for people, to the millisecond: ``2026-11-22T18:00:00.250Z``; the number where it is no date."""
+    try:
+        moment = datetime.fromtimestamp(stamp_ns // NS_PER_S, UTC)
+    except (ValueError, OverflowError, OSError):
+        return f"{stamp_ns} ns"
+    return f"{moment:%Y-%m-%dT%H:%M:%S}.{stamp_ns % NS_PER_S // _NS_PER_MS:03}Z"

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import asdict
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.cli.common import count_text, size_text
+from igtl_gateway.cli.common import count_text, size_text, utc_text
 from igtl_gateway.cli.info_summary import ContentSummary, StreamSummary
 from igtl_gateway.cli.losses import DIRECTIONS, losses
 from igtl_gateway.cli.options import add_file, add_json
@@ -23,6 +22,7 @@ from igtl_gateway.sessionfile import facts, layout
 from igtl_gateway.sessionfile.index import recover_hint
 from igtl_gateway.sessionfile.reader import PartSummary, SessionFile
 from igtl_gateway.sessionfile.salvage import Salvage
+from igtl_gateway.sessionfile.seals import stated_seals
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.untrusted.text import parse_json
 
@@ -33,8 +33,6 @@ EXAMPLES = """\
   igtl-gateway info out.mcap --json
   # a split recording as a whole, and its parts
   igtl-gateway info out"""
-
-_NS_PER_MS = 1_000_000
 
 _NOT_YET = "   unknown: the ledger is written when the recording ends"
 
@@ -95,25 +93,25 @@ def _facts(
         "bytes": path.stat().st_size,
         "format_version": file.format_version,
         "foreign": file.foreign,
-        "start": _utc(start_ns),
+        "start": utc_text(start_ns),
         "duration_s": (end_ns - start_ns) / NS_PER_S,
         "entries": content.entries,
         "streams": [stream.to_dict() for _, stream in sorted(content.streams.items(), key=_order)],
         "problems": dict(sorted(content.problems.items())),
         "peers": [
-            {"event": note.code, "at": _utc(stamp_ns), **note.data}
+            {"event": note.code, "at": utc_text(stamp_ns), **note.data}
             for stamp_ns, kind, note in content.notes
             if kind is Kind.LINK
         ],
         "clocks": content.clock_summaries(),
         "changes": [
-            {"at": _utc(stamp_ns), "text": note.text, **note.data}
+            {"at": utc_text(stamp_ns), "text": note.text, **note.data}
             for stamp_ns, kind, note in content.notes
             if kind is Kind.EDGE_NOTE and note.code == SETTING
         ],
         "clock_steps": [
             {
-                "at": _utc(step.at_ns),
+                "at": utc_text(step.at_ns),
                 "step_s": step.step_ns / NS_PER_S,
                 "jump_s": step.jump_ns / NS_PER_S,
                 "ahead_s": step.ahead_ns / NS_PER_S,
@@ -124,7 +122,19 @@ def _facts(
         "session": file.session,
         "ledger": file.ledger,
         "gaps": gaps(file.ledger or {}),
+        "seal": _seal(path),
     }
+
+
+def _seal(path: Path) -> dict[str, Any] | None:
+    """Return what the files state about their seals."""
+    stated = [stated_seals(file) for file in (sorted(path.glob("*.mcap")) if path.is_dir() else [path])]
+    found = [each for each in stated if each]
+    if not found:
+        return None
+    keys = sorted({key for each in found for key in each.keys})
+    closed = len(found) == len(stated) and all(each.closed for each in found)
+    return {"keys": keys, "seals": sum(each.seals for each in found), "closed": closed}
 
 
 def _part(part: PartSummary) -> dict[str, Any]:
@@ -132,7 +142,7 @@ def _part(part: PartSummary) -> dict[str, Any]:
         "file": part.path.name,
         "bytes": part.size,
         "entries": part.entries,
-        "start": _utc(part.start_ns),
+        "start": utc_text(part.start_ns),
         "duration_s": (part.end_ns - part.start_ns) / NS_PER_S,
     }
 
@@ -140,11 +150,6 @@ def _part(part: PartSummary) -> dict[str, Any]:
 def _order(item: tuple[tuple[Kind, str, str], StreamSummary]) -> tuple[int, str, str]:
     kind, channel, type_name = item[0]
     return list(DIRECTIONS).index(kind), channel, type_name
-
-
-def _utc(stamp_ns: int) -> str:
-    moment = datetime.fromtimestamp(stamp_ns // NS_PER_S, UTC)
-    return f"{moment:%Y-%m-%dT%H:%M:%S}.{stamp_ns % NS_PER_S // _NS_PER_MS:03}Z"
 
 
 def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_ns: int) -> None:
@@ -171,6 +176,12 @@ def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_n
         print_line(f"  {key:<9} {value}")
     for line in _origin(session):
         print_line(f"  {line}")
+    if seal := summary["seal"]:
+        end = "" if seal["closed"] else ", the last seal is missing"
+        print_line(
+            f"  sealed    by key {' '.join(seal['keys'])}, {count_text(seal['seals'], 'seal')}{end}; "
+            "not checked: igtl-gateway verify --seal"
+        )
     config = facts.configuration(session)
     if config:
         igtl_unit, ros_unit, stamp, base_frame = (
@@ -214,7 +225,7 @@ def _origin(session: dict[str, str]) -> list[str]:
     if layout.SNAPSHOT_KEY in session:
         lines.append(f"snapshot  of the last {session[layout.SNAPSHOT_KEY]} s before the request")
     if "slice_of" in session:
-        start, end = (_utc(int(session[key])) for key in ("slice_start_ns", "slice_end_ns"))
+        start, end = (utc_text(int(session[key])) for key in ("slice_start_ns", "slice_end_ns"))
         lines.append(
             f"slice     of {session['slice_of']}, {start} to {end}, "
             f"streams {_globs(session.get('slice_streams', '')) or 'all'}"

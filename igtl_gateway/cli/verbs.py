@@ -45,6 +45,8 @@ VERBS = {
     "import": _own("import_", "convert a recording of another program to a session"),
     "export": _own("export", "convert a session to formats of other programs"),
     "recover": _own("recover", "repair a damaged recording and report what is lost"),
+    "seal": _own("seal", "sign a recording, so that verify --seal finds every change"),
+    "keys": _own("seal_keys", "make, rotate and show the keys of seals", reads_files=False),
     "info": _own("info", "show the contents of a recording"),
     "doctor": _own("doctor", "connect to a peer, or wait for one, and diagnose the connection", reads_files=False),
     "lint": _own("lint", "check a recording with the rules of doctor"),

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Iterator
+from pathlib import Path
 
+from igtl_gateway.app.sealing import SealVerification, verify_seal
 from igtl_gateway.app.verification import RECORDED, Verification, verify_recording
-from igtl_gateway.cli.common import count_text
+from igtl_gateway.cli.common import count_text, utc_text
 from igtl_gateway.cli.options import add_config, add_file, add_json
 from igtl_gateway.cli.terminal import print_json, print_line
+from igtl_gateway.errors import ConfigError
+from igtl_gateway.sessionfile.seal_check import CHANGED, CUT, SEALED, UNSEALED, UNTRUSTED, SealReport
 
 EXAMPLES = """\
   # exit code 0: all outputs are equal; 1: print the first difference
@@ -17,23 +22,100 @@ EXAMPLES = """\
   # what another configuration would change
   igtl-gateway verify out.mcap --config new.toml
   # up to 1,000 differences, for programs
-  igtl-gateway verify out.mcap --json"""
+  igtl-gateway verify out.mcap --json
+  # whether a sealed recording is as it was written, and by which key
+  igtl-gateway verify out.mcap --seal --trusted recorder.key.pub"""
+
+_STATES = {
+    SEALED: "sealed: every byte is as it was sealed",
+    CUT: "CUT: the end is missing",
+    CHANGED: "CHANGED",
+    UNSEALED: "NOT SEALED: it has no seal",
+    UNTRUSTED: "NOT TRUSTED: no seal is of a trusted key",
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_file(parser)
     add_config(parser)
     parser.add_argument("--all", action="store_true", help="print the first difference of each stream")
+    parser.add_argument("--seal", action="store_true", help="check the seal instead of the outputs")
+    parser.add_argument(
+        "--trusted",
+        action="append",
+        default=[],
+        metavar="KEYS",
+        type=Path,
+        help="with --seal: accept only these public keys (PEM) and those that they introduce (repeatable)",
+    )
     add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:
+    if options.trusted and not options.seal:
+        raise ConfigError("--trusted: found no --seal, expected it with trusted keys")
+    if options.seal:
+        return _run_seal(options)
     result = verify_recording(options.file, options.config)
     if options.json:
         print_json(result.to_dict())
     else:
         _print(result, options.all)
     return 0 if result.good else 1
+
+
+def _run_seal(options: argparse.Namespace) -> int:
+    if options.config or options.all:
+        raise ConfigError("--seal: found --config or --all, expected neither: it does not compute outputs")
+    result = verify_seal(options.file, options.trusted)
+    if options.json:
+        print_json(result.to_dict())
+    else:
+        _print_seal(result)
+    return 0 if result.good else 1
+
+
+def _print_seal(result: SealVerification) -> None:
+    for report in result.parts:
+        print_line(f"{report.file}: {_STATES[report.state]}")
+        for line in _seal_lines(report):
+            print_line(f"  {line}")
+    if len(result.parts) > 1 or result.problem:
+        count = count_text(len(result.parts), "part")
+        print_line(f"{result.file}: {count}: {_STATES[result.state]}")
+        if result.problem:
+            print_line(f"  {result.problem}")
+
+
+def _seal_lines(report: SealReport) -> Iterator[str]:
+    """Yield what is known about the seals of a file."""
+    if report.key:
+        trust = {
+            None: "not compared with trusted keys: give --trusted KEYS",
+            True: "trusted" + (", as a trusted key introduces it" if report.introduced else ""),
+            False: "not trusted",
+        }[report.trusted]
+        yield f"key       {report.key} ({trust})"
+    if not report.seals:
+        return
+    part = f", part {report.part}" if report.part or report.last_part is False else ""
+    first, last = (utc_text(ns) for ns in (report.first_ns, report.last_ns))
+    yield f"seals     {report.seals:,}, {first} to {last} by the clock of the recorder"
+    yield f"recording {report.recording}{part}"
+    if report.first:
+        found = report.first
+        number = f" {found.number}" if found.number else ""
+        entries = f", entries {found.first_entry:,} to {found.last_entry:,}" if found.first_entry >= 0 else ""
+        yield f"first     {found.kind}{number} {found.what}: bytes {found.begin:,} to {found.end:,}{entries}"
+        if found.text:
+            yield f"          {found.text}"
+    if report.state != SEALED:
+        entry = f", up to entry {report.sealed_entry:,}" if report.sealed_entry >= 0 else ""
+        yield f"intact    the first {report.sealed_bytes:,} bytes{entry}"
+    if report.state == CUT:
+        yield f"unsealed  the {report.unsealed_bytes:,} bytes behind them"
+    if report.last_seal:
+        yield f"last seal {report.last_seal}"
 
 
 def _print(result: Verification, everything: bool) -> None:

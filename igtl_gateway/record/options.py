@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from igtl_gateway.record.selection import Selection
@@ -41,6 +42,7 @@ class RecordOptions:
         overwrite: replace an existing recording instead of refusing it.
         stop_on_failure: the bridge stops when the recording fails.
         custom: keys and values of the user for the metadata of the recording.
+        seal: file of the private key that seals the recording; None: it is not sealed.
     """
 
     compression: Compression = "lz4"
@@ -57,3 +59,4 @@ class RecordOptions:
     overwrite: bool = False
     stop_on_failure: bool = False
     custom: tuple[tuple[str, str], ...] = ()
+    seal: Path | None = None

@@ -88,7 +88,7 @@ class PartsWriter:
     def write(self, entry: Entry) -> None:
         """Add an entry, in the next part if this one is full.  Raises as SessionWriter.write."""
         if entry.kind.is_input and self._part.entries and self._full(entry):
-            self._end({"recorder": self._counters()})
+            self._end({"recorder": self._counters()}, last_part=False)
             self._part = self._open()
             self._ended = False
         self._part.write(entry)
@@ -115,9 +115,9 @@ class PartsWriter:
             facts[layout.PREVIOUS_KEY] = self._parts[-1].path.name
         return self._open_part(part_path(self.path, number), facts, self._prologue.entries())
 
-    def _end(self, ledger: dict[str, Any]) -> None:
+    def _end(self, ledger: dict[str, Any], *, last_part: bool = True) -> None:
         part = self._part
-        part.close(ledger)
+        part.close(ledger, last_part=last_part)
         try:
             size = part.path.stat().st_size
             if not self._ended:

@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.clock import Clock
-from igtl_gateway.errors import DiskRefused, RecordingError
+from igtl_gateway.errors import ConfigError, DiskRefused, RecordingError, Unavailable
 from igtl_gateway.once import Once
 from igtl_gateway.qos import Qos
 from igtl_gateway.record.options import RecordOptions
@@ -29,11 +29,13 @@ from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.ring import Ring
 from igtl_gateway.record.selection import MAX_STREAMS, OTHERS, SelectionFilter, StateInputRule
 from igtl_gateway.record.shared_queue import LARGE_BYTES, QueueReader
+from igtl_gateway.seal.keys import SigningKey
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.sessionfile import layout
 from igtl_gateway.sessionfile.layout import LayoutError
 from igtl_gateway.sessionfile.schemas import RosTypes
+from igtl_gateway.sessionfile.sealing import SealSeries
 from igtl_gateway.sessionfile.writer import SessionWriter
 
 #: Codes of the recorder's notes.
@@ -203,6 +205,7 @@ class _RecorderWorker:
         self._clock = clock
         self._flush_ns = int(self.options.flush_s * 1_000_000_000)
         self._types = RosTypes()
+        self._seals = _seal_series(self.options, clock)
         self._gate = SelectionFilter(self.options.selection, settings.rule)
         self._dropped: Counter[str] = Counter()  # by the file; what the queue did not take is known to the recorder
         self._not_queued: Counter[str] = Counter()  # when it was last asked
@@ -252,6 +255,7 @@ class _RecorderWorker:
         return self._open_file(path, {}, ())
 
     def _open_file(self, path: Path, facts: dict[str, str], prologue: Sequence[Entry]) -> SessionWriter:
+        is_snapshot = self.options.snapshot_s > 0
         return SessionWriter(
             path,
             self._session | facts,
@@ -262,6 +266,7 @@ class _RecorderWorker:
             overwrite=self.options.overwrite,
             prologue=prologue,
             types=self._types,
+            sealer=self._seals.next_file(path, alone=is_snapshot) if self._seals else None,
         )
 
     def run(self) -> None:
@@ -584,6 +589,16 @@ class _RecorderWorker:
             self._failure,
         )
         self._send("closed", self._state(), summary)
+
+
+def _seal_series(options: RecordOptions, clock: Clock) -> SealSeries | None:
+    """The seals of the recording, if there are any.  Raises RecordingError for a key that cannot be used."""
+    if options.seal is None:
+        return None
+    try:
+        return SealSeries(SigningKey.load(options.seal), clock.utc_ns)
+    except (ConfigError, Unavailable) as error:
+        raise RecordingError(f"cannot seal the recording: {error}") from None
 
 
 def _size(path: Path) -> int:

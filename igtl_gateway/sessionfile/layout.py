@@ -38,6 +38,8 @@ SESSION_METADATA = "igtl_gateway.session"
 SESSION_COPY_METADATA = "igtl_gateway.session_copy"
 SESSION_RECORDS = (SESSION_METADATA, SESSION_COPY_METADATA)
 LEDGER_METADATA = "igtl_gateway.ledger"
+#: A seal: a signed statement about the records before it, see ``sealing``.
+SEAL_METADATA = "igtl_gateway.seal"
 CONFIGURATION_ATTACHMENT = "configuration.json"
 #: Inputs before the first entry: an MCAP file of this layout inside the file.
 PROLOGUE_ATTACHMENT = "prologue.mcap"

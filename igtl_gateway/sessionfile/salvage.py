@@ -153,7 +153,7 @@ class Salvage:
                 yield attachment
 
     def metadata(self) -> Iterator[Metadata]:
-        """The metadata records that are not of the session."""
+        """The metadata records that are not of the session, without seals."""
         for span in self._metadata:
             if metadata := _parsed(records.parse_metadata, self._file.content(span)):
                 yield metadata
@@ -240,7 +240,7 @@ class Salvage:
                     session = session or _right(_check_session, metadata)
                 elif metadata.name == layout.LEDGER_METADATA:
                     ledger = ledger or _right(_check_ledger, metadata)
-                else:
+                elif metadata.name != layout.SEAL_METADATA:  # a seal is of the file that it is in
                     self._metadata.append(span)
                     limits.check_limit("count", len(self._metadata), f"{self.path}: metadata records")
         return session, ledger, found

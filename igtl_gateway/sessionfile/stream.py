@@ -35,8 +35,9 @@ from igtl_gateway.buffers import Buffer
 from igtl_gateway.sessionfile import records
 from igtl_gateway.sessionfile.chunk_rows import RowStream, add_rows, index_messages
 from igtl_gateway.sessionfile.compression import NAMES, Compression, compress
-from igtl_gateway.sessionfile.layout import CHUNK_BYTES
+from igtl_gateway.sessionfile.layout import CHUNK_BYTES, SEAL_METADATA
 from igtl_gateway.sessionfile.records import MAGIC, MESSAGE, MESSAGE_HEAD, MESSAGE_RECORD, crc32, pack
+from igtl_gateway.sessionfile.sealing import KINDS, SEAL, Sealer, entry_numbers
 
 #: A message of this part of a chunk's size is large.
 _LARGE = 4
@@ -56,14 +57,21 @@ class McapStream:
         file: takes the bytes; it is not closed here.
         chunk_bytes: size at which a chunk ends.
         compression: of the chunks.
+        sealer: seals what is written, at each flush and at the end.
     """
 
     def __init__(
-        self, file: BufferedWriter | BytesIO, *, chunk_bytes: int = CHUNK_BYTES, compression: Compression
+        self,
+        file: BufferedWriter | BytesIO,
+        *,
+        chunk_bytes: int = CHUNK_BYTES,
+        compression: Compression,
+        sealer: Sealer | None = None,
     ) -> None:
         #: Bytes written so far.
         self.size = 0
         self._file = file
+        self._sealer = sealer
         self._chunk_bytes = chunk_bytes
         self._large = sys.maxsize if compression == "zstd" else chunk_bytes // _LARGE
         self._compression = compression
@@ -81,13 +89,13 @@ class McapStream:
     def start(self, profile: str, library: str) -> None:
         """To be called first."""
         self._put(MAGIC)
-        self._put(pack(Header(profile, library)))
+        self._put_record(records.HEADER, pack(Header(profile, library)))
 
     def add_metadata(self, name: str, items: dict[str, str]) -> None:
         """A metadata record, before the messages that wait for their chunk's end."""
         data = pack(Metadata(name=name, metadata=items))
         self._metadata.append(MetadataIndex(offset=self.size, length=len(data), name=name))
-        self._put(data)
+        self._put_record(records.METADATA, data)
 
     def add_attachment(self, name: str, media_type: str, data: bytes, log_time: int = 0, create_time: int = 0) -> None:
         """An attachment, as add_metadata."""
@@ -100,13 +108,13 @@ class McapStream:
                 data_size=len(data), name=name, media_type=media_type,
             )
         )  # fmt: skip
-        self._put(record)
+        self._put_record(records.ATTACHMENT, record)
 
     def register_schema(self, name: str, encoding: str, text: bytes) -> int:
         """A schema, in the chunk and between the chunks; returns its number."""
         schema = Schema(id=len(self.schemas) + 1, data=text, encoding=encoding, name=name)
         self.schemas.append(schema)
-        self._define(schema)
+        self._define(records.SCHEMA, schema)
         return schema.id
 
     def register_channel(self, topic: str, encoding: str, schema: int, metadata: dict[str, str]) -> int:
@@ -114,14 +122,14 @@ class McapStream:
         number = len(self.channels) + 1
         channel = Channel(id=number, topic=topic, message_encoding=encoding, schema_id=schema, metadata=metadata)
         self.channels.append(channel)
-        self._define(channel)
+        self._define(records.CHANNEL, channel)
         return number
 
-    def _define(self, record: McapRecord) -> None:
+    def _define(self, opcode: int, record: McapRecord) -> None:
         data = pack(record)
         self._chunk += data
         self.end_full_chunk()
-        self._put(data)
+        self._put_record(opcode, data)
 
     def add_message(
         self, channel: int, log_time: int, head: bytes, data: Buffer, publish_time: int, sequence: int
@@ -157,15 +165,43 @@ class McapStream:
             self._end_chunk()
 
     def flush(self) -> None:
-        """End the chunk, and hand all to the operating system."""
+        """End the chunk, seal what is not sealed yet, and hand all to the operating system."""
         self._end_chunk()
+        if self._sealer and self._sealer.is_due:
+            self._put_seal(self._sealer)
         self._file.flush()
 
-    def finish(self) -> None:
-        """Write the end of the file; nothing can be added after that."""
+    def finish(self, *, last_part: bool = True) -> None:
+        """Write the end of the file; nothing can be added after that.
+
+        Args:
+            last_part: for the seal: the recording has no further part.
+        """
         self._end_chunk()
-        self._put(pack(DataEnd(0)))
-        start = self.size
+        if self._sealer is None:
+            self._put(self._end_of_file(0))
+            return
+        self._metadata.append(MetadataIndex(offset=self.size, length=0, name=SEAL_METADATA))
+        seal, end = self._sealer.last_seal(self._end_of_file, last_part=last_part)
+        self._file.write(seal)
+        self._file.write(end)
+        self.size += len(seal) + len(end)
+
+    def _put_seal(self, sealer: Sealer) -> None:
+        seal = sealer.seal()
+        self._metadata.append(MetadataIndex(offset=self.size, length=len(seal), name=SEAL_METADATA))
+        self._put(seal)
+        sealer.end_unit(SEAL)
+
+    def _end_of_file(self, seal: int) -> bytes:
+        """The end of the data section, the summary and the footer, behind a last seal of a length (0: without one)."""
+        if seal:
+            self._metadata[-1] = replace(self._metadata[-1], length=seal)
+        data = bytearray(pack(DataEnd(0)))
+        return bytes(data + self._summary(self.size + seal + len(data)))
+
+    def _summary(self, start: int) -> bytearray:
+        """The summary, the footer and the last magic, at an offset."""
         data = bytearray()
         offsets: list[SummaryOffset] = []
         groups: tuple[tuple[int, Buffer], ...] = (
@@ -182,9 +218,7 @@ class McapStream:
         footer = Footer(summary_start=start, summary_offset_start=start + len(data), summary_crc=0)
         data += pack(*offsets)
         crc = crc32(pack(footer)[: records.FOOTER_COVERED], crc32(data))
-        self._put(data)
-        self._put(pack(replace(footer, summary_crc=crc)))
-        self._put(MAGIC)
+        return data + pack(replace(footer, summary_crc=crc)) + MAGIC
 
     def statistics(self) -> Statistics:
         """Of the file up to its last complete chunk."""
@@ -206,6 +240,7 @@ class McapStream:
         if not rows:
             return
         size = len(self._chunk) + len(rest)
+        numbers = entry_numbers(self._chunk, index, rows) if self._sealer else (-1, -1)
         crc = crc32(self._chunk)
         if rest:
             crc = crc32(rest, crc)
@@ -221,7 +256,7 @@ class McapStream:
         for number, place, count in rows:
             offsets += (number, end + place)
             counts[number] = counts.get(number, 0) + count
-        self._put(index)
+        self._put_record(records.CHUNK, index, *numbers)
         self._chunks += records.pack_chunk_index(
             first, last, begin, end - begin, offsets, len(index), name, packed, size
         )
@@ -249,6 +284,16 @@ class McapStream:
         self._poor[channel] = min(poor + 1, _TRIES)
         return "", plain
 
+    def _put_record(self, opcode: int, data: Buffer, first: int = -1, last: int = -1) -> None:
+        """Write the end of a record or of a chunk with its indexes: a unit of the seal, with its entry numbers."""
+        self._put(data)
+        if self._sealer:
+            self._sealer.end_unit(KINDS[opcode], first, last)
+            if self._sealer.is_full:
+                self._put_seal(self._sealer)
+
     def _put(self, data: Buffer) -> None:
         self._file.write(data)
         self.size += len(data)
+        if self._sealer:
+            self._sealer.update(data)

@@ -28,6 +28,7 @@ from igtl_gateway.sessionfile.layout import CHUNK_BYTES, LayoutError
 from igtl_gateway.sessionfile.messages import RawPacker, device_name, pack_message
 from igtl_gateway.sessionfile.new_file import cannot_begin, create_file, os_error_text, sync_folder
 from igtl_gateway.sessionfile.schemas import Definition, RosTypes
+from igtl_gateway.sessionfile.sealing import Sealer
 from igtl_gateway.sessionfile.side_file import TopicCount, topic_counts
 from igtl_gateway.sessionfile.stream import McapStream
 
@@ -61,6 +62,7 @@ class SessionWriter:
         prologue: inputs before the first entry that the gateway's state follows from.
         types: definitions of ROS types; a caller that writes several files shares one.
         memory: write into this instead of a file.
+        sealer: seals the file at each flush and at its end.
 
     Raises RecordingError when the file cannot be created, DiskRefused where the disk is the reason.  From the
     constructor on the file can be read by scanning, and after :meth:`close` by its index.
@@ -80,6 +82,7 @@ class SessionWriter:
         prologue: Iterable[Entry] = (),
         types: RosTypes | None = None,
         memory: BytesIO | None = None,
+        sealer: Sealer | None = None,
     ) -> None:
         self.path = path
         #: Entries written so far.
@@ -101,7 +104,7 @@ class SessionWriter:
         self._fsync = fsync
         before = _packed(prologue, self._types)
         self._file = memory or create_file(path, overwrite)
-        self._mcap = McapStream(self._file, chunk_bytes=chunk_bytes, compression=compression)
+        self._mcap = McapStream(self._file, chunk_bytes=chunk_bytes, compression=compression, sealer=sealer)
         try:
             self._start(session, before)
             if fsync != "never":
@@ -196,8 +199,13 @@ class SessionWriter:
         """Bytes of the file so far."""
         return 0 if self._file.closed else self._mcap.size
 
-    def close(self, ledger: dict[str, Any]) -> None:
-        """Write the ledger and the index.  Idempotent.  Raises RecordingError; what was flushed stays readable."""
+    def close(self, ledger: dict[str, Any], *, last_part: bool = True) -> None:
+        """Write the ledger and the index.  Idempotent.  Raises RecordingError; what was flushed stays readable.
+
+        Args:
+            ledger: the ledger.
+            last_part: for the seal: the recording has no further part.
+        """
         if self._closed:
             return
         self._closed = True
@@ -206,7 +214,7 @@ class SessionWriter:
         with self._disk_errors():
             self._mcap.flush()
             self._mcap.add_metadata(layout.LEDGER_METADATA, layout.seal_ledger(ledger))
-            self._mcap.finish()
+            self._mcap.finish(last_part=last_part)
             self._file.flush()
             self._check_file("flush", "close")
             if isinstance(self._file, BufferedWriter):

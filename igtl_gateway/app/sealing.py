@@ -1,0 +1,111 @@
+"""Seals of recordings: a file or all parts of a split one are checked, and old files are sealed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway.clock import SystemClock
+from igtl_gateway.errors import ConfigError, UnsupportedRecording
+from igtl_gateway.seal.keys import SigningKey, load_trusted
+from igtl_gateway.sessionfile.seal_check import CHANGED, CUT, SEALED, UNSEALED, UNTRUSTED, SealReport, check_seal
+from igtl_gateway.sessionfile.seal_copy import seal_copy
+from igtl_gateway.sessionfile.sealing import SealSeries
+from igtl_gateway.untrusted.files import is_same
+
+#: Of several files, the state of the first of these that one has.
+_WORST = (UNTRUSTED, CHANGED, UNSEALED, CUT, SEALED)
+
+
+@dataclass(frozen=True, slots=True)
+class SealVerification:
+    """The result for a recording.
+
+    Attributes:
+        file: the file, or the directory of a split recording.
+        state: ``sealed``, ``cut``, ``changed``, ``unsealed`` or ``untrusted``.
+        problem: what is wrong with the order of the parts; "" if nothing is.
+        parts: the result for each file, in order.
+    """
+
+    file: Path
+    state: str
+    problem: str
+    parts: tuple[SealReport, ...]
+
+    @property
+    def good(self) -> bool:
+        """Whether every byte is as it was sealed, and nothing is missing."""
+        return self.state == SEALED
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the result as JSON values, as ``igtl-gateway verify --seal --json`` prints it."""
+        parts = [asdict(part) | {"file": str(part.file)} for part in self.parts]
+        return {
+            "file": str(self.file), "good": self.good, "state": self.state, "problem": self.problem, "parts": parts
+        }  # fmt: skip
+
+
+def verify_seal(path: Path, trusted: Sequence[Path] = ()) -> SealVerification:
+    """Check the seals of a recording.
+
+    Args:
+        path: a file, or the directory of a split recording.
+        trusted: files of trusted public keys; none: any key.
+
+    Raises UnsupportedRecording, ConfigError for files without keys, LimitExceeded, Unavailable.
+    """
+    keys = load_trusted(trusted) if trusted else None
+    if not path.is_dir():
+        report = check_seal(path, keys)
+        return SealVerification(path, report.state, "", (report,))
+    reports = [check_seal(part, keys) for part in _parts(path)]
+    state = next(each for each in _WORST if any(report.state == each for report in reports))
+    problem = ""
+    if state in (SEALED, CUT):
+        found, problem = _order_of(reports)
+        state = found if problem else state
+    return SealVerification(path, state, problem, tuple(reports))
+
+
+def seal_recording(source: Path, key: Path, output: Path, *, overwrite: bool = False) -> tuple[str, int]:
+    """Write a sealed copy of a recording; return the identifier of the key, and the size.
+
+    Raises ConfigError for a key that cannot be used, and as ``seal_copy``.
+    """
+    signing = SigningKey.load(key)
+    if is_same(source, output):
+        raise ConfigError(f"{output}: found the recording itself, expected another name for the sealed one")
+    sealer = SealSeries(signing, SystemClock().utc_ns).next_file(output)
+    return signing.id, seal_copy(source, output, sealer, overwrite=overwrite)
+
+
+def _parts(folder: Path) -> list[Path]:
+    """Return the parts of a split recording by their numbers.  Raises UnsupportedRecording without any."""
+    name = re.compile(r".*_(\d{1,9})\.mcap", re.DOTALL)
+    numbered = [(int(found[1]), path) for path in folder.glob("*.mcap") if (found := name.fullmatch(path.name))]
+    if not numbered:
+        raise UnsupportedRecording(f"{folder}: found a directory without parts NAME_0.mcap, expected a split recording")
+    return [path for _, path in sorted(numbered)]
+
+
+def _order_of(reports: Sequence[SealReport]) -> tuple[str, str]:
+    """Return the state and what is wrong with the order of the parts, by what their seals state."""
+    before: SealReport | None = None
+    for number, report in enumerate(reports):
+        name = report.file.name
+        if before and (report.recording, report.key) != (before.recording, before.key):
+            return CHANGED, f"{name}: found a file of another recording or key"
+        if report.part != number:
+            return CHANGED, f"{name}: found part {report.part}, expected part {number}"
+        if before and report.previous != before.last_seal:
+            return CHANGED, f"{name}: it does not continue {before.file.name}"
+        if before and before.last_part:
+            return CHANGED, f"{name}: found a part behind the last part {before.file.name}"
+        before = report
+    if reports[-1].last_part is False:
+        return CUT, f"{reports[-1].file.name}: it is not the last part: what follows it is missing"
+    return SEALED, ""

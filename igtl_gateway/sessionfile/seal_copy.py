@@ -1,0 +1,146 @@
+"""Sealing a recording that exists already: a copy of its records with seals behind them.
+
+The data section is copied byte for byte, so all offsets of the index stay right.  The summary is that of the file, with
+the seals in its statistics and its metadata index.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from io import BufferedWriter
+from pathlib import Path
+from typing import IO
+
+from mcap.records import DataEnd, Footer, MetadataIndex, SummaryOffset
+
+from igtl_gateway.errors import RecordingError, UnsupportedRecording
+from igtl_gateway.seal.statement import UnitRow
+from igtl_gateway.sessionfile import records
+from igtl_gateway.sessionfile.chunks import batches, packed_chunk
+from igtl_gateway.sessionfile.contents import ChunkEntry
+from igtl_gateway.sessionfile.index import recover_hint
+from igtl_gateway.sessionfile.layout import SEAL_METADATA
+from igtl_gateway.sessionfile.new_file import create_file, os_error_text
+from igtl_gateway.sessionfile.records import FOOTER_RECORD, HEAD, MAGIC, Malformed, crc32, pack
+from igtl_gateway.sessionfile.sealing import SEAL, Sealer
+from igtl_gateway.sessionfile.seals import has_name_of_seal
+from igtl_gateway.sessionfile.units import FoundUnit, data_end, kind_of, units
+from igtl_gateway.untrusted import files, limits
+
+#: One seal has all records of the file.
+_MOST_UNITS = 300_000
+_PIECE = 1 << 20
+
+
+def seal_copy(source: Path, output: Path, sealer: Sealer, *, overwrite: bool = False) -> int:
+    """Write a sealed copy of a closed MCAP file, and return its size.
+
+    Raises UnsupportedRecording for a file that is not closed or has seals, RecordingError when the disk refuses (then
+    there is no copy), LimitExceeded.
+    """
+    with files.open_file(source) as stream:
+        size = stream.seek(0, os.SEEK_END)
+        end, groups = _end_of_file(source, stream, size)
+        for unit in units(stream, 0, end):
+            if unit.opcode == records.METADATA and has_name_of_seal(stream, unit.at):
+                raise UnsupportedRecording(f"{source}: found a seal at byte {unit.at:,}, expected a file without seals")
+            sealer.add(_row(source, stream, unit))
+            if len(sealer) > _MOST_UNITS:
+                raise UnsupportedRecording(f"{source}: found more than {_MOST_UNITS:,} records, expected fewer")
+        file = create_file(output, overwrite)
+        try:
+            return _write(stream, end, groups, sealer, file)
+        except OSError as error:
+            file.raw.close()
+            output.unlink(missing_ok=True)
+            raise RecordingError(f"cannot write {output}: {os_error_text(error)}") from error
+
+
+def _end_of_file(path: Path, stream: IO[bytes], size: int) -> tuple[int, dict[int, bytes]]:
+    """Return the end of the data section, and the records of the summary by opcode.  Raises UnsupportedRecording."""
+    stream.seek(max(0, size - FOOTER_RECORD.size))
+    footer = stream.read()
+    end = data_end(stream, len(MAGIC), size)
+    stream.seek(0)
+    if stream.read(len(MAGIC)) != MAGIC:
+        raise UnsupportedRecording(f"{path}: found another kind of file, expected MCAP")
+    if end is None or footer[-len(MAGIC) :] != MAGIC or footer[0] != records.FOOTER:
+        raise UnsupportedRecording(f"{path}: found a file that was not closed{recover_hint(path)}")
+    _, _, start, _, _, _ = FOOTER_RECORD.unpack(footer)
+    stop = size - FOOTER_RECORD.size
+    if not start:
+        return end, {}
+    if not end < start <= stop:
+        raise UnsupportedRecording(f"{path}: found a summary at byte {start:,}, expected it behind byte {end:,}")
+    limits.check_limit("memory", stop - start, f"{path}: summary")
+    stream.seek(start)
+    data = stream.read(stop - start)
+    groups: dict[int, bytes] = {}
+    try:
+        for opcode, begin, after in records.records(data, "summary"):
+            groups[opcode] = groups.get(opcode, b"") + data[begin - HEAD.size : after]
+    except Malformed as error:
+        raise UnsupportedRecording(f"{path}: {error}{recover_hint(path)}") from None
+    groups.pop(records.SUMMARY_OFFSET, None)
+    return end, groups
+
+
+def _row(path: Path, stream: IO[bytes], unit: FoundUnit) -> UnitRow:
+    first = last = -1
+    if unit.opcode == records.CHUNK:
+        stream.seek(unit.at)
+        length = HEAD.size + HEAD.unpack(stream.read(HEAD.size))[1]
+        try:
+            data = packed_chunk(stream, ChunkEntry(0, 0, unit.at, length, 0), str(path)).unpack()
+            numbers = [row[1] for rows in batches(data) for row in rows]
+        except Malformed as error:
+            raise UnsupportedRecording(f"{path}: {error}{recover_hint(path)}") from None
+        first, last = min(numbers, default=-1), max(numbers, default=-1)
+    return UnitRow(kind_of(unit.opcode), unit.size, unit.digest, first, last)
+
+
+def _write(stream: IO[bytes], end: int, groups: dict[int, bytes], sealer: Sealer, file: BufferedWriter) -> int:
+    stream.seek(0)
+    left = end
+    while left and (piece := stream.read(min(left, _PIECE))):
+        file.write(piece)
+        left -= len(piece)
+    seal = sealer.seal()
+    sealer.update(seal)
+    sealer.end_unit(SEAL)
+    file.write(seal)
+    at = end + len(seal)
+    first = MetadataIndex(offset=end, length=len(seal), name=SEAL_METADATA)
+
+    def rest(length: int) -> bytes:
+        data = pack(DataEnd(0))
+        indexes = pack(first, MetadataIndex(offset=at, length=length, name=SEAL_METADATA))
+        return data + _summary(at + length + len(data), groups, indexes)
+
+    last, tail = sealer.last_seal(rest, last_part=True)
+    file.write(last)
+    file.write(tail)
+    file.close()
+    return at + len(last) + len(tail)
+
+
+def _summary(start: int, groups: dict[int, bytes], indexes: bytes) -> bytes:
+    """Return the summary with the indexes of two more metadata records, the footer and the last magic."""
+    if not groups:
+        return pack(Footer(0, 0, 0)) + MAGIC
+    data, offsets = bytearray(), bytearray()
+    for opcode in (*groups, *(() if records.METADATA_INDEX in groups else (records.METADATA_INDEX,))):
+        group = groups.get(opcode, b"")
+        if opcode == records.STATISTICS:
+            statistics = records.parse_statistics(group[HEAD.size :])
+            group = pack(replace(statistics, metadata_count=statistics.metadata_count + 2))
+        elif opcode == records.METADATA_INDEX:
+            group += indexes
+        place = SummaryOffset(group_opcode=opcode, group_start=start + len(data), group_length=len(group))
+        offsets += pack(place)
+        data += group
+    footer = Footer(summary_start=start, summary_offset_start=start + len(data), summary_crc=0)
+    data += offsets
+    crc = crc32(pack(footer)[: records.FOOTER_COVERED], crc32(data))
+    return bytes(data) + pack(replace(footer, summary_crc=crc)) + MAGIC

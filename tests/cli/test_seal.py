@@ -1,0 +1,81 @@
+"""``seal``, ``keys`` and ``verify --seal`` as a user has them: files, words and exit codes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from igtl_gateway.cli import main
+
+SOURCE = Path(__file__).parents[2] / "fixtures" / "every-type.mcap"
+
+
+def _run(*words: object) -> int:
+    return main([str(word) for word in words])
+
+
+def test_from_a_new_key_to_a_changed_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    key, sealed = tmp_path / "key", tmp_path / "sealed.mcap"
+    assert _run("keys", "new", key) == 0
+    assert key.stat().st_mode & 0o777 == 0o600
+    assert _run("seal", SOURCE, "--key", key, "-o", sealed) == 0
+    assert _run("verify", sealed, "--seal", "--trusted", f"{key}.pub") == 0
+    assert _run("verify", sealed) == 0
+    capsys.readouterr()
+    assert _run("info", sealed) == 0
+    assert "sealed    by key " in capsys.readouterr().out
+    data = bytearray(sealed.read_bytes())
+    data[len(data) // 2] ^= 1
+    sealed.write_bytes(data)
+    assert _run("verify", sealed, "--seal") == 1
+    out = capsys.readouterr().out
+    assert "CHANGED" in out
+    assert "chunk" in out
+    assert _run("verify", sealed, "--seal", "--json") == 1
+    found = json.loads(capsys.readouterr().out)
+    assert (found["state"], found["parts"][0]["first"]["what"]) == ("changed", "changed")
+    sealed.write_bytes(data[:-100])
+    assert _run("verify", SOURCE, "--seal") == 1
+    assert "NOT SEALED" in capsys.readouterr().out
+
+
+def test_a_rotated_key_is_trusted_by_those_who_trust_the_old_one(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    old, new, sealed = tmp_path / "old", tmp_path / "new", tmp_path / "sealed.mcap"
+    assert _run("keys", "new", old) == 0
+    assert _run("keys", "rotate", old, new) == 0
+    assert _run("seal", SOURCE, "--key", new, "-o", sealed) == 0
+    capsys.readouterr()
+    assert _run("verify", sealed, "--seal", "--trusted", f"{old}.pub") == 0
+    assert "as a trusted key introduces it" in capsys.readouterr().out
+    assert _run("keys", "show", new, f"{new}.pub") == 0
+    assert "introduced by 1 key" in capsys.readouterr().out
+    assert _run("keys", "new", tmp_path / "third") == 0
+    assert _run("verify", sealed, "--seal", "--trusted", tmp_path / "third.pub") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["verify", SOURCE, "--trusted", "x"], "--trusted: found no --seal"),
+        (["verify", SOURCE, "--seal", "--all"], "--seal: found --config or --all"),
+        (["keys", "rotate", "x"], "keys rotate: found 1 files, expected two files"),
+        (["keys", "new", "x", "y"], "keys new: found 2 files"),
+        (["seal", SOURCE, "--key", "none", "-o", "x"], "key none: No such file"),
+        (["bridge", "--seal", "x"], "--seal: found no --record FILE"),
+    ],
+)
+def test_wrong_words(words: list[object], expected: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert _run(*words) == 2
+    assert expected in capsys.readouterr().err
+
+
+def test_keys_are_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "key"
+    path.write_text("precious")
+    assert _run("keys", "new", path) == 2
+    assert path.read_text() == "precious"
+    assert "keys are not replaced" in capsys.readouterr().err
