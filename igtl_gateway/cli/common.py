@@ -72,7 +72,7 @@ def size_text(number: float) -> str:
 
 
 def utc_text(stamp_ns: int) -> str:
-    """UTC nanoseconds for people, to the millisecond: ``2026-11-22T18:00:00.250Z``; the number itself if that is not a date."""
+    """UTC nanoseconds for people, to the millisecond: ``2026-11-22T18:00:00.250Z``; otherwise the number itself."""
     try:
         moment = datetime.fromtimestamp(stamp_ns // NS_PER_S, UTC)
     except (ValueError, OverflowError, OSError):
