@@ -166,7 +166,7 @@ def _duplicate(original: Original, chance: random.Random) -> Case:
 
 
 def _add(original: Original, chance: random.Random) -> Case:
-    """A record of a unit's kind with other contents, or bytes that are no record."""
+    """A record of a unit's kind with other contents, or bytes that are not a record."""
     unit = chance.choice([each for each in original.units if each.opcode == records.CHUNK])
     foreign = _bit(original.data[unit.at : unit.end], unit.size - 1, chance)
     if chance.random() < 0.3:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 #: Bytes of a public key and of a signature.
 PUBLIC_BYTES, SIGNATURE_BYTES = 32, 64
-#: A set of trusted keys follows at most so many introductions.
+#: Maximum number of introductions that trust follows.
 MAX_INTRODUCTIONS = 100
 
 _STATEMENT = "https://in-toto.io/Statement/v1"
@@ -80,7 +80,7 @@ class SigningKey:
 
     @classmethod
     def load(cls, path: Path) -> SigningKey:
-        """Read a key.  Raises ConfigError if it is no such key or others than its owner may read it; Unavailable."""
+        """Read a key.  Raises ConfigError if it is another file or others than its owner may read it; Unavailable."""
         ed25519, serialization = _library()
         try:
             data = read_bytes(path)
@@ -142,7 +142,7 @@ def verifies(found: Envelope, public: bytes) -> bool:
         return False
     try:
         ed25519.Ed25519PublicKey.from_public_bytes(public).verify(found.signature, envelope.signed_bytes(found.payload))
-    except Exception:  # InvalidSignature, or bytes that are no key
+    except Exception:  # InvalidSignature, or bytes that are not a key
         return False
     return True
 

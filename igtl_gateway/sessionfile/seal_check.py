@@ -1,7 +1,7 @@
 """Checking a sealed file: every byte against the signed digests, and the first deviation by name.
 
 Up to the first deviation all offsets are those of the seals, so the check is one pass over the file.  Only at the
-deviation are the records followed, to tell what has happened there (``deviation``).
+deviation are the records followed, to find out what has happened there (``deviation``).
 """
 
 from __future__ import annotations

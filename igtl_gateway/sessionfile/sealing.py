@@ -34,7 +34,7 @@ from igtl_gateway.sessionfile.records import HEAD, MESSAGE, MESSAGE_HEAD, MESSAG
 
 #: The item of the metadata record.
 ENVELOPE_KEY = "envelope"
-#: A seal has at most so many units, so that a reader needs little memory for one.
+#: Maximum number of units of a seal, so that a reader needs little memory for one.
 MOST_UNITS = 1024
 
 #: Opcode → kind of a unit.

@@ -9,11 +9,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
-from igtl_gateway.errors import DamagedRecording
+from igtl_gateway.errors import DamagedRecording, LimitExceeded
 from igtl_gateway.seal import envelope, keys
 from igtl_gateway.seal.envelope import Envelope
 from igtl_gateway.seal.statement import Statement, parse
 from igtl_gateway.sessionfile import records
+from igtl_gateway.sessionfile.index import read_index
 from igtl_gateway.sessionfile.layout import SEAL_METADATA
 from igtl_gateway.sessionfile.records import HEAD, U32, Malformed
 from igtl_gateway.sessionfile.sealing import ENVELOPE_KEY, seal_record
@@ -44,7 +45,7 @@ class Seals:
 
     Attributes:
         valid: those with a signature of their own key, in the order of the file.
-        invalid: number of records that look like one and are none.
+        invalid: number of records with the name of a seal that are invalid.
     """
 
     valid: list[FoundSeal]
@@ -81,7 +82,14 @@ def stated_seals(path: Path) -> StatedSeals | None:
     names, count, closed = set(), 0, False
     with files.open_file(path) as stream:
         size = stream.seek(0, os.SEEK_END)
-        for place in _places(path, stream, size):
+        try:
+            index = read_index(path, stream)
+            places = [each.at for each in index.metadata if each.name == SEAL_METADATA]
+        except LimitExceeded:
+            raise
+        except DamagedRecording:  # it was not closed
+            places = list(_places(path, stream, size))
+        for place in places:
             if found := _parsed_seal(stream, place, size, str(path)):
                 names.add(found[1].key_id)
                 count += 1

@@ -1,4 +1,4 @@
-"""Sealed files: every change is found and named; a cut is told from a change; other tools read them."""
+"""Sealed files: every change is found and named; a cut is distinguished from a change; other tools read them."""
 
 from __future__ import annotations
 
