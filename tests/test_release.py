@@ -8,6 +8,7 @@ import subprocess
 import sys
 import sysconfig
 import tarfile
+import tomllib
 import zipfile
 from email.message import Message
 from email.parser import Parser
@@ -18,6 +19,7 @@ import pytest
 from hatch_build import SOURCES, compiled
 from igtl_gateway import __version__
 from tools import release as module
+from tools.constraints import EXTRAS, HEADER
 from tools.release import SUMS, ReleaseError, release, sha256
 from tools.sbom import NAME
 
@@ -93,6 +95,15 @@ def test_the_sdist_is_what_its_own_tests_need(folder: Path) -> None:
     assert path.stat().st_size < LARGEST_SDIST
 
 
+def test_pins_and_sbom_are_of_all_extras() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"].keys()
+    assert {*EXTRAS.split(","), "lab", "dev"} == extras
+    text = (ROOT / "constraints.txt").read_text("utf-8")
+    assert text.startswith(HEADER)
+    for path in ("tools/setup.sh", "CONTRIBUTING.md", ".github/workflows/ci.yml"):
+        assert f"{EXTRAS.removeprefix('ros,')},lab,dev" in (ROOT / path).read_text("utf-8"), path
+
+
 @pytest.mark.ros
 def test_the_sbom_has_the_files_and_all_that_users_install(folder: Path) -> None:
     (path,) = folder.glob("*.cdx.json")
@@ -102,7 +113,7 @@ def test_the_sbom_has_the_files_and_all_that_users_install(folder: Path) -> None
     assert files == {path.name: sha256(path) for path in folder.iterdir() if path.suffix in {".gz", ".whl"}}
     pins = dict(line.split("==") for line in (ROOT / "constraints.txt").read_text("utf-8").splitlines() if "==" in line)
     versions = {component["name"]: component["version"] for component in bom["components"]}
-    assert {"numpy", "mcap", "ros-jazzy-rclpy", "rerun-sdk"} <= versions.keys()
+    assert {"numpy", "mcap", "ros-jazzy-rclpy", "rerun-sdk", "pyarrow", "pandas", "matplotlib", "av"} <= versions.keys()
     assert versions.items() <= pins.items()
     needs = {row["ref"]: row.get("dependsOn", []) for row in bom["dependencies"]}
     reached, waiting = set(), [main["bom-ref"]]

@@ -17,13 +17,15 @@ from pathlib import Path
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-PROJECT = Requirement("igtl-gateway[ros,view,video,nifti,pcap,arrow,pandas,seal,lab,dev]")
+#: The extras that users install; ``dev`` is for developers, and ``lab`` is a distribution of the same release.
+EXTRAS = "ros,view,video,nifti,plot,pcap,arrow,pandas,lerobot,seal"
+PROJECT = Requirement(f"igtl-gateway[{EXTRAS},lab,dev]")
 CONSTRAINTS = Path(__file__).parent.parent / "constraints.txt"
-HEADER = """\
-# What the extras [ros,view,video,nifti,pcap,arrow,pandas,seal,lab,dev] install, with all that they need;
+HEADER = f"""\
+# What the extras [{EXTRAS},lab,dev] install, with all that they need;
 # CPython 3.11, Linux x86_64.
 # To renew: make a virtual environment without this file, and in it
-#   pip install -e '.[ros,view,video,nifti,pcap,arrow,pandas,seal,lab,dev]' -e ./lab
+#   pip install -e '.[{EXTRAS},lab,dev]' -e ./lab
 #   python tools/constraints.py > constraints.txt
 """
 

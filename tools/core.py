@@ -99,9 +99,11 @@ def main(args: Sequence[str] | None = None) -> int:
     parser.add_argument("pythons", nargs="*", metavar="PYTHON", help="interpreters (default: those present)")
     parser.add_argument("--ros", action="store_true", help="with ROS 2 and the tests of the ROS edge")
     options = parser.parse_args(args)
-    pythons = options.pythons or [found for name in NAMES if (found := present(name))]
-    if not pythons:
-        print(f"found no Python, expected one of {', '.join(NAMES)}", file=sys.stderr)
+    found = {name: name if os.sep in name else present(name) for name in options.pythons or NAMES}
+    pythons = [path for path in found.values() if path]
+    if not pythons or (options.pythons and None in found.values()):
+        wanted = [name for name, path in found.items() if path is None]
+        print(f"found no {', '.join(wanted)} on the path and of pyenv, expected it", file=sys.stderr)
         return 2
     failed = [python for python in pythons if not run_tests(python, ros=options.ros)]
     for python in failed:

@@ -26,14 +26,13 @@ from cyclonedx.validation.json import JsonStrictValidator
 from packageurl import PackageURL
 from packaging.requirements import Requirement
 
-from tools.constraints import requirements
+from tools.constraints import EXTRAS, requirements
 
 if TYPE_CHECKING:
     from cyclonedx.model.license import License
 
 NAME = "igtl-gateway"
-#: What users install; the extra ``dev`` is for developers, and ``lab`` is a distribution of the same release.
-PROJECT = Requirement(f"{NAME}[ros,view,video,nifti,pcap,arrow,pandas,seal]")
+PROJECT = Requirement(f"{NAME}[{EXTRAS}]")
 #: A field of the metadata that is longer has the text of a licence, not its name.
 _LONGEST_NAME = 80
 
