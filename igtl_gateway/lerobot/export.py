@@ -9,7 +9,7 @@ from igtl_gateway.api import recording as recordings
 from igtl_gateway.lerobot.frames import Plan, build
 from igtl_gateway.lerobot.recipe_file import read_recipe
 from igtl_gateway.lerobot.streams import Facts, stream_facts
-from igtl_gateway.lerobot.writing import write_data_set
+from igtl_gateway.lerobot.writing import check_out, write_data_set
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +33,7 @@ def export_lerobot(path: Path, recipe_path: Path, out: Path) -> Exported:
     Raises ConfigError for a recipe that does not fit, GatewayError, OSError.
     """
     recipe = read_recipe(recipe_path)
+    check_out(out)
     with recordings.open(path) as recording:
         plan = build(recording, recipe)
         streams = stream_facts(recording, plan)

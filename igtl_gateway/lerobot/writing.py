@@ -52,15 +52,24 @@ def write_data_set(plan: Plan, out: Path, recipe: Path, streams: list[StreamFact
         return sum(each.is_file() for each in root.rglob("*"))
 
 
+def check_out(out: Path) -> None:
+    """Raise UnsupportedRecording or GatewayError if no data set can be written to ``out``."""
+    try:
+        if out.is_symlink():
+            raise UnsupportedRecording(f"{out}: found a link, expected a new or empty directory")
+        if out.exists() and any(out.iterdir()):
+            raise UnsupportedRecording(f"{out}: found a directory with files in it, expected a new or empty directory")
+    except OSError as error:
+        raise GatewayError(f"cannot write to {out}: {error.strerror or error}") from None
+    if not out.absolute().parent.is_dir():
+        raise GatewayError(f"cannot write to {out}: there is no folder {out.absolute().parent}")
+
+
 @contextmanager
 def _new_directory(out: Path) -> Iterator[Path]:
     """Context manager: a directory beside ``out``, which takes its place if the ``with`` block succeeds."""
+    check_out(out)
     try:
-        is_filled = out.exists() and any(out.iterdir())
-        if is_filled:
-            raise UnsupportedRecording(f"{out}: found a directory with files in it, expected a new or empty directory")
-        if out.is_symlink():
-            raise UnsupportedRecording(f"{out}: found a link, expected a new or empty directory")
         part = out.absolute().with_name(f".igtl-gateway-{os.getpid()}.part")
         part.mkdir()
     except OSError as error:

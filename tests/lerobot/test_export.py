@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -219,6 +220,38 @@ def test_a_recipe_of_the_recording_works_as_it_is(name: str, tmp_path: Path) -> 
     assert main(["export", path, "--to", "lerobot", "--write-recipe", str(recipe)]) == 0
     assert main(["export", path, "--to", "lerobot", "--recipe", str(recipe), "-o", str(root)]) == 0
     assert main(["export", path, "--to", "lerobot", "--check", str(root)]) == 0
+
+
+@pytest.mark.skipif("IGTL_GATEWAY_REAL" not in os.environ, reason="opt-in: set IGTL_GATEWAY_REAL=1; takes a minute")
+@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+def test_a_real_sequence(version: str, shared_dir: Path, tmp_path: Path) -> None:
+    """Tracked ultrasound of PLUS: the frames are the recorded pictures and poses, and a shifted frame is found."""
+    source = shared_dir / "data" / "ultrasound" / "fCal_Test_Calibration_3NWires.igs.mha"
+    path, recipe, root = tmp_path / "real.mcap", tmp_path / "recipe.toml", tmp_path / "set"
+    assert main(["import", str(source), "-o", str(path)]) == 0
+    assert main(["export", str(path), "--to", "lerobot", "--write-recipe", str(recipe)]) == 0
+    recipe.write_text(recipe.read_text("utf-8").replace('"v2.1"', f'"{version}"'), "utf-8")
+    assert main(["export", str(path), "--to", "lerobot", "--recipe", str(recipe), "-o", str(root)]) == 0
+    assert main(["export", str(path), "--to", "lerobot", "--check", str(root)]) == 0
+    (episode,) = episodes_of(root)
+    moments = parquet.read_table(root / "meta" / "provenance.parquet")["time_ns"].to_numpy()
+    with igtl_gateway.open(path) as opened:
+        images, stamps = opened["IMAGE/Image"].images(), opened["IMAGE/Image"].source_times
+        poses = opened["TRANSFORM/ProbeToTracker"].poses().in_unit("m")
+        for frame, at_ns in enumerate(moments.tolist()):
+            nearest = int(np.argmin(np.abs(stamps - at_ns)))
+            shown = episode["videos"]["observation.images.image"][1][frame][:, :, 0].astype(float)
+            errors = {
+                row: np.mean((shown[: images[row].plane.shape[0]] - images[row].plane) ** 2)
+                for row in range(max(nearest - 2, 0), min(nearest + 3, len(images)))
+            }
+            assert min(errors, key=lambda row: errors[row]) == nearest and errors[nearest] < 30, frame
+            after = min(int(np.searchsorted(poses.source_times, at_ns)), len(poses) - 1)
+            before = max(after - 1, 0)
+            span = int(poses.source_times[after] - poses.source_times[before])
+            share = (at_ns - int(poses.source_times[before])) / max(span, 1)
+            between = poses.positions[before] + share * (poses.positions[after] - poses.positions[before])
+            assert np.allclose(episode["table"]["observation.state"][frame].as_py()[:3], between, atol=1e-6), frame
 
 
 @pytest.mark.parametrize(
