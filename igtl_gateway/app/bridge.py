@@ -498,7 +498,15 @@ def _ignore(_kind: Kind, _number: int) -> None:
 def state_rule(config: Config) -> StateInputRule:
     """Return which inputs a recording needs of streams that are left out; see ``record.selection``."""
     commands = frozenset({"COMMAND", "RTS_COMMAND", Command.TYPE, CommandReply.TYPE})
-    return StateInputRule(frozenset({LINKS_TOPIC}), commands, frozenset(TF_QOS) if config.tf_out else frozenset())
+    mixed = frozenset(TF_QOS) if config.tf_out else frozenset()
+    robots: list[str] = []
+    to_robots: tuple[str, ...] = ()
+    if config.all_arms and config.allow_in:
+        states = ("measured_cp", "measured_js")
+        robots += (f"{row.arms}{below}/{name}" for row in config.all_arms for below in ("", "/**") for name in states)
+        robots += (f"/{glob}" for glob in config.allow_in)
+        to_robots = tuple(f"*/{glob}" for glob in config.allow_in)
+    return StateInputRule(frozenset({LINKS_TOPIC}), commands, mixed, tuple(robots), to_robots)
 
 
 def session_facts(config: Config) -> dict[str, str]:

@@ -23,6 +23,7 @@ from igtl_gateway.convert.crtk import STATE_COMMANDS, CrtkName, Motion, namespac
 from igtl_gateway.convert.poses import determinant, distance_from_rotation, rotation_matrix, unit_quaternion
 from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.errors import ConversionError
+from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.wire.body import Body
@@ -118,7 +119,7 @@ class CommandGuard:
         name = row_of(device)
         return name is not None and name.motion is not None and arms_row(self._arms, device) is not None
 
-    def check(self, entry: Entry, content: Body, device: str, stamp_ns: int, frame_id: str, ahead_ns: int) -> str:
+    def check(self, entry: Entry, content: Body, device: str, stamp_ns: int, frame_id: str, guard: Guard) -> str:
         """Check a command, and take it as the last accepted one; return the frame of its pose.
 
         Args:
@@ -127,7 +128,7 @@ class CommandGuard:
             device: a device that is a command.
             stamp_ns: its own stamp, UTC ns; 0: none.
             frame_id: the frame that its metadata name; "" if none.
-            ahead_ns: how far gateway time is ahead of the host's clock.
+            guard: the guard of the session, for the time of the host's clock.
 
         Raises:
             Refused: with code and text.
@@ -142,25 +143,36 @@ class CommandGuard:
         if not isinstance(content, kind):
             raise Refused("command_type", f"{device}: found {type(content).__name__}, expected {name.igtl_type}")
         command = _Command(device, name, arms, namespaces(device)[0], entry.stamp_ns, stamp_ns, frame_id)
-        self._check_age(command, entry.stamp_ns - ahead_ns)
         accepted = _Accepted(stamp_ns or entry.stamp_ns)
-        frame = frame_id
-        if isinstance(content, Transform):
-            frame = self._check_pose(command, content, accepted)
-        elif isinstance(content, Sensor):
-            values = tuple(map(float, content.values))
-            if not all(map(math.isfinite, values)):
-                raise Refused("command_not_finite", f"{device}: found {list(values)}, expected finite numbers")
-            if name.motion is Motion.WRENCH:
-                _check_wrench(command, values)
-            else:
-                self._check_joints(command, values, accepted)
-        elif isinstance(content, String) and name.motion is Motion.STATE and content.text not in STATE_COMMANDS:
-            words = ", ".join(STATE_COMMANDS)
-            raise Refused("command_word", f"{device}: found {content.text[:40]!r}, expected one of {words}")
+        try:
+            frame = self._examine(command, content, accepted, entry.stamp_ns - guard.ahead_ns)
+        except Refused:
+            if not guard.restoring:
+                raise
+            frame = frame_id
         if device in self._accepted or len(self._accepted) < self._config.max_streams:
             self._accepted[device] = accepted
         return frame
+
+    def _examine(self, command: _Command, content: Body, accepted: _Accepted, now_ns: int) -> str:
+        """Check all of a command, and set what it asks for; return its frame.  Raises Refused."""
+        device, motion = command.device, command.name.motion
+        if isinstance(content, Transform):
+            return self._check_pose(command, content, accepted, now_ns)
+        self._check_age(command, now_ns)
+        if isinstance(content, Sensor):
+            values = tuple(map(float, content.values))
+            if not all(map(math.isfinite, values)):
+                raise Refused("command_not_finite", f"{device}: found {list(values)}, expected finite numbers")
+            if motion is Motion.WRENCH:
+                _check_wrench(command, values)
+            else:
+                accepted.values = values
+                self._check_joints(command, values, accepted)
+        elif isinstance(content, String) and motion is Motion.STATE and content.text not in STATE_COMMANDS:
+            words = ", ".join(STATE_COMMANDS)
+            raise Refused("command_word", f"{device}: found {content.text[:40]!r}, expected one of {words}")
+        return command.frame_id
 
     # -- time ---------------------------------------------------------------------------------------------------
 
@@ -197,12 +209,16 @@ class CommandGuard:
 
     # -- poses --------------------------------------------------------------------------------------------------
 
-    def _check_pose(self, command: _Command, content: Transform, accepted: _Accepted) -> str:
+    def _check_pose(self, command: _Command, content: Transform, accepted: _Accepted, now_ns: int) -> str:
         """Check a pose; return its frame."""
         device, arms, m = command.device, command.arms, content.wire_matrix
         if not all(map(math.isfinite, m)):
             raise Refused("command_not_finite", f"{device}: found {list(m)}, expected finite numbers")
         rotation = [[m[row], m[row + 3], m[row + 6]] for row in range(3)]
+        to_ros = LengthUnits(igtl=arms.igtl_unit).to_ros
+        place = to_ros(m[9]), to_ros(m[10]), to_ros(m[11])
+        accepted.values, accepted.rotation = place, rotation
+        self._check_age(command, now_ns)
         off = distance_from_rotation(rotation)
         if off > _NOT_RIGID or determinant(rotation) < 0:
             found = f"a deviation of {off:.3g}" if off > _NOT_RIGID else "a reflection"
@@ -211,12 +227,9 @@ class CommandGuard:
         frame = arms.frame_id or (measured.header.frame_id if measured else "")
         if command.frame_id and frame and command.frame_id != frame:
             raise Refused("command_frame", f"{device}: found frame {command.frame_id[:80]!r}, expected {frame!r}")
-        to_ros = LengthUnits(igtl=arms.igtl_unit).to_ros
-        place = to_ros(m[9]), to_ros(m[10]), to_ros(m[11])
         _check_workspace(device, arms.workspace, place)
         if command.name.streamed and (arms.max_speed or arms.max_turn_speed):
             self._check_speed(command, place, rotation, measured)
-        accepted.values, accepted.rotation = place, rotation
         return frame or command.frame_id
 
     def _measured_pose(self, command: _Command) -> PoseStamped | None:

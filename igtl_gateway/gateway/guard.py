@@ -34,11 +34,13 @@ class Guard:
 
     Attributes:
         ahead_ns: how far gateway time is ahead of the host's clock; see ``session.clocksteps``.
+        restoring: the inputs are those from before the start of a recording: its commands to robots were accepted.
     """
 
     def __init__(self, *, watch: bool) -> None:
         self.watch = watch
         self.ahead_ns = 0
+        self.restoring = False
         self._streams: dict[tuple[int, str], GuardedStream] = {}
         self._others: dict[int, GuardedStream] = {}
 

@@ -2,8 +2,9 @@
 
 The state of the gateway follows from all inputs since the beginning.  Most of them have left nothing behind, so a
 few stand for all: links, inputs by which the gateway learned something (a first message of a stream, a version, a
-refusal: it shows in their outputs), the last messages of mixed topics, and the last input of each stream, which a
-query may ask for.  They are kept within bounds; where a state is made of more, only all parts together give it.
+refusal: it shows in their outputs), the last messages of mixed topics, the last accepted command to each topic of a
+robot, and the last input of each other stream, which a query may ask for.  They are kept within bounds; where a state
+is made of more, only all parts together give it.
 
 Of a disconnected peer only the inputs that taught the gateway something are kept; its link entries are dropped first.
 So a long session, in which peers come and go, does not forget the connected ones.
@@ -34,6 +35,8 @@ class Prologue:
         self._gone: OrderedDict[Hashable, Entry] = OrderedDict()  # by number: links of disconnected peers
         self._learned: OrderedDict[Hashable, Entry] = OrderedDict()  # by number
         self._last: OrderedDict[Hashable, Entry] = OrderedDict()  # by stream and link
+        self._commands: OrderedDict[Hashable, Entry] = OrderedDict()  # accepted, by topic
+        self._refused = False  # nothing shows yet that the input, a command to a robot, was accepted
         self._mixed: OrderedDict[Hashable, Entry] = OrderedDict()  # by number
         self._bytes = 0
 
@@ -48,7 +51,9 @@ class Prologue:
                 self._gone[came] = self._links.pop(came)
                 self._add(self._gone, entry.seq, entry)
         elif entry.kind.is_input:
-            self._input = entry
+            self._input, self._refused = entry, self._rule.commands_robot(entry)
+            if self._refused:
+                return
             if self._rule.by_input(entry):
                 self._add(self._learned, entry.seq, entry)
             elif self._rule.mixes(entry):
@@ -57,7 +62,10 @@ class Prologue:
                     self._bytes -= self._mixed.popitem(last=False)[1].size
             elif entry.kind is not Kind.EDGE_NOTE:
                 self._add(self._last, (entry.kind, entry.channel, entry.links), entry)
-        elif self._input is not None and self._rule.by_output(entry):
+        elif self._input is not None and self._rule.guards(entry):
+            self._refused = False
+            self._add(self._commands, entry.channel, self._input)
+        elif self._input is not None and not self._refused and self._rule.by_output(entry):
             self._add(self._learned, self._input.seq, self._input)
             self._input = None
 
@@ -83,4 +91,4 @@ class Prologue:
 
     def _tables(self) -> tuple[OrderedDict[Hashable, Entry], ...]:
         """All that is kept, the least first."""
-        return self._last, self._mixed, self._gone, self._learned, self._links
+        return self._last, self._mixed, self._gone, self._commands, self._learned, self._links

@@ -21,6 +21,7 @@ from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile import layout
 
 _IGTL = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT})
+_ROS = frozenset({Kind.ROS_IN, Kind.ROS_OUT})
 _ALWAYS = frozenset({Kind.LINK, Kind.EDGE_NOTE})
 #: Streams counted one by one; the rest together.
 MAX_STREAMS = 1_000
@@ -62,11 +63,16 @@ class StateInputRule:
         types: types of inputs that always change them.
         mixed: topics of which every message adds to what is known: recorded in any case, though too many to be
             repeated in a prologue.
+        robots: globs of topics: the states of robots, and the accepted commands to them, by which the guard judges the
+            next command.
+        commands: globs of streams of OpenIGTLink with commands to robots.
     """
 
     topics: frozenset[str] = frozenset()
     types: frozenset[str] = frozenset()
     mixed: frozenset[str] = frozenset()
+    robots: tuple[str, ...] = ()
+    commands: tuple[str, ...] = ()
 
     def by_input(self, entry: Entry) -> bool:
         """Whether the input itself shows it."""
@@ -80,6 +86,14 @@ class StateInputRule:
     def mixes(self, entry: Entry) -> bool:
         """Whether it is a message of a mixed topic."""
         return entry.channel in self.mixed
+
+    def commands_robot(self, entry: Entry) -> bool:
+        """Whether it is a command of a peer to a robot, accepted or not."""
+        return entry.kind is Kind.IGTL_IN and any(matches(glob, entry.channel) for glob in self.commands)
+
+    def guards(self, entry: Entry) -> bool:
+        """Whether it is a state of a robot or an accepted command to it."""
+        return entry.kind in _ROS and any(matches(glob, entry.channel) for glob in self.robots)
 
 
 class SelectionFilter:
@@ -108,7 +122,7 @@ class SelectionFilter:
         if entry.kind.is_input:
             self._drop_held()
             self._open = self._is_selected(entry)
-        elif not self._open and (self._rule.by_output(entry) or self._rule.mixes(entry)):
+        elif not self._open and self._rule_needs(entry):
             self._open = True
             held, self._held = self._held, []
             return (*held, entry)
@@ -121,6 +135,11 @@ class SelectionFilter:
         """No more entries."""
         self._drop_held()
 
+    def _rule_needs(self, output: Entry) -> bool:
+        """Whether an output shows that its cause has to be recorded."""
+        rule = self._rule
+        return rule.by_output(output) or rule.mixes(output) or rule.guards(output)
+
     def _drop_held(self) -> None:
         """Count what was held, and is not wanted after all."""
         for entry in self._held:
@@ -129,7 +148,8 @@ class SelectionFilter:
         self._held.clear()
 
     def _is_selected(self, entry: Entry) -> bool:
-        if entry.kind in _ALWAYS or self._rule.by_input(entry) or self._rule.mixes(entry):
+        rule = self._rule
+        if entry.kind in _ALWAYS or rule.by_input(entry) or rule.mixes(entry) or rule.guards(entry):
             return True
         if self.paused:
             return False

@@ -179,7 +179,8 @@ def verify(
 class _Verifier:
     def __init__(self, config: Config, losses: DeclaredLosses, decoder: LeafDecoder) -> None:
         # without the fast path: its recorded outputs are checked against the full path
-        self._session = Session(make_core(config, fast_path=False))
+        self._core = make_core(config, fast_path=False)
+        self._session = Session(self._core)
         self._losses, self._decoder = losses, decoder
         self._left, self._left_of = losses.entries, dict(losses.streams)  # remaining declared losses
         self._report = VerifyReport()
@@ -192,7 +193,9 @@ class _Verifier:
 
     def before(self, entry: Entry) -> None:
         """Process an input from before the start."""
+        self._core.guard.restoring = True
         self._session.recorded(entry)
+        self._core.guard.restoring = False
 
     def take(self, entry: Entry) -> None:
         """Process the next entry of the recording."""

@@ -88,9 +88,10 @@ def test_what_a_peer_says_is_in_the_recording(tmp_path: Path) -> None:
     assert HELLO in [entry.data() for entry in recorded if entry.kind is Kind.IGTL_IN]
 
 
-def test_every_part_of_a_session_of_all_types_verifies_alone(tmp_path: Path) -> None:
-    """Nothing but a part and its prologue: queries, frames, commands and all."""
-    with SessionFile.open(FIXTURES / "every-type.mcap") as file:
+@pytest.mark.parametrize(("name", "split_s"), [("every-type", 2.0), ("crtk", 0.5)])
+def test_every_part_of_a_session_verifies_alone(name: str, split_s: float, tmp_path: Path) -> None:
+    """Nothing but a part and its prologue: queries, frames, commands, robots and all."""
+    with SessionFile.open(FIXTURES / f"{name}.mcap") as file:
         config, entries = Config.from_dict(json.loads(file.session["config"])), list(file.entries())
         facts = {key: value for key, value in file.session.items() if key != "format_version"}
     recorder = Recorder(
@@ -99,7 +100,7 @@ def test_every_part_of_a_session_of_all_types_verifies_alone(tmp_path: Path) -> 
         qos_of=lambda _topic, _type: None,
         on_note=lambda note: pytest.fail(note.text),
         clock=SystemClock(),
-        options=RecordOptions(split_s=2.0),
+        options=RecordOptions(split_s=split_s),
         rule=state_rule(config),
     )
     for entry in entries:

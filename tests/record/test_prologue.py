@@ -101,3 +101,16 @@ def test_the_bound_in_bytes() -> None:
 def test_one_picture_does_not_push_out_the_rest() -> None:
     entries = [samples.note(1, Kind.LINK), samples.igtl(2, device="a"), samples.igtl(3, body=bytes(9_000))]
     assert kept(Prologue(RULE, max_bytes=10_000), entries) == [1, 2]
+
+
+def test_of_a_robot_the_last_accepted_command_and_no_refused_one() -> None:
+    rule = StateInputRule(robots=("/PSM*/measured_cp", "/PSM1/servo_cp"), commands=("*/Probe",))
+    entries = [
+        samples.ros(1, topic="/PSM1/measured_cp"),
+        samples.igtl(2, device="Probe"),
+        samples.ros(3, Kind.ROS_OUT, topic="/PSM1/servo_cp"),
+        samples.ros(4, topic="/PSM1/measured_cp"),
+        samples.igtl(5, device="Probe"),
+        samples.note(6),
+    ]
+    assert kept(Prologue(rule), entries) == [2, 4]

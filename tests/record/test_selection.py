@@ -93,3 +93,17 @@ def test_what_is_counted_by_stream_is_bounded(monkeypatch: pytest.MonkeyPatch) -
 def test_a_recording_says_what_was_chosen() -> None:
     assert Selection().facts() == {}
     assert Selection(("a", "b"), ("c",)).facts() == {"record_include": '["a", "b"]', "record_exclude": '["c"]'}
+
+
+def test_what_the_guard_of_a_robot_knows_is_recorded_in_any_case() -> None:
+    rule = StateInputRule(robots=("/PSM*/measured_cp", "/PSM1/servo_cp"))
+    gate = SelectionFilter(Selection(exclude=("**",)), rule)
+    entries = [
+        samples.ros(1, topic="/PSM1/measured_cp"),
+        samples.ros(2, topic="/PSM1/measured_cv"),
+        samples.igtl(3),
+        samples.ros(4, Kind.ROS_OUT, topic="/PSM1/servo_cp"),
+        samples.igtl(5),
+        samples.ros(6, Kind.ROS_OUT, topic="/PSM2/servo_cp"),
+    ]
+    assert passed(gate, entries) == [1, 3, 4]

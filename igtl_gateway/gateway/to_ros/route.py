@@ -61,9 +61,7 @@ class Router:
             return self._routed(entry, message, restored)
         stamp_ns = restored.stamp_ns or ticks_to_ns(message.ticks)
         try:
-            frame_id = self._robots.check(
-                entry, message.content, device, stamp_ns, restored.frame_id, self._guard.ahead_ns
-            )
+            frame_id = self._robots.check(entry, message.content, device, stamp_ns, restored.frame_id, self._guard)
         except Refused as error:
             return Outcome([Finding(Level.WARN, error.code, str(error), entry.channel, entry.links)], error.code)
         outcome = self._routed(entry, message, restored, frame_id)
