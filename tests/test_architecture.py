@@ -72,6 +72,7 @@ LEVELS = {
     "app": 5,
     "api": 6,
     "lerobot": 6,  # training sets, of recordings as arrays
+    "deidentify": 6,
     "cli": 6,
     "testing": 6,
     "__main__": 7,
@@ -94,7 +95,7 @@ STRANGERS = ("lab.demo",)
 #: recording states about itself is checked like everything that is foreign.
 SIBLINGS: dict[str, str | tuple[str, ...]] = {
     TOP: "api",  # the public names, imported at their first use
-    "cli": ("api", "lerobot"),  # verbs that need a recording as arrays
+    "cli": ("api", "deidentify", "lerobot"),  # verbs that need a recording as arrays
     "lerobot": "api",
     "config": ("convert", "settings"),
     "settings": "convert",  # names of units and profiles
@@ -157,6 +158,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "numpy": (
         "wire",
         "convert",
+        "deidentify",
         "doctor",
         "gateway",
         "edges",
@@ -176,7 +178,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "pytest": ("testing.plugin",),
     "rerun": ("view",),
     **dict.fromkeys(GENERATORS, ("ros_interfaces.build",)),
-    "rosbags": ("exchange", "replay", "sessionfile.schemas", "untrusted"),
+    "rosbags": ("deidentify.ros", "exchange", "replay", "sessionfile.schemas", "untrusted"),
     "ruamel": ("untrusted.yaml_text",),  # brought by rosbags, as zstandard is by mcap
     "shtab": ("cli.completion",),
     "zstandard": ("sessionfile.compression", "untrusted.unpack"),

@@ -55,6 +55,7 @@ from igtl_gateway.wire.registry import ALIASES, BODIES
 from igtl_gateway.wire.sensor import PREFIXES as UNIT_PREFIXES
 from igtl_gateway.wire.sensor import UNITS
 from igtl_gateway.wire.text import CODES
+from tools import deidentify_page
 from tools.note_codes import NOTES
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -1110,10 +1111,21 @@ def _default(row: Setting) -> str:
     return json.dumps(list(row.default) if isinstance(row.default, tuple) else row.default)
 
 
+# -- docs/deidentify.md ------------------------------------------------------------------------------------------------
+
+
+def deidentification() -> str:
+    """docs/deidentify.md."""
+    rules = table(("rule", "place", "what happens", "action", "option"), deidentify_page.rows())
+    options = table(("option", "name in DICOM PS3.15"), deidentify_page.options())
+    return document(deidentify_page.TITLE, GENERATED, deidentify_page.text(rules, options))
+
+
 # -- files ------------------------------------------------------------------------------------------------------------
 
 PAGES = {
     "conversions.md": conversions,
+    "deidentify.md": deidentification,
     "doctor.md": doctor,
     "messages.md": messages,
     "parameters.md": node_parameters,

@@ -123,6 +123,7 @@ NOTES: dict[str, dict[str, str]] = {
     },
     "The session": {
         "tick": "a deadline has come; without it, time would not pass in a replay",
+        "deidentified": "the session was de-identified; the data have the counts of the rules",
         "setting": "a setting was changed while the bridge runs",
         "fault": "fault injection of `--relay` changed a message",
         "fault_disconnect": "fault injection of `--relay` closed a link",

@@ -42,6 +42,7 @@ VERBS = {
     "diff": _own("diff", "compare two recordings stream by stream, in millimetres and degrees"),
     "sync": _own("sync", "measure the lags between streams from what moves in them"),
     "slice": _own("slice", "cut a part out of a recording, by time and stream; the part verifies"),
+    "deidentify": _own("deidentify", "write a session without names, text and dates of persons; it verifies"),
     "import": _own("import_", "convert a recording of another program to a session"),
     "export": _own("export", "convert a session to formats of other programs"),
     "recover": _own("recover", "repair a damaged recording and report what is lost"),
