@@ -16,7 +16,14 @@ import pyarrow as pa
 
 from igtl_gateway.errors import GatewayError
 from igtl_gateway.lerobot.episodes import TOLERANCE_S
-from igtl_gateway.lerobot.reading import FoundDataSet, FoundEpisode, VideoPart, read_data_set, read_table
+from igtl_gateway.lerobot.reading import (
+    FoundDataSet,
+    FoundEpisode,
+    VideoPart,
+    read_data_set,
+    read_table,
+    read_total_stats,
+)
 from igtl_gateway.lerobot.recipe import ACTION, OWN_COLUMNS, STATE
 from igtl_gateway.lerobot.stats import number_stats
 from igtl_gateway.lerobot.video import read_video
@@ -67,12 +74,32 @@ def _metadata(found: FoundDataSet) -> Iterator[str]:
         start, _, end = text.partition(":")
         if not (start.isdecimal() and end.isdecimal() and int(start) < int(end) <= len(episodes)):
             yield f"{place}: splits.{name}: found {text!r}, expected a range within 0:{len(episodes)}"
+    if found.version == "v3.0":
+        yield from _total_stats(found)
     try:
         text = read_bytes(found.root / "meta" / "README.md").decode("utf-8", "replace").lower()
         if "synchron" not in text and "timestamp" not in text:
             yield "meta/README.md: found no statement on synchronization, expected one"
     except GatewayError as error:
         yield str(error)
+
+
+def _total_stats(found: FoundDataSet) -> Iterator[str]:
+    """Without these statistics a reader of v3.0 looks for them in the network."""
+    try:
+        stats = read_total_stats(found.root)
+    except GatewayError as error:
+        yield str(error)
+        return
+    frames = sum(each.length for each in found.episodes)
+    for name, feature in found.info["features"].items():
+        if feature["dtype"] == "string":
+            continue
+        missing = [each for each in _STATISTICS if stats.get(name, {}).get(each) is None]
+        if missing:
+            yield f"meta/stats.json: {name}: found no {', '.join(missing)}, expected them"
+        elif feature["dtype"] != "video" and stats[name]["count"] != [frames]:
+            yield f"meta/stats.json: {name}: count: found {stats[name]['count']}, expected {[frames]}"
 
 
 def _files(found: FoundDataSet) -> Iterator[str]:

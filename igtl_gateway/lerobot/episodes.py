@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -139,6 +140,7 @@ def _span(begin: Event, end_ns: int, recipe: Recipe) -> Span:
     return Span(begin.time_ns, end_ns, task or recipe.task)
 
 
+@cache
 def longest(fps: int) -> int:
     """Return the largest number of frames whose float32 time stamps keep to 1 / fps within ``TOLERANCE_S``.
 

@@ -126,6 +126,14 @@ def read_table(path: Path) -> pa.Table:
         raise DamagedRecording(f"{path}: is not valid Parquet: {str(error).splitlines()[0]}") from None
 
 
+def read_total_stats(root: Path) -> Mapping[str, Mapping[str, Any]]:
+    """Return the statistics of a whole data set of v3.0: feature → name → values.  Raises GatewayError."""
+    found: Mapping[str, Mapping[str, Any]] = _json(
+        root / "meta" / "stats.json", shape.map_of(shape.map_of(shape.anything))
+    )
+    return found
+
+
 def _json(path: Path, expected: shape.Shape) -> Any:
     value = parse_json(read_bytes(path).decode("utf-8", "replace"), str(path))
     expected(value, str(path))

@@ -153,6 +153,7 @@ fps = 20
 task = "tie"
 robot_type = "two arms"
 format = "{format}"
+measure_lags = {lags}
 [episodes]
 by = "markers"
 stream = "STRING/Trial"

@@ -33,7 +33,7 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = write_session(folder / "trials.mcap", trial_messages())
     for version in VERSIONS:
         recipe = folder / f"{version}.toml"
-        recipe.write_text(TRIAL_RECIPE.format(format=version), "utf-8")
+        recipe.write_text(TRIAL_RECIPE.format(format=version, lags="false"), "utf-8")
         export_lerobot(path, recipe, folder / version)
     return folder
 
@@ -118,6 +118,10 @@ def no_stats(root: Path, version: str) -> None:
         parquet.write_table(table.select(names), path)
 
 
+def no_total_stats(root: Path, _version: str) -> None:
+    (root / "meta" / "stats.json").unlink()
+
+
 def no_video(root: Path, version: str) -> None:
     (root / LEFT[version]).unlink()
 
@@ -144,6 +148,7 @@ CASES: list[tuple[Callable[[Path, str], None], str, tuple[str, ...]]] = [
     (climbing_path, "data_path: found", ("v2.1",)),
     (extra_column, "found the column 'secret'", ("v2.1",)),
     (no_stats, "stats of action: found no min, max", VERSIONS),
+    (no_total_stats, "meta/stats.json: No such file", ("v3.0",)),
     (no_video, "No such file", ("v3.0",)),
     (no_parquet, "is not valid Parquet", ("v2.1",)),
     (other_entry, "observation.images.left[0].entry: row 4", ("v2.1",)),

@@ -95,7 +95,7 @@ def test_two_arms_and_two_cameras(
     version: str, recording: Path, messages: list[Sent], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     recipe, root = tmp_path / "recipe.toml", tmp_path / "set"
-    recipe.write_text(TRIAL_RECIPE.format(format=version), "utf-8")
+    recipe.write_text(TRIAL_RECIPE.format(format=version, lags=str(version == "v2.1").lower()), "utf-8")
     assert main(["export", str(recording), "--to", "lerobot", "--recipe", str(recipe), "-o", str(root)]) == 0
     info = json.loads((root / "meta" / "info.json").read_text("utf-8"))
     episodes = episodes_of(root)
@@ -163,7 +163,7 @@ def test_two_arms_and_two_cameras(
 def test_every_frame_names_its_messages(recording: Path, tmp_path: Path) -> None:
     """The entry numbers are those of messages that Python reads, with the values that the frames have."""
     recipe, root = tmp_path / "recipe.toml", tmp_path / "set"
-    recipe.write_text(TRIAL_RECIPE.format(format="v2.1"), "utf-8")
+    recipe.write_text(TRIAL_RECIPE.format(format="v2.1", lags="false"), "utf-8")
     export_lerobot(recording, recipe, root)
     trace = parquet.read_table(root / "meta" / "provenance.parquet").to_pydict()
     values = parquet.read_table(root / "data/chunk-000/episode_000000.parquet").to_pydict()
@@ -186,6 +186,7 @@ HOUR = """\
 fps = 30
 task = "wait"
 split_long = {split}
+measure_lags = false
 [[feature]]
 name = "observation.state"
 stream = "TRANSFORM/Arm0ToBase"
