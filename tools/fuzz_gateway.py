@@ -7,9 +7,10 @@ one, which exists for the complete run and must not grow, and a young one, which
 ``CONFIGS``.  The beginning of a young stage is replayed with and without the fast path; the outputs must be equal to
 the last bit.
 
-Mutated are the messages of both corpora, the ROS messages of ``fixtures/every-type.mcap``, poses, strings and clouds
-with their numbers and stamps (for the fast path), and the latest outputs of the gateway (so that replies match open
-requests).  The seed determines the sequence.  If a check fails, the inputs are written to a file for ``--repeat``.
+Settings change as ``ros2 param set`` changes them.  Mutated are the messages of both corpora, the ROS messages of
+``fixtures/every-type.mcap``, poses, strings and clouds with their numbers and stamps (for the fast path), and the
+latest outputs of the gateway (so that replies match open requests).  The seed determines the sequence.  If a check
+fails, the inputs are written to a file for ``--repeat``.
 """
 
 from __future__ import annotations
@@ -53,6 +54,8 @@ from igtl_gateway.convert.rosmsg import String as RosString
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS, Role
 from igtl_gateway.errors import MessageTooLarge
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP, LISTENED, TICK, Gateway, Session
+from igtl_gateway.gateway.live_settings import LiveSettings
+from igtl_gateway.session.changes import SETTINGS
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import gaps
 from igtl_gateway.session.note import Level, Note
@@ -141,6 +144,17 @@ CONFIGS: tuple[tuple[Config, frozenset[str] | None], ...] = (
     (Config(profile="brainlab", stamp="now", watch=True, deny_in=_NO_QUERIES), None),
     (Config(watch=True, to_igtl=_rows(), deny_in=_NO_QUERIES), None),
 )
+
+
+#: Values of the settings that change while a stage runs, and what no setting can be.
+_CHANGES: dict[str, tuple[Any, ...]] = {
+    "deny_in": ((), ("GET_*",), ("IMAGE", "T*"), ("*",)),
+    "deny_out": ((), ("POLYDATA",), ("TRANSFORM", "STATUS"), ("*",)),
+    "kinds": ((), _EVERYTHING, ("transform", "image"), ("+slices",)),
+    "max_age_s": (0.0, 0.001, 3.0),
+    "active": (True, True, False),
+}
+_IMPOSSIBLE: tuple[Any, ...] = (None, -1, 1e400, "x", ["\0", 5], {"a": 1}, [[]])
 
 
 def ros_seeds() -> list[tuple[str, bytes]]:
@@ -540,8 +554,10 @@ class Stage:
             self._express_out()
         elif chance < 0.98:
             self._tick()
-        elif chance < 0.99:
+        elif chance < 0.983:
             self._note()
+        elif chance < 0.99:
+            self._change()
         else:
             self._churn()
 
@@ -605,6 +621,17 @@ class Stage:
         code = self.rng.choice(("queue_drop", "idle", LISTENED, "recorder_drop"))
         stream = self.rng.choice(("/igtl/links", "/tf", "IMAGE/Probe", "", "/igtl/in/Probe/transform"))
         self.bring(Kind.EDGE_NOTE, Note(Level.WARN, code, "as it were", stream).pack())
+
+    def _change(self) -> None:
+        """Settings change, mostly back to those of the configuration; a few changes are impossible."""
+        rng, own = self.rng, LiveSettings.of(self.gateway.config)
+        fate = rng.random()
+        settings = own if fate < 0.6 else replace(own, **{name: rng.choice(all_) for name, all_ in _CHANGES.items()})
+        note = settings.note(own)
+        if fate > 0.95:
+            values = dict(note.data[SETTINGS]) | {rng.choice((*_CHANGES, "other")): rng.choice(_IMPOSSIBLE)}
+            note = replace(note, data={SETTINGS: rng.choice((values, [], None))})
+        self.bring(Kind.EDGE_NOTE, note.pack())
 
     def _churn(self) -> None:
         rng = self.rng
