@@ -12,16 +12,18 @@ import rerun as rr
 
 from igtl_gateway.convert.common_msgs import JointState, MultiArray
 from igtl_gateway.convert.igtl_msgs import NdArray, Sensor
+from igtl_gateway.convert.robot_msgs import Joy, TwistStamped, WrenchStamped
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.view.canvas import Canvas
 from igtl_gateway.view.colours import SERIES
 from igtl_gateway.view.contents import EntityKind
-from igtl_gateway.view.other_msgs import Float64, WrenchStamped
+from igtl_gateway.view.other_msgs import Float64
 from igtl_gateway.wire.ndarray import NDARRAY_SCALARS
 
 #: Up to this many numbers are curves; more numbers are a bar chart.
 _CURVES = 16
 _WRENCH = (*(f"force {axis} (N)" for axis in "xyz"), *(f"torque {axis} (Nm)" for axis in "xyz"))
+_TWIST = (*(f"linear {axis} (m/s)" for axis in "xyz"), *(f"angular {axis} (rad/s)" for axis in "xyz"))
 #: Units of revolute and of prismatic joints: the message does not state the kind of a joint.
 _JOINTS = {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "Nm or N"}
 
@@ -43,6 +45,19 @@ def draw_sensor(message: Sensor, canvas: Canvas) -> None:
 def draw_number(message: Float64, canvas: Canvas) -> None:
     """std_msgs/Float64."""
     canvas.numbers([message.data])
+
+
+def draw_twist(message: TwistStamped, canvas: Canvas) -> None:
+    """geometry_msgs/TwistStamped."""
+    _curves(canvas, list(message.twist), _TWIST)
+
+
+def draw_buttons(message: Joy, canvas: Canvas) -> None:
+    """sensor_msgs/Joy: axes, then buttons."""
+    values = [*message.axes.tolist(), *message.buttons.tolist()]
+    axes = len(message.axes)
+    names = [f"axis {number}" if number <= axes else f"button {number - axes}" for number in range(1, len(values) + 1)]
+    _curves(canvas, list(map(float, values)), names)
 
 
 def draw_wrench(message: WrenchStamped, canvas: Canvas) -> None:

@@ -45,15 +45,6 @@ class Float64(Struct):
 
 
 @dataclass(frozen=True, slots=True)
-class WrenchStamped(Struct):
-    """geometry_msgs/msg/WrenchStamped: force in newtons and torque in newton metres, along x, y, z."""
-
-    TYPE: ClassVar[str] = "geometry_msgs/msg/WrenchStamped"
-    header: Annotated[Header, HEADER]
-    wrench: Annotated[tuple[float, ...], fixed_array("float64", 6)]
-
-
-@dataclass(frozen=True, slots=True)
 class Log(Struct):
     """rcl_interfaces/msg/Log, the log messages of nodes on /rosout; file, function and line are not read."""
 

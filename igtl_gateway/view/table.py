@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from igtl_gateway.buffers import Buffer
-from igtl_gateway.convert import common_msgs, igtl_msgs, rosmsg
+from igtl_gateway.convert import common_msgs, igtl_msgs, robot_msgs, rosmsg
 from igtl_gateway.view import clouds, numbers, other_msgs, pictures2d, poses, surfaces, volumes, words
 from igtl_gateway.view.canvas import Canvas
 from igtl_gateway.view.contents import EntityKind
@@ -68,7 +68,12 @@ _ROWS = (
     Picture(common_msgs.JointState, EntityKind.PLOT, numbers.draw_joints),
     Picture(igtl_msgs.Sensor, EntityKind.PLOT, numbers.draw_sensor),
     Picture(other_msgs.Float64, EntityKind.PLOT, numbers.draw_number),
-    Picture(other_msgs.WrenchStamped, EntityKind.PLOT, numbers.draw_wrench),
+    Picture(robot_msgs.WrenchStamped, EntityKind.PLOT, numbers.draw_wrench),
+    Picture(robot_msgs.TwistStamped, EntityKind.PLOT, numbers.draw_twist),
+    Picture(robot_msgs.Joy, EntityKind.PLOT, numbers.draw_buttons),
+    Picture(robot_msgs.OperatingState, EntityKind.TEXT, words.draw_state),
+    Picture(robot_msgs.StringStamped, EntityKind.TEXT, words.draw_stamped_string),
+    Picture(robot_msgs.Empty, EntityKind.TEXT, words.draw_empty),
     Picture(igtl_msgs.NdArray, EntityKind.PLOT, numbers.draw_array),
     *(Picture(message, EntityKind.PLOT, numbers.draw_multi_array) for message in common_msgs.MULTI_ARRAYS.values()),
     Picture(rosmsg.String, EntityKind.TEXT, words.draw_string),

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import rerun as rr
 
 from igtl_gateway.convert import igtl_msgs
+from igtl_gateway.convert.robot_msgs import Empty, OperatingState, StringStamped
 from igtl_gateway.convert.rosmsg import DiagnosticStatus, String
 from igtl_gateway.errors import ConversionError, RecordingError
 from igtl_gateway.view.canvas import Canvas
@@ -40,6 +41,23 @@ def draw_status(message: DiagnosticStatus, canvas: Canvas) -> None:
     """diagnostic_msgs/DiagnosticStatus."""
     level, colour = _LEVELS[min(message.level, len(_LEVELS) - 1)]
     _log_text(canvas, f"{message.name} {message.message}".strip(), level, colour)
+
+
+def draw_state(message: OperatingState, canvas: Canvas) -> None:
+    """crtk_msgs/OperatingState: a fault is an error."""
+    level, colour = _LEVELS[2 if message.state == "FAULT" else 0]
+    words = (message.state, *(["homed"] if message.is_homed else []), *(["busy"] if message.is_busy else []))
+    _log_text(canvas, " ".join(words), level, colour)
+
+
+def draw_stamped_string(message: StringStamped, canvas: Canvas) -> None:
+    """crtk_msgs/StringStamped."""
+    _log_text(canvas, message.string)
+
+
+def draw_empty(_message: Empty, canvas: Canvas) -> None:
+    """std_msgs/Empty: that it came."""
+    _log_text(canvas, "(empty)")
 
 
 def draw_log(message: Log, canvas: Canvas) -> None:

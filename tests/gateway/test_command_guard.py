@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -387,6 +388,14 @@ def test_no_command_and_no_state_of_an_arm_is_compiled() -> None:
     compiled = [bytes(name).rstrip(b"\0") for _, name in fast.to_ros]
     assert len(compiled) == 1 and b"PSM1/free_tool" in compiled[0]
     assert not fast.to_igtl
+
+
+def test_the_document_has_each_name_and_each_code() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "crtk.md").read_text("utf-8")
+    for row in crtk.NAMES:
+        assert f"| `{row.name}` | {row.ros_type.replace('/msg/', '/')} | {row.igtl_type} |" in page
+    for code, meaning in CODES.items():
+        assert f"| `{code}` | {meaning} |" in page
 
 
 # -- the log ----------------------------------------------------------------------------------------------------------

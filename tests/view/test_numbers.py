@@ -9,9 +9,10 @@ pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 
 from igtl_gateway.convert.common_msgs import MULTI_ARRAYS, JointState, MultiArrayDimension, MultiArrayLayout
 from igtl_gateway.convert.igtl_msgs import NdArray, Sensor
+from igtl_gateway.convert.robot_msgs import WrenchStamped
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.view.contents import EntityKind
-from igtl_gateway.view.other_msgs import Float64, WrenchStamped
+from igtl_gateway.view.other_msgs import Float64
 
 from .conftest import Draw
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,11 +12,16 @@ from igtl_gateway.convert.common_msgs import JointState, PoseStamped
 from igtl_gateway.convert.poses import rotation_matrix
 from igtl_gateway.convert.robot_msgs import StringStamped
 from igtl_gateway.convert.rosmsg import Header, String
+from igtl_gateway.session.entry import Kind
+from igtl_gateway.session.note import Note
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.wire import decode
 from igtl_gateway_lab.simulate.actor import RosReceived, RosSent
 from igtl_gateway_lab.simulate.crtk_arm import ARMS, JOINTS, WORLD, urdf
 from igtl_gateway_lab.simulate.crtk_robot import TICK_NS, CrtkRobot
 from igtl_gateway_lab.simulate.star_numbers import Array
 
+FIXTURE = Path(__file__).parents[3] / "fixtures" / "crtk.mcap"
 START_NS = 1_700_000_000_000_000_000
 
 
@@ -114,3 +120,27 @@ def test_an_arm_follows_only_when_it_is_enabled_and_homed() -> None:
     np.testing.assert_allclose(np.array(reached.pose), np.array(target.pose), atol=1e-6)  # type: ignore[attr-defined]
     names = only(sent, "/PSM1/measured_js", JointState).name  # type: ignore[attr-defined]
     assert set(names) <= {joint.get("name") for joint in ET.fromstring(urdf()).findall("joint")}
+
+
+def test_bridged_poses_agree_with_the_urdf_and_the_bridged_joints() -> None:
+    """Nothing but the messages of peers: NDARRAY of joints, TRANSFORM of the tip, and the URDF of the recording."""
+    with SessionFile.open(FIXTURE) as file:
+        entries = list(file.entries())
+    (text,) = [String.unpack(entry.data()).data for entry in entries if entry.channel == "/robot_description"]
+    sent = [decode(entry.data()) for entry in entries if entry.kind is Kind.IGTL_OUT]
+    for arm in ARMS:
+        joints = [one for one in sent if one.device_name == f"{arm.name}/measured_js"]
+        tips = {one.ticks: one.content for one in sent if one.device_name == f"{arm.name}/measured_cp"}
+        far = 0.0
+        for state in joints:
+            values = dict(zip(arm.joint_names(), state.content.array[1], strict=True))  # type: ignore[attr-defined]
+            expected = place_by_urdf(text, f"{arm.name}_tip", values)
+            numbers = np.array(tips[state.ticks].wire_matrix).reshape(4, 3).T  # type: ignore[attr-defined]
+            far = max(far, float(np.abs(numbers[:, 3] - expected[:3, 3]).max()))
+            np.testing.assert_allclose(numbers[:, :3], expected[:3, :3], atol=5e-7)
+        assert len(joints) > 60 and far < 1e-6, far
+    published = [entry for entry in entries if entry.kind is Kind.ROS_OUT and entry.channel.startswith("/PSM")]
+    assert {entry.channel for entry in published} == {"/PSM1/servo_cp", "/PSM1/state_command"}
+    codes = [Note.unpack(entry.data()).code for entry in entries if entry.kind is Kind.NOTE]
+    refused = sorted(code for code in codes if code.startswith("command_"))
+    assert refused == ["command_not_allowed", "command_old", "command_workspace", "command_workspace"]
