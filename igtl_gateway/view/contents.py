@@ -192,7 +192,19 @@ class SessionContents:
 
     def frames_of(self, root: str) -> list[str]:
         """Return the entity paths of the frames below a root, for their axes."""
-        return [path for child, path in self.frames.items() if self.root_of(child) == root]
+        roots: dict[str, str] = {}
+        for child in self.frames:
+            passed = {child: child}
+            while (frame := next(reversed(passed))) not in roots:
+                parent = self.parents.get(frame)
+                if parent is None:
+                    roots[frame] = frame
+                elif parent in passed:  # a cycle, whose root depends on where it is entered
+                    roots |= {each: self.root_of(each) for each in passed}
+                else:
+                    passed[parent] = parent
+            roots |= {each: roots[frame] for each in passed if each not in roots}
+        return [path for child, path in self.frames.items() if roots[child] == root]
 
     @property
     def seconds(self) -> float:

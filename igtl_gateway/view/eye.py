@@ -16,6 +16,7 @@ Xyz = tuple[float, float, float]
 
 _TOOLS = (EntityKind.POSE, EntityKind.POSES)
 _BODIES = {EntityKind.CLOUD, EntityKind.MESH, EntityKind.VOLUME}
+_LINKS = 30  #: about the number of links that the eye regards: each is followed to the root
 _HALF_HEIGHT, _HALF_WIDTH = (
     math.radians(25),
     math.radians(30),
@@ -88,7 +89,9 @@ def _corners(seen: SessionContents, tree: list[ShownTopic], frame: str) -> list[
         for shown in boxed
         for corner in itertools.product(*zip(shown.low or (), shown.high or (), strict=True))
     ]
-    return corners + [_moved(seen, link, frame, (0.0, 0.0, 0.0)) for shown in tree for link in shown.links]
+    links = [link for shown in tree for link in shown.links]
+    some = [*links[:: len(links) // _LINKS + 1], *links[-1:]]
+    return corners + [_moved(seen, link, frame, (0.0, 0.0, 0.0)) for link in some]
 
 
 def _moved(seen: SessionContents, source: str, target: str, point: Sequence[float], *, turn_only: bool = False) -> Xyz:

@@ -49,7 +49,7 @@ def test_the_method_of_plus_on_our_import_of_its_sequences(
 def insertions(shared_dir: Path, tmp_path: Path) -> Path:
     """Needle insertions of a real dVRK (d-lfd, MIT): pose and joints of one arm; the joints are stamped 120 ms late."""
     with np.load(shared_dir / "data/star/dlfd_kinematics.npz") as data:
-        poses, joints = data["arm1_T"][: data["trial_offsets"][6]], data["arm1_q"]
+        poses, joints = data["arm1_T"][: data["trial_offsets"][12]], data["arm1_q"]
     path = tmp_path / "insertions.mcap"
     writer = SessionWriter(path, {})
     number = 0
@@ -70,6 +70,7 @@ def insertions(shared_dir: Path, tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_the_lag_between_pose_and_joints_of_a_real_arm(
     insertions: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
