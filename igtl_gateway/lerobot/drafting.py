@@ -90,12 +90,13 @@ def _frames(intervals: list[tuple[int, int]], fps: int) -> bool:
 def _candidates(recording: Recording, streams: list[Stream], clock: str, left_out: list[str]) -> Iterator[_Candidate]:
     for stream in streams:
         try:
+            stream.key.encode()
             feature = _feature(stream)
             if feature is None:
                 continue
             usual = _with_tolerance(feature, read_samples(recording, feature, clock, stream.key), stream)
             yield _Candidate(usual, read_samples(recording, usual, clock, stream.key))
-        except GatewayError as error:
+        except (GatewayError, UnicodeEncodeError) as error:
             text = str(error)
             left_out.append(text if stream.key in text else f"{stream.key}: {text}")
 

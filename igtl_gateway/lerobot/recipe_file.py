@@ -54,6 +54,11 @@ def _text(most: int = _MAX_TEXT, least: int = 0) -> Check:
     return lambda value: isinstance(value, str) and least <= len(value) <= most and value.isprintable(), expected
 
 
+def _foreign(value: Any) -> bool:
+    """A name or the begin of a string in the recording, which may have any characters."""
+    return isinstance(value, str) and 1 <= len(value) <= _MAX_TEXT
+
+
 def _choice(choices: tuple[str, ...]) -> Check:
     return lambda value: isinstance(value, str) and value in choices, f"one of {', '.join(choices)}"
 
@@ -99,8 +104,8 @@ _FEATURES: dict[str, Check] = {
         lambda value: isinstance(value, str) and _FEATURE.fullmatch(value) is not None and len(value) <= 100,
         "action, observation.state, observation.images.VIEW or another name below action. or observation.",
     ),
-    "stream": _text(least=1),
-    "frame": _text(),
+    "stream": (_foreign, f"a string of 1 to {_MAX_TEXT} characters"),
+    "frame": (_foreign, f"a string of 1 to {_MAX_TEXT} characters"),
     "fields": (_texts, 'names of columns, such as ["position"]'),
     "names": (_texts, 'strings, such as ["x", "y"]'),
     "orientation": _choice(ORIENTATIONS),
@@ -109,15 +114,15 @@ _FEATURES: dict[str, Check] = {
     "fill": _choice(FILLS),
     "lag_ms": _number(-_MAX_MS, _MAX_MS),
     "lag": _choice(("measured",)),
-    "against": _text(least=1),
+    "against": (_foreign, f"a string of 1 to {_MAX_TEXT} characters"),
     "window": (_window, "two increasing numbers, such as [0, 4095]"),
     "next_of": _text(least=1),
 }
 _CUTS: dict[str, Check] = {
     "by": _choice(CUTS),
-    "stream": _text(least=1),
-    "start": _text(least=1),
-    "stop": _text(least=1),
+    "stream": (_foreign, f"a string of 1 to {_MAX_TEXT} characters"),
+    "start": (_foreign, f"a string of 1 to {_MAX_TEXT} characters"),
+    "stop": (_foreign, f"a string of 1 to {_MAX_TEXT} characters"),
     "pause_s": _number(1e-3, 1e6),
     "still_mm": _number(1e-6, 1e6),
 }
@@ -227,4 +232,5 @@ def _check_cuts(cuts: Cuts) -> None:
 
 def toml_value(value: Any) -> str:
     """Return a string, a number, a boolean or a list of them as TOML."""
-    return json.dumps(list(value) if isinstance(value, tuple) else value, ensure_ascii=False)
+    text = json.dumps(list(value) if isinstance(value, tuple) else value, ensure_ascii=False)
+    return text.replace("\x7f", "\\u007f")  # the one character that JSON takes as it is and TOML does not

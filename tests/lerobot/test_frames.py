@@ -11,7 +11,9 @@ import pytest
 
 import igtl_gateway
 from igtl_gateway.errors import GatewayError
+from igtl_gateway.lerobot.drafting import draft
 from igtl_gateway.lerobot.episodes import longest, moving
+from igtl_gateway.lerobot.export import export_lerobot
 from igtl_gateway.lerobot.frames import Plan, build
 from igtl_gateway.lerobot.recipe_file import read_recipe
 from igtl_gateway.wire.image import Image
@@ -243,6 +245,19 @@ def test_the_longest_episode_is_what_float32_allows(fps: int, seconds: int) -> N
     stamps = (np.arange(count + 10) / fps).astype(np.float32)
     good = np.abs(np.diff(stamps) - np.float32(1 / fps)) <= 1e-4
     assert good[: count - 1].all() and not good[: count + 9].all()
+
+
+def test_any_name_of_a_stream(tmp_path: Path) -> None:
+    """A starting recipe has foreign names with quotes, control characters and other scripts; the card escapes them."""
+    names = ["TRANSFORM/Härä|`<b>", 'TRANSFORM/"q\\\x7f\n', "TRANSFORM/\u202e骨"]
+    messages = [(number / 50, name, arm(number / 50, 0)) for number in range(50) for name in names]
+    path, recipe = write_session(tmp_path / "s.mcap", messages), tmp_path / "r.toml"
+    with igtl_gateway.open(path) as recording:
+        recipe.write_text(draft(recording), "utf-8")
+        assert {row.stream for row in read_recipe(recipe).features} >= set(recording.streams) & set(names)
+    export_lerobot(path, recipe, tmp_path / "set")
+    card = (tmp_path / "set" / "meta" / "README.md").read_text("utf-8")
+    assert "\\<b\\>" in card and "\u202e" not in card and "\x7f" not in card
 
 
 def test_poses_are_those_of_the_api(tmp_path: Path) -> None:
