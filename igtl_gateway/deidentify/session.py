@@ -143,7 +143,9 @@ class _Run:
                 self.report.add(removed.rule)
                 self.report.removed[self._stream_name(entry)] += 1
                 continue
-            if changes := self.report.rules - before:
+            changes = self.report.rules - before
+            del changes["kept type"]
+            if changes:
                 counts = self.report.streams.setdefault(new.channel or "notes", changes.__class__())
                 counts.update(dict.fromkeys(changes, 1))
             yield new
