@@ -20,7 +20,7 @@ from igtl_gateway.deidentify.notes import clean_note
 from igtl_gateway.deidentify.profile import Profile
 from igtl_gateway.deidentify.report import Report
 from igtl_gateway.deidentify.ros import RosCleaner
-from igtl_gateway.errors import ConfigError, GatewayError, UnsupportedRecording, WireError
+from igtl_gateway.errors import ConfigError, DamagedRecording, GatewayError, UnsupportedRecording, WireError
 from igtl_gateway.gateway import Session, make_core
 from igtl_gateway.gateway.metadata import FULL_NAME, restore_metadata
 from igtl_gateway.gateway.session import header_names
@@ -80,6 +80,8 @@ def deidentify(
             raise GatewayError(f"{path}: found outputs that the gateway does not compute from the new inputs")
         os.replace(partial, out)
         return run.report
+    except layout.LayoutError as error:
+        raise DamagedRecording(f"{path}: {error}") from None
     except OSError as error:
         raise GatewayError(f"cannot write to {out}: {error.strerror}") from None
     finally:
@@ -103,7 +105,7 @@ class _Run:
     def write(self, path: Path) -> None:
         """Write the new session."""
         session = Session(make_core(self._config, fast_path=False))
-        before = list(self._cleaned(self._file.prologue()))
+        before = list(self._cleaned(self._prologue()))
         for entry in before:
             session.recorded(entry)
 
@@ -133,6 +135,9 @@ class _Run:
 
     def _inputs(self) -> Iterator[Entry]:
         return (entry for entry in self._file.entries() if entry.kind.is_input)
+
+    def _prologue(self) -> Iterator[Entry]:
+        return (entry for entry in self._file.prologue() if entry.kind.is_input)
 
     def _cleaned(self, entries: Iterable[Entry]) -> Iterator[Entry]:
         for entry in entries:
@@ -183,7 +188,7 @@ class _Run:
         devices: set[str] = set()
         topics: set[str] = set()
         addresses: set[str] = set()
-        for entry in chain(self._file.prologue(), self._inputs()):
+        for entry in chain(self._prologue(), self._inputs()):
             self._look_at(entry, devices, topics, addresses)
         return SeenNames(devices, topics, addresses)
 

@@ -82,7 +82,7 @@ def test_the_key_decides_about_the_pseudonyms(tmp_path: Path) -> None:
             assert news == expected
             other = {f"{kind}/{others.name(device)}" for kind, _, device in (old.partition("/") for old in olds)}
             assert not news & other - olds
-            assert len(news - olds) > 5
+            assert len(news - olds) >= 3
 
 
 @pytest.mark.parametrize("name", ["acquisition", "paper-types"])
