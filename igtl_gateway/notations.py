@@ -85,6 +85,17 @@ def key_value(text: str) -> tuple[str, str]:
     return key, value
 
 
+def file_mode(text: str) -> int:
+    """Parse the mode of new files, such as ``0640``: octal, with read and write for their owner, without execute."""
+    try:
+        mode = int(text, 8) if text.isascii() and text.isdigit() and len(text) <= 4 else 0
+    except ValueError:
+        mode = 0
+    if mode & 0o600 != 0o600 or mode & ~0o666:
+        raise ConfigError(f"found {text!r}, expected an octal mode such as 0600 or 0640")
+    return mode
+
+
 def cpus(text: str) -> frozenset[int]:
     """Parse a list of CPUs such as ``2,4-6``."""
     found: set[int] = set()

@@ -448,6 +448,13 @@ SETTINGS: tuple[Setting, ...] = (
     Setting("record", "", "record all messages to this MCAP file", metavar="FILE"),
     Setting("overwrite", False, "overwrite an existing recording"),
     Setting(
+        "file_mode",
+        "0600",
+        "mode of the files that it writes; directories may also be entered by those who may read files",
+        metavar="MODE",
+        reads=notations.file_mode,
+    ),
+    Setting(
         "record_topics",
         (),
         "also record these ROS topics, in addition to the bridged ones; * matches one level, ** any number",

@@ -13,7 +13,7 @@ from igtl_gateway.edges.reserved import ReservedPorts
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from igtl_gateway.edges.video import VideoOptions
 from igtl_gateway.errors import ConfigError
-from igtl_gateway.notations import DEFAULT_HOST, DEFAULT_PORT, cpus, key_value, peer_address, size_by_type
+from igtl_gateway.notations import DEFAULT_HOST, DEFAULT_PORT, cpus, file_mode, key_value, peer_address, size_by_type
 from igtl_gateway.realtime import RealtimeOptions
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.selection import Selection
@@ -149,6 +149,7 @@ def record_options(values: Mapping[str, Any]) -> RecordOptions:
         overwrite=values["overwrite"],
         stop_on_failure=values["on_record_failure"] == "stop",
         custom=tuple(map(key_value, values["custom_data"])),
+        file_mode=file_mode(values["file_mode"]),
         seal=Path(values["seal"]) if values["seal"] else None,
     )
 

@@ -16,13 +16,15 @@ import importlib
 import sys
 from collections.abc import Sequence
 
+from igtl_gateway import notations
 from igtl_gateway.cli.early_port import early_ports
-from igtl_gateway.cli.options import HelpFormatter, add_limits_of_files, shorten_usage
+from igtl_gateway.cli.options import HelpFormatter, add_file_mode, add_limits_of_files, shorten_usage
 from igtl_gateway.cli.ros_arguments import without_ros_arguments
 from igtl_gateway.cli.terminal import Parser, discard_outputs, flush_outputs, open_outputs, print_line
 from igtl_gateway.cli.verbs import LABORATORY, VERBS, WITHOUT_LABORATORY, Verb, available
 from igtl_gateway.cli.versions import VersionAction
 from igtl_gateway.errors import ConfigError, GatewayError, OutputError, UnsupportedRecording
+from igtl_gateway.sessionfile.new_file import files_with_mode
 from igtl_gateway.untrusted import limits
 
 FAILURE, USAGE = 1, 2
@@ -67,7 +69,10 @@ def _run(given: Sequence[str], asked: str, **extra: object) -> int:
         parser.print_help()
         return USAGE
     try:
-        with limits.limits_in_force(limits.parse_limits(getattr(options, "limit", []))):
+        with (
+            limits.limits_in_force(limits.parse_limits(getattr(options, "limit", []))),
+            files_with_mode(notations.file_mode(getattr(options, "file_mode", None) or "0600"), umask=True),
+        ):
             code = int(options.run(options))
         flush_outputs()
         return code
@@ -124,6 +129,8 @@ def complete(parser: argparse.ArgumentParser, verb: Verb) -> None:
     module.add_arguments(parser)
     if verb.reads_files:
         add_limits_of_files(parser)
+    if verb.writes_files:
+        add_file_mode(parser)
     shorten_usage(parser)
     parser.description = verb.help[0].upper() + verb.help[1:] + "."
     parser.epilog = "examples:\n" + module.EXAMPLES

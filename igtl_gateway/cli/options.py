@@ -95,6 +95,16 @@ def add_streams(parser: Options, what: str = "select streams") -> None:
     parser.add_argument("--streams", action="append", default=[], metavar="GLOB", help=f"{what} {STREAM} (repeatable)")
 
 
+def add_file_mode(parser: Options) -> None:
+    """``--file-mode``."""
+    parser.add_argument(
+        "--file-mode",
+        metavar="MODE",
+        help="mode of the files that it writes; directories may also be entered by those who may read files "
+        + default("0600"),
+    )
+
+
 def add_limits_of_files(parser: Options) -> None:
     """``--limit``, any number of times."""
     parser.add_argument(

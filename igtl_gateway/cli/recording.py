@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def add_arguments(group: Options) -> None:
     """Options of a recording."""
-    add_settings(group, "record", "overwrite")
+    add_settings(group, "record", "overwrite", "file_mode")
     add_settings(group, "record_topics", words=True)
     add_settings(group, "record_all")
     add_settings(group, "record_include", "record_exclude", "custom_data", words=True)

@@ -24,15 +24,17 @@ class Verb:
         module: full name of the module that has ``EXAMPLES``, ``add_arguments(parser)`` and ``run(options) -> int``;
             it is imported only when the verb is requested.
         reads_files: whether it reads untrusted files; such a verb has ``--limit``.
+        writes_files: whether it writes files and has no setting for their mode; such a verb has ``--file-mode``.
     """
 
     help: str
     module: str
     reads_files: bool = True
+    writes_files: bool = False
 
 
-def _own(name: str, text: str, *, reads_files: bool = True) -> Verb:
-    return Verb(text, f"igtl_gateway.cli.{name}", reads_files)
+def _own(name: str, text: str, *, reads_files: bool = True, writes_files: bool = False) -> Verb:
+    return Verb(text, f"igtl_gateway.cli.{name}", reads_files, writes_files)
 
 
 VERBS = {
@@ -40,18 +42,20 @@ VERBS = {
     "replay": _own("replay", "send a recording to OpenIGTLink peers, to ROS 2 or to both"),
     "verify": _own("verify", "check that the outputs of a recording follow from its inputs, byte for byte"),
     "diff": _own("diff", "compare two recordings stream by stream, in millimetres and degrees"),
-    "sync": _own("sync", "measure the lags between streams from what moves in them"),
-    "slice": _own("slice", "cut a part out of a recording, by time and stream; the part verifies"),
-    "deidentify": _own("deidentify", "write a session without names, text and dates of persons; it verifies"),
-    "import": _own("import_", "convert a recording of another program to a session"),
-    "export": _own("export", "convert a session to formats of other programs"),
-    "recover": _own("recover", "repair a damaged recording and report what is lost"),
-    "seal": _own("seal", "sign a recording, so that verify --seal finds every change"),
+    "sync": _own("sync", "measure the lags between streams from what moves in them", writes_files=True),
+    "slice": _own("slice", "cut a part out of a recording, by time and stream; the part verifies", writes_files=True),
+    "deidentify": _own(
+        "deidentify", "write a session without names, text and dates of persons; it verifies", writes_files=True
+    ),
+    "import": _own("import_", "convert a recording of another program to a session", writes_files=True),
+    "export": _own("export", "convert a session to formats of other programs", writes_files=True),
+    "recover": _own("recover", "repair a damaged recording and report what is lost", writes_files=True),
+    "seal": _own("seal", "sign a recording, so that verify --seal finds every change", writes_files=True),
     "keys": _own("seal_keys", "make, rotate and show the keys of seals", reads_files=False),
     "info": _own("info", "show the contents of a recording"),
     "doctor": _own("doctor", "connect to a peer, or wait for one, and diagnose the connection", reads_files=False),
     "lint": _own("lint", "check a recording with the rules of doctor"),
-    "view": _own("view", "show a session in rerun: in a window, as a file, web page or image"),
+    "view": _own("view", "show a session in rerun: in a window, as a file, web page or image", writes_files=True),
     "review": _own("review", "check each stitch of a suture plan against the measured tissue"),
     "decode": _own("decode", "print the messages of a raw OpenIGTLink byte stream as JSON lines"),
     "completion": _own("completion", "print a script that completes words in bash, zsh or fish", reads_files=False),

@@ -42,6 +42,7 @@ class RecordOptions:
         overwrite: replace an existing recording instead of refusing it.
         stop_on_failure: the bridge stops when the recording fails.
         custom: keys and values of the user for the metadata of the recording.
+        file_mode: mode of the files; directories may also be entered by those who may read files.
         seal: file of the private key that seals the recording; None: it is not sealed.
     """
 
@@ -59,4 +60,5 @@ class RecordOptions:
     overwrite: bool = False
     stop_on_failure: bool = False
     custom: tuple[tuple[str, str], ...] = ()
+    file_mode: int = 0o600
     seal: Path | None = None

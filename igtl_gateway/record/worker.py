@@ -34,6 +34,7 @@ from igtl_gateway.session.entry import Entry
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.sessionfile import layout
 from igtl_gateway.sessionfile.layout import LayoutError
+from igtl_gateway.sessionfile.new_file import files_with_mode
 from igtl_gateway.sessionfile.schemas import RosTypes
 from igtl_gateway.sessionfile.sealing import SealSeries
 from igtl_gateway.sessionfile.writer import SessionWriter
@@ -141,6 +142,18 @@ def run_worker(
     ``orphaned``: whether the bridge has ended though the pipe is open: its forked processes have the pipe, too.
     ``rank`` sets the priority of the worker, raised at first; it is called at each change, and again where it failed.
     """
+    with files_with_mode(settings.options.file_mode, umask=False):
+        _run_worker(settings, queue, pipe, clock, orphaned, rank)
+
+
+def _run_worker(
+    settings: WorkerSettings,
+    queue: QueueReader,
+    pipe: Connection,
+    clock: Clock,
+    orphaned: Callable[[], bool],
+    rank: Callable[[bool], bool],
+) -> None:
     worker, refused = None, ""
     try:
         worker = _RecorderWorker(settings, queue, pipe, clock, orphaned, rank)

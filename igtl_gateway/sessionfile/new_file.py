@@ -1,10 +1,16 @@
-"""Creating a file: what stands in the way, the lock of its writer, and the errors."""
+"""Creating a file: what stands in the way, its mode, the lock of its writer, and the errors.
+
+Recordings are data of patients: new files are for their owner only, unless :func:`files_with_mode` states another mode.
+"""
 
 from __future__ import annotations
 
 import errno
 import fcntl
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from io import BufferedWriter
 from pathlib import Path
 
@@ -13,6 +19,45 @@ from igtl_gateway.untrusted.files import obstacle
 
 #: Errors of the system about a path that cannot have been intended; all others are the disk's.
 _WRONG_PATH = frozenset({errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno.ELOOP, errno.EINVAL})
+
+
+#: Mode of a new file without another one.
+PRIVATE = 0o600
+_MODE: ContextVar[int] = ContextVar("mode of new files", default=PRIVATE)
+
+
+@contextmanager
+def files_with_mode(mode: int, *, umask: bool) -> Iterator[None]:
+    """Context manager: new files have this mode.
+
+    Args:
+        mode: of files; of a directory with execute for those who may read.
+        umask: also those that other libraries and child processes create.  This changes the whole process.
+    """
+    token = _MODE.set(mode)
+    before = os.umask(0o777 & ~folder_mode()) if umask else None
+    try:
+        yield
+    finally:
+        _MODE.reset(token)
+        if before is not None:
+            os.umask(before)
+
+
+def folder_mode() -> int:
+    """Return the mode of a new directory."""
+    mode = _MODE.get()
+    return mode | (mode & 0o444) >> 2
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file (UTF-8) with the mode of new files.  Raises OSError."""
+    with open(path, "w", encoding="utf-8", opener=_open_new) as file:
+        file.write(text)
+
+
+def _open_new(path: str, flags: int) -> int:
+    return os.open(path, flags, _MODE.get())
 
 
 def create_file(path: Path, overwrite: bool) -> BufferedWriter:
@@ -29,6 +74,8 @@ def create_file(path: Path, overwrite: bool) -> BufferedWriter:
         except OSError:
             pass  # a file system without locks
         file.truncate()
+        with suppress(OSError):  # a file system without modes
+            os.fchmod(file.fileno(), _MODE.get())  # of an older file, too, and whatever the umask is
         return file
     except FileExistsError:
         raise RecordingError(
@@ -60,4 +107,4 @@ def sync_folder(folder: Path) -> None:
 
 def _open_untouched(path: str, flags: int) -> int:
     """Open a file without emptying it: it might be the recording of another process."""
-    return os.open(path, flags & ~os.O_TRUNC, 0o666)
+    return os.open(path, flags & ~os.O_TRUNC, _MODE.get())

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from igtl_gateway.sessionfile import layout
+from igtl_gateway.sessionfile.new_file import write_text
 from igtl_gateway.sessionfile.stream import McapStream
 
 SIDE_FILE = "metadata.yaml"
@@ -75,7 +76,7 @@ def write_side_file(folder: Path, parts: Sequence[RecordingPart]) -> None:
     """Write ``metadata.yaml``; at any moment there is either the old one or the new one.  Raises OSError."""
     path, new = folder / SIDE_FILE, folder / f".{SIDE_FILE}"
     try:
-        new.write_text(_side_file(parts), "utf-8")
+        write_text(new, _side_file(parts))
         os.replace(new, path)
     except OSError:
         with contextlib.suppress(OSError):
