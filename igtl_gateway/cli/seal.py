@@ -11,13 +11,10 @@ from igtl_gateway.cli.options import RECORDING_OR_BAG, add_file, add_overwrite
 from igtl_gateway.cli.terminal import print_line
 
 EXAMPLES = """\
-  # a key, once; recorder.key.pub is for those who check
-  igtl-gateway keys new recorder.key
   # write a sealed copy of a recording
   igtl-gateway seal out.mcap --key recorder.key -o sealed.mcap
-  # seal a recording while it is written
-  igtl-gateway bridge --record out.mcap --seal recorder.key
 
+`keys new` makes a key; `bridge --seal KEY` seals while it records.
 The seal states what the file contained at this moment, and nothing about the
 time before it."""
 
