@@ -204,6 +204,7 @@ UNMIRRORED = (
     "integration",
     "peers",
     "exchange/test_import_mutations.py",  # tools/import_mutations.py
+    "cli/test_file_modes.py",  # outputs of every verb
     "cli/test_exit_codes.py",  # every verb's, docs/command-line.md
     "cli/test_main.py",  # the verbs' common entry, cli/__init__.py
     "test_architecture.py",
