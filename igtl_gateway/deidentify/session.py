@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
+import re
 from collections.abc import Iterable, Iterator
 from itertools import chain
 from pathlib import Path
@@ -38,8 +39,9 @@ from igtl_gateway.wire.registry import BODIES
 
 #: Code of the note at the end of the result, and key of its metadata.
 DEIDENTIFIED = "deidentified"
-#: Metadata that stay: they decide how a session is verified, and do not identify a person.
-_KEPT = ("igtl_gateway_version", IMPORTED, layout.PART_KEY, layout.SNAPSHOT_KEY)
+#: Metadata that stay if they are numbers: they decide how a session is verified.
+_KEPT = ("igtl_gateway_version", layout.PART_KEY, layout.SNAPSHOT_KEY)
+_NUMBERS = re.compile(r"[0-9]{1,9}([.][0-9]{1,9}){0,3}", re.ASCII)
 _INPUTS = (Kind.IGTL_IN, Kind.ROS_IN)
 
 
@@ -214,7 +216,10 @@ class _Run:
             devices.add(name)
 
     def _facts(self) -> dict[str, str]:
-        facts = {key: self._file.session[key] for key in _KEPT if key in self._file.session}
+        given = self._file.session
+        facts = {key: given[key] for key in _KEPT if _NUMBERS.fullmatch(given.get(key, ""))}
+        if self._is_import:
+            facts[IMPORTED] = "removed"
         self.report.add("session", len(self._file.session.keys() - facts.keys() - {layout.CONFIGURATION_KEY}))
         options = ", ".join(self.report.options)
         return {

@@ -53,7 +53,7 @@ def planted_session(path: Path) -> None:
         to_ros=(ToRosRow(device=f"{MARK}*", topic=f"/{MARK}/{{device}}/{{kind}}", frame_id=f"{MARK}_frame"),),
     )
     facts = {"host": MARK, "command": MARK, "platform": MARK, "operator": MARK, layout.CUSTOM_KEY: f'{{"a": "{MARK}"}}',
-             "igtl_gateway_version": "0.1.0", layout.CONFIGURATION_KEY: json.dumps(config.to_dict())}  # fmt: skip
+             "igtl_gateway_version": MARK, layout.CONFIGURATION_KEY: json.dumps(config.to_dict())}  # fmt: skip
     session = Session(make_core(config, fast_path=False))
     writer = SessionWriter(path, facts, compression="zstd")
     seq = stamp_ns = 0
