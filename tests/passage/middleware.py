@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections import deque
 from collections.abc import Callable
+from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any
 
@@ -153,6 +154,11 @@ class RosEdge:
                 lambda error: self.errors.append(str(error)),
             )
             self._receiver.start()
+
+    changing = nullcontext()
+
+    def show(self, _values: object) -> None:
+        """No parameters."""
 
     def follow(self, _owner: object) -> None:
         """There is no managed node."""
