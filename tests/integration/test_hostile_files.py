@@ -1,7 +1,6 @@
 """Every hostile file of the table is given to the verbs that read its sort, with limits of time and memory.
 
-In every run of the tests each file is given to the first verb of its sort and to one other, alternately;
-``HOSTILE_FILES=all`` gives it to all of them.
+In every run of the tests, each file is given to the first verb of its sort; with ``HOSTILE_FILES=all``, to all verbs.
 """
 
 from __future__ import annotations
