@@ -15,7 +15,7 @@ import numpy as np
 from hypothesis import strategies as st
 
 from igtl_gateway.buffers import join
-from igtl_gateway.convert import common_msgs, igtl_msgs, rosmsg
+from igtl_gateway.convert import common_msgs, igtl_msgs, robot_msgs, rosmsg
 from igtl_gateway.convert.structs import OCTETS, Struct
 from igtl_gateway.wire import Item, Message, Raw, encode
 from igtl_gateway.wire.bind import Bind, BindChild
@@ -511,7 +511,10 @@ _VALUES: dict[str, st.SearchStrategy[Any]] = {
 
 def _numbers(name: str) -> st.SearchStrategy[Any]:
     """Values of a type that is made of equal numbers."""
-    kinds = {"geometry_msgs/Point": (3, any64), "geometry_msgs/Pose": (7, any64)}
+    kinds = {
+        f"geometry_msgs/{kind}": (columns, any64)
+        for kind, columns in (("Point", 3), ("Pose", 7), ("Twist", 6), ("Wrench", 6))
+    }
     base, bracket, count = name.partition("[")
     columns, number = kinds.get(base, (1, _VALUES.get(base, st.integers(-100, 100))))
     if not bracket or count != "]":
@@ -524,7 +527,10 @@ def _numbers(name: str) -> st.SearchStrategy[Any]:
 
 STRUCTS: dict[str, type[Struct]] = {
     kind.TYPE: kind
-    for kind in (*vars(igtl_msgs).values(), *vars(common_msgs).values(), *common_msgs.MULTI_ARRAYS.values())
+    for kind in (
+        *(kind for module in (igtl_msgs, common_msgs, robot_msgs) for kind in vars(module).values()),
+        *common_msgs.MULTI_ARRAYS.values(),
+    )
     if isinstance(kind, type) and issubclass(kind, Struct) and hasattr(kind, "TYPE")
 }
 

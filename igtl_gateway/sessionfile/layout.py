@@ -32,6 +32,8 @@ CHUNK_BYTES = 1 << 20
 MCAP_PROFILE = "ros2"
 MESSAGE_ENCODING = "cdr"
 SCHEMA_ENCODING = "ros2msg"
+#: A definition of a message without fields, such as std_msgs/msg/Empty.
+NO_FIELDS = "# no fields\n"
 
 SESSION_METADATA = "igtl_gateway.session"
 #: A second copy of the session metadata: without them a recording cannot be verified.

@@ -99,7 +99,7 @@ class SessionFile:
         self.channels = tuple(channel for channel in found if isinstance(channel, ChannelSummary))
         self.skipped = tuple(channel for channel in found if isinstance(channel, SkippedChannel))
         self.definitions = {
-            schema.name: schema.data.decode("utf-8", "replace")
+            schema.name: schema.data.decode("utf-8", "replace") or layout.NO_FIELDS  # an empty one would look like none
             for schema in index.schemas.values()
             if schema.encoding == layout.SCHEMA_ENCODING
         }

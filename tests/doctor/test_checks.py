@@ -211,9 +211,9 @@ def test_streams_beyond_the_limit_are_not_observed(monkeypatch: pytest.MonkeyPat
 
 
 def test_the_fixtures_have_no_findings() -> None:
-    """every-type has an invalid message of each kind."""
+    """every-type has an invalid message of each kind, crtk commands that the guard refuses."""
     for path in sorted(FIXTURES.glob("*.mcap")):
-        if path.stem not in {"every-type", "lego"}:  # the one for its size
+        if path.stem not in {"every-type", "crtk", "lego"}:  # the last one for its size
             seen = Observer(Config())
             with SessionFile.open(path) as file:
                 for entry in file.entries():

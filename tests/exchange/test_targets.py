@@ -127,6 +127,8 @@ def test_bags_hold_what_the_account_says(exported: Export, name: str) -> None:
 @pytest.mark.parametrize("to", ["vtk", "ply"])
 def test_surfaces_are_read_by_others(exported: Export, entries: Any, name: str, to: str) -> None:
     folder, account = exported(name, to)
+    if not any(row.taken for row in account.rows):
+        pytest.skip("no surface")
     files = sorted(folder.iterdir())
     assert len(files) == account.files == sum(row.taken for row in account.rows)
     found = [by_vtk(path) for path in files]
