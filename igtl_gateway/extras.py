@@ -4,6 +4,8 @@ from __future__ import annotations
 
 #: Module → the extra that installs it, and an alternative.
 _EXTRAS = {
+    "zenoh": ("zenoh", ""),
+    "xxhash": ("zenoh", ""),
     "rclpy": ("ros", " (Linux x86_64), or source a ROS 2 installation"),
     "rerun": ("view", ""),
     "av": ("video", ""),

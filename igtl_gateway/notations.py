@@ -11,6 +11,10 @@ from igtl_gateway.errors import ConfigError
 
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 18944
 
+#: The ways to the ROS graph, and where a router of Zenoh usually listens.
+DDS, ZENOH = "dds", "zenoh"
+ZENOH_ENDPOINT = "tcp/localhost:7447"
+
 _LAST_CPU = 8191  # of any Linux
 
 
@@ -40,6 +44,24 @@ def peer_address(text: str) -> PeerAddress:
     made = PeerAddress(address(rest if found else text))
     made.scheme = scheme if found else ""
     return made
+
+
+def ros_middleware(text: str) -> str | None:
+    """Parse ``dds`` or ``zenoh[:ENDPOINT]``; return the endpoint of the router, None for DDS.
+
+    "": no endpoint is given; Zenoh's configuration has it, or the usual one counts.
+
+    ``zenoh:HOST:PORT`` stands for ``zenoh:tcp/HOST:PORT``.
+    """
+    name, colon, endpoint = text.partition(":")
+    if text == DDS:
+        return None
+    protocol, slash, rest = endpoint.partition("/")
+    if name != ZENOH or (colon and not (rest if slash else endpoint.rpartition(":")[0])) or (slash and not protocol):
+        raise ConfigError(
+            f"found {text!r}, expected {DDS}, {ZENOH} or {ZENOH}:ENDPOINT such as {ZENOH}:{ZENOH_ENDPOINT}"
+        )
+    return endpoint if slash or not endpoint else f"tcp/{endpoint}"
 
 
 def network(text: str) -> str:

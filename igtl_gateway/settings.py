@@ -411,6 +411,16 @@ SETTINGS: tuple[Setting, ...] = (
         most=_YEAR_S,
         changes=True,
     ),
+    Setting(
+        "ros",
+        notations.DDS,
+        "the way to the ROS graph: dds by an installed ROS; zenoh without ROS, as nodes with rmw_zenoh, through the "
+        f"router at ENDPOINT, such as {notations.ZENOH_ENDPOINT}",
+        HOST,
+        metavar=f"{notations.DDS}|{notations.ZENOH}[:ENDPOINT]",
+        reads=notations.ros_middleware,
+        parameter=False,
+    ),
     Setting("publish_tf", True, "publish poses on /tf", GATEWAY, "--no-tf"),
     Setting("base_frame", "igtl", "frame of messages that do not name a frame", GATEWAY, ""),
     Setting("ros_unit", "m", "length unit of ROS messages", GATEWAY, "", choices=_UNITS),

@@ -58,6 +58,7 @@ LEVELS = {
     "doctor": 4,
     "edges": 4,  # the helpers that its edges share
     "edges.ros": 4,
+    "edges.zenoh": 4,
     "edges.tcp": 4,
     "exchange": 4,
     "realtime": 4,
@@ -104,6 +105,7 @@ SIBLINGS: dict[str, str | tuple[str, ...]] = {
     "faults": "wire.header",
     "wire": "wire.header",
     "doctor": "realtime",  # which permissions a process has
+    "edges.zenoh": ("edges.ros", "sessionfile", "ros_interfaces"),  # reports and graph; definitions, as in recordings
     "exchange": "sessionfile",
     "record": "sessionfile",
     "replay": "sessionfile",
@@ -180,6 +182,8 @@ HOMES: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(GENERATORS, ("ros_interfaces.build",)),
     "rosbags": ("deidentify.ros", "exchange", "replay", "sessionfile.schemas", "untrusted"),
     "ruamel": ("untrusted.yaml_text",),  # brought by rosbags, as zstandard is by mcap
+    "xxhash": ("edges.zenoh.names",),
+    "zenoh": ("edges.zenoh.library",),
     "shtab": ("cli.completion",),
     "zstandard": ("sessionfile.compression", "untrusted.unpack"),
 }

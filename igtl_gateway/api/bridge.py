@@ -21,6 +21,7 @@ from igtl_gateway.edges.ros.env import prepare_environment
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.tcp import LinkInfo
 from igtl_gateway.errors import NoReply, RecordingError
+from igtl_gateway.notations import ros_middleware
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 
@@ -75,7 +76,8 @@ class Bridge:
 
     Args:
         config: configuration file (TOML); None: the defaults.
-        ros: join the ROS graph; False: OpenIGTLink only, for recordings of peers.
+        ros: join the ROS graph; False: OpenIGTLink only, for recordings of peers.  A string is the setting ``ros``:
+            ``"zenoh:tcp/localhost:7447"`` joins the graph over Zenoh, without ROS.
         node_name: name of the ROS node.
         ros_args: arguments of ROS for the node, such as ``["-r", "__ns:=/or1", "-p", "max_age_s:=0.5"]``.
         on_note: called with each note (connections, refused and invalid messages, drops).  It must return quickly: the
@@ -98,13 +100,13 @@ class Bridge:
         self,
         *,
         config: str | PathLike[str] | None = None,
-        ros: bool = True,
+        ros: bool | str = True,
         node_name: str = "igtl_gateway",
         ros_args: Sequence[str] = (),
         on_note: Callable[[Note], None] | None = None,
         **settings: Any,
     ) -> None:
-        self._ours = checked(settings)
+        self._ours = checked(settings | ({"ros": ros} if isinstance(ros, str) else {}))
         if config is not None:
             self._ours["config"] = fspath(config)
         self._node_name = node_name
@@ -114,8 +116,10 @@ class Bridge:
         self._host: NodeHost | None = None
         with of_a_bridge():
             values = settled(self._ours, {})
-            has_node = ros and not values["relay"]
-            arguments = ros_arguments(ros_args, ros=has_node, without="relay=True" if ros else "ros=False")
+            self._ros = bool(ros) and not values["relay"]
+            has_node = self._ros and ros_middleware(values["ros"]) is None
+            without = f"ros={values['ros']!r}" if self._ros else "relay=True" if ros else "ros=False"
+            arguments = ros_arguments(ros_args, ros=has_node, without=without)
             if has_node:
                 self._host = NodeHost(node_name, arguments=arguments)
             self._bridge = self._make(values)
@@ -238,7 +242,7 @@ class Bridge:
 
     def _make(self, values: Mapping[str, Any]) -> RunningBridge:
         """Return the bridge for the values of all settings; it does not run."""
-        session, options = bridge_options(values, ros=self._host is not None, node_name=self._node_name)
+        session, options = bridge_options(values, ros=self._ros, node_name=self._node_name)
         return RunningBridge(
             session, options, SystemClock(), self._on_entry, on_passed=self._watch.add, host=self._host
         )

@@ -29,6 +29,7 @@ from igtl_gateway.clock import Clock
 from igtl_gateway.config import Config
 from igtl_gateway.convert.common_msgs import CompressedImage, DiagnosticArray, TFMessage
 from igtl_gateway.convert.igtl_msgs import Command, CommandReply, LinkStatusList, MetadataItem
+from igtl_gateway.edges.interface import RosSide
 from igtl_gateway.edges.reserved import ReservedPorts
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.ros.host import NodeHost
@@ -41,6 +42,7 @@ from igtl_gateway.gateway.live_settings import LiveSettings
 from igtl_gateway.gateway.to_igtl.tf_out import TF_QOS
 from igtl_gateway.globs import matches
 from igtl_gateway.once import Once
+from igtl_gateway.passage import Passage
 from igtl_gateway.passage.streams import OnPassed
 from igtl_gateway.qos import Qos
 from igtl_gateway.realtime import RealtimeOptions
@@ -84,6 +86,7 @@ class BridgeOptions:
     Attributes:
         listen, connect: addresses of the OpenIGTLink side; a relay connects to one server.
         ros: join the ROS 2 graph.
+        zenoh: join it over Zenoh, by the router at this endpoint ("": that of Zenoh's configuration); None: over DDS.
         record: file of the recording; None: record nothing.
         record_topics: globs of ROS topics that are recorded in addition to the bridged ones.
         allow: networks (CIDR) whose peers may connect in addition to those of this host.
@@ -101,6 +104,7 @@ class BridgeOptions:
     listen: tuple[Address, ...] = ()
     connect: tuple[Address, ...] = ()
     ros: bool = True
+    zenoh: str | None = None
     record: Path | None = None
     record_topics: tuple[str, ...] = ()
     allow: tuple[str, ...] = ()
@@ -160,7 +164,8 @@ class Bridge:
             sinks.append(self._record)
         sinks += [watcher for watcher in (on_entry, viewer) if watcher]
         sees_all = viewer is not None or (on_entry is not None and on_passed is None)
-        passage = make_passage(clock) if options.native and not (sees_all or config.relay) else None
+        native = options.native and options.zenoh is None and not (sees_all or config.relay)
+        passage = make_passage(clock) if native else None
         self.hub = Hub(Session(self.gateway, passage), clock, sinks, passage)
         self._timer = Timer(
             self.hub.tick,
@@ -182,19 +187,11 @@ class Bridge:
             passage=passage,
             reserved=options.reserved,
         )
-        self.ros: RosEdge | None = None
+        self.ros: RosSide | None = None
         self._log: RosLog | None = None
         self._all_built = viewer is not None or options.record is not None  # also outputs without a subscriber
         if options.ros:
-            self.ros = RosEdge(
-                node_name=options.node_name,
-                on_message=self._from_ros,
-                wants=self.subscription_for,
-                on_note=self._on_edge_note,
-                on_listener=self._on_first_subscriber,
-                host=host,
-                passage=passage,
-            )
+            self.ros = self._make_ros(options, host, passage)
             self._log = RosLog(self.ros.log)
             if not self._all_built:
                 self.gateway.has_subscriber = self._has_subscriber
@@ -205,6 +202,31 @@ class Bridge:
         self._passage: BridgePassage | None = None
         if passage:
             self._passage = BridgePassage(passage, self.gateway, self.tcp, self.ros, on_passed or _ignore)
+
+    def _make_ros(self, options: BridgeOptions, host: NodeHost | None, passage: Passage | None) -> RosSide:
+        """Return the ROS side over the middleware of the options."""
+        name, message, wants = options.node_name, self._from_ros, self.subscription_for
+        note, listener = self._on_edge_note, self._on_first_subscriber
+        if options.zenoh is None:
+            return RosEdge(
+                node_name=name,
+                on_message=message,
+                wants=wants,
+                on_note=note,
+                on_listener=listener,
+                host=host,
+                passage=passage,
+            )
+        from igtl_gateway.edges.zenoh.edge import ZenohEdge  # here: it needs an extra
+
+        return ZenohEdge(
+            node_name=name,
+            on_message=message,
+            wants=wants,
+            on_note=note,
+            on_listener=listener,
+            endpoint=options.zenoh,
+        )
 
     def start(self, *, active: bool = True) -> None:
         """Open both sides and the recording.
@@ -235,7 +257,7 @@ class Bridge:
 
                 self.recorder = Recorder(
                     self.options.record,
-                    session_facts(self.gateway.config),
+                    session_facts(self.gateway.config, over_zenoh=self.options.zenoh is not None),
                     qos_of=lambda topic, ros_type: self.gateway.qos(topic) or self._subscription(topic, ros_type),
                     on_note=self._on_edge_note,
                     clock=self._clock,
@@ -265,7 +287,7 @@ class Bridge:
             self.stop()
             raise
 
-    def _publish_initial_state(self, ros: RosEdge) -> None:
+    def _publish_initial_state(self, ros: RosSide) -> None:
         """Advertise the topics and services that exist from the start: links, /tf, diagnostics, commands."""
         ros.advertise(LINKS_TOPIC, LinkStatusList.TYPE, self.gateway.qos(LINKS_TOPIC) or _RECORDED)
         if self.gateway.config.publish_tf:
@@ -509,17 +531,19 @@ def state_rule(config: Config) -> StateInputRule:
     return StateInputRule(frozenset({LINKS_TOPIC}), commands, mixed, tuple(robots), to_robots)
 
 
-def session_facts(config: Config) -> dict[str, str]:
+def session_facts(config: Config, *, over_zenoh: bool = False) -> dict[str, str]:
     """Return the metadata of a recording: configuration, versions, host."""
+    rmw = "rmw_zenoh_cpp" if over_zenoh else os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
+    packages = ("mcap", "numpy", "rosbags", "fastcrc", "eclipse-zenoh" if over_zenoh else "ros-jazzy-rclpy")
     return {
         "igtl_gateway_version": __version__,
         "config": json.dumps(config.to_dict(), sort_keys=True),
         "python": platform.python_version(),
         "platform": platform.platform(),
         "host": platform.node(),
-        "packages": json.dumps(_versions(("mcap", "numpy", "rosbags", "fastcrc", "ros-jazzy-rclpy")), sort_keys=True),
+        "packages": json.dumps(_versions(packages), sort_keys=True),
         "ros_domain_id": os.environ.get("ROS_DOMAIN_ID", "0"),
-        "rmw_implementation": os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp"),
+        "rmw_implementation": rmw,
         "command": " ".join(sys.argv),
     }
 

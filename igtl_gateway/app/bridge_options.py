@@ -13,7 +13,16 @@ from igtl_gateway.edges.reserved import ReservedPorts
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from igtl_gateway.edges.video import VideoOptions
 from igtl_gateway.errors import ConfigError
-from igtl_gateway.notations import DEFAULT_HOST, DEFAULT_PORT, cpus, file_mode, key_value, peer_address, size_by_type
+from igtl_gateway.notations import (
+    DEFAULT_HOST,
+    DEFAULT_PORT,
+    cpus,
+    file_mode,
+    key_value,
+    peer_address,
+    ros_middleware,
+    size_by_type,
+)
 from igtl_gateway.realtime import RealtimeOptions
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.selection import Selection
@@ -61,6 +70,7 @@ def bridge_options(
         listen,
         connect,
         ros=ros,
+        zenoh=ros_middleware(values["ros"]),
         record=Path(values["record"]) if values["record"] else None,
         record_topics=("**",) if values["record_all"] else tuple(values["record_topics"]),
         allow=tuple(values["allow"]),

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from igtl_gateway.clock import Clock, SystemClock
-from igtl_gateway.edges.ros.edge import RosEdge
+from igtl_gateway.edges.interface import RosSide
 from igtl_gateway.edges.tcp import TcpEdge
 from igtl_gateway.gateway import Gateway
 from igtl_gateway.gateway.core import is_kept
@@ -34,7 +34,7 @@ class BridgePassage:
         on_passed: see ``OnPassed``.
     """
 
-    def __init__(self, passage: Passage, gateway: Core, tcp: TcpEdge, ros: RosEdge | None, on_passed: OnPassed) -> None:
+    def __init__(self, passage: Passage, gateway: Core, tcp: TcpEdge, ros: RosSide | None, on_passed: OnPassed) -> None:
         self._passage = passage
         self._tcp = tcp
         self._ros = ros

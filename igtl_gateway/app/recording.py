@@ -6,7 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import TimeoutError as NotYetError
 from typing import TYPE_CHECKING, Any
 
-from igtl_gateway.edges.ros.edge import RosEdge
+from igtl_gateway.edges.interface import RosSide
 
 if TYPE_CHECKING:
     from igtl_gateway.record.recorder import Recorder
@@ -18,7 +18,7 @@ PAUSE, RESUME, SNAPSHOT = "~/pause_recording", "~/resume_recording", "~/snapshot
 _SNAPSHOT_S = 60.0
 
 
-def serve_recording(ros: RosEdge, recorder: Recorder) -> None:
+def serve_recording(ros: RosSide, recorder: Recorder) -> None:
     """Create the services of this recording: ``~/snapshot`` for a snapshot buffer, else pause and resume."""
     if recorder.options.snapshot_s:
         ros.serve(SNAPSHOT, TYPE, lambda _request, response: _answer(response, lambda: snapshot(recorder)))

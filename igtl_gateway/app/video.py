@@ -13,7 +13,7 @@ from igtl_gateway.app.hub import Hub
 from igtl_gateway.config import Config
 from igtl_gateway.convert.common_msgs import CompressedImage
 from igtl_gateway.convert.rosmsg import Image
-from igtl_gateway.edges.ros.edge import RosEdge
+from igtl_gateway.edges.interface import RosSide
 from igtl_gateway.edges.video import VideoDecoder, VideoEncoder, VideoOptions
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
@@ -33,7 +33,7 @@ class VideoCodecs:
         ros: publishes the decoded images.
     """
 
-    def __init__(self, options: VideoOptions, config: Config, hub: Hub, ros: RosEdge) -> None:
+    def __init__(self, options: VideoOptions, config: Config, hub: Hub, ros: RosSide) -> None:
         self._config = config
         self._ros = ros
         self._encoder = VideoEncoder(options, on_frame=hub.ros, on_note=hub.note)

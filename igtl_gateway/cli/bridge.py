@@ -30,7 +30,7 @@ from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.errors import ConfigError, ViewerError
 from igtl_gateway.extras import missing
 from igtl_gateway.faults import RelayFaults
-from igtl_gateway.notations import address
+from igtl_gateway.notations import DDS, address, ros_middleware
 from igtl_gateway.stamp import NS_PER_S
 
 if TYPE_CHECKING:
@@ -54,6 +54,8 @@ EXAMPLES = """\
   igtl-gateway bridge --send /camera/image_raw=Camera
   # send the pose of a robot's tool as device tool0Tobase_link
   igtl-gateway bridge --tf-out tool0:base_link
+  # join a ROS graph with rmw_zenoh, on any system and without ROS
+  igtl-gateway bridge --ros zenoh:tcp/robot:7447
   # send images as encoded VIDEO
   igtl-gateway bridge --video-codec h264
   # show the session live in rerun
@@ -99,7 +101,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("peers and messages")
     add_settings(group, "profile", "peers", "to_igtl", "tf_out", "to_ros")
     group = parser.add_argument_group("ROS")
-    add_settings(group, "publish_tf")
+    add_settings(group, "ros", "publish_tf")
     group.add_argument("--no-ros", action="store_true", help="run without ROS, for OpenIGTLink only")
     group.add_argument(
         "--node-name", default="igtl_gateway", metavar="NAME", help="name of the ROS node " + default("igtl_gateway")
@@ -152,7 +154,7 @@ def run(options: argparse.Namespace) -> int:
     plan = _Plan(options)
     problems: deque[str] = deque()  # of transitions
     with stop_event() as stop:
-        notes = prepare_environment() if plan.ros else [tune_malloc()]
+        notes = prepare_environment() if plan.has_host else [tune_malloc()]
 
         def make(host: NodeHost | None, number: int) -> BridgeSession:
             own = options_of_session(plan.how, number)
@@ -161,7 +163,7 @@ def run(options: argparse.Namespace) -> int:
 
         out: BridgeOutput = JsonOutput(clock)
         runner: PlainRunner | ManagedBridge[BridgeSession]
-        if plan.ros:
+        if plan.has_host:
             runner = ManagedBridge(
                 make,
                 options.node_name,
@@ -208,6 +210,7 @@ class _Plan:
 
     Attributes:
         ros: whether there is a node.
+        has_host: whether rclpy has it: then it is a managed node with parameters.
         how: options of the bridge.
         metrics_at: address of ``--metrics``; None: there is none.
         window: of ``--view``, once a session has needed it.
@@ -224,10 +227,21 @@ class _Plan:
                 "--fault: found no --relay, expected it: only a relay has a connection to inject faults into"
             )
         self.ros = not (options.no_ros or values["relay"])
+        over_zenoh = ros_middleware(values["ros"]) is not None
+        if over_zenoh and not self.ros:
+            raise ConfigError(
+                f"--ros {values['ros']}: found --no-ros or --relay, expected neither: they run without ROS"
+            )
+        self.has_host = self.ros and not over_zenoh
         if options.no_autostart and not self.ros:
             raise ConfigError(
                 "--no-autostart: found no ROS, expected it: other nodes configure and activate the bridge"
             )
+        for given, option in ((options.no_autostart, "--no-autostart"), (options.ros_args, "--ros-args")):
+            if given and over_zenoh:
+                raise ConfigError(
+                    f"{option}: found --ros {values['ros']}, expected --ros {DDS}: it needs a node of rclpy"
+                )
         self.window: LiveWindow | None = None
         if not options.ros_args:
             self._take(values)

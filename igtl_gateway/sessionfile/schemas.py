@@ -65,6 +65,19 @@ class RosTypes:
             # a file that is unreadable, or in a dialect that rosbags does not know
             return None
 
+    def service_hash(self, ros_type: str, text: str) -> str:
+        """The REP-2016 hash of the service ``package/srv/Name`` by its ``.srv`` text.
+
+        Raises RecordingError or KeyError for a definition that cannot be read.
+        """
+        for part in definitions.halves(text):
+            for _, fields in definitions.parse_definition(
+                f"{part}\nuint8 x\n", ros_type.replace("/srv/", "/msg/")
+            ).values():
+                for name in definitions.types_of_fields(fields):
+                    self._load(name)
+        return definitions.service_hash(self._types, ros_type, text)
+
     def _load(self, ros_type: str) -> bool:
         """Find the type and all types that it needs."""
         found: dict[str, Any] = {}

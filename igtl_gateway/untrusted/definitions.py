@@ -73,6 +73,42 @@ def type_hash(types: Types, ros_type: str) -> str:
     return store.hash_rihs01(ros_type)
 
 
+def service_hash(types: Types, ros_type: str, text: str) -> str:
+    """Return the RIHS01 hash of a service ``package/srv/Name``, which ROS describes as three nested messages.
+
+    Args:
+        types: all types that its fields need.
+        ros_type: name of the service.
+        text: its ``.srv`` file.
+
+    Raises UnreadableDefinition, DamagedRecording, LimitExceeded; KeyError if a type that it needs is missing.
+    """
+    made = dict(types)
+    for part, body in zip(("Request", "Response"), halves(text), strict=True):
+        name = f"{ros_type}_{part}"
+        as_message = name.replace("/srv/", "/msg/")
+        made[name] = parse_definition(body, as_message)[as_message] if _has_fields(body) else ([], [PLACEHOLDER])
+    info = ("info", (Nodetype.NAME, "service_msgs/msg/ServiceEventInfo"))
+    both = [
+        (name, (Nodetype.SEQUENCE, ((Nodetype.NAME, f"{ros_type}_{part}"), 1)))
+        for name, part in (("request", "Request"), ("response", "Response"))
+    ]
+    made[f"{ros_type}_Event"] = ([], [info, *both])
+    parts = (("request_message", "Request"), ("response_message", "Response"), ("event_message", "Event"))
+    made[ros_type] = ([], [(name, (Nodetype.NAME, f"{ros_type}_{part}")) for name, part in parts])
+    return type_hash(made, ros_type)
+
+
+def halves(text: str) -> tuple[str, str]:
+    """Return request and response of a ``.srv`` file."""
+    request, _, response = f"\n{text}".partition("\n---")
+    return request, response.partition("\n")[2]
+
+
+def _has_fields(text: str) -> bool:
+    return bool(_EMPTY_LINES.sub("", f"{text}\n").strip())
+
+
 def with_dependencies(types: Types, ros_type: str) -> list[str]:
     """Return the type and all its dependencies that ``types`` has."""
     found, wanted = dict.fromkeys([ros_type] if ros_type in types else []), [ros_type]

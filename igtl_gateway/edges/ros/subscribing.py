@@ -106,7 +106,7 @@ class Subscribing:
                 self._reports.refuse("subscribe", topic, type_name, error)
             else:
                 facts = {"type": type_name, **asdict(offered)}
-                text = f"subscribed to {topic}{self._alias(topic)} ({type_name}), {_describe(offered)}"
+                text = f"subscribed to {topic}{self._alias(topic)} ({type_name}), {describe(offered)}"
                 self._reports.note(Level.INFO, "ros_subscribed", text, topic, facts)
 
     def poll_events(self) -> None:
@@ -188,6 +188,7 @@ class Subscribing:
         self._reports.incompatible_qos(topic, "a publisher", policy)
 
 
-def _describe(qos: Qos) -> str:
+def describe(qos: Qos) -> str:
+    """Return a QoS in words."""
     reliability = "reliable" if qos.reliable else "best effort"
     return f"{reliability}{', latched' if qos.latched else ''}, depth {qos.depth}"

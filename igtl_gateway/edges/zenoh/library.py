@@ -1,0 +1,28 @@
+"""zenoh itself, imported when a session opens."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from typing import Any
+
+from igtl_gateway.errors import RosError
+from igtl_gateway.extras import missing
+
+#: Zenoh ends its errors with the place in its source.
+_PLACE = re.compile(r"!?\s+at \S+\.rs:\d+\.?")
+
+
+def import_zenoh() -> Any:
+    """Return the module with its part ``ext``.  Raises RosError if it is missing."""
+    try:
+        zenoh = importlib.import_module("zenoh")
+        importlib.import_module("zenoh.ext")
+    except ImportError as error:
+        raise RosError(missing("zenoh", error)) from error
+    return zenoh
+
+
+def first_line(error: BaseException) -> str:
+    """Return the first line of an error's text, without places in the source of Zenoh."""
+    return _PLACE.sub("", (str(error).strip() or type(error).__name__).splitlines()[0])
