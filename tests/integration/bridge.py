@@ -181,7 +181,7 @@ class Bridge(Program):
 
 
 class RosClient(Program):
-    """A foreign ROS 2 node, see ``ros_client``."""
+    """A foreign ROS 2 node, see ``ros_client``; or another program with its commands, and the arguments of it."""
 
     def __init__(
         self,
@@ -191,14 +191,16 @@ class RosClient(Program):
         advertise: dict[str, str] | None = None,
         domain: int = DOMAIN,
         within: Sequence[str] = (),
+        program: Sequence[str] = ("ros_client.py",),
         **changes: str,
     ) -> None:
         """``subscribe`` and ``advertise``: type by topic, done when this returns; ``within`` as for ``Bridge``."""
         self._answers: queue.Queue[dict[str, Any]] = queue.Queue()
         self._pending: list[tuple[str, Any]] = []
-        script = str(Path(__file__).with_name("ros_client.py"))
+        script, *arguments = program
+        script = str(Path(__file__).with_name(script))
         env = environment(ROS_DOMAIN_ID=str(domain), **changes)
-        super().__init__([*within, sys.executable, script, name], env, stdin=subprocess.PIPE)
+        super().__init__([*within, sys.executable, script, *arguments, name], env, stdin=subprocess.PIPE)
         for topic, kind in (subscribe or {}).items():
             self.subscribe(topic, kind)
         for topic, kind in (advertise or {}).items():
