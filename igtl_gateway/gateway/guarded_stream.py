@@ -29,6 +29,9 @@ STILL_LOOKS = 20
 _LEAST_FACTOR, _MOST_FACTOR = 500.0, 2_000.0
 _SAME_DIRECTION = 0.99
 
+#: A time that does not come; the largest number of 64 bits.
+NEVER_NS = (1 << 63) - 1
+
 STALE, FRESH, AGE_UNKNOWN = "stale", "fresh", "age_unknown"
 JUMP, BACKWARDS, STILL, FUTURE = "unit_jump", "stamp_backwards", "stamp_still", "stamp_future"
 #: Code of the note for the end of an episode of one of the last four.
@@ -45,8 +48,9 @@ _WORDS = {
 
 Place = tuple[float, float, float]
 #: Watched, judged by Python only, reported as without a stamp, maximum age, ``ahead_ns``, stamp of the last message,
-#: ``look_ns``, time of the next check, stamp and time of the last check, checks with that stamp, translation then.
-NativeState = tuple[bool, bool, bool, int, int, int, int, int, int, int, int, Place | None]
+#: ``look_ns``, time of the next check, time after which the next episode ends (``NEVER_NS``: there is none), stamp and
+#: time of the last check, checks with that stamp, translation then.
+NativeState = tuple[bool, bool, bool, int, int, int, int, int, int, int, int, int, Place | None]
 #: Level, code and text of a note.
 Remark = tuple[Level, str, str]
 
@@ -112,13 +116,14 @@ class GuardedStream:
         """Return what the native passage needs to judge messages that give no reason for a remark."""
         return (
             self._watch,
-            bool(self.stale or self.episodes),
+            bool(self.stale),
             self._unknown_said,
             self.max_age_ns,
             self.ahead_ns,
             self.last_ns,
             self.look_ns,
             self._due_ns,
+            min((last_ns + EPISODE_NS for _, last_ns, _ in self.episodes.values()), default=NEVER_NS),
             self._seen_ns,
             self.arrived_ns,
             self._still,

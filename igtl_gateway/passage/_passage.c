@@ -242,9 +242,10 @@ static void count_times(Passage *self, int direction, int64_t begun_ns, int64_t 
 typedef struct {
     PyObject_HEAD
     char is_dirty;                  /* messages have changed it since the last collection */
-    char watches, judged_by_python; /* the latter: an episode, a stale stream … */
+    char watches, judged_by_python; /* the latter: a stale stream */
     char has_place, knows_age;
     int64_t max_age_ns, ahead_ns, last_ns, look_ns, due_ns, seen_ns, arrived_ns;
+    int64_t episode_ends_ns; /* after it, Python ends an episode of an oddity, whose other messages pass */
     int64_t still;
     double place[3];
     int observed; /* stamp (0: unset) and time of arrival of the looks that Python has not added to its timing */
@@ -328,7 +329,7 @@ static int passes_guard(Guard *guard, int64_t now_ns, int64_t stamp_ns, const do
             int64_t still = stamp_ns == guard->seen_ns ? guard->still + 1 : 0;
             if (stamp_ns != now_ns && stamp_ns - now_ns + guard->ahead_ns > FUTURE_NS)
                 return 0;
-            if (still >= STILL_LOOKS || guard->observed == OBSERVATIONS)
+            if (still >= STILL_LOOKS || guard->observed == OBSERVATIONS || now_ns > guard->episode_ends_ns)
                 return 0;
             if (place && guard->has_place && might_jump(guard->place, place))
                 return 0;
@@ -1049,17 +1050,17 @@ static PyObject *guard_collect(Guard *guard, PyObject *nothing)
 static PyObject *guard_set(Guard *guard, PyObject *args)
 {
     int watches, judged, knows_age;
-    long long max_age_ns, ahead_ns, last_ns, look_ns, due_ns, seen_ns, arrived_ns, still;
+    long long max_age_ns, ahead_ns, last_ns, look_ns, due_ns, episode_ends_ns, seen_ns, arrived_ns, still;
     PyObject *place;
-    if (!PyArg_ParseTuple(args, "pppLLLLLLLLO", &watches, &judged, &knows_age, &max_age_ns, &ahead_ns, &last_ns, &look_ns,
-                          &due_ns, &seen_ns, &arrived_ns, &still, &place))
+    if (!PyArg_ParseTuple(args, "pppLLLLLLLLLO", &watches, &judged, &knows_age, &max_age_ns, &ahead_ns, &last_ns, &look_ns,
+                          &due_ns, &episode_ends_ns, &seen_ns, &arrived_ns, &still, &place))
         return NULL;
     guard->has_place = place != Py_None;
     if (guard->has_place && !PyArg_ParseTuple(place, "ddd", guard->place, guard->place + 1, guard->place + 2))
         return NULL;
     guard->watches = (char)watches, guard->judged_by_python = (char)judged, guard->knows_age = (char)knows_age;
     guard->max_age_ns = max_age_ns, guard->ahead_ns = ahead_ns, guard->last_ns = last_ns, guard->look_ns = look_ns;
-    guard->due_ns = due_ns, guard->seen_ns = seen_ns, guard->arrived_ns = arrived_ns, guard->still = still;
+    guard->due_ns = due_ns, guard->episode_ends_ns = episode_ends_ns, guard->seen_ns = seen_ns, guard->arrived_ns = arrived_ns, guard->still = still;
     Py_RETURN_NONE;
 }
 

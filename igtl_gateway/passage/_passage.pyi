@@ -34,6 +34,7 @@ class Guard:
         last_ns: int,
         look_ns: int,
         due_ns: int,
+        episode_ends_ns: int,
         seen_ns: int,
         arrived_ns: int,
         still: int,

@@ -30,7 +30,7 @@ from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.rosmsg import Header, TransformStamped
 from igtl_gateway.edges.tcp import PeerLimits
-from igtl_gateway.gateway import Session, make_core
+from igtl_gateway.gateway import Session, guarded_stream, make_core
 from igtl_gateway.gateway.live_settings import LiveSettings
 from igtl_gateway.passage import is_compiled
 from igtl_gateway.record.options import RecordOptions
@@ -710,4 +710,39 @@ def test_a_latched_or_guarded_topic_is_judged_by_python(monkeypatch: pytest.Monk
             here.send_ros(jump)
     notes = [Note.unpack(entry.data()) for entry in entries_of(path) if entry.kind is Kind.NOTE]
     assert [note.code for note in notes if note.code == "unit_jump"] == ["unit_jump"]
+    check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+
+
+def test_messages_pass_natively_while_an_oddity_of_their_stream_is_recent(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(guarded_stream, "EPISODE_NS", NS_PER_S)
+    path = tmp_path / "session.mcap"
+    with scene(monkeypatch, path=path) as here:
+        peer = here.connect()
+        link = here.bridge.tcp.native_link(1)
+        assert link
+
+        def send(number: int, stamp_ns: int) -> int:
+            """Return how many of the messages passed natively."""
+            wait_for(lambda: not here.native or link.is_native)
+            before, received = link.received_messages, here.received("igtl_in")
+            peer.send(transform(number, stamp_ns))
+            wait_for(lambda: here.received("igtl_in") == received + 1)
+            return int(link.received_messages - before)
+
+        begin_ns = time.time_ns()
+        while not here.native:
+            send(0, begin_ns)
+        send(1, begin_ns)
+        assert not send(2, begin_ns - NS_PER_S)  # Python begins the episode
+        assert sum(send(number, time.time_ns()) for number in range(3, 13)) == 10
+        until = time.monotonic() + TIMEOUT_S
+        while send(13, time.time_ns()):  # until Python ends it
+            assert time.monotonic() < until, "the episode does not end"
+            time.sleep(0.02)
+        assert send(14, time.time_ns())
+    notes = [Note.unpack(entry.data()) for entry in entries_of(path) if entry.kind is Kind.NOTE]
+    odd = [note.code for note in notes if note.code in guarded_stream.CODES]
+    assert odd == [guarded_stream.BACKWARDS, guarded_stream.CALM]
     check_recording(path, here.bridge.gateway.config, here.bridge.losses)
