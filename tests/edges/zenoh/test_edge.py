@@ -30,7 +30,9 @@ DOMAIN = 7
 class Side:
     """An edge, and what it has reported."""
 
-    def __init__(self, port: int, topics: tuple[str, ...] = (), depth: int = 10, name: str = "igtl_gateway") -> None:
+    def __init__(
+        self, port: int, topics: tuple[str, ...] = (), depth: int = 10, name: str = "igtl_gateway", scheme: str = "tcp"
+    ) -> None:
         self.messages: list[tuple[str, str, bytes, int]] = []
         self.notes: list[Note] = []
         self.heard: list[str] = []
@@ -41,7 +43,7 @@ class Side:
             wants=lambda topic, _type: Qos(depth) if topic in topics else None,
             on_note=lambda note: self._add(self.notes, note),
             on_listener=lambda topic: self._add(self.heard, topic),
-            endpoint=f"tcp/127.0.0.1:{port}",
+            endpoint=f"{scheme}/127.0.0.1:{port}",
         )
 
     def _add(self, to: list[Any], item: object) -> None:
