@@ -18,7 +18,7 @@ from igtl_gateway.errors import RosError
 from igtl_gateway.session.note import Level
 
 #: Longest attempt to open the session, and the pause before the next.
-_ATTEMPT_MS = 2000
+ATTEMPT_MS = 2000
 RETRY_NS = 1_000_000_000
 #: Changes of links that are not noted yet.
 _CHANGES = 1000
@@ -60,7 +60,7 @@ class Connection:
         """Read the configuration.  Raises RosError without Zenoh, ConfigError for a wrong configuration."""
         self.zenoh = import_zenoh()
         self._config = session_config(self._endpoint)
-        self._config.insert_json5("connect/timeout_ms", json.dumps(_ATTEMPT_MS))
+        self._config.insert_json5("connect/timeout_ms", json.dumps(ATTEMPT_MS))
         self._places = ", ".join(endpoints_of(self._config)) or str(value_of(self._config, "mode"))
 
     @property

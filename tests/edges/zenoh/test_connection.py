@@ -128,7 +128,7 @@ def test_access_control(port: int, sides: ExitStack, monkeypatch: pytest.MonkeyP
         assert viewer.edge.count_if_unsubscribed("/in")
         assert robot.edge.subscriptions() == []
     for side in (robot, viewer):
-        side.wait(lambda side=side: "zenoh_lost" in side.codes())
+        side.wait_code("zenoh_lost")
         side.edge.stop()
     assert viewer.edge.counters()["/in"] == counts(published=1, unheard=1)
     assert robot.messages == []

@@ -55,6 +55,9 @@ class Side:
         with self.changed:
             assert self.changed.wait_for(condition, timeout_s), (self.messages, self.notes, self.edge.counters())
 
+    def wait_code(self, code: str) -> None:
+        self.wait(lambda: code in self.codes())
+
     def codes(self) -> list[str]:
         return [note.code for note in self.notes]
 
@@ -62,6 +65,7 @@ class Side:
 @pytest.fixture
 def port(monkeypatch: pytest.MonkeyPatch) -> int:
     monkeypatch.setenv("ROS_DOMAIN_ID", str(DOMAIN))
+    monkeypatch.setattr("igtl_gateway.edges.zenoh.connection.ATTEMPT_MS", 300)
     return free_port()
 
 
