@@ -60,6 +60,9 @@ replay and verification use the settings of the recorded session.
     [host]                         # scheduling of a bridge on this machine; not recorded
     realtime_priority = 20
 
+    [record]                       # what is done with closed recordings; not recorded
+    retention = "30 d, 200 GB"
+
 Rows may override ros_unit, igtl_unit, stamp and, as ``qos = { depth = 10, reliable = true, latched = false }``,
 the quality of service.  By default, the messages of a device are published on ``/igtl/in/<device>/<kind>``, and ROS
 messages on topics below ``/igtl/out/`` are sent to the peers.
@@ -91,6 +94,7 @@ from igtl_gateway.settings import (
     IGTL,
     PROFILE_NAMES,
     RECEIVE,
+    RECORD,
     SOURCE,
     STAMP_POLICIES,
     TYPE_NAMES,
@@ -373,12 +377,12 @@ class Config:
     def from_toml(cls, path: Path) -> Config:
         """Read a TOML file.  Raises ConfigError with file and setting."""
         document = read_toml(path)
-        for table in (IGTL, HOST):
+        for table in (IGTL, HOST, RECORD):
             document.pop(table, None)
         gateway = document.pop("gateway", {})
         if unknown := set(document) - _TABLES:
             expected = ", ".join(f"[[{name}]]" for name in sorted(_TABLES))
-            tables = f"[gateway], [{HOST}], [{IGTL}]"
+            tables = f"[gateway], [{HOST}], [{IGTL}], [{RECORD}]"
             raise ConfigError(f"{path}: found [{sorted(unknown)[0]}], expected {tables}, {expected}")
         if not isinstance(gateway, dict):
             raise ConfigError(f"{path}: found gateway = {gateway!r}, expected a table [gateway]")

@@ -6,6 +6,8 @@ Each function returns the value of a string, or raises ConfigError with what it 
 from __future__ import annotations
 
 import ipaddress
+import re
+from dataclasses import dataclass
 
 from igtl_gateway.errors import ConfigError
 
@@ -15,6 +17,13 @@ DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 18944
 DDS, ZENOH = "dds", "zenoh"
 ZENOH_ENDPOINT = "tcp/localhost:7447"
 
+#: Units of an age in seconds, and of a size in bytes.
+_AGES = {"h": 3600, "d": 86_400, "w": 7 * 86_400}
+_SIZES = {"MB": 10**6, "GB": 10**9, "TB": 10**12, "MiB": 1 << 20, "GiB": 1 << 30, "TiB": 1 << 40}
+#: Longest age, a hundred years, and largest size, an exabyte.
+_MOST_AGE_S, _MOST_BYTES = 36_525 * 86_400, 10**18
+_QUANTITY = re.compile(r"([0-9]{1,15}(?:\.[0-9]{1,9})?) ?([A-Za-z]+)")
+
 _LAST_CPU = 8191  # of any Linux
 
 
@@ -22,6 +31,21 @@ class PeerAddress(tuple[str, int]):
     """Host and port; ``scheme`` is ``"tls"``, ``"tcp"`` or ``""``."""
 
     scheme = ""
+
+
+@dataclass(frozen=True, slots=True)
+class RetentionRule:
+    """Which recordings are deleted.
+
+    Attributes:
+        text: as it was written.
+        age_s: those that were closed longer ago, seconds; 0: of any age are kept.
+        size: the oldest, while all together are larger than this, bytes; 0: any size is kept.
+    """
+
+    text: str
+    age_s: int = 0
+    size: int = 0
 
 
 def address(text: str) -> tuple[str, int]:
@@ -130,3 +154,31 @@ def cpus(text: str) -> frozenset[int]:
             raise ConfigError(f"found {part.strip()!r}, expected CPUs in ascending order, up to {_LAST_CPU}")
         found.update(range(begin, end + 1))
     return frozenset(found)
+
+
+def retention(text: str) -> RetentionRule:
+    """Parse a retention such as ``30 d, 200 GB``: an age, a size, or both."""
+    age_s = size = 0
+    for part in text.split(","):
+        found = _QUANTITY.fullmatch(part.strip())
+        number, unit = found.groups() if found else ("", "")
+        if unit in _AGES and not age_s:
+            age_s = _quantity(part, number, _AGES[unit], _MOST_AGE_S, "at most 36525 d")
+        elif unit in _SIZES and not size:
+            size = _quantity(part, number, _SIZES[unit], _MOST_BYTES, "at most 1000000 TB")
+        else:
+            second = " once" if unit in _AGES or unit in _SIZES else ""
+            raise ConfigError(
+                f"found {part.strip()!r} in {text!r}, expected an age ({', '.join(_AGES)}) or a size "
+                f"({', '.join(_SIZES)}){second}, such as 30 d, 200 GB"
+            )
+    return RetentionRule(text, age_s, size)
+
+
+def _quantity(part: str, number: str, unit: int, most: int, most_text: str) -> int:
+    value = round(float(number) * unit)
+    if value < 1:
+        raise ConfigError(f"found {part.strip()!r}, expected more than 0")
+    if value > most:
+        raise ConfigError(f"found {part.strip()!r}, expected {most_text}")
+    return value

@@ -20,8 +20,9 @@ from igtl_gateway.convert.table import TO_ROS
 from igtl_gateway.convert.units import UNITS
 from igtl_gateway.errors import ConfigError
 
-#: Tables of a configuration file: what influences messages, which is recorded; the OpenIGTLink side; the host.
-GATEWAY, IGTL, HOST = "gateway", "igtl", "host"
+#: Tables of a configuration file: what influences messages, which is recorded; the OpenIGTLink side; the host; closed
+#: recordings.
+GATEWAY, IGTL, HOST, RECORD = "gateway", "igtl", "host", "record"
 #: No table: such a setting is an option and a parameter.
 NONE = ""
 #: The setting is a table of a file itself: one row of messages for each ``[[to_igtl]]``.
@@ -60,7 +61,7 @@ class Setting:
         name: key in the file, and name of the parameter.
         default: value without a setting; its type is that of the setting, a tuple is a list of strings.
         about: what it does, as the help of its option; options in it become parameters in the descriptor.
-        table: table of the file: ``GATEWAY``, ``IGTL``, ``HOST``, ``NONE`` or ``ROWS``.
+        table: table of the file: ``GATEWAY``, ``IGTL``, ``HOST``, ``RECORD``, ``NONE`` or ``ROWS``.
         option: its option; None: by the name; "": it has none.
         metavar: placeholder of its value on the command line.
         unit: of the value.
@@ -532,6 +533,15 @@ SETTINGS: tuple[Setting, ...] = (
         "",
         "sign the recording with this private key (Ed25519, PEM) while it is written; `keys new` makes one",
         metavar="KEY",
+    ),
+    Setting(
+        "retention",
+        "",
+        "delete closed recordings in the directory of FILE, the oldest first: by age (h, d, w), by size of all "
+        "(MB, GB, TB, MiB, GiB, TiB) or by both, such as '30 d, 200 GB'",
+        RECORD,
+        metavar="RULE",
+        reads=notations.retention,
     ),
     Setting(
         "on_record_failure",

@@ -61,6 +61,7 @@ LEVELS = {
     "edges.zenoh": 4,
     "edges.tcp": 4,
     "exchange": 4,
+    "keeping": 4,  # retention and upload of closed recordings
     "realtime": 4,
     "record": 4,
     "replay": 4,
@@ -107,7 +108,8 @@ SIBLINGS: dict[str, str | tuple[str, ...]] = {
     "doctor": "realtime",  # which permissions a process has
     "edges.zenoh": ("edges.ros", "sessionfile", "ros_interfaces"),  # reports and graph; definitions, as in recordings
     "exchange": "sessionfile",
-    "record": "sessionfile",
+    "keeping": "sessionfile",
+    "record": ("keeping", "sessionfile"),
     "replay": "sessionfile",
     "view": "child",
 }

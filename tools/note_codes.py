@@ -127,6 +127,10 @@ NOTES: dict[str, dict[str, str]] = {
         "record_paused": "the recording is paused",
         "record_resumed": "the recording continues; what it left out",
         "record_snapshot": "the last seconds are in a file",
+        "retention_deleted": "the retention deleted closed recordings; the text has how many, the data their names",
+        "retention_kept": "the retention keeps a recording that it would delete; the text has the reason",
+        "retention_clock": "ages do not count at present, because the clock is not credible",
+        "retention_failed": "the retention deletes nothing; the text has the reason",
         "unreadable_note": "a note of the file cannot be read",
     },
     "The session": {

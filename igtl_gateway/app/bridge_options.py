@@ -20,6 +20,7 @@ from igtl_gateway.notations import (
     file_mode,
     key_value,
     peer_address,
+    retention,
     ros_middleware,
     size_by_type,
 )
@@ -40,6 +41,7 @@ _OF_A_RECORDING = (
     "split_duration",
     "snapshot",
     "seal",
+    "retention",
 )
 
 
@@ -161,6 +163,7 @@ def record_options(values: Mapping[str, Any]) -> RecordOptions:
         custom=tuple(map(key_value, values["custom_data"])),
         file_mode=file_mode(values["file_mode"]),
         seal=Path(values["seal"]) if values["seal"] else None,
+        retention=retention(values["retention"]) if values["retention"] else None,
     )
 
 

@@ -18,6 +18,7 @@ from igtl_gateway.settings import (
     GATEWAY,
     HOST,
     IGTL,
+    RECORD,
     ROWS,
     SETTINGS,
     Value,
@@ -61,7 +62,7 @@ def of_file(path: Path) -> dict[str, Any]:
         del values["watch"]
     document = read_toml(path)
     try:
-        for name, spelled in ((IGTL, _spelled_igtl), (HOST, dict)):
+        for name, spelled in ((IGTL, _spelled_igtl), (HOST, dict), (RECORD, dict)):
             table = document.get(name, {})
             if not isinstance(table, Mapping):
                 raise ConfigError(f"found {name} = {table!r}, expected a table [{name}]")

@@ -24,7 +24,7 @@ CODES = frozenset({
     *"zenoh_connected zenoh_lost zenoh_left zenoh_no_router".split(),
     *"video_drop video_refused video_failed record_drop record_failed record_refused record_undefined".split(),
     *"record_thread record_paused record_resumed record_snapshot fault fault_disconnect synthetic".split(),
-    *"stamps_corrected deidentified".split(),
+    *"retention_deleted retention_kept retention_clock retention_failed stamps_corrected deidentified".split(),
 })  # fmt: skip
 OTHER = "other"
 _ROLES = frozenset({"server", "client"})

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from igtl_gateway.notations import RetentionRule
 from igtl_gateway.record.selection import Selection
 from igtl_gateway.sessionfile.layout import CHUNK_BYTES
 
@@ -44,6 +45,7 @@ class RecordOptions:
         custom: keys and values of the user for the metadata of the recording.
         file_mode: mode of the files; directories may also be entered by those who may read files.
         seal: file of the private key that seals the recording; None: it is not sealed.
+        retention: which recordings in the folder of this one are deleted; None: none.
     """
 
     compression: Compression = "lz4"
@@ -62,3 +64,4 @@ class RecordOptions:
     custom: tuple[tuple[str, str], ...] = ()
     file_mode: int = 0o600
     seal: Path | None = None
+    retention: RetentionRule | None = None

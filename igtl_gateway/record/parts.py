@@ -41,6 +41,7 @@ class PartsWriter:
         max_bytes, max_s: a part ends when it has this size or duration; 0: never.
         overwrite: replace an existing split recording.
         counters: of the recorder so far, for the ledger of a part that is not the last.
+        on_closed: called when a part is closed.
 
     Raises RecordingError when the folder or the first part cannot be created.
     """
@@ -55,7 +56,9 @@ class PartsWriter:
         max_s: float,
         overwrite: bool,
         counters: Callable[[], dict[str, Any]],
+        on_closed: Callable[[], None] = lambda: None,
     ) -> None:
+        self._on_closed = on_closed
         self.path = parts_folder(path)
         self._open_part = open_part
         self._prologue = prologue
@@ -125,9 +128,14 @@ class PartsWriter:
                 self._parts.append(
                     RecordingPart(part.path, part.start_ns, part.end_ns, part.entries, tuple(part.topics()), size)
                 )
-            write_side_file(self.path, self._parts)
+            self.update_side_file()
         except OSError as error:
             raise RecordingError(f"recording to {self.path} failed: {error.strerror or error}") from error
+        self._on_closed()
+
+    def update_side_file(self) -> None:
+        """Write the side file: it names the closed parts that are still there.  Raises OSError."""
+        write_side_file(self.path, [part for part in self._parts if part.path.exists()])
 
 
 def _make_folder(folder: Path, overwrite: bool) -> None:

@@ -21,11 +21,13 @@ from typing import Any
 
 from igtl_gateway.clock import Clock
 from igtl_gateway.errors import ConfigError, DiskRefused, RecordingError, Unavailable
+from igtl_gateway.keeping.side_files import update_side_file
 from igtl_gateway.once import Once
 from igtl_gateway.qos import Qos
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.parts import PartsWriter
 from igtl_gateway.record.prologue import Prologue
+from igtl_gateway.record.retaining import RetentionThread
 from igtl_gateway.record.ring import Ring
 from igtl_gateway.record.selection import MAX_STREAMS, OTHERS, SelectionFilter, StateInputRule
 from igtl_gateway.record.shared_queue import LARGE_BYTES, QueueReader
@@ -240,6 +242,9 @@ class _RecorderWorker:
             if self.options.stop_on_failure:
                 raise
             self._writer = _NullWriter(settings.path, str(error))
+        self._retention: RetentionThread | None = None
+        if self.options.retention and not isinstance(self._writer, _NullWriter):
+            self._retention = RetentionThread(settings.path, self.options, clock)
         self._row_writer: SessionWriter | None = None
         if isinstance(self._writer, SessionWriter) and self._writer.takes_rows(LARGE_BYTES):
             self._row_writer = self._writer
@@ -264,6 +269,7 @@ class _RecorderWorker:
                 max_s=options.split_s,
                 overwrite=options.overwrite,
                 counters=self._counters,
+                on_closed=self._apply_retention,
             )
         return self._open_file(path, {}, ())
 
@@ -286,6 +292,7 @@ class _RecorderWorker:
         """Write what comes, until the end."""
         if isinstance(self._writer, _NullWriter):
             self._fail(self._writer.why)
+        self._apply_retention()
         while self._ledger is None and not self._gone:
             self._guarded(self._run_once)
         self._set_hurried(True)
@@ -456,6 +463,7 @@ class _RecorderWorker:
         self._seen_refused = self._queue.refused
         self._flush_if_due(now_ns)
         self._report_drops(now_ns)
+        self._report_retention()
         if now_ns - self._stated_ns >= _LOOK_NS:
             self._stated_ns = now_ns
             self._send_state()
@@ -540,6 +548,7 @@ class _RecorderWorker:
             self._send("snapshot", number, None, str(error))
             return
         seconds = f"{self.options.snapshot_s:g}"
+        self._apply_retention()
         self._note(Note(Level.INFO, SNAPSHOT, f"the last {seconds} s are in {path}", data={"path": str(path)}))
         self._send("snapshot", number, path, "")
 
@@ -572,6 +581,18 @@ class _RecorderWorker:
         text = f"the disk is too slow: {untold.total()} entries of {len(untold)} streams are not in the recording"
         self._note(Note(Level.WARN, DROPPED, text, data={"dropped": dict(sorted(untold.items()))}))
 
+    def _apply_retention(self) -> None:
+        """Have the retention make a pass now, in its thread."""
+        if self._retention:
+            self._retention.wake()
+
+    def _report_retention(self) -> None:
+        for note in self._retention.take() if self._retention else ():
+            self._note(note)
+        if self._retention and self._retention.has_deleted_parts() and isinstance(self._writer, PartsWriter):
+            with suppress(OSError):  # the next part writes it again
+                self._writer.update_side_file()
+
     def _fail(self, text: str) -> None:
         """The end of the recording, not of the bridge."""
         if not self._failure:
@@ -591,7 +612,12 @@ class _RecorderWorker:
             self._writer.close(ledger)
         except (RecordingError, OSError) as error:
             self._fail(str(error))
-        files = self._writer.files
+        if self._retention:
+            self._retention.stop()
+            self._report_retention()
+            if isinstance(self._writer, PartsWriter):
+                update_side_file(self._writer.path)
+        files = [path for path in self._writer.files if path.exists()]
         summary = RecordingSummary(
             self._writer.path,
             sum(map(_size, files)),

@@ -61,8 +61,8 @@ class Summary:
         return self.start or self.end
 
 
-def read_summary(stream: IO[bytes], size: int, place: str) -> Summary:
-    """The summary section of a file of ``size`` bytes.  Raises Malformed, LimitExceeded."""
+def read_summary(stream: IO[bytes], size: int, place: str, most: int | None = None) -> Summary:
+    """The summary section of a file of ``size`` bytes, of at most ``most``.  Raises Malformed, LimitExceeded."""
     end = size - FOOTER_RECORD.size
     if end < len(MAGIC):
         raise NoEnd("found no room for a footer")
@@ -74,7 +74,7 @@ def read_summary(stream: IO[bytes], size: int, place: str) -> Summary:
     if (opcode, length) != (records.FOOTER, records.FOOTER_LENGTH) or start > end or 0 < start < len(MAGIC):
         raise Malformed("its footer is damaged")
     begin = start or end
-    limits.check_limit("memory", end - begin, f"{place}: summary")
+    limits.check_limit("memory", end - begin, f"{place}: summary", most)
     stream.seek(begin)
     data = stream.read(end - begin)
     if crc and (found := records.crc32(footer[:FOOTER_COVERED], records.crc32(data))) != crc:
@@ -105,6 +105,21 @@ def read_index(path: Path, stream: IO[bytes]) -> Index:
     except OSError as error:
         raise DamagedRecording(f"{path}: cannot be read: {error.strerror}") from None
     return index
+
+
+def stated_index(path: Path, stream: IO[bytes], size: int, most: int) -> Index | None:
+    """The index as the summary states it: the file is never scanned, so it may have less than the file.
+
+    Args:
+        most: longest summary that is read, bytes.
+
+    Returns None for a file without an end.  Raises Malformed, DamagedRecording, LimitExceeded, OSError.
+    """
+    try:
+        summary = read_summary(stream, size, str(path), most)
+    except NoEnd:
+        return None
+    return _parse_summary(path, size, summary.data)[0]
 
 
 def read_record(stream: IO[bytes], index: Index, opcode: int, place: RecordPlace, path: str) -> bytes:

@@ -428,13 +428,15 @@ class SessionParts(SessionFile):
                 self.entry_count += part.entry_count
         if not found:
             raise UnsupportedRecording(f"{folder}: found a directory, expected the .mcap file in it")
-        missing = next((number for number in range(max(found) + 1) if number not in found), None)
+        # the retention deletes parts from the first one on: the first that is left has a prologue
+        missing = next((number for number in range(min(found), max(found) + 1) if number not in found), None)
         if missing is not None:
             raise DamagedRecording(f"{folder}: part {missing} of the recording is missing")
         self.parts = tuple(found[number] for number in sorted(found))
         with SessionFile.open(self.parts[0].path) as first, SessionFile.open(self.parts[-1].path) as last:
             own = (layout.PART_KEY, layout.PREVIOUS_KEY)
-            self.session = {key: value for key, value in first.session.items() if key not in own}
+            # a recording that lacks its first parts begins midway, and states it as a part does
+            self.session = {key: value for key, value in first.session.items() if min(found) or key not in own}
             self.format_version = first.format_version
             self.ledger = last.ledger
         full = [part for part in self.parts if part.entries]
@@ -507,5 +509,6 @@ class SessionParts(SessionFile):
                     yield entry
 
     def prologue(self) -> list[Entry]:
-        """Nothing: a split recording begins with the session."""
-        return []
+        """That of the first part; nothing if the recording has all parts: it begins with the session."""
+        with SessionFile.open(self.parts[0].path) as first:
+            return first.prologue()

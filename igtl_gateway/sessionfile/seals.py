@@ -14,6 +14,7 @@ from igtl_gateway.seal import envelope, keys
 from igtl_gateway.seal.envelope import Envelope
 from igtl_gateway.seal.statement import Statement, parse
 from igtl_gateway.sessionfile import records
+from igtl_gateway.sessionfile.contents import Index
 from igtl_gateway.sessionfile.index import read_index
 from igtl_gateway.sessionfile.layout import SEAL_METADATA
 from igtl_gateway.sessionfile.records import HEAD, U32, Malformed
@@ -95,6 +96,13 @@ def stated_seals(path: Path) -> StatedSeals | None:
                 count += 1
                 closed = found[0].statement.end_of_file is not None
     return StatedSeals(tuple(sorted(names)), count, closed) if count else None
+
+
+def ends_sealed(path: Path, stream: IO[bytes], index: Index, size: int) -> bool:
+    """Return whether the last seal that the index names states the end of the file; its signature is not checked."""
+    places = [each.at for each in index.metadata if each.name == SEAL_METADATA]
+    found = _parsed_seal(stream, max(places), size, str(path)) if places else None
+    return found is not None and found[0].statement.end_of_file is not None
 
 
 def _parsed_seal(stream: IO[bytes], at: int, size: int, place: str) -> tuple[FoundSeal, Envelope] | None:

@@ -17,7 +17,7 @@ from igtl_gateway.cli.settings import settled
 from igtl_gateway.config import Config, PeerRow, TfOutRow, ToIgtlRow, ToRosRow
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from igtl_gateway.errors import ConfigError
-from igtl_gateway.settings import GATEWAY, HOST, IGTL, NONE, ROWS, SETTINGS, Setting, parameters
+from igtl_gateway.settings import GATEWAY, HOST, IGTL, NONE, RECORD, ROWS, SETTINGS, Setting, parameters
 from tests.integration.bridge import ROOT, Bridge, RawPeer, string
 
 EXAMPLE = ROOT / "examples" / "operating-room.toml"
@@ -172,7 +172,7 @@ def test_a_mistake_has_the_same_message_everywhere(
 
 
 def test_the_keys_of_a_file_are_those_of_the_table(path: Path) -> None:
-    for table in (GATEWAY, IGTL, HOST):
+    for table in (GATEWAY, IGTL, HOST, RECORD):
         path.write_text(f"[{table}]\nno_such_key = 1\n")
         with pytest.raises(ConfigError) as error:
             values("--config", str(path))
@@ -181,7 +181,7 @@ def test_the_keys_of_a_file_are_those_of_the_table(path: Path) -> None:
         named = set(names.split(", "))
         rows = {row.name for row in SETTINGS if row.table == table or (table == GATEWAY and row.table == ROWS)}
         assert named == rows
-    assert {row.table for row in SETTINGS} == {GATEWAY, IGTL, HOST, ROWS, NONE}
+    assert {row.table for row in SETTINGS} == {GATEWAY, IGTL, HOST, RECORD, ROWS, NONE}
 
 
 @pytest.mark.parametrize(
@@ -193,7 +193,7 @@ def test_the_keys_of_a_file_are_those_of_the_table(path: Path) -> None:
         ("[igtl]\nmax_body = { STRING = -1 }", "igtl.max_body: found 'STRING=-1', expected TYPE=MIB"),
         ("igtl = 4", "found igtl = 4, expected a table [igtl]"),
         ("host = 1", "found host = 1, expected a table [host]"),
-        ("[edge]\nlisten = []", "found [edge], expected [gateway], [host], [igtl], [[crtk]], [[peers]]"),
+        ("[edge]\nlisten = []", "found [edge], expected [gateway], [host], [igtl], [record], [[crtk]], [[peers]]"),
     ],
 )
 def test_what_is_wrong_in_a_file_is_named_with_its_place(path: Path, text: str, words: str) -> None:
