@@ -67,7 +67,7 @@ def lag(
     return measure_lag(*signals, max_lag_s=max_lag_s, cut_off_hz=cut_off_hz)
 
 
-def movement(stream: Stream, *, frame: str = "", line: bool = False) -> Signal:
+def movement(stream: Stream, *, frame: str = "", line: bool = False, arrival: bool = False) -> Signal:
     """Return what moves in a stream, at the stamps of its sender, or at gateway times if a message has no stamp.
 
     Of poses it is the translation (and the rotation, times 0.1 m); of images their first principal components, or the
@@ -77,6 +77,7 @@ def movement(stream: Stream, *, frame: str = "", line: bool = False) -> Signal:
         stream: the stream.
         frame: as of ``Stream.poses``.
         line: follow the bright line in images.
+        arrival: at gateway times instead of the sender's stamps.
 
     Raises:
         ConfigError: it has nothing that could move.
@@ -87,7 +88,8 @@ def movement(stream: Stream, *, frame: str = "", line: bool = False) -> Signal:
             break
     else:
         values, unit = _of_poses(stream, frame)
-    times = stream.source_times if len(stream) and bool(np.all(stream.source_times)) else stream.times
+    is_stamped = len(stream) and bool(np.all(stream.source_times))
+    times = stream.source_times if is_stamped and not arrival else stream.times
     return Signal.of(times, values, stream.key, unit)
 
 

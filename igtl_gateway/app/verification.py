@@ -70,6 +70,13 @@ class Verification:
         return {"file": values.pop("file"), "good": self.good, **values}
 
 
+def verify_parts(path: Path, config_path: Path | None = None) -> list[Verification]:
+    """Verify each part of a merged session; of another recording return nothing.  Raises as ``verify_recording``."""
+    with SessionFile.open(path) as file:
+        names = file.merge.names if file.merge else []
+    return [verify_recording(path / name, config_path) for name in names]
+
+
 def verify_recording(path: Path, config_path: Path | None = None) -> Verification:
     """Verify a recording.
 
@@ -80,6 +87,8 @@ def verify_recording(path: Path, config_path: Path | None = None) -> Verificatio
     Raises UnsupportedRecording for other files and for imports, DamagedRecording, ConfigError.
     """
     with SessionFile.open(path) as file:
+        if file.merge:
+            raise UnsupportedRecording(f"{path}: found a merged session, expected a part: {path / file.merge.names[0]}")
         if file.foreign:
             raise UnsupportedRecording(
                 f"{path}: found an MCAP file of another program, expected a session of igtl-gateway"

@@ -10,6 +10,7 @@ from typing import Any
 from igtl_gateway.cli.common import count_text, size_text, utc_text
 from igtl_gateway.cli.info_summary import ContentSummary, StreamSummary
 from igtl_gateway.cli.losses import DIRECTIONS, losses
+from igtl_gateway.cli.merge_output import print_merge
 from igtl_gateway.cli.options import add_file, add_json
 from igtl_gateway.cli.recover import print_losses
 from igtl_gateway.cli.terminal import cell, print_json, print_line, width
@@ -47,10 +48,12 @@ def run(options: argparse.Namespace) -> int:
         with SessionFile.open(options.file) as file:
             content = ContentSummary.of(file.entries())
             summary = _facts(options.file, file, content, file.start_ns, file.end_ns)
+            summary["bytes"] = file.size
             summary["skipped"] = [asdict(skipped) for skipped in file.skipped]
             if file.parts:
-                summary["bytes"] = sum(part.size for part in file.parts)
                 summary["parts"] = [_part(part) for part in file.parts]
+            if file.merge:
+                summary["merge"] = dict(file.merge.facts)
     except LimitExceeded:
         raise
     except DamagedRecording as error:
@@ -71,6 +74,7 @@ def _run_damaged(options: argparse.Namespace, error: DamagedRecording) -> int:
         content = ContentSummary.of(file.entries())
         report = file.report
         summary = _facts(options.file, file, content, report.start_ns, report.end_ns) | {"skipped": []}
+    summary["bytes"] = options.file.stat().st_size
     summary |= {"being_recorded": True} if growing else {"damaged": {"why": str(error), **asdict(report)}}
     if options.json:
         print_json(summary)
@@ -90,7 +94,7 @@ def _facts(
 ) -> dict[str, Any]:
     return {
         "file": str(path),
-        "bytes": path.stat().st_size,
+        "bytes": 0,
         "format_version": file.format_version,
         "foreign": file.foreign,
         "start": utc_text(start_ns),
@@ -127,7 +131,9 @@ def _facts(
 
 
 def _seal(path: Path) -> dict[str, Any] | None:
-    """Return what the files state about their seals."""
+    """Return what the files state about their seals; a part of a merged session has none."""
+    if path.parent.is_file():
+        return None
     stated = [stated_seals(file) for file in (sorted(path.glob("*.mcap")) if path.is_dir() else [path])]
     found = [each for each in stated if each]
     if not found:
@@ -155,6 +161,8 @@ def _order(item: tuple[tuple[Kind, str, str], StreamSummary]) -> tuple[int, str,
 def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_ns: int) -> None:
     session = summary["session"]
     kind = "MCAP file of another program" if summary["foreign"] else f"session log version {summary['format_version']}"
+    if "merge" in summary:
+        kind = f"merged session of {count_text(len(summary['merge']['parts']), 'part')}"
     parts = summary.get("parts", [])
     number = f"{count_text(len(parts), 'part')}, " if parts else ""
     print_line(f"{summary['file']}: {kind}, {number}{size_text(summary['bytes'])}")
@@ -190,6 +198,8 @@ def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_n
         print_line(
             f"  units     {igtl_unit} in OpenIGTLink, {ros_unit} in ROS; stamps: {stamp}; base frame {base_frame!r}"
         )
+    if "merge" in summary:
+        print_merge(summary["merge"])
     if parts:
         print_line("  parts")
         columns = width(part["file"] for part in parts)

@@ -44,6 +44,7 @@ VERBS = {
     "diff": _own("diff", "compare two recordings stream by stream, in millimetres and degrees"),
     "sync": _own("sync", "measure the lags between streams from what moves in them", writes_files=True),
     "slice": _own("slice", "cut a part out of a recording, by time and stream; the part verifies", writes_files=True),
+    "merge": _own("merge", "make one session of several recorders; each part verifies", writes_files=True),
     "deidentify": _own(
         "deidentify", "write a session without names, text and dates of persons; it verifies", writes_files=True
     ),

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from igtl_gateway.app.sealing import SealVerification, verify_seal
-from igtl_gateway.app.verification import RECORDED, Verification, verify_recording
+from igtl_gateway.app.verification import RECORDED, Verification, verify_parts, verify_recording
 from igtl_gateway.cli.common import count_text, utc_text
 from igtl_gateway.cli.options import add_config, add_file, add_json
 from igtl_gateway.cli.terminal import print_json, print_line
@@ -23,6 +23,9 @@ EXAMPLES = """\
   igtl-gateway verify out.mcap --config new.toml
   # up to 1,000 differences, for programs
   igtl-gateway verify out.mcap --json
+  # each part of a merged session, or one of them
+  igtl-gateway verify both.mcap
+  igtl-gateway verify both.mcap/planning
   # whether a sealed recording is as it was written, and by which key
   igtl-gateway verify out.mcap --seal --trusted recorder.key.pub"""
 
@@ -56,12 +59,25 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError("--trusted: found no --seal, expected it with trusted keys")
     if options.seal:
         return _run_seal(options)
+    if parts := verify_parts(options.file, options.config):
+        return _run_parts(parts, options)
     result = verify_recording(options.file, options.config)
     if options.json:
         print_json(result.to_dict())
     else:
         _print(result, options.all)
     return 0 if result.good else 1
+
+
+def _run_parts(parts: Sequence[Verification], options: argparse.Namespace) -> int:
+    """Print the results of the parts of a merged session."""
+    good = all(part.good for part in parts)
+    if options.json:
+        print_json({"file": str(options.file), "good": good, "parts": [part.to_dict() for part in parts]})
+        return 0 if good else 1
+    for part in parts:
+        _print(part, options.all)
+    return 0 if good else 1
 
 
 def _run_seal(options: argparse.Namespace) -> int:

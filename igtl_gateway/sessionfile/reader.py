@@ -14,10 +14,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from io import BytesIO
 from pathlib import Path
+from tempfile import TemporaryFile
 from types import TracebackType
 from typing import IO
 
-from mcap.records import Channel
+from mcap.records import Attachment, Channel, Schema
 
 from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
 from igtl_gateway.session.entry import Entry, Kind
@@ -38,6 +39,7 @@ from igtl_gateway.sessionfile.contents import ChunkEntry
 from igtl_gateway.sessionfile.index import read_index, read_record, recover_hint
 from igtl_gateway.sessionfile.layout import LayoutError
 from igtl_gateway.sessionfile.lookup import LatchedStateRule, look_up
+from igtl_gateway.sessionfile.merged import MERGE_METADATA, Merge, extract_part, parse_merge
 from igtl_gateway.sessionfile.order import message_rows
 from igtl_gateway.sessionfile.records import Malformed
 from igtl_gateway.untrusted import files, limits
@@ -66,12 +68,15 @@ class SessionFile:
 
     Attributes:
         path: the file.
+        size: bytes of it.
         session: the session metadata; empty for foreign files.
         format_version: version of ``docs/session-log.md`` that it follows.
         ledger: the fate of every message; None where the recording has none.
         foreign: not a recording of the gateway: every message is a ROS_IN entry, numbered as read.
         channels: what is in it.
         skipped: what is in it but is not read.
+        recorded_session, recorded_ledger: the items of both metadata records, as they are; empty without one.
+        merge: of a merged session, which is foreign: what its parts are, and the offsets of their clocks.
         definitions: ROS type → definition with all that it needs, where the file has one.
         entry_count: entries that :meth:`entries` returns.
         start_ns, end_ns: UTC nanoseconds of the first and the last one; 0 in an empty file.
@@ -84,9 +89,13 @@ class SessionFile:
         self.path = path
         self._stream = stream
         self._index = index = read_index(path, stream)
+        self.size = index.size
         session = self._metadata(layout.SESSION_METADATA)
         ledger = self._metadata(layout.LEDGER_METADATA)
+        self.recorded_session, self.recorded_ledger = session or {}, ledger or {}
         self.format_version, self.session = migrations.read_session(path, session)
+        merge = self._metadata(MERGE_METADATA)
+        self.merge: Merge | None = None if merge is None else parse_merge(merge, str(path))
         self.ledger = None if ledger is None else facts.ledger(ledger.get(layout.LEDGER_KEY, ""), str(path))
         self.foreign = session is None and not any(map(is_marked, index.channels.values()))
         self._chunks = ChunkReader(stream, index, str(path))
@@ -108,14 +117,21 @@ class SessionFile:
 
     @classmethod
     def open(cls, path: Path | str) -> SessionFile:
-        """Open a file, or the folder of a split recording, and read all but its entries.
+        """Open a file, the folder of a split recording, or a part of a merged session (``FILE/NAME``), and read all but
+        its entries.
 
         Raises UnsupportedRecording (no such file, not MCAP, of a newer version …) or DamagedRecording.
         """
         path = Path(path)
         if path.is_dir():
             return SessionParts(path)
-        stream = files.open_file(path)
+        stream: IO[bytes]
+        if path.parent.is_file():
+            stream = TemporaryFile()
+            with SessionFile.open(path.parent) as merged:
+                merged.extract(path.name, stream)
+        else:
+            stream = files.open_file(path)
         try:
             return cls(path, stream)
         except BaseException:
@@ -227,6 +243,35 @@ class SessionFile:
         return [
             number for number, each in self._streams.items() if each == stream and topics[number].topic == channel.topic
         ]
+
+    def messages(self) -> Iterator[tuple[Schema | None, Channel, Row]]:
+        """All messages as they are, also of channels that are not read, in order.  Raises as `entries`."""
+        schemas, channels = self._index.schemas, self._index.channels
+        for rows in self._rows(kinds=None):
+            for row in rows or ():
+                channel = channels[row[0]]
+                yield schemas.get(channel.schema_id), channel, row
+
+    def attachments(self) -> Iterator[Attachment]:
+        """All attachments, as they are.  Raises DamagedRecording."""
+        for place in self._index.attachments:
+            with self._damage_in(f"attachment {place.name}"):
+                content = read_record(
+                    self._stream, self._index, records.ATTACHMENT, place, f"{self.path}: {place.name}"
+                )
+                yield records.parse_attachment(content)
+
+    def extract(self, name: str, out: IO[bytes]) -> None:
+        """Write a part of a merged session as a session file of its own.
+
+        Raises UnsupportedRecording if this is no merged session with such a part, DamagedRecording if the part is not
+        as it was merged; OSError of ``out``.
+        """
+        if self.merge is None:
+            raise UnsupportedRecording(
+                f"{self.path / name}: found a part of {self.path.name}, which is not a merged session"
+            )
+        extract_part(self.merge, name, self.messages(), self.attachments(), out, str(self.path))
 
     def prologue(self) -> list[Entry]:
         """Inputs before the first entry, which the gateway's state follows from; for files that begin midway.
@@ -376,17 +421,18 @@ class SessionFile:
                 yield entry
         return count
 
-    def _rows(self, from_ns: int = 0, kinds: Collection[Kind] = _ALL_KINDS) -> Iterator[list[Row] | None]:
+    def _rows(self, from_ns: int = 0, kinds: Collection[Kind] | None = _ALL_KINDS) -> Iterator[list[Row] | None]:
         """All messages (from a moment on) in order, in lists.
 
         A chunk that holds nothing of these kinds is not read: it gives None if there are inputs in it, else nothing.
+        Without kinds, all chunks are read.
         """
-        wanted = {number for number, (kind, _, _) in self._streams.items() if kind in kinds}
+        wanted = {number for number, (kind, _, _) in self._streams.items() if kinds is None or kind in kinds}
         inputs = {number for number, (kind, _, _) in self._streams.items() if kind.is_input}
 
         def is_wanted(chunk: ChunkEntry) -> bool:
             # without an index of its messages, a chunk may hold any
-            return not chunk.places or not wanted.isdisjoint(chunk.channels)
+            return kinds is None or not chunk.places or not wanted.isdisjoint(chunk.channels)
 
         with self._damage_in("entries"):
             for chunk, rows in message_rows(self._stream, self._index, str(self.path), from_ns, is_wanted):
@@ -433,12 +479,16 @@ class SessionParts(SessionFile):
         if missing is not None:
             raise DamagedRecording(f"{folder}: part {missing} of the recording is missing")
         self.parts = tuple(found[number] for number in sorted(found))
+        self.size = sum(part.size for part in self.parts)
         with SessionFile.open(self.parts[0].path) as first, SessionFile.open(self.parts[-1].path) as last:
             own = (layout.PART_KEY, layout.PREVIOUS_KEY)
             # a recording that lacks its first parts begins midway, and states it as a part does
             self.session = {key: value for key, value in first.session.items() if min(found) or key not in own}
             self.format_version = first.format_version
             self.ledger = last.ledger
+            self.recorded_session = {key: value for key, value in first.recorded_session.items() if key not in own}
+            self.recorded_ledger = last.recorded_ledger
+        self.merge = None
         full = [part for part in self.parts if part.entries]
         if full:
             self.start_ns, self.end_ns = full[0].start_ns, full[-1].end_ns
@@ -492,6 +542,17 @@ class SessionParts(SessionFile):
             if span[0]:
                 return span
         return 0, 0
+
+    def messages(self) -> Iterator[tuple[Schema | None, Channel, Row]]:
+        """As SessionFile.messages."""
+        for each in self.parts:
+            with SessionFile.open(each.path) as part:
+                yield from part.messages()
+
+    def attachments(self) -> Iterator[Attachment]:
+        """Those of the first part, with which the session begins."""
+        with SessionFile.open(self.parts[0].path) as part:
+            yield from part.attachments()
 
     def _of_parts(self, entries: Callable[[SessionFile], Iterator[Entry]], start_ns: int = 0) -> Iterator[Entry]:
         seq = 0

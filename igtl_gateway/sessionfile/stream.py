@@ -14,7 +14,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from io import BufferedWriter, BytesIO
+from typing import IO
 
 from mcap.records import (
     Attachment,
@@ -62,7 +62,7 @@ class McapStream:
 
     def __init__(
         self,
-        file: BufferedWriter | BytesIO,
+        file: IO[bytes],
         *,
         chunk_bytes: int = CHUNK_BYTES,
         compression: Compression,
