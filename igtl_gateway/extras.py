@@ -14,6 +14,9 @@ _EXTRAS = {
     "pcapng": ("pcap", ""),
     "pyarrow": ("arrow", ""),
     "pandas": ("pandas", ""),
+    "dask": ("cohort", ""),
+    "duckdb": ("cohort", ""),
+    "obstore": ("cohort", ""),
     "cryptography": ("seal", ""),
     "pyigtl": ("dev", ""),
 }

@@ -75,6 +75,7 @@ LEVELS = {
     "api": 6,
     "lerobot": 6,  # training sets, of recordings as arrays
     "deidentify": 6,
+    "cohort": 6,  # many sessions, on Dask
     "cli": 6,
     "testing": 6,
     "__main__": 7,
@@ -97,7 +98,8 @@ STRANGERS = ("lab.demo",)
 #: recording states about itself is checked like everything that is foreign.
 SIBLINGS: dict[str, str | tuple[str, ...]] = {
     TOP: "api",  # the public names, imported at their first use
-    "cli": ("api", "deidentify", "lerobot"),  # verbs that need a recording as arrays
+    "cli": ("api", "cohort", "deidentify", "lerobot"),  # verbs that need a recording as arrays
+    "cohort": "api",
     "lerobot": "api",
     "config": ("convert", "settings"),
     "settings": "convert",  # names of units and profiles
@@ -150,14 +152,17 @@ HOMES: dict[str, tuple[str, ...]] = {
     # Libraries
     "av": ("edges.video",),
     "cryptography": ("seal.keys",),
+    "dask": ("cohort.running",),
+    "duckdb": ("cohort.query",),
     "fastcrc": ("wire", "sessionfile"),
     "lz4": ("sessionfile.compression", "untrusted.unpack"),
     "pyigtl": ("lab.bench.pyigtl_side",),  # a peer of another project
     "mcap": ("exchange", "sessionfile"),
+    "obstore": ("cohort.objects",),
     "nibabel": ("exchange.nifti", "lab.simulate.volume"),
     "matplotlib": ("lab.bench.plot", "sync.plot"),
     "pandas": ("api",),
-    "pyarrow": ("api", "exchange.arrow_tables", "exchange.arrow_out", "lerobot"),
+    "pyarrow": ("api", "exchange.arrow_tables", "exchange.arrow_out", "lerobot", "cohort"),
     "pcapng": ("exchange.pcap_file",),
     "numpy": (
         "wire",

@@ -18,7 +18,7 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 #: The extras that users install; ``dev`` is for developers, and ``lab`` is a distribution of the same release.
-EXTRAS = "ros,view,video,nifti,plot,pcap,arrow,pandas,lerobot,seal,zenoh"
+EXTRAS = "ros,view,video,nifti,plot,pcap,arrow,pandas,lerobot,seal,cohort,zenoh"
 PROJECT = Requirement(f"igtl-gateway[{EXTRAS},lab,dev]")
 CONSTRAINTS = Path(__file__).parent.parent / "constraints.txt"
 HEADER = f"""\

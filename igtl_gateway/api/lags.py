@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -13,7 +13,8 @@ from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.igtl_msgs import PointList, Volume
 from igtl_gateway.convert.rosmsg import Image as RosImage
 from igtl_gateway.convert.rosmsg import Marker, PointCloud2, PointStamped
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.errors import ConfigError, GatewayError
+from igtl_gateway.session.entry import Kind
 from igtl_gateway.sync.lag import CUT_OFF_HZ, MAX_LAG_S, Lag, measure_lag
 from igtl_gateway.sync.plus import line_height
 from igtl_gateway.sync.signal import Signal
@@ -91,6 +92,27 @@ def movement(stream: Stream, *, frame: str = "", line: bool = False, arrival: bo
     is_stamped = len(stream) and bool(np.all(stream.source_times))
     times = stream.source_times if is_stamped and not arrival else stream.times
     return Signal.of(times, values, stream.key, unit)
+
+
+def movements(
+    recordings: Iterable[Mapping[str, Stream]],
+    *,
+    frame: str = "",
+    line: bool = False,
+    unreadable: type[GatewayError] = ConfigError,
+) -> list[Signal]:
+    """Return what moves in each input stream that has something that could move, the stream with most samples first.
+
+    A stream with an error of the kind ``unreadable`` is left out.
+    """
+    found = []
+    for stream in (stream for each in recordings for stream in each.values()):
+        if stream.direction in (Kind.IGTL_IN.value, Kind.ROS_IN.value):
+            try:
+                found.append(movement(stream, frame=frame, line=line))
+            except (ConfigError, unreadable):
+                continue
+    return sorted(found, key=lambda signal: -len(signal.times_ns))
 
 
 def _of_poses(stream: Stream, frame: str) -> tuple[Array, str]:

@@ -269,6 +269,12 @@ def open(path: str | Path, *, limits: FileLimits | Mapping[str, int] | None = No
     return Recording(Source(file, bounds, file.start_ns, file.end_ns), str(path), tuple(warnings), resources)
 
 
+def of_session(file: SessionFile) -> Recording:
+    """Return the recording of an open session file, which the caller closes."""
+    source = Source(file, file_limits.current_limits(), file.start_ns, file.end_ns)
+    return Recording(source, str(file.path), (), ExitStack())
+
+
 def _limits(given: FileLimits | Mapping[str, int] | None) -> FileLimits:
     if given is None:
         return file_limits.current_limits()

@@ -38,17 +38,21 @@ def review_recording(path: Path, selection: ReviewSelection, thresholds: Thresho
     Raises GatewayError if it has no cloud or no plan, ConfigError if it does not have the requested ones.
     """
     with SessionFile.open(path) as file:
-        unit_m = UNITS[config_to_run(file.session).ros_unit] / UNITS["m"]
-        material = Material(selection.plan, selection.cloud, selection.tool, selection.clouds, unit_m)
-        start_ns = file.start_ns
-        for entry in file.entries():
-            material.take(entry)
+        return review_session(file, selection, thresholds), file.start_ns
+
+
+def review_session(file: SessionFile, selection: ReviewSelection, thresholds: Thresholds) -> Review:
+    """Return the review of an open recording; see `review_recording`."""
+    unit_m = UNITS[config_to_run(file.session).ros_unit] / UNITS["m"]
+    material = Material(selection.plan, selection.cloud, selection.tool, selection.clouds, unit_m)
+    for entry in file.entries():
+        material.take(entry)
     try:
-        return review_of(material, thresholds), start_ns
+        return review_of(material, thresholds)
     except ConfigError:
         raise
     except GatewayError as error:
-        raise GatewayError(f"{path}: {error}") from None
+        raise GatewayError(f"{file.path}: {error}") from None
 
 
 def checked_thresholds(values: Mapping[str, float], clouds: int, name: Callable[[str], str] = str) -> Thresholds:

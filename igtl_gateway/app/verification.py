@@ -87,22 +87,26 @@ def verify_recording(path: Path, config_path: Path | None = None) -> Verificatio
     Raises UnsupportedRecording for other files and for imports, DamagedRecording, ConfigError.
     """
     with SessionFile.open(path) as file:
-        if file.merge:
-            raise UnsupportedRecording(f"{path}: found a merged session, expected a part: {path / file.merge.names[0]}")
-        if file.foreign:
-            raise UnsupportedRecording(
-                f"{path}: found an MCAP file of another program, expected a session of igtl-gateway"
-            )
-        if IMPORTED in file.session:
-            raise UnsupportedRecording(
-                f"{path}: found an import ({file.session[IMPORTED]}), expected a recording of the gateway: "
-                "it has no outputs; `replay --through-gateway` computes them"
-            )
-        recorded_by = file.session.get(_VERSION, "")
-        config = _config(path, config_path, file, recorded_by)
-        decoder = LeafDecoder(file.definitions, LengthUnits(config.ros_unit, config.igtl_unit))
-        losses = DeclaredLosses.of(file.session, file.ledger)
-        report = verify(file.entries(), config, losses, before=file.prologue(), decoder=decoder)
+        return verify_session(file, config_path)
+
+
+def verify_session(file: SessionFile, config_path: Path | None = None) -> Verification:
+    """Verify an open recording; see `verify_recording`."""
+    path = file.path
+    if file.merge:
+        raise UnsupportedRecording(f"{path}: found a merged session, expected a part: {path / file.merge.names[0]}")
+    if file.foreign:
+        raise UnsupportedRecording(f"{path}: found an MCAP file of another program, expected a session of igtl-gateway")
+    if IMPORTED in file.session:
+        raise UnsupportedRecording(
+            f"{path}: found an import ({file.session[IMPORTED]}), expected a recording of the gateway: "
+            "it has no outputs; `replay --through-gateway` computes them"
+        )
+    recorded_by = file.session.get(_VERSION, "")
+    config = _config(path, config_path, file, recorded_by)
+    decoder = LeafDecoder(file.definitions, LengthUnits(config.ros_unit, config.igtl_unit))
+    losses = DeclaredLosses.of(file.session, file.ledger)
+    report = verify(file.entries(), config, losses, before=file.prologue(), decoder=decoder)
     counts = {each.name: getattr(report, each.name) for each in fields(VerifyReport)}
     counts["differences"] = tuple(report.differences)
     return Verification(path, recorded_by, __version__, str(config_path) if config_path else RECORDED, **counts)

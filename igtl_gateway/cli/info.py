@@ -7,8 +7,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.app.content_summary import ContentSummary, StreamSummary
 from igtl_gateway.cli.common import count_text, size_text, utc_text
-from igtl_gateway.cli.info_summary import ContentSummary, StreamSummary
 from igtl_gateway.cli.losses import DIRECTIONS, losses
 from igtl_gateway.cli.merge_output import print_merge
 from igtl_gateway.cli.options import add_file, add_json

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.api import recording as recordings
-from igtl_gateway.api.lags import movement
+from igtl_gateway.api.lags import movement, movements
 from igtl_gateway.api.recording import Recording
 from igtl_gateway.api.stream import Stream
 from igtl_gateway.app.correcting import write_corrected
@@ -20,7 +20,6 @@ from igtl_gateway.cli.options import add_file, add_json, add_overwrite, default
 from igtl_gateway.cli.outputs import check_target, written
 from igtl_gateway.cli.terminal import aligned, print_json, print_line
 from igtl_gateway.errors import ConfigError, GatewayError
-from igtl_gateway.session.entry import Kind
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.sync.correction import StampCorrection
 from igtl_gateway.sync.lag import CUT_OFF_HZ, MAX_LAG_S, Lag, measure_lag
@@ -126,14 +125,7 @@ def _signals(opened: Sequence[Recording], options: argparse.Namespace) -> list[S
     """Return the movements of the requested streams, or of all inputs that have one."""
     if options.streams:
         return [_movement(stream_named(opened, name), options) for name in options.streams]
-    found = []
-    for stream in (stream for each in opened for stream in each.streams.values()):
-        if stream.direction in (Kind.IGTL_IN.value, Kind.ROS_IN.value):
-            try:
-                found.append(_movement(stream, options))
-            except ConfigError:
-                continue
-    return sorted(found, key=lambda signal: -len(signal.times_ns))
+    return movements(opened, frame=options.frame, line=options.line)
 
 
 def stream_named(opened: Sequence[Recording], name: str) -> Stream:

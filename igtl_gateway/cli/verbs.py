@@ -59,6 +59,7 @@ VERBS = {
     "lint": _own("lint", "check a recording with the rules of doctor"),
     "view": _own("view", "show a session in rerun: in a window, as a file, web page or image", writes_files=True),
     "review": _own("review", "check each stitch of a suture plan against the measured tissue"),
+    "cohort": _own("cohort", "info, lint, verify, review or sync over many sessions, as tables", writes_files=True),
     "decode": _own("decode", "print the messages of a raw OpenIGTLink byte stream as JSON lines"),
     "completion": _own("completion", "print a script that completes words in bash, zsh or fish", reads_files=False),
 }

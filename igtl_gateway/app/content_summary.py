@@ -1,4 +1,4 @@
-"""What ``info`` counts of a recording: streams with rates, gaps and ages, clocks of peers, notes."""
+"""What ``info`` and ``cohort`` count of a recording: streams with rates, gaps and ages, clocks of peers, notes."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
-from igtl_gateway.cli.losses import DIRECTIONS
 from igtl_gateway.session.clocksteps import ClockStep, without_jump
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.session.timing import StampTiming, best
 from igtl_gateway.stamp import NS_PER_S
 
+_MESSAGES = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT, Kind.ROS_IN, Kind.ROS_OUT})
 #: A gap is a pause of more than this number of mean intervals, and of more than a second.
 _GAP_FACTOR = 10
 _GAP_MIN_NS = NS_PER_S
@@ -124,25 +124,29 @@ class ContentSummary:
         """Read all entries."""
         content = cls()
         for entry in entries:
-            content.entries += 1
-            if entry.kind in DIRECTIONS:
-                key = (entry.kind, entry.channel, entry.type)
-                stream = content.streams.get(key)
-                if stream is None:
-                    stream = content.streams[key] = StreamSummary(*key)
-                stream.add(entry, content.ahead_ns)
-                if entry.kind.is_input:
-                    content.add_stamp(entry)
-            else:
-                note = Note.of(entry.data())
-                if entry.kind is Kind.LINK and "peer" in note.data:
-                    content.addresses.update(dict.fromkeys(entry.links, str(note.data["peer"])))
-                if note.level >= Level.WARN:
-                    content.problems[note.code] += 1
-                content.notes.append((entry.stamp_ns, entry.kind, note))
-                if step := ClockStep.of(entry):
-                    content.apply_clock_step(step)
+            content.add(entry)
         return content
+
+    def add(self, entry: Entry) -> None:
+        """Add the next entry."""
+        self.entries += 1
+        if entry.kind in _MESSAGES:
+            key = (entry.kind, entry.channel, entry.type)
+            stream = self.streams.get(key)
+            if stream is None:
+                stream = self.streams[key] = StreamSummary(*key)
+            stream.add(entry, self.ahead_ns)
+            if entry.kind.is_input:
+                self.add_stamp(entry)
+        else:
+            note = Note.of(entry.data())
+            if entry.kind is Kind.LINK and "peer" in note.data:
+                self.addresses.update(dict.fromkeys(entry.links, str(note.data["peer"])))
+            if note.level >= Level.WARN:
+                self.problems[note.code] += 1
+            self.notes.append((entry.stamp_ns, entry.kind, note))
+            if step := ClockStep.of(entry):
+                self.apply_clock_step(step)
 
     def apply_clock_step(self, step: ClockStep) -> None:
         """Apply a step of the host's clock: it is not a pause, and the estimates of other clocks restart."""

@@ -1,0 +1,47 @@
+"""The rules of ``doctor`` on a recording: its entries and its losses."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway.doctor.observer import Observer
+from igtl_gateway.replay.recorded_config import config_to_run
+from igtl_gateway.session.entry import Entry
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.salvage import Salvage
+
+
+def observe(
+    file: SessionFile | Salvage, config: Path | None = None, also: Callable[[Entry], None] | None = None
+) -> Observer:
+    """Return what the rules look at, of all entries of an open recording.
+
+    Args:
+        file: the recording.
+        config: configuration file to use instead of the recorded configuration.
+        also: called with each entry, so that a file is read only once.
+
+    Raises DamagedRecording, ConfigError.
+    """
+    seen = Observer(config_to_run(file.session, config))
+    for entry in file.entries():
+        seen.add(entry)
+        if also:
+            also(entry)
+    seen.losses = dict(_losses(file.ledger or {}))
+    return seen
+
+
+def _losses(ledger: dict[str, Any]) -> Iterator[tuple[str, int]]:
+    """Yield (description, number) of messages that were lost at the edges; other losses are visible in the messages."""
+    for link, fates in ledger.get("links", {}).items():
+        for fate in ("dropped", "ignored"):
+            if number := sum(fates.get(fate, {}).values()):
+                yield f"messages {fate}, to {'closed links' if link == '0' else f'link {link}'}", number
+    for topic, counts in ledger.get("ros_topics", {}).items():
+        if number := counts.get("lost", 0):
+            yield f"messages on {topic}, lost before the bridge received them", number
+    if number := ledger.get("recorder", {}).get("dropped_entries", 0):
+        yield "entries dropped because the queue of the recorder was full", number

@@ -1,0 +1,135 @@
+"""``igtl-gateway cohort``: a verb over many sessions, questions to the tables, and a report."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway import extras
+from igtl_gateway.cli.cohort_progress import Progress
+from igtl_gateway.cli.common import count_text
+from igtl_gateway.cli.options import add_json, default
+from igtl_gateway.cli.terminal import print_json, print_line
+from igtl_gateway.cohort.jobs import VERBS
+from igtl_gateway.errors import ConfigError, Unavailable
+from igtl_gateway.sync.lag import MAX_LAG_S
+
+EXAMPLES = """\
+  # streams, rates and peers of all sessions in and below a folder
+  igtl-gateway cohort info sessions --out study
+  # does every session verify?  Eight files at a time
+  igtl-gateway cohort verify 'sessions/**/*.mcap' --out study --workers 8
+  # sessions of an object store, on a cluster; credentials: AWS_ACCESS_KEY_ID …
+  igtl-gateway cohort review s3://bucket/2026 --out study \\
+      --scheduler tls://cluster:8786 --tls-ca ca.pem --tls-cert me.pem \\
+      --tls-key me.key
+
+What is done is not done again.  Exit code 0: every file has a result;
+1: a file has none (see the table tasks), or outputs differ, or lint finds
+errors.  Tables and columns: docs/cohort.md"""
+
+_FILES = tuple(VERBS)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("action", metavar="VERB", choices=_FILES, help=f"one of {', '.join(_FILES)}")
+    parser.add_argument(
+        "sources", metavar="SOURCE", nargs="*", help="files, folders, globs and URLs (s3://, gs://, az://, https://)"
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the tables")
+    add_json(parser)
+    group = parser.add_argument_group("where the files are read")
+    group.add_argument(
+        "--workers", type=int, metavar="N", help="files at a time on this machine " + default("one for each core")
+    )
+    group.add_argument("--scheduler", default="", metavar="ADDRESS", help="scheduler of Dask: tcp://… or tls://…")
+    group.add_argument("--tls-ca", default="", metavar="FILE", help="certificate of the cluster's authority")
+    group.add_argument("--tls-cert", default="", metavar="FILE", help="own certificate for the cluster")
+    group.add_argument("--tls-key", default="", metavar="FILE", help="own key for the cluster")
+    group.add_argument("--timeout", type=float, default=600.0, metavar="S", help="time for a file " + default(600))
+    group.add_argument(
+        "--memory-mib", type=int, default=2048, metavar="N", help="memory of a worker's data " + default(2048)
+    )
+    group = parser.add_argument_group("review and sync")
+    group.add_argument("--plan", default="", metavar="TOPIC", help="topic of the plan")
+    group.add_argument("--cloud", default="", metavar="TOPIC", help="topic of the point cloud")
+    group.add_argument("--tool", default="", metavar="TOPIC", help="topic or frame of the tool")
+    group.add_argument(
+        "--stream",
+        action="append",
+        default=[],
+        metavar="STREAM",
+        help="stream whose lag to measure; the lags are those behind the first one (repeatable)",
+    )
+    group.add_argument(
+        "--max-lag", type=float, default=MAX_LAG_S, metavar="S", help="search lags up to this " + default(MAX_LAG_S)
+    )
+
+
+def run(options: argparse.Namespace) -> int:
+    return _run_files(options)
+
+
+def _run_files(options: argparse.Namespace) -> int:
+    _check(options)
+    try:
+        from igtl_gateway.cohort.results import Results
+    except ImportError as error:
+        raise Unavailable(extras.missing("pyarrow", error)) from None
+    from igtl_gateway.cohort.running import Where, Work, run_cohort
+    from igtl_gateway.cohort.sources import locate
+
+    results = Results(options.out)
+    files = locate(options.sources)
+    work = Work(options.action, _settings(options), options.limit, options.memory_mib << 20, options.timeout)
+    where = Where(
+        options.workers or len(os.sched_getaffinity(0)),
+        options.scheduler,
+        options.tls_ca,
+        options.tls_cert,
+        options.tls_key,
+    )
+    with Progress(quiet=options.json) as progress:
+        summary = run_cohort(work, files, results, where, progress)
+    if options.json:
+        facts = {"files": summary.files, "done_before": summary.before, "ends": dict(sorted(summary.ends.items()))}
+        print_json({"out": str(options.out), "verb": work.verb, **facts, "different": summary.different})
+    else:
+        print_line(f"{options.out}: {count_text(summary.files, 'file')}, {summary.before:,} done before")
+        for status, number in sorted(summary.ends.items()):
+            print_line(f"  {number:>7,} {status.replace('_', ' ')}")
+        if summary.different:
+            print_line(f"  {summary.different:>7,} with {'differences' if work.verb == 'verify' else 'errors'}")
+    return int(bool(summary.failed or summary.different))
+
+
+def _check(options: argparse.Namespace) -> None:
+    if not options.sources:
+        raise ConfigError(f"cohort {options.action}: found no source, expected files, folders, globs or URLs")
+    for name, value, least in (
+        ("--workers", 1 if options.workers is None else options.workers, 1),
+        ("--memory-mib", options.memory_mib, 64),
+    ):
+        if value < least:
+            raise ConfigError(f"{name}: found {value}, expected {least} or more")
+    for name, seconds in (("--timeout", options.timeout), ("--max-lag", options.max_lag)):
+        if not 0 < seconds < 1e9:
+            raise ConfigError(f"{name}: found {seconds:g}, expected more than 0 and less than 1e9")
+    tls = [bool(each) for each in (options.tls_ca, options.tls_cert, options.tls_key)]
+    if any(tls) and not (all(tls) and options.scheduler.startswith("tls://")):
+        raise ConfigError("--tls-ca, --tls-cert, --tls-key: expected all three, with --scheduler tls://…")
+
+
+def _settings(options: argparse.Namespace) -> dict[str, Any]:
+    """The settings that decide about the rows of this verb."""
+    match options.action:
+        case "review":
+            return {"plan": options.plan, "cloud": options.cloud, "tool": options.tool}
+        case "sync":
+            streams: Sequence[str] = options.stream
+            return {"streams": list(streams), "max_lag_s": options.max_lag}
+        case _:
+            return {}

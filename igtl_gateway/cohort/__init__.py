@@ -1,0 +1,9 @@
+"""Verbs over many sessions: one task a file, their results as tables, questions to the tables, and a report.
+
+* ``sources`` finds the files: folders, globs, and ``objects`` of an object store;
+* ``jobs`` is the table of verbs: each makes rows of an open session;
+* ``worker`` is the program that does jobs, one file after the other; ``task`` keeps one for each thread of Dask, with
+  bounds of time and memory;
+* ``running`` gives the tasks to Dask and the rows to ``results``, the folder of tables (``tables`` has their schemas);
+* ``query`` answers SQL over them, and ``report`` draws them.
+"""

@@ -1,0 +1,186 @@
+"""The folder with the tables of a cohort: parts that are complete or absent, and one file that says which count.
+
+``cohort.json`` lists the parts; a part is a folder ``parts/000001`` with one Parquet file for each table that has
+rows.  A part is written under another name, renamed, and then listed: a run that is killed at any moment leaves a
+folder that is valid, and loses the files of its last seconds.  Of two tasks of one file and verb the later one counts.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import re
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from igtl_gateway.cohort.tables import PROVENANCE, SCHEMA_VERSION, TABLES, Row, arrow_table, joined, schema
+from igtl_gateway.errors import ConfigError, GatewayError
+from igtl_gateway.untrusted import files
+from igtl_gateway.untrusted.text import parse_json
+
+MANIFEST = "cohort.json"
+_PARTS, _LOCK = "parts", ".lock"
+_NAME = re.compile(r"\d{6,}")
+
+
+class Results:
+    """The tables in a folder.
+
+    Args:
+        folder: that of ``--out``; it need not exist yet.
+
+    Attributes:
+        parts: names of the parts that count, in order.
+
+    Raises ConfigError if the folder has something else, or tables of another version; GatewayError for others.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.parts: list[str] = []
+        manifest = folder / MANIFEST
+        if manifest.exists():
+            self.parts = _parts_of(manifest)
+        elif folder.exists() and not folder.is_dir():
+            raise ConfigError(f"{folder}: found a file, expected a folder for tables")
+        elif folder.is_dir() and any(each.name not in (_PARTS, _LOCK) for each in folder.iterdir()):
+            raise ConfigError(
+                f"{folder}: found a folder without {MANIFEST}, expected tables of a cohort or a new folder"
+            )
+
+    @contextmanager
+    def locked(self) -> Iterator[None]:
+        """Context manager: nobody else writes.  Raises GatewayError if another run does, or nothing can be written."""
+        with self._writing():
+            (self.folder / _PARTS).mkdir(parents=True, exist_ok=True)
+            lock = open(self.folder / _LOCK, "a")  # closed below
+        with lock:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                raise GatewayError(f"{self.folder}: another run is writing to it; wait for its end") from None
+            if (self.folder / MANIFEST).exists():
+                self.parts = _parts_of(self.folder / MANIFEST)
+            self._remove_unlisted()
+            yield
+
+    def files(self, table: str) -> list[Path]:
+        """Return the Parquet files of a table, in order."""
+        paths = (self.folder / _PARTS / part / f"{table}.parquet" for part in self.parts)
+        return [path for path in paths if path.is_file()]
+
+    def read(self, table: str) -> pa.Table:
+        """Return all rows of a table that count, ordered by file.  Raises GatewayError."""
+        found = joined(table, map(_read, self.files(table)))
+        tasks = pa.array([row["task"] for row in self.current().values()], pa.string())
+        return found.filter(pc.is_in(found["task"], value_set=tasks)) if table != "tasks" else _latest(found, self)
+
+    def current(self) -> dict[tuple[str, str], Row]:
+        """Return (file, verb) → the row of the latest task.  Raises GatewayError."""
+        rows: dict[tuple[str, str], Row] = {}
+        for path in self.files("tasks"):
+            for row in _read(path).to_pylist():
+                rows[row["file"], row["verb"]] = row
+        return rows
+
+    def add(self, rows: Mapping[str, Sequence[Row]], provenance: Mapping[str, Any]) -> None:
+        """Write rows as one part, all or none.  Raises GatewayError."""
+        tables = {name: arrow_table(name, found) for name, found in rows.items() if found}
+        self._list([*self.parts, self._write(tables, [provenance])])
+
+    def compact(self) -> None:
+        """Join all parts to one, without the rows that count no more.  Raises GatewayError."""
+        if len(self.parts) < 2:
+            return
+        runs: list[Mapping[str, Any]] = []
+        for path in self.files("tasks"):
+            for run in _provenance(path):
+                if run not in runs:
+                    runs.append(run)
+        tables = {name: self.read(name) for name in TABLES if self.files(name)}
+        self._list([self._write({name: table for name, table in tables.items() if len(table)}, runs)])
+        self._remove_unlisted()
+
+    def _write(self, tables: Mapping[str, pa.Table], runs: Sequence[Mapping[str, Any]]) -> str:
+        name = f"{int(self.parts[-1]) + 1 if self.parts else 1:06d}"
+        folder = self.folder / _PARTS / name
+        partial = folder.with_name(f".{name}.part")
+        with self._writing():
+            shutil.rmtree(partial, ignore_errors=True)
+            shutil.rmtree(folder, ignore_errors=True)
+            partial.mkdir()
+            for table, content in tables.items():
+                with open(partial / f"{table}.parquet", "wb") as file:
+                    pq.write_table(content.cast(schema(table, {"runs": list(runs)})), file, compression="zstd")
+                    _sync(file.fileno())
+            os.replace(partial, folder)
+        return name
+
+    def _list(self, parts: list[str]) -> None:
+        partial = self.folder / f".{MANIFEST}.part"
+        with self._writing():
+            with open(partial, "w", encoding="utf-8") as file:
+                json.dump({"schema_version": SCHEMA_VERSION, "parts": parts}, file)
+                file.flush()
+                _sync(file.fileno())
+            os.replace(partial, self.folder / MANIFEST)
+        self.parts = parts
+
+    def _remove_unlisted(self) -> None:
+        for path in (self.folder / _PARTS).iterdir():
+            if path.name not in self.parts:
+                shutil.rmtree(path, ignore_errors=True)
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            raise GatewayError(f"cannot write to {self.folder}: {error.strerror or error}") from None
+
+
+def _sync(handle: int) -> None:
+    os.fsync(handle)
+
+
+def _latest(tasks: pa.Table, results: Results) -> pa.Table:
+    rows = sorted(results.current().values(), key=lambda row: (row["file"], row["task"]))
+    return pa.Table.from_pylist(rows, schema=tasks.schema)
+
+
+def _parts_of(manifest: Path) -> list[str]:
+    found = parse_json(files.read_bytes(manifest).decode("utf-8", "replace"), str(manifest))
+    version = found.get("schema_version") if isinstance(found, dict) else None
+    if version != SCHEMA_VERSION:
+        raise ConfigError(
+            f"{manifest}: found tables of version {version!r}, expected {SCHEMA_VERSION}; use another folder"
+        )
+    parts = found.get("parts")
+    if not isinstance(parts, list) or not all(isinstance(each, str) and _NAME.fullmatch(each) for each in parts):
+        raise ConfigError(f"{manifest}: found parts {parts!r}, expected a list of numbers")
+    return parts
+
+
+def _read(path: Path) -> pa.Table:
+    try:
+        with files.open_file(path) as file:
+            return pq.read_table(file).cast(schema(path.stem))
+    except (pa.ArrowException, ValueError) as error:
+        reason = str(error).partition("\n")[0]
+        raise GatewayError(
+            f"{path}: found no table of this version ({reason}); remove the folder and run again"
+        ) from None
+
+
+def _provenance(path: Path) -> list[Mapping[str, Any]]:
+    metadata = pq.read_schema(path).metadata or {}
+    facts = parse_json(metadata.get(PROVENANCE, b"{}").decode(), str(path))
+    return [run for run in facts.get("runs", []) if isinstance(run, dict)]

@@ -1,0 +1,298 @@
+"""A run over a cohort: which files have to be read, the tasks on Dask, and their rows in the tables."""
+
+from __future__ import annotations
+
+import json
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from igtl_gateway import __version__, extras
+from igtl_gateway.clock import SystemClock
+from igtl_gateway.cohort import jobs
+from igtl_gateway.cohort.results import Results
+from igtl_gateway.cohort.sources import Located, digest
+from igtl_gateway.cohort.task import run_task
+from igtl_gateway.errors import Unavailable
+from igtl_gateway.stamp import NS_PER_S
+
+if TYPE_CHECKING:
+    from dask.distributed import Client, Future
+
+    from igtl_gateway.cohort.tables import Row
+
+#: Rows are written after this time, or of this number of files: what a killed run loses.
+_FLUSH_S, _FLUSH_FILES = 5, 500
+#: What Dask is told: one task at a time for each thread, so that a file is not lost with the worker that waits with it;
+#: and a task whose worker died three times is not tried again.
+_SETTINGS = {
+    "distributed.scheduler.worker-saturation": 1.0,
+    "distributed.scheduler.allowed-failures": 3,
+    "distributed.scheduler.http.routes": [],
+    "distributed.worker.http.routes": [],
+}
+#: Dask always opens a port for its pages, by default on all interfaces: on this machine only, and without pages.
+_PAGES = "127.0.0.1:0"
+_CONNECT_S = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Where:
+    """Where the tasks run.
+
+    Attributes:
+        workers: number of files at a time on this machine.
+        scheduler: address of the scheduler of a cluster; "": this machine.
+        tls_ca, tls_cert, tls_key: files for TLS; "": none.
+    """
+
+    workers: int
+    scheduler: str = ""
+    tls_ca: str = ""
+    tls_cert: str = ""
+    tls_key: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """What a run does with each file.
+
+    Attributes:
+        verb: of ``jobs.VERBS``.
+        settings: of the verb.
+        limits: words of ``--limit``.
+        memory: bytes that a worker's data may take; 0: any number.
+        timeout_s: time for a file, s.
+    """
+
+    verb: str
+    settings: Mapping[str, Any]
+    limits: Sequence[str] = ()
+    memory: int = 2 << 30
+    timeout_s: float = 600.0
+
+    @property
+    def text(self) -> str:
+        """The settings that decide about the rows."""
+        return json.dumps({"limits": sorted(self.limits), **self.settings}, sort_keys=True)
+
+
+@dataclass(slots=True)
+class RunSummary:
+    """A run so far.
+
+    Attributes:
+        files: of the cohort.
+        before: of these, how many were done before and have not changed.
+        ends: ``status`` → number of files of this run.
+        different: files whose outputs differ (``verify``), or with a finding of severity error (``lint``).
+    """
+
+    files: int
+    before: int = 0
+    ends: Counter[str] = field(default_factory=Counter)
+    different: int = 0
+
+    @property
+    def done(self) -> int:
+        """Number of files that this run has done."""
+        return sum(self.ends.values())
+
+    @property
+    def failed(self) -> int:
+        """Number of files of this run that gave no rows for a reason other than that there is nothing to do."""
+        good = (jobs.OK, jobs.NOTHING, jobs.UNCHANGED)
+        return sum(number for status, number in self.ends.items() if status not in good)
+
+
+def run_cohort(
+    work: Work, files: Sequence[Located], results: Results, where: Where, progress: Callable[[RunSummary], None]
+) -> RunSummary:
+    """Do what is not done yet, and write its rows.
+
+    Args:
+        work: what to do with each file.
+        files: the cohort.
+        results: the tables.
+        where: where the tasks run.
+        progress: called after each file.
+
+    Raises Unavailable without Dask or its scheduler, GatewayError if the tables cannot be written.
+    """
+    with results.locked():
+        summary = RunSummary(len(files))
+        known = results.current()
+        todo: list[tuple[Located, str]] = []
+        for each in files:
+            row = known.get((each.shown, work.verb))
+            if row and row["version"] == __version__ and row["settings"] == work.text and row["status"] in jobs.FINAL:
+                if row["mark"] == each.mark and each.mark:
+                    summary.before += 1
+                    continue
+                todo.append((each, row["content"] or ""))
+            else:
+                todo.append((each, ""))
+        progress(summary)
+        if todo:
+            _do(work, todo, results, where, summary, progress)
+        results.compact()
+    return summary
+
+
+def _do(
+    work: Work,
+    todo: Sequence[tuple[Located, str]],
+    results: Results,
+    where: Where,
+    summary: RunSummary,
+    progress: Callable[[RunSummary], None],
+) -> None:
+    clock = SystemClock()
+    provenance = {"verb": work.verb, "settings": work.text, "igtl_gateway_version": __version__}
+    rows: dict[str, list[Row]] = {}
+    known = results.current()
+    waiting, since_ns = 0, clock.monotonic_ns()
+
+    def flush() -> None:
+        nonlocal waiting, since_ns
+        if rows:
+            results.add(rows, provenance)
+        rows.clear()
+        waiting, since_ns = 0, clock.monotonic_ns()
+
+    try:
+        for (file, _), reply in _replies(work, todo, where):
+            if reply["status"] == jobs.UNCHANGED:
+                rows.setdefault("tasks", []).append(known[file.shown, work.verb] | {"mark": file.mark})
+            else:
+                _add(rows, work, file, reply)
+            summary.ends[reply["status"]] += 1
+            summary.different += _is_different(reply)
+            waiting += 1
+            if waiting >= _FLUSH_FILES or clock.monotonic_ns() - since_ns > _FLUSH_S * NS_PER_S:
+                flush()
+            progress(summary)
+    finally:
+        flush()
+
+
+def _add(rows: dict[str, list[Row]], work: Work, file: Located, reply: Mapping[str, Any]) -> None:
+    content = reply.get("content") or ""
+    name = {"task": digest(file.shown, work.verb, work.text, __version__, content or file.mark), "file": file.shown}
+    names = ("status", "error", "requests", "bytes_read", "seconds")
+    task = {each: reply.get(each) for each in names} | {"verb": work.verb, "bytes": file.size, "mark": file.mark}
+    task |= {"content": content, "settings": work.text, "version": __version__}
+    rows.setdefault("tasks", []).append(name | task)
+    for table, found in reply.get("rows", {}).items():
+        rows.setdefault(table, []).extend(name | row for row in found)
+
+
+def _is_different(reply: Mapping[str, Any]) -> bool:
+    rows = reply.get("rows", {})
+    return any(not row["good"] for row in rows.get("verifications", ())) or any(
+        row["severity"] == "error" for row in rows.get("findings", ())
+    )
+
+
+def _replies(
+    work: Work, todo: Sequence[tuple[Located, str]], where: Where
+) -> Iterator[tuple[tuple[Located, str], dict[str, Any]]]:
+    """Yield each file with its reply, as they end."""
+    try:
+        import dask
+        from dask.distributed import KilledWorker, as_completed
+    except ImportError as error:
+        raise Unavailable(extras.missing("dask", error)) from None
+    with dask.config.set(_SETTINGS), _client(where, min(where.workers, len(todo))) as client:
+        again = []
+        futures = {}
+        for item, future in zip(todo, _submitted(client, work, todo), strict=True):
+            futures[future] = item
+        for future in as_completed(list(futures), raise_errors=False):
+            item = futures.pop(future)
+            if isinstance(_error(future, where), KilledWorker):
+                again.append(item)
+            else:
+                yield item, _reply(future, where)
+            future.release()
+        # A worker that dies takes the blame for all that it had: each alone, only the guilty one fails again.
+        for item in again:
+            [future] = _submitted(client, work, [item], "again")
+            list(as_completed([future], raise_errors=False))
+            yield item, _reply(future, where)
+
+
+def _submitted(client: Client, work: Work, todo: Sequence[tuple[Located, str]], turn: str = "") -> list[Future]:
+    requests = [
+        {
+            "name": file.name,
+            "size": file.size,
+            "verb": work.verb,
+            "settings": dict(work.settings),
+            "limits": list(work.limits),
+            "content": content,
+        }
+        for file, content in todo
+    ]
+    moment = str(SystemClock().utc_ns())  # Dask answers a key that it knows from memory
+    keys = [f"igtl-{work.verb}-{digest(file.name, file.mark, work.text, moment, turn)}" for file, _ in todo]
+    return list(client.map(run_task, requests, memory=work.memory, timeout_s=work.timeout_s, key=keys))
+
+
+def _error(future: Future, where: Where) -> BaseException | None:
+    if future.status in ("cancelled", "lost"):
+        raise Unavailable(f"{where.scheduler or 'Dask'}: the scheduler is gone; what is done is kept, run again")
+    return future.exception() if future.status == "error" else None
+
+
+def _reply(future: Future, where: Where) -> dict[str, Any]:
+    error = _error(future, where)
+    if error is None:
+        return dict(future.result())
+    killed = type(error).__name__ == "KilledWorker"
+    status = jobs.KILLED if killed else jobs.FAILED
+    text = "the worker of Dask died with this file" if killed else f"{type(error).__name__}: {error}"
+    return {"status": status, "error": text}
+
+
+@contextmanager
+def _client(where: Where, workers: int) -> Iterator[Client]:
+    from dask.distributed import Client, LocalCluster, Security
+
+    if not where.scheduler:
+        # Threads: each keeps a program of its own (task.JobProgram), so Dask needs no process of its own.
+        with (
+            tempfile.TemporaryDirectory(prefix="igtl-gateway-") as scratch,
+            LocalCluster(
+                n_workers=1,
+                threads_per_worker=workers,
+                processes=False,
+                dashboard_address=_PAGES,
+                worker_dashboard_address=_PAGES,
+                local_directory=scratch,
+                memory_limit=0,
+                silence_logs=50,
+            ) as cluster,
+            Client(cluster) as client,
+        ):
+            yield client
+        return
+    security = None
+    if where.tls_ca:
+        security = Security(
+            tls_ca_file=where.tls_ca,
+            tls_client_cert=where.tls_cert,
+            tls_client_key=where.tls_key,
+            require_encryption=True,
+        )
+    try:
+        client = Client(where.scheduler, security=security, timeout=_CONNECT_S)
+    except (OSError, ValueError, TypeError) as error:
+        raise Unavailable(
+            f"{where.scheduler}: found no scheduler of Dask ({str(error).partition(chr(10))[0]})"
+        ) from None
+    with client:
+        yield client

@@ -1,0 +1,39 @@
+"""The program that does jobs: one line of JSON for each job on its input, one line with the reply on its output.
+
+``python -m igtl_gateway.cohort.worker BYTES``: its data may take this number of bytes, so that a file that needs more
+is a result and not the end of the machine.  It ends with its input.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import sys
+from contextlib import suppress
+
+from igtl_gateway.cohort.jobs import run_job
+
+
+def main() -> None:
+    """Do jobs until the input ends."""
+    replies = os.fdopen(os.dup(1), "w", encoding="ascii")
+    os.dup2(2, 1)  # what a library prints is no reply
+    most = int(sys.argv[1])
+    if most:
+        with suppress(ValueError, OSError):  # a lower bound holds already
+            resource.setrlimit(resource.RLIMIT_DATA, (most, most))
+    with open(0, encoding="utf-8", closefd=False) as jobs:
+        for line in jobs:
+            try:
+                text = json.dumps(run_job(json.loads(line)))
+            except MemoryError:
+                text = json.dumps(
+                    {"status": "memory", "error": "the rows need more memory than a worker may have (--memory)"}
+                )
+            replies.write(f"{text}\n")
+            replies.flush()
+
+
+if __name__ == "__main__":
+    main()
