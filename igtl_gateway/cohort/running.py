@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 #: Rows are written after this time, or of this number of files: what a killed run loses.
 _FLUSH_S, _FLUSH_FILES = 5, 500
-#: What Dask is told: one task at a time for each thread, so that a file is not lost with the worker that waits with it;
+#: Settings of Dask: one task at a time for each thread, so that a file is not lost with the worker that waits with it;
 #: and a task whose worker died three times is not tried again.
 _SETTINGS = {
     "distributed.scheduler.worker-saturation": 1.0,

@@ -1,4 +1,4 @@
-"""The files of a cohort: what the sources name, each with what tells cheaply whether it has changed."""
+"""The files of a cohort: what the sources name, each with a mark that changes when the file does."""
 
 from __future__ import annotations
 
