@@ -1,4 +1,4 @@
-"""The folder with the tables of a cohort: parts that are complete or absent, and one file with the list of those that count.
+"""The folder with the tables of a cohort: parts that are complete or absent, and the list of those that count.
 
 ``cohort.json`` lists the parts; a part is a folder ``parts/000001`` with one Parquet file for each table that has
 rows.  A part is written under another name, renamed, and then listed: a run that is killed at any moment leaves a
@@ -58,7 +58,7 @@ class Results:
 
     @contextmanager
     def locked(self) -> Iterator[None]:
-        """Context manager: no other program writes.  Raises GatewayError if another run does, or nothing can be written."""
+        """Context manager: no other program writes.  Raises GatewayError if another does, or nothing can be written."""
         with self._writing():
             (self.folder / _PARTS).mkdir(parents=True, exist_ok=True)
             lock = open(self.folder / _LOCK, "a")  # closed below
