@@ -16,6 +16,13 @@ DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 18944
 #: The ways to the ROS graph, and where a router of Zenoh usually listens.
 DDS, ZENOH = "dds", "zenoh"
 ZENOH_ENDPOINT = "tcp/localhost:7447"
+ZENOH_LISTEN = "tcp/127.0.0.1:7447"
+
+#: Protocol and place; options of the protocol may follow.
+_ENDPOINT = re.compile(
+    r"([a-z][a-z0-9_-]*/)?(?:[^/\s:#?;\[\]]+|\[[0-9a-fA-F:.%]+\]):[0-9]{1,5}(?:[#?;]\S*)?|(unixsock-stream|unixpipe)/\S+",
+    re.ASCII,
+)
 
 #: Units of an age in seconds, and of a size in bytes.
 _AGES = {"h": 3600, "d": 86_400, "w": 7 * 86_400}
@@ -80,12 +87,20 @@ def ros_middleware(text: str) -> str | None:
     name, colon, endpoint = text.partition(":")
     if text == DDS:
         return None
-    protocol, slash, rest = endpoint.partition("/")
-    if name != ZENOH or (colon and not (rest if slash else endpoint.rpartition(":")[0])) or (slash and not protocol):
-        raise ConfigError(
-            f"found {text!r}, expected {DDS}, {ZENOH} or {ZENOH}:ENDPOINT such as {ZENOH}:{ZENOH_ENDPOINT}"
-        )
-    return endpoint if slash or not endpoint else f"tcp/{endpoint}"
+    try:
+        if name == ZENOH:
+            return zenoh_endpoint(endpoint) if colon else ""
+    except ConfigError:
+        pass
+    raise ConfigError(f"found {text!r}, expected {DDS}, {ZENOH} or {ZENOH}:ENDPOINT such as {ZENOH}:{ZENOH_ENDPOINT}")
+
+
+def zenoh_endpoint(text: str) -> str:
+    """Return an endpoint such as ``tls/host:7447``; ``HOST:PORT`` stands for ``tcp/HOST:PORT``."""
+    found = _ENDPOINT.fullmatch(text)
+    if not found:
+        raise ConfigError(f"found {text!r}, expected PROTOCOL/HOST:PORT such as {ZENOH_ENDPOINT}")
+    return text if found[1] or found[2] else f"tcp/{text}"
 
 
 def network(text: str) -> str:

@@ -61,6 +61,9 @@ VERBS = {
     "review": _own("review", "check each stitch of a suture plan against the measured tissue"),
     "cohort": _own("cohort", "info, lint, verify, review or sync over many sessions, as tables", writes_files=True),
     "decode": _own("decode", "print the messages of a raw OpenIGTLink byte stream as JSON lines"),
+    "zenoh-router": _own(
+        "zenoh_router", "run a router of Zenoh, which ROS nodes with rmw_zenoh need", reads_files=False
+    ),
     "completion": _own("completion", "print a script that completes words in bash, zsh or fish", reads_files=False),
 }
 
