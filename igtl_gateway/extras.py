@@ -18,6 +18,7 @@ _EXTRAS = {
     "duckdb": ("cohort", ""),
     "obstore": ("cohort", ""),
     "cryptography": ("seal", ""),
+    "blake3": ("seal", ""),
     "pyigtl": ("dev", ""),
 }
 

@@ -154,6 +154,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "cryptography": ("seal.keys",),
     "dask": ("cohort.running",),
     "duckdb": ("cohort.query",),
+    "blake3": ("seal.digest",),
     "fastcrc": ("wire", "sessionfile"),
     "lz4": ("sessionfile.compression", "untrusted.unpack"),
     "pyigtl": ("lab.bench.pyigtl_side",),  # a peer of another project

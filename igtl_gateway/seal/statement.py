@@ -1,4 +1,4 @@
-"""What a seal states: the records since the seal before it, with a digest of each, and the end of the file.
+"""What a seal states: the records since the seal before it, with a BLAKE3 of each, and the end of the file.
 
 A *unit* is what one digest covers: a record between the first magic and the end of the data section; a chunk with the
 message indexes behind it; messages in a row outside of chunks; the magic with the header.  A statement has a row for
@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from igtl_gateway.errors import DamagedRecording
+from igtl_gateway.seal import digest as digests
 from igtl_gateway.seal.envelope import Envelope
 from igtl_gateway.seal.keys import SigningKey, public_of
 from igtl_gateway.untrusted.shape import anything, fields, list_of, number, text, truth
@@ -33,7 +34,7 @@ _RECORDING = re.compile(r"[0-9a-f]{32}")
 
 @dataclass(frozen=True, slots=True)
 class UnitRow:
-    """A unit: its kind, bytes, SHA-256, and its first and last entry number (low 32 bits; −1: no entries)."""
+    """A unit: its kind, bytes, BLAKE3, and its first and last entry number (low 32 bits; −1: no entries)."""
 
     kind: str
     size: int
@@ -44,7 +45,7 @@ class UnitRow:
 
 @dataclass(frozen=True, slots=True)
 class EndOfFile:
-    """What is behind the last seal of a file: bytes, SHA-256, and whether the recording has no further part."""
+    """What is behind the last seal of a file: bytes, BLAKE3, and whether the recording has no further part."""
 
     size: int
     digest: bytes
@@ -126,11 +127,12 @@ def sign(statement: Statement, key: SigningKey) -> Envelope:
             "end": given.end,
             "head_before": given.head_before.hex(),
             "head": given.head.hex(),
+            "digest": digests.NAME,
             "units": [[each.kind, each.size, each.digest.hex(), each.first, each.last] for each in given.units],
             "time_ns": given.time_ns,
             "key": given.public.hex(),
             "introductions": list(given.introductions),
-            "end_of_file": end and {"size": end.size, "sha256": end.digest.hex(), "last_part": end.last_part},
+            "end_of_file": end and {"size": end.size, "digest": end.digest.hex(), "last_part": end.last_part},
         },
     }
     return key.sign(json.dumps(document, ensure_ascii=True, separators=(",", ":")).encode())
@@ -140,6 +142,12 @@ def _digest(value: Any, place: str) -> None:
     text(value, place)
     if not _SHA256.fullmatch(value):
         raise DamagedRecording(f"{place}: found other text, expected 64 hexadecimal digits")
+
+
+def _name_of_digest(value: Any, place: str) -> None:
+    text(value, place)
+    if value != digests.NAME:
+        raise DamagedRecording(f"{place}: found another digest, expected {digests.NAME}")
 
 
 def _entry_number(value: Any, place: str) -> None:
@@ -161,7 +169,7 @@ def _recording(value: Any, place: str) -> None:
         raise DamagedRecording(f"{place}: found other text, expected 32 hexadecimal digits")
 
 
-_END = fields({"size": number, "sha256": _digest, "last_part": truth}, needed=("size", "sha256", "last_part"))
+_END = fields({"size": number, "digest": _digest, "last_part": truth}, needed=("size", "digest", "last_part"))
 _PREDICATE = {
     "recording": _recording,
     "part": number,
@@ -171,6 +179,7 @@ _PREDICATE = {
     "end": number,
     "head_before": _digest,
     "head": _digest,
+    "digest": _name_of_digest,
     "units": list_of(_row),
     "time_ns": number,
     "key": _digest,
@@ -215,7 +224,7 @@ def parse(found: Envelope, place: str) -> Statement:
         given["time_ns"],
         public_of(given["key"]),
         tuple(given["introductions"]),
-        end and EndOfFile(end["size"], bytes.fromhex(end["sha256"]), end["last_part"]),
+        end and EndOfFile(end["size"], bytes.fromhex(end["digest"]), end["last_part"]),
     )
     sized = statement.start + sum(unit.size for unit in units) == statement.end
     if not sized or not all(unit.size for unit in units) or head_after(statement.head_before, units) != statement.head:

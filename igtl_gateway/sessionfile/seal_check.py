@@ -138,7 +138,7 @@ class _Check:
             statement.part.number,
             end.last_part if end else None,
             statement.part.previous,
-            last.digest.hex() if end else "",
+            last.sha256.hex() if end else "",
             len(self._seals),
             sealed_bytes,
             entries[-1] if entries else -1,

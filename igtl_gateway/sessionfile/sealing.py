@@ -17,6 +17,7 @@ from mcap.records import Metadata
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.seal import envelope
+from igtl_gateway.seal.digest import new_digest
 from igtl_gateway.seal.envelope import Envelope
 from igtl_gateway.seal.keys import SigningKey
 from igtl_gateway.seal.statement import (
@@ -93,7 +94,7 @@ class Sealer:
         #: SHA-256 of the last seal of the finished file.
         self.last_digest = ""
         self._key, self._name, self._utc_ns = key, name, utc_ns
-        self._hash = hashlib.sha256()
+        self._hash = new_digest()
         self._size = 0  # bytes of the unit so far
         self._units: list[UnitRow] = []
         self._start = 0
@@ -125,7 +126,7 @@ class Sealer:
     def end_unit(self, kind: str, first: int = -1, last: int = -1) -> None:
         """End a unit, with its first and last entry number."""
         self._units.append(UnitRow(kind, self._size, self._hash.digest(), first, last))
-        self._hash, self._size = hashlib.sha256(), 0
+        self._hash, self._size = new_digest(), 0
 
     def add(self, unit: UnitRow) -> None:
         """Add a unit that is in the file already."""
@@ -150,7 +151,7 @@ class Sealer:
         stated = EndOfFile(len(end(0)), bytes(32), last_part)
         length = len(seal_record(sign(self._statement(now_ns, stated), self._key)))
         rest = end(length)
-        stated = replace(stated, digest=hashlib.sha256(rest).digest())
+        stated = replace(stated, digest=new_digest().update(rest).digest())
         record = seal_record(sign(self._statement(now_ns, stated), self._key))
         self.last_digest = hashlib.sha256(record).hexdigest()
         return record, rest

@@ -11,6 +11,7 @@ from typing import IO
 
 from igtl_gateway.errors import DamagedRecording, LimitExceeded
 from igtl_gateway.seal import envelope, keys
+from igtl_gateway.seal.digest import new_digest
 from igtl_gateway.seal.envelope import Envelope
 from igtl_gateway.seal.statement import Statement, parse
 from igtl_gateway.sessionfile import records
@@ -28,11 +29,12 @@ _PIECE = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class FoundSeal:
-    """A valid seal: its offset, its bytes and what it states."""
+    """A valid seal: its offset, its bytes, their BLAKE3 as of any unit, their SHA-256, and what it states."""
 
     at: int
     size: int
     digest: bytes
+    sha256: bytes
     statement: Statement
 
     @property
@@ -124,7 +126,8 @@ def _parsed_seal(stream: IO[bytes], at: int, size: int, place: str) -> tuple[Fou
     record = head + content
     if seal_record(found) != record:
         return None
-    return FoundSeal(at, len(record), hashlib.sha256(record).digest(), statement), found
+    digest = new_digest().update(record).digest()
+    return FoundSeal(at, len(record), digest, hashlib.sha256(record).digest(), statement), found
 
 
 def has_name_of_seal(stream: IO[bytes], at: int) -> bool:

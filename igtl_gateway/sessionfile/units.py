@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import IO
 
+from igtl_gateway.seal.digest import new_digest
 from igtl_gateway.sessionfile import records
 from igtl_gateway.sessionfile.records import HEAD, MAGIC
 from igtl_gateway.sessionfile.sealing import KINDS
@@ -16,7 +16,7 @@ _PIECE = 1 << 20
 
 @dataclass(frozen=True, slots=True)
 class FoundUnit:
-    """A unit in a file: its opcode, offset, bytes and SHA-256."""
+    """A unit in a file: its opcode, offset, bytes and BLAKE3."""
 
     opcode: int
     at: int
@@ -29,9 +29,9 @@ class FoundUnit:
 
 
 def digest_of(stream: IO[bytes], at: int, size: int) -> bytes:
-    """Return the SHA-256 of a range of a file; of a shorter one where the file ends."""
+    """Return the BLAKE3 of a range of a file; of a shorter one where the file ends."""
     stream.seek(at)
-    found = hashlib.sha256()
+    found = new_digest()
     while size > 0 and (piece := stream.read(min(size, _PIECE))):
         found.update(piece)
         size -= len(piece)

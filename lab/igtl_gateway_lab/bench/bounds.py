@@ -74,6 +74,8 @@ BOUNDS: Sequence[Bound] = (
     Bound("p99_ms where that of the floor is below 2", 3, ("mixed",), stream="transform"),
     Bound("recording_p50_ratio", 1.05),
     Bound("recording_p99_ratio", 1.10),
+    Bound("sealing_p50_ratio", 1.05),
+    Bound("sealing_cpu_percent", 3, ("mixed",)),
     Bound("recorder_dropped", 0),
     Bound("gateway_rss_peak_mb", 400, ("stalled-client",), recording=False),
     Bound("lost after resume", 0, ("stalled-client",), stream="transform"),

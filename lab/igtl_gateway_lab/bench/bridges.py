@@ -52,14 +52,16 @@ class Bridge:
 
 
 @contextmanager
-def gateway(case: Case, seconds: float, recording: Path | None) -> Iterator[Bridge]:
-    """The gateway, for at most ``seconds``.  Raises BenchError."""
+def gateway(case: Case, seconds: float, recording: Path | None, key: Path | None = None) -> Iterator[Bridge]:
+    """The gateway, for at most ``seconds``; with a key, it seals its recording.  Raises BenchError."""
     words = ["bridge", "--json", "--listen", "127.0.0.1:0", "--duration", str(seconds)]
     for stream in case.streams:
         topic, device = (f(Direction.ROS_TO_IGTL) for f in (stream.topic, stream.device))
         words += ["--send", f"{topic}={device}:{payload(stream.kind).igtl_type}"]
     if recording:
         words += ["--record", str(recording), "--overwrite"]
+    if key:
+        words += ["--seal", str(key)]
     with Program("gateway", ours(*words)) as program:
         bridge = Bridge(program)
         yield bridge

@@ -135,4 +135,5 @@ def _label(row: Row) -> str:
     rate = f"{row['rate_hz']:g} Hz" if row.get("rate_hz") else "flood"
     stream = "".join(f" {row[name]}" for name in ("stream", "client") if name in row)
     others = "".join(f", {row[name]}" for name in ("peer", "bridge") if row.get(name))
-    return f"{row['case']}{stream}, {rate}{', recording' if row.get('recording') else ''}{others}"
+    marks = "".join(f", {name}" for name in ("recording", "sealed") if row.get(name))
+    return f"{row['case']}{stream}, {rate}{marks}{others}"

@@ -59,19 +59,28 @@ def _names(name: str, value: Any) -> bool:
 
 
 def with_costs(rows: Sequence[Row]) -> list[Row]:
-    """The rows, those of recordings with how many times they took of what they take without."""
+    """The rows, those of recordings with how many times they took of what they take without.
+
+    Those of sealed recordings, with what they took of those that are not sealed, and how much more of a core.
+    """
 
     def key(row: Row) -> tuple[Any, ...]:
         return row["case"], row.get("stream"), row.get("direction"), row.get("peer"), row.get("bridge")
 
     plain = {key(row): row for row in rows if not row.get("recording")}
-    return [
-        row
-        | {
-            f"recording_{name}_ratio": ratio(row[f"{name}_ms"], plain[key(row)][f"{name}_ms"])
-            for name in ("p50", "p99")
-        }
-        if row.get("recording") and key(row) in plain
-        else row
-        for row in rows
-    ]
+    recorded = {key(row): row for row in rows if row.get("recording") and not row.get("sealed")}
+    return [row | _cost(row, plain.get(key(row)), recorded.get(key(row))) for row in rows]
+
+
+def _cost(row: Row, plain: Row | None, recorded: Row | None) -> Row:
+    if not row.get("recording") or plain is None:
+        return {}
+    name, other = ("sealing", recorded) if row.get("sealed") else ("recording", plain)
+    if other is None:
+        return {}
+    cost: Row = {
+        f"{name}_{figure}_ratio": ratio(row[f"{figure}_ms"], other[f"{figure}_ms"]) for figure in ("p50", "p99")
+    }
+    if name == "sealing":
+        cost["sealing_cpu_percent"] = round(row["recorder_cpu_percent"] - other["recorder_cpu_percent"], 1)
+    return cost

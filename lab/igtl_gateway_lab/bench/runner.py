@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.clock import Clock
+from igtl_gateway.seal.keys import SigningKey
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway_lab.bench import bridges, flame
 from igtl_gateway_lab.bench.bridges import HOP, START_S, Address, Bridge, wait_ready
@@ -75,6 +76,7 @@ class BenchPlan:
         against: commands of other bridges to measure.
         programs: ``NATIVE`` or ``PYTHON``.
         record: the gateway records.
+        seal: it seals the recording.
         peer: whose program is on the side of OpenIGTLink, "" for ours; see ``peers``.
         clients: how many there are on the side of OpenIGTLink, all of which receive everything.
         flame: file for a picture of where the gateway spends its time.
@@ -88,6 +90,7 @@ class BenchPlan:
     against: tuple[str, ...] = ()
     programs: str = PYTHON
     record: bool = False
+    seal: bool = False
     peer: str = ""
     clients: int = 1
     flame: Path | None = None
@@ -185,7 +188,14 @@ class Runner:
         turns = [plan.directions] if plan.case.at_once else [(direction,) for direction in plan.directions]
         with self._bridge(plan, name) as bridge:
             for directions in turns:
-                self._status(plan, *(way.value for way in directions), plan.peer, "recording" * plan.record, name)
+                self._status(
+                    plan,
+                    *(way.value for way in directions),
+                    plan.peer,
+                    "recording" * plan.record,
+                    "sealing" * plan.seal,
+                    name,
+                )
                 runs.append((directions, self._through_bridge(plan, directions, bridge)))
         marks: Row = {"programs": plan.programs} | ({"bridge": name} if name else {})
         return [row | bridge.recorded | marks for run in runs for row in self._rows(plan, *run, bridge)]
@@ -198,7 +208,15 @@ class Runner:
             for stream in plan.case.streams
         )
         recording = self._folder / "recording.mcap" if plan.record else None
-        return bridges.gateway(plan.case, _GATEWAY_S + len(Direction) * longest, recording)
+        key = self._key if plan.seal else None
+        return bridges.gateway(plan.case, _GATEWAY_S + len(Direction) * longest, recording, key)
+
+    @cached_property
+    def _key(self) -> Path:
+        path = self._folder / "recorder.key"
+        path.touch(0o600)
+        path.write_bytes(SigningKey.generate().private_pem())
+        return path
 
     @cached_property
     def _probe(self) -> Path:
@@ -401,6 +419,7 @@ class Runner:
                     row["stream"] = kind
                 rate_hz = streams[0].rate_hz or None
                 row |= {"direction": direction.value, "rate_hz": rate_hz, "recording": plan.record}
+                row |= {"sealed": True} if plan.seal else {}
                 heard: dict[int, list[tuple[BenchStream, Transmission]]] = {}
                 for stream in streams:
                     for (device, client), passage in passed.passages.items():

@@ -39,6 +39,8 @@ EXAMPLES = """\
   igtl-gateway bench --case image-fullhd --flood --json
   # with and without a recording, alternately
   igtl-gateway bench --case mixed --duration 60 --record --rounds 3
+  # what seals cost: recordings with and without them
+  igtl-gateway bench --case mixed --duration 30 --seal --no-floor
   # also with the C++ library and pyigtl as peers
   igtl-gateway bench --case transform image-vga --peers
   # in turns with another bridge on the same topics (docs/performance.md)
@@ -118,6 +120,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--rounds", type=int, default=1, metavar="N", help="measure N times alternately and print medians " + default(1)
     )
     comparisons.add_argument("--record", action="store_true", help="also measure with a recording")
+    comparisons.add_argument("--seal", action="store_true", help="also measure with recordings, sealed and not")
     comparisons.add_argument(
         "--floor",
         action=argparse.BooleanOptionalAction,
@@ -260,7 +263,8 @@ def _group(case: Case, directions: tuple[Direction, ...], extent: Extent, option
         against=() if alone else tuple(options.against),
         programs=options.programs,
     )
-    recorded = [replace(plan, record=True, floor=False, hop=False, against=())] if options.record else []
+    recording = replace(plan, record=True, floor=False, hop=False, against=())
+    recorded = [recording] * (options.record or options.seal) + [replace(recording, seal=True)] * options.seal
     return _Group((plan, *recorded, *(_with_peers(plan) if options.peers else ())))
 
 
@@ -336,6 +340,9 @@ def _remarks(row: Row) -> list[str]:
     if "recording_p50_ratio" in row:
         times = " and ".join(f"{name} {row[f'recording_{name}_ratio']} times" for name in ("p50", "p99"))
         told.append(f"{times} that without recording")
+    if "sealing_p50_ratio" in row:
+        times = " and ".join(f"{name} {row[f'sealing_{name}_ratio']} times" for name in ("p50", "p99"))
+        told.append(f"{times} that without seals, {row['sealing_cpu_percent']} % of a core more")
     if "floor_dds_per_s" in row:
         hop = f", with the hop between them {row['hop_per_s']:,.0f}/s" if row.get("hop_per_s") else ""
         bare = f"{row['floor_dds_per_s']:,.0f}/s (DDS) and {row['floor_tcp_per_s']:,.0f}/s (TCP)"
@@ -372,6 +379,7 @@ def _name(row: Row) -> str:
         row.get("client"),
         clients,
         "+rec" if row.get("recording") else "",
+        "+seal" if row.get("sealed") else "",
         row.get("peer"),
         _shortened(row.get("bridge", "")),
         "(Python programs)" if row.get("programs") == PYTHON else "",

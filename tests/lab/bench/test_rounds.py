@@ -52,3 +52,12 @@ def test_what_a_recording_costs() -> None:
     plain, recorded, _ = with_costs([row(2.0), row(3.0, recording=True), other])
     assert "recording_p50_ratio" not in plain
     assert (recorded["recording_p50_ratio"], recorded["recording_p99_ratio"]) == (1.5, 1.5)
+
+
+def test_what_seals_cost() -> None:
+    recorded = row(4.0, recording=True) | {"recorder_cpu_percent": 20.0}
+    sealed = row(3.0, recording=True) | {"recorder_cpu_percent": 22.5, "sealed": True}
+    _, _, told = with_costs([row(2.0), recorded, sealed])
+    assert (told["sealing_p50_ratio"], told["sealing_cpu_percent"]) == (0.75, 2.5)
+    assert "recording_p50_ratio" not in told
+    assert "sealing_p50_ratio" not in with_costs([row(2.0), sealed])[1]
