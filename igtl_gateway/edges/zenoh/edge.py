@@ -54,6 +54,8 @@ _ROSOUT_QOS = Qos(1000, latched=True)
 _SERVICE_QOS = Qos(10)
 _LOSSES_NS = 1_000_000_000
 _WAIT_S = 0.01
+#: From a change of the graph to the look at it: what changes together comes within this time.
+_GATHER_S = 0.01
 #: New subscribers that are not reported yet.
 _LISTENED = 10_000
 
@@ -116,7 +118,7 @@ class ZenohEdge:
         self._reports = Reports(on_note)
         self._connection = Connection(endpoint, self._reports, self._changed.set)
         self._hashes = TypeHashes()
-        self._inbox = Inbox()
+        self._inbox = self._make_inbox()
         self._graph = Graph(self._reports, self._on_graph)
         self._publishing = Publishing(
             self._connection, self._next, self._hashes, self._domain, self._reports, self._clock, self._on_subscriber
@@ -185,7 +187,8 @@ class ZenohEdge:
         self._stopping.set()
         atexit.unregister(self.stop)
         self._changed.set()
-        self._keeper.join()
+        if self._keeper.ident:
+            self._keeper.join()
         self._calls.stop()
         self._publishing.close()
         self._connection.stop()  # before the inbox: no message comes from here on
@@ -293,6 +296,9 @@ class ZenohEdge:
         self.sync()
         return self._reports.counters()
 
+    def _make_inbox(self) -> Inbox:
+        return Inbox()
+
     def _next(self, session: Any) -> tuple[Node, int]:
         """The node, and the number of a new entity; the caller has the lock of the connection."""
         self._own = self._own or Node(self._domain, str(session.info.zid()), 0, self._name, self._namespace)
@@ -338,4 +344,5 @@ class ZenohEdge:
             except Exception as error:  # of a callee, or of an entity that Zenoh refuses: try again
                 self._reports.callback_failed("looking at the graph", error, "graph")
             due_ns = losses_ns if self._connection.is_open else min(retry_ns, losses_ns)
-            self._changed.wait(max(0, due_ns - now_ns()) / NS_PER_S)
+            if self._changed.wait(max(0, due_ns - now_ns()) / NS_PER_S):
+                self._stopping.wait(_GATHER_S)

@@ -87,8 +87,8 @@ BOUNDS: Sequence[Bound] = (
 
 
 def with_verdict(row: Row) -> Row:
-    """A row of the gateway, with our own programs, with its ``bounds``: what should be → whether it is."""
-    if row.get("peer") or row.get("bridge"):
+    """A row of the gateway over DDS, with our own programs, with its ``bounds``: what should be → whether it is."""
+    if row.get("peer") or row.get("bridge") or row.get("middleware"):
         return row
     values = with_derived_figures(row)
     found = {

@@ -52,12 +52,19 @@ class Bridge:
 
 
 @contextmanager
-def gateway(case: Case, seconds: float, recording: Path | None, key: Path | None = None) -> Iterator[Bridge]:
-    """The gateway, for at most ``seconds``; with a key, it seals its recording.  Raises BenchError."""
+def gateway(
+    case: Case, seconds: float, recording: Path | None, key: Path | None = None, zenoh: str = ""
+) -> Iterator[Bridge]:
+    """The gateway, for at most ``seconds``; with a key, it seals its recording.  Raises BenchError.
+
+    ``zenoh``: endpoint of the router, for ROS over Zenoh; "": over DDS.
+    """
     words = ["bridge", "--json", "--listen", "127.0.0.1:0", "--duration", str(seconds)]
     for stream in case.streams:
         topic, device = (f(Direction.ROS_TO_IGTL) for f in (stream.topic, stream.device))
         words += ["--send", f"{topic}={device}:{payload(stream.kind).igtl_type}"]
+    if zenoh:
+        words += ["--ros", f"zenoh:{zenoh}"]
     if recording:
         words += ["--record", str(recording), "--overwrite"]
     if key:

@@ -9,14 +9,14 @@ from igtl_gateway_lab.bench.bridges import HOP
 from igtl_gateway_lab.bench.figures import Row, ratio
 
 
-def against_floor(row: Row, dds: Row, tcp: Row) -> Row:
+def against_floor(row: Row, ros: Row, tcp: Row, middleware: str = "dds") -> Row:
     """What stands in a row of the bare hops: in a flood their rates, else their medians and how many times those."""
     if row["rate_hz"] is None:
-        return {"floor_dds_per_s": dds["received_per_s"], "floor_tcp_per_s": tcp["received_per_s"]}
-    hops = (dds["p50_ms"], tcp["p50_ms"])
+        return {f"floor_{middleware}_per_s": ros["received_per_s"], "floor_tcp_per_s": tcp["received_per_s"]}
+    hops = (ros["p50_ms"], tcp["p50_ms"])
     floor = round(sum(hops), 4) if None not in hops else None
     return {
-        "floor_dds_p50_ms": hops[0],
+        f"floor_{middleware}_p50_ms": hops[0],
         "floor_tcp_p50_ms": hops[1],
         "floor_p50_ms": floor,
         "ratio": ratio(row["p50_ms"], floor),

@@ -54,6 +54,7 @@ class Job:
         times: file to write times into.
         address: of the gateway, for OpenIGTLink.
         listen: be a server there instead.
+        zenoh: endpoint of the router, for ROS over Zenoh; "": over DDS.
         native: library with the native loops, see ``probe``; "": those in Python.
     """
 
@@ -66,6 +67,7 @@ class Job:
     address: tuple[str, int] = ("127.0.0.1", 0)
     listen: bool = False
     native: str = ""
+    zenoh: str = ""
 
     def to_json(self) -> str:
         return json.dumps(asdict(self), default=lambda value: value.value)

@@ -253,7 +253,7 @@ def run(job: Job) -> None:
 
 
 def _side(job: Job) -> BenchSide:
-    if job.native and job.side == "ros":
+    if job.native and job.side == "ros" and not job.zenoh:
         return NativeRosSide(job)
     if job.native and job.side == "igtl":
         return NativeIgtlSide(job, _print_listening)
@@ -262,6 +262,10 @@ def _side(job: Job) -> BenchSide:
 
 def _transport(job: Job, heard: dict[str, Arrivals]) -> BenchTransport:
     match job.side:
+        case "ros" if job.zenoh:
+            from igtl_gateway_lab.bench.zenoh_side import ZenohTransport  # here: it needs an extra
+
+            return ZenohTransport(job, heard)
         case "ros":
             return RosTransport(job, heard)
         case "pyigtl":

@@ -65,7 +65,14 @@ def with_costs(rows: Sequence[Row]) -> list[Row]:
     """
 
     def key(row: Row) -> tuple[Any, ...]:
-        return row["case"], row.get("stream"), row.get("direction"), row.get("peer"), row.get("bridge")
+        return (
+            row["case"],
+            row.get("stream"),
+            row.get("direction"),
+            row.get("peer"),
+            row.get("bridge"),
+            row.get("middleware"),
+        )
 
     plain = {key(row): row for row in rows if not row.get("recording")}
     recorded = {key(row): row for row in rows if row.get("recording") and not row.get("sealed")}

@@ -24,6 +24,7 @@ from igtl_gateway_lab.bench.probe import compile_probe
 from igtl_gateway_lab.bench.processes import BenchError, Program, Usage, wakeups
 from igtl_gateway_lab.bench.stalled import NAMES, STALLED
 from igtl_gateway_lab.bench.window import window
+from igtl_gateway_lab.programs import ours
 
 #: Warm-up before the messages that count: seconds, the largest number of messages, and the number of a flood.
 _WARM_S, _WARM_MOST, _WARM_FLOOD = 0.5, 200, 20
@@ -75,6 +76,7 @@ class BenchPlan:
         hop: measure a bridge that does nothing but the hop, too.
         against: commands of other bridges to measure.
         programs: ``NATIVE`` or ``PYTHON``.
+        zenoh: the ROS side is over Zenoh, with a router of its own; only ``PYTHON`` has programs for it.
         record: the gateway records.
         seal: it seals the recording.
         peer: whose program is on the side of OpenIGTLink, "" for ours; see ``peers``.
@@ -89,6 +91,7 @@ class BenchPlan:
     hop: bool = False
     against: tuple[str, ...] = ()
     programs: str = PYTHON
+    zenoh: bool = False
     record: bool = False
     seal: bool = False
     peer: str = ""
@@ -128,9 +131,20 @@ class Runner:
         self._runs = 0
         self._rest = threading.Event()
         self._library = Library(folder)
+        self._endpoint = ""  # of the router, while something is measured over Zenoh
 
     def measure(self, plan: BenchPlan) -> list[Row]:
         """The rows of a case: those of the gateway, then those of the other bridges.  Raises BenchError."""
+        if not plan.zenoh:
+            return self._measure(plan)
+        self._endpoint = f"tcp/127.0.0.1:{bridges.free_port()}"
+        try:
+            with Program("router", ours("zenoh-router", "--listen", self._endpoint)):
+                return [row | {"middleware": "zenoh"} for row in self._measure(plan)]
+        finally:
+            self._endpoint = ""
+
+    def _measure(self, plan: BenchPlan) -> list[Row]:
         rows = self._of_bridge(plan, "")
         for command_line in plan.against:
             try:
@@ -149,8 +163,9 @@ class Runner:
         elif plan.floor:
             self._status(plan, "floor")
             brief = self._briefly(plan)
-            dds, tcp = self._bare(brief, "ros"), self._bare(brief, "igtl")
-            rows = [row | against_floor(row, dds, tcp) for row in rows]
+            ros, tcp = self._bare(brief, "ros"), self._bare(brief, "igtl")
+            middleware = "zenoh" if plan.zenoh else "dds"
+            rows = [row | against_floor(row, ros, tcp, middleware) for row in rows]
         return against_hop(rows) if plan.hop else rows
 
     def idle(self, name: str, programs: str, seconds: float) -> Row:
@@ -209,7 +224,7 @@ class Runner:
         )
         recording = self._folder / "recording.mcap" if plan.record else None
         key = self._key if plan.seal else None
-        return bridges.gateway(plan.case, _GATEWAY_S + len(Direction) * longest, recording, key)
+        return bridges.gateway(plan.case, _GATEWAY_S + len(Direction) * longest, recording, key, self._endpoint)
 
     @cached_property
     def _key(self) -> Path:
@@ -336,7 +351,8 @@ class Runner:
         self._runs += 1
         times = str(self._folder / f"times-{self._runs}.npz")
         native = str(self._probe) if plan.programs == NATIVE else ""
-        return Job(side, name, sends, hears, plan.extent.seconds, times, address, listen, native)
+        zenoh = self._endpoint if side == "ros" else ""
+        return Job(side, name, sends, hears, plan.extent.seconds, times, address, listen, native, zenoh)
 
     def _start(self, stack: ExitStack, job: Job) -> Program:
         return stack.enter_context(Program(f"{job.side} {job.name}", command(job, self._library)))

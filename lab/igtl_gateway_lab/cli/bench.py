@@ -41,6 +41,8 @@ EXAMPLES = """\
   igtl-gateway bench --case mixed --duration 60 --record --rounds 3
   # what seals cost: recordings with and without them
   igtl-gateway bench --case mixed --duration 30 --seal --no-floor
+  # also over Zenoh through a router, with its own floor
+  igtl-gateway bench --case transform --zenoh
   # also with the C++ library and pyigtl as peers
   igtl-gateway bench --case transform image-vga --peers
   # in turns with another bridge on the same topics (docs/performance.md)
@@ -118,6 +120,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     comparisons = parser.add_argument_group("comparisons")
     comparisons.add_argument(
         "--rounds", type=int, default=1, metavar="N", help="measure N times alternately and print medians " + default(1)
+    )
+    comparisons.add_argument(
+        "--zenoh",
+        action="store_true",
+        help="also measure with ROS over Zenoh through a router, with the measuring programs in Python, and the same "
+        "over DDS",
     )
     comparisons.add_argument("--record", action="store_true", help="also measure with a recording")
     comparisons.add_argument("--seal", action="store_true", help="also measure with recordings, sealed and not")
@@ -265,7 +273,11 @@ def _group(case: Case, directions: tuple[Direction, ...], extent: Extent, option
     )
     recording = replace(plan, record=True, floor=False, hop=False, against=())
     recorded = [recording] * (options.record or options.seal) + [replace(recording, seal=True)] * options.seal
-    return _Group((plan, *recorded, *(_with_peers(plan) if options.peers else ())))
+    over = []
+    if options.zenoh:
+        same = replace(plan, programs=PYTHON, hop=False, against=())
+        over = [*([same] if plan.programs != PYTHON else []), replace(same, zenoh=True)]
+    return _Group((plan, *recorded, *over, *(_with_peers(plan) if options.peers else ())))
 
 
 def _in_flames(groups: list[_Group], works: list[str], options: argparse.Namespace) -> list[_Group]:
@@ -343,9 +355,11 @@ def _remarks(row: Row) -> list[str]:
     if "sealing_p50_ratio" in row:
         times = " and ".join(f"{name} {row[f'sealing_{name}_ratio']} times" for name in ("p50", "p99"))
         told.append(f"{times} that without seals, {row['sealing_cpu_percent']} % of a core more")
-    if "floor_dds_per_s" in row:
+    for name, key in (("DDS", "floor_dds_per_s"), ("Zenoh", "floor_zenoh_per_s")):
+        if key not in row:
+            continue
         hop = f", with the hop between them {row['hop_per_s']:,.0f}/s" if row.get("hop_per_s") else ""
-        bare = f"{row['floor_dds_per_s']:,.0f}/s (DDS) and {row['floor_tcp_per_s']:,.0f}/s (TCP)"
+        bare = f"{row[key]:,.0f}/s ({name}) and {row['floor_tcp_per_s']:,.0f}/s (TCP)"
         told.append(f"bare hops {bare}{hop}")
     if "sent_after_resume" in row:
         after = f"{row['delivered_after_resume']:,} of {row['sent_after_resume']:,} sent after it read again"
@@ -382,6 +396,7 @@ def _name(row: Row) -> str:
         "+seal" if row.get("sealed") else "",
         row.get("peer"),
         _shortened(row.get("bridge", "")),
+        "over Zenoh" if row.get("middleware") == "zenoh" else "",
         "(Python programs)" if row.get("programs") == PYTHON else "",
     )
     return " ".join(filter(None, marks))

@@ -16,6 +16,8 @@ def test_the_floor_is_the_sum_of_both_hops() -> None:
 def test_the_floor_of_a_flood_is_a_rate() -> None:
     told = against_floor({"rate_hz": None} | FIGURES, {"received_per_s": 60.0}, {"received_per_s": 90.0})
     assert told == {"floor_dds_per_s": 60.0, "floor_tcp_per_s": 90.0}
+    told = against_floor({"rate_hz": None} | FIGURES, {"received_per_s": 60.0}, {"received_per_s": 90.0}, "zenoh")
+    assert told == {"floor_zenoh_per_s": 60.0, "floor_tcp_per_s": 90.0}
 
 
 def test_the_mixed_load_has_ratios_of_both_percentiles() -> None:
