@@ -25,6 +25,8 @@ from tests.edges.zenoh.routers import client, free_port, router
 HASH = TypeHashes().of(String.TYPE)
 GID = bytes(range(16))
 DOMAIN = 7
+#: Attachment of a right message or call.
+VALID = names.attachment(7, 1, GID)
 
 
 class Side:
