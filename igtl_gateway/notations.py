@@ -15,6 +15,8 @@ DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 18944
 
 #: The ways to the ROS graph, and where a router of Zenoh usually listens.
 DDS, ZENOH = "dds", "zenoh"
+#: Classes of streams between sites.
+SITE_CLASSES = ("commands", "poses", "data", "pictures")
 ZENOH_ENDPOINT = "tcp/localhost:7447"
 ZENOH_LISTEN = "tcp/127.0.0.1:7447"
 
@@ -101,6 +103,21 @@ def zenoh_endpoint(text: str) -> str:
     if not found:
         raise ConfigError(f"found {text!r}, expected PROTOCOL/HOST:PORT such as {ZENOH_ENDPOINT}")
     return text if found[1] or found[2] else f"tcp/{text}"
+
+
+def site_name(text: str) -> str:
+    """Return the name of a site: letters, digits, ``_`` and ``-``."""
+    if text and not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", text):
+        raise ConfigError(f"found {text!r}, expected up to 64 letters, digits, _ and -")
+    return text
+
+
+def site_class(text: str) -> tuple[str, str]:
+    """Parse ``GLOB=CLASS``."""
+    glob, _, name = text.rpartition("=")
+    if not glob or name not in SITE_CLASSES:
+        raise ConfigError(f"found {text!r}, expected GLOB=CLASS with one of {', '.join(SITE_CLASSES)}")
+    return glob, name
 
 
 def network(text: str) -> str:

@@ -83,4 +83,6 @@ def test_texts_and_lists() -> None:
 
 def test_the_settings_of_a_relay_are_no_parameters() -> None:
     # and the middleware, which has to be known before there is a node
-    assert {row.name for row in SETTINGS} - set(parameters()) == {"relay", "faults", "fault_seed", "ros"}
+    assert {row.name for row in SETTINGS} - set(parameters()) == {
+        "relay", "faults", "fault_seed", "ros", "site", "site_budget", "site_classes",
+    }  # fmt: skip

@@ -80,6 +80,21 @@ OnEntry = Callable[[Entry], None]
 
 
 @dataclass(frozen=True, slots=True)
+class SiteOptions:
+    """This site, and what its gateway sends over Zenoh.
+
+    Attributes:
+        name: of the site; "": none.
+        bytes_per_s: budget; 0: no limit.
+        classes: ``GLOB=CLASS`` for topics.
+    """
+
+    name: str = ""
+    bytes_per_s: int = 0
+    classes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class BridgeOptions:
     """Options of the command line that do not influence the content of messages.
 
@@ -87,6 +102,7 @@ class BridgeOptions:
         listen, connect: addresses of the OpenIGTLink side; a relay connects to one server.
         ros: join the ROS 2 graph.
         zenoh: join it over Zenoh, by the router at this endpoint ("": that of Zenoh's configuration); None: over DDS.
+        site: name of this site, and what it may send.
         record: file of the recording; None: record nothing.
         record_topics: globs of ROS topics that are recorded in addition to the bridged ones.
         allow: networks (CIDR) whose peers may connect in addition to those of this host.
@@ -105,6 +121,7 @@ class BridgeOptions:
     connect: tuple[Address, ...] = ()
     ros: bool = True
     zenoh: str | None = None
+    site: SiteOptions = SiteOptions()
     record: Path | None = None
     record_topics: tuple[str, ...] = ()
     allow: tuple[str, ...] = ()
@@ -218,6 +235,7 @@ class Bridge:
                 passage=passage,
             )
         from igtl_gateway.edges.zenoh.edge import ZenohEdge  # here: it needs an extra
+        from igtl_gateway.edges.zenoh.traffic import Traffic
 
         return ZenohEdge(
             node_name=name,
@@ -226,6 +244,8 @@ class Bridge:
             on_note=note,
             on_listener=listener,
             endpoint=options.zenoh,
+            site=options.site.name,
+            traffic=Traffic(options.site.classes, options.site.bytes_per_s) if options.site.name else None,
         )
 
     def start(self, *, active: bool = True) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.app.bridge import BridgeOptions
+from igtl_gateway.app.bridge import BridgeOptions, SiteOptions
 from igtl_gateway.app.settings import config_of
 from igtl_gateway.config import Config
 from igtl_gateway.edges.reserved import ReservedPorts
@@ -73,6 +73,7 @@ def bridge_options(
         connect,
         ros=ros,
         zenoh=ros_middleware(values["ros"]),
+        site=_site(values),
         record=Path(values["record"]) if values["record"] else None,
         record_topics=("**",) if values["record_all"] else tuple(values["record_topics"]),
         allow=tuple(values["allow"]),
@@ -91,6 +92,15 @@ def bridge_options(
             cpus(values["cpu_affinity"]) if values["cpu_affinity"] else frozenset(),
         ),
     )
+
+
+def _site(values: Mapping[str, Any]) -> SiteOptions:
+    """Return the options of the site.  Raises ConfigError."""
+    if not values["site"] and (values["site_budget"] or values["site_classes"]):
+        raise ConfigError("--site-budget, --site-class: found no --site, expected the name of this site")
+    if values["site"] and ros_middleware(values["ros"]) is None:
+        raise ConfigError(f"--site {values['site']}: found --ros {values['ros']}, expected --ros zenoh")
+    return SiteOptions(values["site"], values["site_budget"] << 10, tuple(values["site_classes"]))
 
 
 def addresses(

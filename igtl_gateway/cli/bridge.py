@@ -101,7 +101,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("peers and messages")
     add_settings(group, "profile", "peers", "to_igtl", "tf_out", "to_ros")
     group = parser.add_argument_group("ROS")
-    add_settings(group, "ros", "publish_tf")
+    add_settings(group, "ros", "site", "site_budget", "site_classes", "publish_tf")
     group.add_argument("--no-ros", action="store_true", help="run without ROS, for OpenIGTLink only")
     group.add_argument(
         "--node-name", default="igtl_gateway", metavar="NAME", help="name of the ROS node " + default("igtl_gateway")

@@ -9,7 +9,7 @@ packet that is chosen for reordering goes without its delay, and so overtakes th
 
 One JSON object per line.  First on stdout ``{"near": FD, "far": FD}``, descriptors of the namespaces in this process,
 or ``{"failed": text}``.  Then on stdin ``{"line": i, …}`` with any of ``delay_s``, ``jitter_s``, ``loss``,
-``reorder`` (shares from 0 to 1) and ``down``, answered by what the line has carried so far.
+``reorder`` (shares from 0 to 1), ``down``, ``rate`` and ``queue``, answered by what the line has carried so far.
 
 Namespaces and devices are gone with this process, however it ends; it ends with its stdin.
 """
@@ -89,21 +89,32 @@ class Line:
     loss: float = 0.0
     reorder: float = 0.0
     down: bool = False
+    rate: float = 0.0  # bytes per second each way; 0: no limit
+    queue: float = 65_536  # bytes that wait at that rate; more are lost, as in a router
+    free_s: dict[int, float] = field(default_factory=dict)  # by end: when it has carried all that waits
     counts: dict[str, int] = field(default_factory=lambda: dict.fromkeys(("carried", "lost", "early", "blocked"), 0))
 
-    def fate(self, chance: random.Random) -> float | None:
-        """How long a packet is on its way; None if it does not arrive."""
+    def fate(self, chance: random.Random, end: int, size: int, now: float) -> float | None:
+        """How long a packet of ``size`` bytes is on its way from an end; None if it does not arrive."""
         if self.down:
             self.counts["blocked"] += 1
             return None
         if chance.random() < self.loss:
             self.counts["lost"] += 1
             return None
+        queued_s = 0.0
+        if self.rate:
+            free_s = max(self.free_s.get(end, 0.0), now)
+            if (free_s - now) * self.rate > self.queue:
+                self.counts["lost"] += 1
+                return None
+            self.free_s[end] = free_s + size / self.rate
+            queued_s = self.free_s[end] - now
         self.counts["carried"] += 1
         if chance.random() < self.reorder:
             self.counts["early"] += 1
             return 0.0
-        return max(0.0, self.delay_s + chance.uniform(-self.jitter_s, self.jitter_s))
+        return queued_s + max(0.0, self.delay_s + chance.uniform(-self.jitter_s, self.jitter_s))
 
 
 def carry(lines: list[Line]) -> None:
@@ -127,7 +138,7 @@ def carry(lines: list[Line]) -> None:
             line, other = ways[handle]
             now = time.monotonic()
             while packet := received(handle):
-                delay = line.fate(chance)
+                delay = line.fate(chance, handle, len(packet), now)
                 if delay is not None:
                     number += 1
                     heapq.heappush(waiting, (now + delay, number, other, packet))

@@ -39,6 +39,7 @@ class Weather:
     loss: float = 0.0
     reorder: float = 0.0
     down: bool = False
+    rate: float = 0.0  # bytes per second; 0: no limit
 
 
 class Lines:
@@ -83,6 +84,8 @@ class Lines:
             words += ["loss", "100%" if weather.down else f"{weather.loss:.3%}"]
         if weather.reorder:
             words += ["reorder", f"{weather.reorder:.3%}"]
+        if weather.rate:
+            words += ["rate", f"{8 * weather.rate:.0f}bit"]
         for end in (self.near, self.far):
             run(*end, "tc", "qdisc", "replace", "dev", f"line{line}", "root", "netem", "limit", "10000", *words)
 

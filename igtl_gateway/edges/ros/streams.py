@@ -36,12 +36,13 @@ class TopicCounts:
 
     Attributes:
         received: passed to the gateway.
-        published: passed to the middleware.  The counts ``published``, ``held``, ``unheard`` and
+        published: passed to the middleware.  The counts ``published``, ``held``, ``unheard``, ``over_budget`` and
             ``failed`` add up to all messages that were to be published.
         held: waiting for subscribers now.
         lost: sent by others but never received.
         failed: refused by the middleware, or by a defect of our own.
         `unheard`: not passed to the middleware, because there was no subscriber, and a later one would not get them.
+        over_budget: dropped, because the budget of the site is exceeded.
     """
 
     received: int = 0
@@ -50,6 +51,7 @@ class TopicCounts:
     lost: int = 0
     failed: int = 0
     unheard: int = 0
+    over_budget: int = 0
 
 
 class EchoFilter:

@@ -39,7 +39,9 @@ from igtl_gateway.edges.zenoh.library import import_zenoh
 from igtl_gateway.edges.zenoh.names import Entity, Kind, Node, checked_node, checked_topic, data_key
 from igtl_gateway.edges.zenoh.publishing import Publishing
 from igtl_gateway.edges.zenoh.services import MESSAGES, SERVICES, Calls
+from igtl_gateway.edges.zenoh.site import Sites
 from igtl_gateway.edges.zenoh.subscribing import Subscribing
+from igtl_gateway.edges.zenoh.traffic import Traffic
 from igtl_gateway.edges.zenoh.types import TypeHashes
 from igtl_gateway.errors import ConfigError, RosError
 from igtl_gateway.passage import Publisher as NativePublisher
@@ -85,6 +87,8 @@ class ZenohEdge:
         on_note: called with facts, from our own threads.
         on_listener: called with the topic when a subscriber joins what we publish.
         endpoint: of the router, such as ``tcp/localhost:7447``; "": that of the configuration of Zenoh.
+        site: name of this site; "": clocks and latencies of other sites are not measured.
+        traffic: classes of streams and budget; None: all are sent as ROS does.
 
     Attributes:
         publish, count_if_unsubscribed, has_subscriber: see `Publishing`.
@@ -100,6 +104,8 @@ class ZenohEdge:
         on_note: OnNote,
         on_listener: Callable[[str], None] | None = None,
         endpoint: str = "",
+        site: str = "",
+        traffic: Traffic | None = None,
     ) -> None:
         self._name = node_name
         self._namespace = namespace or "/"
@@ -121,7 +127,14 @@ class ZenohEdge:
         self._inbox = self._make_inbox()
         self._graph = Graph(self._reports, self._on_graph)
         self._publishing = Publishing(
-            self._connection, self._next, self._hashes, self._domain, self._reports, self._clock, self._on_subscriber
+            self._connection,
+            self._next,
+            self._hashes,
+            self._domain,
+            self._reports,
+            self._clock,
+            self._on_subscriber,
+            traffic,
         )
         self._subscribing = Subscribing(
             self._connection,
@@ -132,7 +145,13 @@ class ZenohEdge:
             self._reports,
             self._inbox,
             on_message,
+            clock=self._clock if site else None,
         )
+        self._sites: Sites | None = None
+        if site:
+            self._sites = Sites(
+                site, self._domain, self._reports, self._clock, self._graph.gids_of, self._subscribing.ages
+            )
         self._calls = Calls(self._reports, self._clock)
         self._keeper = threading.Thread(target=self._keep, name="igtl-zenoh-keeper", daemon=True)
         self.publish = self._publishing.publish
@@ -172,6 +191,9 @@ class ZenohEdge:
         self._connection.prepare()
         self._started = True
         self._connection.declare(self._declare_node)
+        if self._sites:
+            sites = self._sites
+            self._connection.declare(lambda session: sites.declare(self._connection.zenoh, session))
         self._publishing.advertise(_ROSOUT, _Log.TYPE, _ROSOUT_QOS, TopicCounts())
         # A process with open sessions would not end.
         atexit.register(self.stop)
@@ -194,6 +216,7 @@ class ZenohEdge:
         self._connection.stop()  # before the inbox: no message comes from here on
         self._inbox.stop()
         self._subscribing.note_losses()
+        self._publishing.note_over_budget()
 
     def follow(self, change: Change | None) -> None:
         """There are no parameters that could change."""
@@ -339,6 +362,9 @@ class ZenohEdge:
                 if now_ns() >= losses_ns:
                     losses_ns = now_ns() + _LOSSES_NS
                     self._subscribing.note_losses()
+                    self._publishing.note_over_budget()
+                if self._sites:
+                    self._sites.keep()
                 while self._on_listener and self._listened:
                     self._on_listener(self._listened.popleft())
             except Exception as error:  # of a callee, or of an entity that Zenoh refuses: try again

@@ -11,7 +11,7 @@ from typing import Any
 
 from igtl_gateway.edges.ros.graph import Publication
 from igtl_gateway.edges.ros.reports import Reports
-from igtl_gateway.edges.zenoh.names import SPACE, Entity, Kind, read_token
+from igtl_gateway.edges.zenoh.names import SPACE, Entity, Kind, gid, read_token
 from igtl_gateway.qos import Endpoint
 from igtl_gateway.session.note import Level
 
@@ -54,6 +54,12 @@ class Graph:
     def publishers(self) -> list[Entity]:
         """All publishers."""
         return self._of(Kind.PUBLISHER)
+
+    def gids_of(self, zid: str) -> set[bytes]:
+        """The identifiers of the publishers of a session."""
+        with self._lock:
+            tokens = [token for token, each in self._entities.items() if each.node.zid == zid]
+        return {gid(token) for token in tokens}
 
     def subscriber_count(self, key: str) -> int:
         """The number of subscriptions to a data key."""

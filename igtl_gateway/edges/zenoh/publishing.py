@@ -17,9 +17,11 @@ from igtl_gateway.edges.ros.streams import TopicCounts
 from igtl_gateway.edges.zenoh.connection import Connection
 from igtl_gateway.edges.zenoh.library import first_line
 from igtl_gateway.edges.zenoh.names import Kind, Node, attachment, data_key, gid
+from igtl_gateway.edges.zenoh.traffic import Traffic, how_to_send
 from igtl_gateway.edges.zenoh.types import TypeHashes
 from igtl_gateway.errors import RosError
 from igtl_gateway.qos import Qos
+from igtl_gateway.session.note import Level
 
 #: From the declaration on until Zenoh knows the subscribers, a publisher counts as one with a subscriber.
 _SETTLE_NS = 500_000_000
@@ -35,13 +37,25 @@ class TopicPublisher:
         in_graph: the token is declared with this number.
     """
 
-    def __init__(self, topic: str, type_name: str, key: str, qos: Qos, counts: TopicCounts, clock: Clock) -> None:
+    def __init__(
+        self,
+        topic: str,
+        type_name: str,
+        key: str,
+        qos: Qos,
+        counts: TopicCounts,
+        clock: Clock,
+        traffic: Traffic | None = None,
+    ) -> None:
         self.topic = topic
         self.type_name = type_name
         self.key = key
         self.qos = qos
         self.counts = counts
         self.matched = False
+        self.noted_over_budget = 0
+        self._traffic = traffic
+        self._class = traffic.class_of(topic, type_name) if traffic else None
         self._clock = clock
         self._lock = threading.Lock()
         self._made_ns = clock.monotonic_ns()
@@ -64,6 +78,8 @@ class TopicPublisher:
             "congestion_control": zenoh.CongestionControl.DROP,
             "allowed_destination": zenoh.Locality.REMOTE,
         }
+        if self._class:
+            how |= how_to_send(zenoh, self._class)
 
         def on_matching(status: Any) -> None:
             came = status.matching and not self.matched
@@ -101,6 +117,13 @@ class TopicPublisher:
 
     def send(self, cdr: bytes) -> str:
         """Send a message; return why that failed, or ``""``."""
+        if (
+            self._traffic
+            and self._class
+            and not self._traffic.admits(self._class, len(cdr), self._clock.monotonic_ns())
+        ):
+            self.counts.over_budget += 1
+            return ""
         with self._lock:
             if self._publisher is None:  # without a session there is no subscriber
                 if self.qos.latched:
@@ -146,6 +169,7 @@ class Publishing:
         reports: Reports,
         clock: Clock,
         matched: Callable[[str], None],
+        traffic: Traffic | None,
     ) -> None:
         self._connection = connection
         self._next = node
@@ -154,6 +178,7 @@ class Publishing:
         self._reports = reports
         self._clock = clock
         self._matched = matched
+        self._traffic = traffic
         self._publishers: dict[str, TopicPublisher] = {}
         self._closed = False
 
@@ -212,6 +237,17 @@ class Publishing:
         """Return the publisher of a topic, if there is one."""
         return self._publishers.get(topic)
 
+    def note_over_budget(self) -> None:
+        """Note the messages that were dropped since the last call, because they exceed the budget."""
+        with self._connection.lock:
+            publishers = list(self._publishers.values())
+        for one in publishers:
+            dropped = one.counts.over_budget - one.noted_over_budget
+            if dropped:
+                one.noted_over_budget += dropped
+                text = f"{one.topic}: {dropped} messages dropped, because the budget of the site is exceeded"
+                self._reports.note(Level.WARN, "site_over_budget", text, one.topic, {"dropped": dropped})
+
     def close(self) -> None:
         """At stop: refuse all further messages."""
         self._closed = True
@@ -222,7 +258,13 @@ class Publishing:
     def _make(self, topic: str, type_name: str, qos: Qos, counts: TopicCounts) -> TopicPublisher:
         type_hash = self._hashes.of(type_name)
         made = TopicPublisher(
-            topic, type_name, data_key(self._domain, topic, type_name, type_hash), qos, counts, self._clock
+            topic,
+            type_name,
+            data_key(self._domain, topic, type_name, type_hash),
+            qos,
+            counts,
+            self._clock,
+            self._traffic,
         )
 
         def declare(session: Any) -> None:

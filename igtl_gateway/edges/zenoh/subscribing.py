@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import threading
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
+from igtl_gateway.clock import Clock
 from igtl_gateway.edges.ros.reports import Reports
 from igtl_gateway.edges.ros.streams import TopicCounts
 from igtl_gateway.edges.ros.subscribing import OnMessage, Wants, describe
@@ -27,6 +28,8 @@ _LARGEST_GAP = 1_000_000
 #: Topics that are subscribed to: tokens of any number of them are quickly written.
 _MOST = 4096
 _MAX_STAMP_NS = 1 << 63
+#: Messages whose age is kept between two looks at it.
+_AGES = 4096
 
 
 class TopicSubscription:
@@ -46,6 +49,8 @@ class TopicSubscription:
         self.waiting = Waiting(self._deliver, qos.depth)
         self.on_message: OnMessage | None = None
         self.reports: Reports | None = None
+        self.ages: deque[tuple[bytes, int]] = deque(maxlen=_AGES)  # for the latency of sites
+        self.clock: Clock | None = None
         self._inbox = inbox
         self._lock = threading.Lock()
         self._last: OrderedDict[bytes, int] = OrderedDict()
@@ -96,6 +101,8 @@ class TopicSubscription:
             return
         with self._lock:
             self._count(of_gid, sequence)
+            if self.clock and stamp_ns:
+                self.ages.append((of_gid, self.clock.utc_ns() - stamp_ns))
         payload = sample.payload
         self._inbox.put(self.waiting, payload, len(payload), stamp_ns if 0 <= stamp_ns < _MAX_STAMP_NS else 0)
 
@@ -108,6 +115,13 @@ class TopicSubscription:
             self._missing += gap if gap <= _LARGEST_GAP else 0
         if last is None or sequence > last or sequence <= 1:  # history may come late; 0 and 1 begin again
             self._last[of_gid] = sequence
+
+    def take_ages(self) -> list[tuple[bytes, int]]:
+        """Return publisher and age (ns) of the messages since the last call."""
+        with self._lock:
+            found = list(self.ages)
+            self.ages.clear()
+            return found
 
     def _deliver(self, payload: Any, stamp_ns: int) -> None:
         """Called by the inbox, in our thread."""
@@ -134,7 +148,10 @@ class Subscribing:
         reports: Reports,
         inbox: Inbox,
         on_message: OnMessage,
+        *,
+        clock: Clock | None = None,
     ) -> None:
+        self._clock = clock
         self._connection = connection
         self._next = node
         self._hashes = hashes
@@ -160,6 +177,10 @@ class Subscribing:
         """Topic and type of everything that we receive."""
         with self._connection.lock:
             return sorted((one.topic, one.type_name) for one in self._subscriptions.values())
+
+    def ages(self) -> list[tuple[str, list[tuple[bytes, int]]]]:
+        """Return topic → publisher and age of the messages since the last call."""
+        return [(topic, one.take_ages()) for topic, one in list(self._subscriptions.items())]
 
     def discover(self, wants: Wants) -> None:
         """Subscribe to what is new in the graph and wanted."""
@@ -232,6 +253,7 @@ class Subscribing:
         made = TopicSubscription(topic, type_name, qos, self._reports.counts(topic), self._inbox)
         made.type_hash = type_hash
         made.on_message, made.reports = self._on_message, self._reports
+        made.clock = self._clock
 
         def declare(session: Any) -> None:
             made.declare(self._connection.zenoh, session, *self._next(session), key, type_hash)

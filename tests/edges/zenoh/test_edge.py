@@ -170,7 +170,7 @@ def test_a_late_joiner_gets_latched_messages_both_ways(port: int, sides: ExitSta
 
 
 def counts(**values: int) -> dict[str, int]:
-    return dict.fromkeys(("received", "published", "held", "lost", "failed", "unheard"), 0) | values
+    return dict.fromkeys(("received", "published", "held", "lost", "failed", "unheard", "over_budget"), 0) | values
 
 
 def test_losses_and_foreign_messages_are_counted_and_noted(port: int, sides: ExitStack) -> None:

@@ -1,0 +1,106 @@
+"""Two sites, each with a router, joined: priorities, budget, clocks and latencies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack
+from typing import Any
+
+import pytest
+
+from igtl_gateway.clock import SystemClock
+from igtl_gateway.convert.rosmsg import Image, String
+from igtl_gateway.edges.zenoh import site as sites_module
+from igtl_gateway.edges.zenoh.edge import ZenohEdge
+from igtl_gateway.edges.zenoh.traffic import CLASSES, Traffic
+from igtl_gateway.qos import Qos
+from igtl_gateway.stamp import NS_PER_S
+from tests.edges.zenoh.routers import free_port, router
+from tests.edges.zenoh.test_edge import Side
+
+PICTURE = b"\x00\x01\x00\x00" + bytes(50_000)
+
+
+class Shifted(SystemClock):
+    """A clock that is ahead."""
+
+    def utc_ns(self) -> int:
+        return super().utc_ns() + 5 * NS_PER_S
+
+
+class SiteSide(Side):
+    """A gateway of a site."""
+
+    def __init__(self, port: int, name: str, topics: tuple[str, ...] = (), traffic: Traffic | None = None) -> None:
+        super().__init__(port, topics, name=name)
+        self.edge = ZenohEdge(
+            node_name=name,
+            on_message=lambda *message: self._add(self.messages, message),
+            wants=lambda topic, _type: Qos(100) if topic in topics else None,
+            on_note=lambda note: self._add(self.notes, note),
+            endpoint=f"tcp/127.0.0.1:{port}",
+            site=name,
+            traffic=traffic or Traffic(),
+        )
+
+    def data(self, code: str) -> dict[str, Any]:
+        return next(note.data for note in self.notes if note.code == code)
+
+
+@pytest.fixture
+def routers(monkeypatch: pytest.MonkeyPatch) -> Iterator[tuple[int, int]]:
+    monkeypatch.setenv("ROS_DOMAIN_ID", "11")
+    monkeypatch.setattr(sites_module, "ASK_NS", NS_PER_S // 4)
+    monkeypatch.setattr(sites_module, "NOTE_NS", NS_PER_S)
+    one, two = free_port(), free_port()
+    with router(one), router(two, connect__endpoints=[f"tcp/127.0.0.1:{one}"]):
+        yield one, two
+
+
+def test_two_sites(routers: tuple[int, int], monkeypatch: pytest.MonkeyPatch) -> None:
+    traffic = Traffic(bytes_per_s=200_000)
+    with ExitStack() as stack:
+        or1 = SiteSide(routers[0], "or1", traffic=traffic)
+        monkeypatch.setattr("igtl_gateway.edges.zenoh.edge.SystemClock", Shifted)
+        planning = SiteSide(routers[1], "planning", ("/said", "/picture"))
+        for side in (or1, planning):
+            stack.callback(side.edge.stop)
+            side.edge.start()
+        for topic, kind in (("/said", String.TYPE), ("/picture", Image.TYPE)):
+            or1.edge.advertise(topic, kind, Qos(10))
+        or1.wait(lambda: all(or1.edge.subscriber_count(topic) for topic in ("/said", "/picture")))
+        for number in range(40):
+            or1.edge.publish("/picture", Image.TYPE, PICTURE, Qos(10))
+            or1.edge.publish("/said", String.TYPE, String(str(number)).pack(), Qos(10))
+        planning.wait(lambda: sum(topic == "/said" for topic, *_ in planning.messages) == 40)
+        counts = or1.edge.counters()
+        assert counts["/said"]["published"] == 40
+        assert 0 < counts["/picture"]["published"] < 5
+        assert counts["/picture"]["published"] + counts["/picture"]["over_budget"] == 40
+        or1.wait_code("site_over_budget")
+        for side, ahead_s in ((or1, 5), (planning, -5)):
+            side.wait_code("site_clock")
+            found = side.data("site_clock")
+            assert abs(found["offset_s"] - ahead_s) <= found["error_s"] < 1
+        planning.wait_code("site_latency")
+        found = planning.data("site_latency")
+        assert found["site"] == "or1"
+        assert -found["error_ms"] <= found["min_ms"] <= found["p50_ms"] < 2000
+        or1.edge.stop()
+        planning.wait_code("site_lost")
+
+
+def test_classes_and_budget() -> None:
+    traffic = Traffic(["/video/**=poses", "/said=pictures"], bytes_per_s=1000)
+    assert traffic.class_of("/video/left", Image.TYPE) is CLASSES["poses"]
+    assert traffic.class_of("/said", String.TYPE) is CLASSES["pictures"]
+    assert traffic.class_of("/x", "unknown/msg/Type") is CLASSES["data"]
+    pictures, data, poses = (CLASSES[name] for name in ("pictures", "data", "poses"))
+    now_ns = 10 * NS_PER_S
+    assert traffic.admits(pictures, 400, now_ns)  # more than is saved up: once
+    assert not traffic.admits(pictures, 1, now_ns)
+    assert traffic.admits(data, 400, now_ns)
+    assert not traffic.admits(data, 1, now_ns)
+    assert all(traffic.admits(poses, 1000, now_ns) for _ in range(3))
+    assert not traffic.admits(pictures, 1, now_ns + NS_PER_S)
+    assert traffic.admits(pictures, 1, now_ns + 4 * NS_PER_S)
