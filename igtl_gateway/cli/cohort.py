@@ -11,14 +11,15 @@ from typing import Any
 from igtl_gateway import extras
 from igtl_gateway.cli.cohort_progress import Progress
 from igtl_gateway.cli.common import count_text
-from igtl_gateway.cli.options import add_json, default
-from igtl_gateway.cli.terminal import print_json, print_line
-from igtl_gateway.cohort.jobs import VERBS
+from igtl_gateway.cli.options import add_json, add_overwrite, default
+from igtl_gateway.cli.outputs import check_target, written
+from igtl_gateway.cli.terminal import aligned, print_json, print_line
+from igtl_gateway.cohort.ends import VERB_NAMES
 from igtl_gateway.errors import ConfigError, Unavailable
 from igtl_gateway.sync.lag import MAX_LAG_S
 
 EXAMPLES = """\
-  # streams, rates and peers of all sessions in and below a folder
+  # streams, times and rates of all sessions in and below a folder
   igtl-gateway cohort info sessions --out study
   # does every session verify?  Eight files at a time
   igtl-gateway cohort verify 'sessions/**/*.mcap' --out study --workers 8
@@ -27,20 +28,33 @@ EXAMPLES = """\
       --scheduler tls://cluster:8786 --tls-ca ca.pem --tls-cert me.pem \\
       --tls-key me.key
 
+  # questions to the tables, and one page about them
+  igtl-gateway cohort query \\
+      "SELECT rule, count(*) n FROM findings GROUP BY rule" --out study
+  igtl-gateway cohort report --out study --html study.html
+
 What is done is not done again.  Exit code 0: every file has a result;
 1: a file has none (see the table tasks), or outputs differ, or lint finds
 errors.  Tables and columns: docs/cohort.md"""
 
-_FILES = tuple(VERBS)
+QUERY, REPORT = "query", "report"
+_ACTIONS = (*VERB_NAMES, QUERY, REPORT)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("action", metavar="VERB", choices=_FILES, help=f"one of {', '.join(_FILES)}")
+    parser.add_argument("action", metavar="VERB", choices=_ACTIONS, help=f"one of {', '.join(_ACTIONS)}")
     parser.add_argument(
-        "sources", metavar="SOURCE", nargs="*", help="files, folders, globs and URLs (s3://, gs://, az://, https://)"
+        "sources",
+        metavar="SOURCE",
+        nargs="*",
+        help="files, folders, globs and URLs (s3://, gs://, az://, https://); query: the SQL",
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the tables")
     add_json(parser)
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="query: write the answer as CSV")
+    parser.add_argument("--parquet", type=Path, metavar="FILE", help="query: write the answer as Parquet")
+    parser.add_argument("--html", type=Path, metavar="FILE", help="report: the page to write")
+    add_overwrite(parser)
     group = parser.add_argument_group("where the files are read")
     group.add_argument(
         "--workers", type=int, metavar="N", help="files at a time on this machine " + default("one for each core")
@@ -70,7 +84,55 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    return _run_files(options)
+    for name, action in (("csv", QUERY), ("parquet", QUERY), ("html", REPORT)):
+        if getattr(options, name) and options.action != action:
+            raise ConfigError(f"--{name}: found it with {options.action}, expected it with {action}")
+    if options.action == QUERY:
+        return _run_query(options)
+    return _run_report(options) if options.action == REPORT else _run_files(options)
+
+
+def _run_query(options: argparse.Namespace) -> int:
+    if len(options.sources) != 1:
+        raise ConfigError(f"cohort query: found {len(options.sources)} arguments, expected one: the SQL")
+    from igtl_gateway.cohort.query import asking, plain_rows, write_answer
+
+    targets = [each for each in (options.csv, options.parquet) if each]
+    for target in targets:
+        check_target(target, overwrite=options.overwrite)
+    with asking(options.out) as questions:
+        answer = questions.ask(options.sources[0])
+    for target in targets:
+        with written(target) as path:
+            write_answer(answer, path, parquet=target is options.parquet)
+    if options.json:
+        print_json({"columns": answer.column_names, "rows": plain_rows(answer)})
+    elif not targets:
+        rows = [answer.column_names, *([_cell(cell) for cell in row.values()] for row in plain_rows(answer))]
+        print_line(*aligned(rows, left=len(answer.column_names), indent=""))
+    return 0
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return ""
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _run_report(options: argparse.Namespace) -> int:
+    if options.sources or options.html is None:
+        raise ConfigError("cohort report: expected no source, and the page to write by --html")
+    from igtl_gateway.cohort.query import asking
+    from igtl_gateway.cohort.report import page
+
+    check_target(options.html, overwrite=options.overwrite)
+    with asking(options.out) as questions, written(options.html) as path:
+        path.write_text(page(questions, str(options.out)), encoding="utf-8")
+    if options.json:
+        print_json({"out": str(options.out), "html": str(options.html)})
+    else:
+        print_line(f"{options.html}: report of {options.out}")
+    return 0
 
 
 def _run_files(options: argparse.Namespace) -> int:

@@ -15,6 +15,7 @@ from igtl_gateway.app.content_summary import ContentSummary
 from igtl_gateway.app.linting import observe
 from igtl_gateway.app.reviewing import ReviewSelection, review_session
 from igtl_gateway.app.verification import IMPORTED, verify_session
+from igtl_gateway.cohort.ends import BROKEN, FAILED, GROWING, MEMORY, NOTHING, OK, UNCHANGED, UNREACHABLE, UNSUPPORTED
 from igtl_gateway.cohort.objects import BLOCK, ObjectFile, Unreachable, is_url
 from igtl_gateway.doctor.report import DoctorReport
 from igtl_gateway.doctor.rules import RULES
@@ -27,9 +28,7 @@ from igtl_gateway.errors import (
     WireError,
 )
 from igtl_gateway.review import EndReview, Review, Thresholds
-from igtl_gateway.session.entry import Kind
 from igtl_gateway.session.ledger import gaps
-from igtl_gateway.session.note import Level, Note
 from igtl_gateway.sessionfile import layout
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
@@ -39,13 +38,6 @@ if TYPE_CHECKING:
     from igtl_gateway.cohort.tables import Row
 
 Rows = dict[str, list["Row"]]
-
-#: What a task ended with.
-OK, NOTHING, BROKEN, UNSUPPORTED, GROWING = "ok", "nothing_to_do", "broken", "unsupported", "being_recorded"
-TIMEOUT, MEMORY, KILLED, UNREACHABLE, FAILED = "timeout", "memory", "killed", "unreachable", "failed"
-UNCHANGED = "unchanged"
-#: Ends that are facts about the file and not about the machine or the moment: a second run does not try again.
-FINAL = frozenset({OK, NOTHING, BROKEN, UNSUPPORTED})
 
 #: Rows of one table that one file may have, and characters of one text.
 MOST_ROWS = 20_000
@@ -144,19 +136,10 @@ def _opened(name: str, size: int, reply: dict[str, Any]) -> Iterator[SessionFile
         reply |= {"requests": raw.requests, "bytes_read": raw.bytes_read}
 
 
-# -- info: of the index and of the notes --------------------------------------------------------------------------
+# -- info: of the index --------------------------------------------------------------------------
 
 
 def _info(file: SessionFile, settings: Mapping[str, Any]) -> Rows:
-    levels = {Level.WARN: 0, Level.ERROR: 0}
-    peers: set[int] = set()
-    for entry in file.entries_of(layout.NOTE_KINDS):
-        if entry.kind in layout.NOTE_KINDS and entry.size:
-            note = Note.of(entry.data())
-            if note.level in levels:
-                levels[note.level] += 1
-            if entry.kind is Kind.LINK:
-                peers.update(entry.links)
     session, ledger = file.session, file.ledger
     streams = []
     for channel in file.channels:
@@ -187,9 +170,8 @@ def _info(file: SessionFile, settings: Mapping[str, Any]) -> Rows:
         "scenario": session.get("scenario"),
         "imported": session.get(IMPORTED),
         "part": int(session[layout.PART_KEY]) if layout.PART_KEY in session else None,
-        "peers": len(peers),
-        "warnings": levels[Level.WARN],
-        "errors": levels[Level.ERROR],
+        "links": None if ledger is None else sum(name != "0" for name in ledger.get("links", {})),
+        "notes": sum(channel.count for channel in file.channels if channel.kind in layout.NOTE_KINDS),
         "lost": None if ledger is None else len(gaps(ledger)),
         "has_ledger": ledger is not None,
         "skipped": len(file.skipped),
@@ -355,7 +337,7 @@ def _ms(seconds: float, known: bool) -> float | None:
 
 #: Verb → what it does.
 VERBS: Mapping[str, CohortVerb] = {
-    "info": CohortVerb("index and notes: streams, rates, peers", _info, ("recordings", "streams")),
+    "info": CohortVerb("index: streams, rates, links", _info, ("recordings", "streams")),
     "lint": CohortVerb("the rules of doctor; the clocks of peers", _lint, ("findings", "latencies"), _damaged),
     "verify": CohortVerb("whether outputs follow from inputs", _verify, ("verifications",)),
     "review": CohortVerb("each stitch of each plan", _review, ("reviews", "stitches")),

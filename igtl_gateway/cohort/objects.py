@@ -17,8 +17,8 @@ from igtl_gateway import extras
 from igtl_gateway.errors import DamagedRecording, Unavailable
 
 #: Bytes of one request for small reads, and how many of these blocks are kept.
-BLOCK = 256 << 10
-_KEPT = 16
+BLOCK = 64 << 10
+_KEPT = 64
 _URL = re.compile(r"(?P<root>(?P<scheme>[a-zA-Z][a-zA-Z0-9+.-]*)://[^/]*)/?(?P<name>.*)", re.DOTALL)
 _WILD = re.compile(r"[*?\[]")
 

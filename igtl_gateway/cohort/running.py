@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from igtl_gateway import __version__, extras
 from igtl_gateway.clock import SystemClock
-from igtl_gateway.cohort import jobs
+from igtl_gateway.cohort import ends
 from igtl_gateway.cohort.results import Results
 from igtl_gateway.cohort.sources import Located, digest
 from igtl_gateway.cohort.task import run_task
@@ -61,7 +61,7 @@ class Work:
     """What a run does with each file.
 
     Attributes:
-        verb: of ``jobs.VERBS``.
+        verb: one of ``ends.VERB_NAMES``.
         settings: of the verb.
         limits: words of ``--limit``.
         memory: bytes that a worker's data may take; 0: any number.
@@ -104,7 +104,7 @@ class RunSummary:
     @property
     def failed(self) -> int:
         """Number of files of this run that gave no rows for a reason other than that there is nothing to do."""
-        good = (jobs.OK, jobs.NOTHING, jobs.UNCHANGED)
+        good = (ends.OK, ends.NOTHING, ends.UNCHANGED)
         return sum(number for status, number in self.ends.items() if status not in good)
 
 
@@ -128,7 +128,7 @@ def run_cohort(
         todo: list[tuple[Located, str]] = []
         for each in files:
             row = known.get((each.shown, work.verb))
-            if row and row["version"] == __version__ and row["settings"] == work.text and row["status"] in jobs.FINAL:
+            if row and row["version"] == __version__ and row["settings"] == work.text and row["status"] in ends.FINAL:
                 if row["mark"] == each.mark and each.mark:
                     summary.before += 1
                     continue
@@ -165,7 +165,7 @@ def _do(
 
     try:
         for (file, _), reply in _replies(work, todo, where):
-            if reply["status"] == jobs.UNCHANGED:
+            if reply["status"] == ends.UNCHANGED:
                 rows.setdefault("tasks", []).append(known[file.shown, work.verb] | {"mark": file.mark})
             else:
                 _add(rows, work, file, reply)
@@ -253,7 +253,7 @@ def _reply(future: Future, where: Where) -> dict[str, Any]:
     if error is None:
         return dict(future.result())
     killed = type(error).__name__ == "KilledWorker"
-    status = jobs.KILLED if killed else jobs.FAILED
+    status = ends.KILLED if killed else ends.FAILED
     text = "the worker of Dask died with this file" if killed else f"{type(error).__name__}: {error}"
     return {"status": status, "error": text}
 

@@ -16,7 +16,7 @@ from typing import Any
 
 from igtl_gateway.child import Child
 from igtl_gateway.clock import SystemClock
-from igtl_gateway.cohort.jobs import KILLED, TIMEOUT
+from igtl_gateway.cohort.ends import KILLED, TIMEOUT
 from igtl_gateway.stamp import NS_PER_S
 
 #: How often a job is tried again whose program was killed: another process may have been the cause.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import shutil
 import signal
-import threading
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -16,10 +15,12 @@ pytest.importorskip("dask", reason='needs Dask: pip install "igtl-gateway[cohort
 pytest.importorskip("distributed", reason='needs Dask: pip install "igtl-gateway[cohort]"')
 
 from igtl_gateway.cohort import running, task
+from igtl_gateway.cohort.jobs import run_job
 from igtl_gateway.cohort.results import Results
 from igtl_gateway.cohort.running import RunSummary, Where, Work, run_cohort
 from igtl_gateway.cohort.sources import locate
 from igtl_gateway.cohort.tables import TABLES
+from igtl_gateway.errors import GatewayError
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 SMALL = ("acquisition", "paper-types", "crtk")
@@ -53,6 +54,20 @@ def run(
     settings: dict[str, Any] = {}
     work = Work(verb, settings, (), memory, timeout_s)
     return run_cohort(work, locate([str(folder)]), Results(out), Where(workers), progress)
+
+
+def in_this_process(work: Work, todo: Any, where: Where) -> Any:
+    """The replies without Dask and without programs, one after the other."""
+    for file, content in todo:
+        job = {
+            "name": file.name,
+            "size": file.size,
+            "verb": work.verb,
+            "settings": {},
+            "limits": [],
+            "content": content,
+        }
+        yield (file, content), run_job(job)
 
 
 def rows(out: Path) -> dict[str, list[dict[str, Any]]]:
@@ -95,7 +110,7 @@ def test_a_cohort_is_tables_and_a_second_run_does_nothing(
     # touched but equal: read once, not done; changed: done, and its old rows are gone; a removed file stays
     os.utime(cohort / "0.mcap", ns=(1, 1))
     shutil.copy(FIXTURES / "crtk.mcap", cohort / "1.mcap")
-    third = run(cohort, out)
+    third = run(cohort, out, workers=1)
     assert (third.before, dict(third.ends)) == (10, {"unchanged": 1, "ok": 1})
     after = rows(out)
     assert len(after["tasks"]) == 12
@@ -105,11 +120,13 @@ def test_a_cohort_is_tables_and_a_second_run_does_nothing(
     assert fourth.before == 12
 
 
-def test_killed_programs_and_other_numbers_of_workers_give_the_same_tables(
+def test_killed_programs_give_the_tables_of_a_serial_run(
     cohort: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    serial = tmp_path / "serial"
-    run(cohort, serial, "lint", workers=1)
+    here = tmp_path / "here"
+    with monkeypatch.context() as patched:
+        patched.setattr(running, "_replies", in_this_process)
+        run(cohort, here, "lint")
     started: list[int] = []
 
     class Program(task.JobProgram):
@@ -127,7 +144,7 @@ def test_killed_programs_and_other_numbers_of_workers_give_the_same_tables(
 
     run(cohort, tmp_path / "killed", "lint", workers=2, progress=kill)
     assert killed
-    assert rows(tmp_path / "killed") == rows(serial)
+    assert rows(tmp_path / "killed") == rows(here)
 
 
 def test_a_file_that_takes_too_long_or_too_much_is_a_row(cohort: Path, tmp_path: Path) -> None:
@@ -143,20 +160,5 @@ def test_a_file_that_takes_too_long_or_too_much_is_a_row(cohort: Path, tmp_path:
 
 def test_two_runs_into_one_folder_are_refused(cohort: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    errors: list[str] = []
-
-    def second(summary: RunSummary) -> None:
-        def other() -> None:
-            try:
-                run(cohort, out)
-            except Exception as error:
-                errors.append(str(error))
-
-        if not errors:
-            thread = threading.Thread(target=other)
-            thread.start()
-            thread.join()
-
-    run(cohort / "0.mcap", out, progress=second)
-    assert errors
-    assert set(errors) == {f"{out}: another run is writing to it; wait for its end"}
+    with Results(out).locked(), pytest.raises(GatewayError, match="another run is writing to it"):
+        run(cohort, out)
