@@ -1,4 +1,4 @@
-"""Questions to tables that hold foreign text, and the page that is made of them."""
+"""Questions to tables that hold foreign text, and the page of their answers."""
 
 from __future__ import annotations
 
