@@ -19,6 +19,7 @@ _EXTRAS = {
     "obstore": ("cohort", ""),
     "cryptography": ("seal", ""),
     "blake3": ("seal", ""),
+    "rfc3161_client": ("seal", ""),
     "pyigtl": ("dev", ""),
 }
 

@@ -151,10 +151,11 @@ HOMES: dict[str, tuple[str, ...]] = {
     "uuid": (),
     # Libraries
     "av": ("edges.video",),
-    "cryptography": ("seal.keys",),
+    "cryptography": ("seal.keys", "seal.time_stamps"),
     "dask": ("cohort.running",),
     "duckdb": ("cohort.query",),
     "blake3": ("seal.digest",),
+    "rfc3161_client": ("seal.time_stamps",),
     "fastcrc": ("wire", "sessionfile"),
     "lz4": ("sessionfile.compression", "untrusted.unpack"),
     "pyigtl": ("lab.bench.pyigtl_side",),  # a peer of another project

@@ -11,11 +11,15 @@ from typing import Any
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.errors import ConfigError, UnsupportedRecording
 from igtl_gateway.seal.keys import SigningKey, load_trusted
+from igtl_gateway.seal.time_stamps import load_authorities
 from igtl_gateway.sessionfile.seal_check import CHANGED, CUT, SEALED, UNSEALED, UNTRUSTED, SealReport, check_seal
 from igtl_gateway.sessionfile.seal_copy import seal_copy
 from igtl_gateway.sessionfile.sealing import SealSeries
+from igtl_gateway.sessionfile.stamped import stamped_copy
 from igtl_gateway.untrusted.files import is_same
 
+#: State of a recording that is sealed, but without an accepted time stamp, although one is asked for.
+UNTIMED = "untimed"
 #: Of several files, the state of the first of these that one has.
 _WORST = (UNTRUSTED, CHANGED, UNSEALED, CUT, SEALED)
 
@@ -26,8 +30,8 @@ class SealVerification:
 
     Attributes:
         file: the file, or the directory of a split recording.
-        state: ``sealed``, ``cut``, ``changed``, ``unsealed`` or ``untrusted``.
-        problem: what is wrong with the order of the parts; "" if nothing is.
+        state: ``sealed``, ``cut``, ``changed``, ``unsealed``, ``untrusted`` or ``untimed``.
+        problem: what is wrong with the order of the parts or with the time stamp; "" if nothing is.
         parts: the result for each file, in order.
     """
 
@@ -49,26 +53,47 @@ class SealVerification:
         }  # fmt: skip
 
 
-def verify_seal(path: Path, trusted: Sequence[Path] = ()) -> SealVerification:
+def verify_seal(path: Path, trusted: Sequence[Path] = (), tsa: Sequence[Path] = ()) -> SealVerification:
     """Check the seals of a recording.
 
     Args:
         path: a file, or the directory of a split recording.
         trusted: files of trusted public keys; none: any key.
+        tsa: files of certificates of time-stamp authorities, one of which has to confirm the (last) file; none: time
+            stamps are not checked.
 
     Raises UnsupportedRecording, ConfigError for files without keys, LimitExceeded, Unavailable.
     """
     keys = load_trusted(trusted) if trusted else None
-    if not path.is_dir():
-        report = check_seal(path, keys)
-        return SealVerification(path, report.state, "", (report,))
-    reports = [check_seal(part, keys) for part in _parts(path)]
+    authorities = load_authorities(tsa) if tsa else None
+    folder = path.is_dir()
+    reports = [check_seal(part, keys, authorities) for part in (_parts(path) if folder else [path])]
     state = next(each for each in _WORST if any(report.state == each for report in reports))
     problem = ""
-    if state in (SEALED, CUT):
+    if folder and state in (SEALED, CUT):
         found, problem = _order_of(reports)
         state = found if problem else state
+    if tsa and state == SEALED and (problem := _time_problem(reports)):
+        state = UNTIMED
     return SealVerification(path, state, problem, tuple(reports))
+
+
+def stamp_recording(source: Path, reply: Path, output: Path, *, overwrite: bool = False) -> tuple[str, int]:
+    """Write a copy of a sealed file with the reply of a time-stamp authority; return SHA-256 of the seal, and size.
+
+    Raises ConfigError for a reply about something else, UnsupportedRecording for a file that is not sealed or has a
+    time stamp, and as ``stamped_copy``.
+    """
+    if is_same(source, output):
+        raise ConfigError(f"{output}: found the recording itself, expected another name for the one with a time stamp")
+    report = check_seal(source)
+    if report.state != SEALED:
+        raise UnsupportedRecording(f"{source}: found a file in the state {report.state!r}, expected a sealed one")
+    if report.time_stamp:
+        raise UnsupportedRecording(f"{source}: found a time stamp already, expected a sealed file without one")
+    digest = bytes.fromhex(report.last_seal)
+    size = stamped_copy(source, report.end_of_seals, reply, digest, output, overwrite=overwrite)
+    return report.last_seal, size
 
 
 def seal_recording(source: Path, key: Path, output: Path, *, overwrite: bool = False) -> tuple[str, int]:
@@ -81,6 +106,14 @@ def seal_recording(source: Path, key: Path, output: Path, *, overwrite: bool = F
         raise ConfigError(f"{output}: found the recording itself, expected another name for the sealed one")
     sealer = SealSeries(signing, SystemClock().utc_ns).next_file(output)
     return signing.id, seal_copy(source, output, sealer, overwrite=overwrite)
+
+
+def _time_problem(reports: Sequence[SealReport]) -> str:
+    """Return what is wrong with the time stamps: of the last file, whose seals refer to all others, and those given."""
+    for report in reports:
+        if report.time_stamp and report.time_stamp.problem:
+            return f"{report.file.name}: {report.time_stamp.problem}"
+    return "" if reports[-1].time_stamp else f"{reports[-1].file.name}: it has no time stamp"
 
 
 def _parts(folder: Path) -> list[Path]:

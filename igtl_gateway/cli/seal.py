@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from igtl_gateway.app.sealing import seal_recording
+from igtl_gateway.app.sealing import seal_recording, stamp_recording
 from igtl_gateway.cli.common import size_text
 from igtl_gateway.cli.options import RECORDING_OR_BAG, add_file, add_overwrite
 from igtl_gateway.cli.terminal import print_line
@@ -13,6 +13,8 @@ from igtl_gateway.cli.terminal import print_line
 EXAMPLES = """\
   # write a sealed copy of a recording
   igtl-gateway seal out.mcap --key recorder.key -o sealed.mcap
+  # put the reply of a time-stamp authority into a copy of a sealed recording
+  igtl-gateway seal sealed.mcap --time-stamp reply.tsr -o stamped.mcap
 
 `keys new` makes a key; `bridge --seal KEY` seals while it records.
 The seal states what the file contained at this moment, and nothing about the
@@ -21,12 +23,20 @@ time before it."""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_file(parser, RECORDING_OR_BAG)
-    parser.add_argument("--key", required=True, metavar="KEY", type=Path, help="private key (Ed25519, PEM)")
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("--key", metavar="KEY", type=Path, help="private key (Ed25519, PEM)")
+    what.add_argument(
+        "--time-stamp", metavar="REPLY", type=Path, help="reply of a time-stamp authority (RFC 3161), for a sealed FILE"
+    )
     parser.add_argument("-o", "--output", required=True, metavar="OUT", type=Path, help="file to write")
     add_overwrite(parser, "OUT")
 
 
 def run(options: argparse.Namespace) -> int:
+    if options.time_stamp:
+        digest, size = stamp_recording(options.file, options.time_stamp, options.output, overwrite=options.overwrite)
+        print_line(f"{options.output}: {size_text(size)}, with the time stamp of the seal {digest}")
+        return 0
     key, size = seal_recording(options.file, options.key, options.output, overwrite=options.overwrite)
     print_line(f"{options.output}: {size_text(size)}, sealed by key {key}")
     return 0

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from igtl_gateway.app.sealing import SealVerification, verify_seal
+from igtl_gateway.app.sealing import UNTIMED, SealVerification, verify_seal
 from igtl_gateway.app.verification import RECORDED, Verification, verify_parts, verify_recording
 from igtl_gateway.cli.common import count_text, utc_text
 from igtl_gateway.cli.options import add_config, add_file, add_json
@@ -27,7 +27,9 @@ EXAMPLES = """\
   igtl-gateway verify both.mcap
   igtl-gateway verify both.mcap/planning
   # whether a sealed recording is as it was written, and by which key
-  igtl-gateway verify out.mcap --seal --trusted recorder.key.pub"""
+  igtl-gateway verify out.mcap --seal --trusted recorder.key.pub
+  # whether a time-stamp authority confirms when it was sealed
+  igtl-gateway verify out.mcap --seal --tsa authority.pem"""
 
 _STATES = {
     SEALED: "sealed: every byte is as it was sealed",
@@ -35,6 +37,7 @@ _STATES = {
     CHANGED: "CHANGED",
     UNSEALED: "NOT SEALED: it has no seal",
     UNTRUSTED: "NOT TRUSTED: no seal is of a trusted key",
+    UNTIMED: "NOT TIME-STAMPED: no given authority confirms when it was sealed",
 }
 
 
@@ -51,12 +54,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="with --seal: accept only these public keys (PEM) and those that they introduce (repeatable)",
     )
+    parser.add_argument(
+        "--tsa",
+        action="append",
+        default=[],
+        metavar="CERTS",
+        type=Path,
+        help="with --seal: require a time stamp of an authority with these certificates (PEM, repeatable)",
+    )
     add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     if options.trusted and not options.seal:
         raise ConfigError("--trusted: found no --seal, expected it with trusted keys")
+    if options.tsa and not options.seal:
+        raise ConfigError("--tsa: found no --seal, expected it with certificates of time-stamp authorities")
     if options.seal:
         return _run_seal(options)
     if parts := verify_parts(options.file, options.config):
@@ -83,7 +96,7 @@ def _run_parts(parts: Sequence[Verification], options: argparse.Namespace) -> in
 def _run_seal(options: argparse.Namespace) -> int:
     if options.config or options.all:
         raise ConfigError("--seal: found --config or --all, expected neither: it does not compute outputs")
-    result = verify_seal(options.file, options.trusted)
+    result = verify_seal(options.file, options.trusted, options.tsa)
     if options.json:
         print_json(result.to_dict())
     else:
@@ -130,6 +143,11 @@ def _seal_lines(report: SealReport) -> Iterator[str]:
         yield f"intact    the first {report.sealed_bytes:,} bytes{entry}"
     if report.state == CUT:
         yield f"unsealed  the {report.unsealed_bytes:,} bytes behind them"
+    if stamp := report.time_stamp:
+        if not stamp.checked:
+            yield "time      there is a time stamp, which was not checked: give --tsa CERTS"
+        else:
+            yield f"time      {stamp.problem or f'{utc_text(stamp.time_ns)}, confirmed by {stamp.authority}'}"
     if report.last_seal:
         yield f"last seal {report.last_seal}"
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
 import stat
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -34,7 +33,7 @@ MAX_INTRODUCTIONS = 100
 
 _STATEMENT = "https://in-toto.io/Statement/v1"
 _INTRODUCTION = "urn:igtl-gateway:introduction:v1"
-_PUBLIC_PEM = re.compile(rb"-----BEGIN PUBLIC KEY-----.*?-----END PUBLIC KEY-----", re.DOTALL)
+_BEGIN, _END = b"-----BEGIN PUBLIC KEY-----", b"-----END PUBLIC KEY-----"
 _GROUP_AND_OTHERS = stat.S_IRWXG | stat.S_IRWXO
 
 
@@ -153,7 +152,7 @@ def load_trusted(paths: Iterable[Path]) -> frozenset[bytes]:
     found = set()
     for path in paths:
         try:
-            blocks = _PUBLIC_PEM.findall(read_bytes(path))
+            blocks = _public_blocks(read_bytes(path))
         except UnsupportedRecording as error:
             raise ConfigError(f"trusted keys {error}") from None
         if not blocks:
@@ -167,6 +166,12 @@ def load_trusted(paths: Iterable[Path]) -> frozenset[bytes]:
                 raise ConfigError(f"trusted keys {path}: found a key of another kind, expected Ed25519")
             found.add(public.public_bytes_raw())
     return frozenset(found)
+
+
+def _public_blocks(data: bytes) -> list[bytes]:
+    """Return the PEM blocks of public keys in a file, in one pass over it."""
+    pieces = (piece.partition(_END) for piece in data.split(_BEGIN)[1:])
+    return [_BEGIN + body + end for body, end, _ in pieces if end]
 
 
 def trusted_with(trusted: frozenset[bytes], introductions: Sequence[str]) -> frozenset[bytes]:

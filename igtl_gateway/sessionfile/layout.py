@@ -42,6 +42,8 @@ SESSION_RECORDS = (SESSION_METADATA, SESSION_COPY_METADATA)
 LEDGER_METADATA = "igtl_gateway.ledger"
 #: A seal: a signed statement about the records before it, see ``sealing``.
 SEAL_METADATA = "igtl_gateway.seal"
+#: Attachment behind the last seal: the reply of a time-stamp authority.
+TIME_STAMP_ATTACHMENT = "time-stamp.tsr"
 CONFIGURATION_ATTACHMENT = "configuration.json"
 #: Inputs before the first entry: an MCAP file of this layout inside the file.
 PROLOGUE_ATTACHMENT = "prologue.mcap"

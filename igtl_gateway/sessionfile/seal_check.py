@@ -10,21 +10,25 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 from igtl_gateway.seal import keys
 from igtl_gateway.seal.statement import NO_HEAD, next_head
+from igtl_gateway.seal.time_stamps import TimeStamp, check_reply
 from igtl_gateway.sessionfile import records
 from igtl_gateway.sessionfile.deviation import Deviation, ExpectedUnit, deviation_at, unnamed_deviation
 from igtl_gateway.sessionfile.records import MAGIC
 from igtl_gateway.sessionfile.sealing import SEAL
 from igtl_gateway.sessionfile.seals import FoundSeal, find_seals, has_name_of_seal
-from igtl_gateway.sessionfile.units import data_end, digest_of, units
+from igtl_gateway.sessionfile.stamped import Stamp, has_sealed_end, stamp_at
+from igtl_gateway.sessionfile.units import data_end, digest_of, has_footer, units
 from igtl_gateway.untrusted import files
 
 #: States of a file: every byte is as it was sealed; the end is missing, and the rest is as it was sealed; something
 #: was changed; it has no seals; it has seals, but none of a trusted key.
 SEALED, CUT, CHANGED, UNSEALED, UNTRUSTED = "sealed", "cut", "changed", "unsealed", "untrusted"
+#: Kind of what is behind the last seal of a file with a time stamp.
+TIME_STAMP = "time stamp"
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +51,8 @@ class SealReport:
         sealed_entry: number of the last entry among them, low 32 bits; −1: none.
         unsealed_bytes: of a cut file, bytes behind its last seal.
         first_ns, last_ns: UTC ns in the first and in the last seal, by the clock of the machine that sealed.
+        end_of_seals: offset behind the last seal.
+        time_stamp: of the last seal; None if there is none.
     """
 
     file: Path
@@ -66,14 +72,19 @@ class SealReport:
     unsealed_bytes: int = 0
     first_ns: int = 0
     last_ns: int = 0
+    end_of_seals: int = 0
+    time_stamp: TimeStamp | None = None
 
 
-def check_seal(path: Path, trusted: frozenset[bytes] | None = None) -> SealReport:
+def check_seal(
+    path: Path, trusted: frozenset[bytes] | None = None, authorities: tuple[Any, ...] | None = None
+) -> SealReport:
     """Check the seal of a file.
 
     Args:
         path: the file.
         trusted: public keys; None: any key, which is worth as much as the way that its identifier came.
+        authorities: certificates that may have signed a time stamp; None: it is not checked.
 
     Raises UnsupportedRecording if it cannot be opened, LimitExceeded, Unavailable.
     """
@@ -85,7 +96,7 @@ def check_seal(path: Path, trusted: frozenset[bytes] | None = None) -> SealRepor
         accepted = [each for each in found.valid if _is_trusted(each, trusted)]
         if not accepted:
             return SealReport(path, UNTRUSTED, key=keys.key_id(found.valid[0].statement.public), trusted=False)
-        return _Check(path, stream, size, _one_recording(accepted), trusted).report()
+        return _Check(path, stream, size, _one_recording(accepted), trusted).report(authorities)
 
 
 def _no_valid(size: int) -> Deviation:
@@ -117,7 +128,7 @@ class _Check:
         self._path, self._stream, self._size, self._trusted = path, stream, size, trusted
         self._seals, self._expected = _expected_units(seals)
 
-    def report(self) -> SealReport:
+    def report(self, authorities: tuple[Any, ...] | None) -> SealReport:
         last = self._seals[-1]
         statement = last.statement
         first, sealed_bytes = self._first_deviation()
@@ -127,6 +138,10 @@ class _Check:
             unsealed = self._size - sealed_bytes
         entries = [unit.last for unit in self._expected if unit.at + unit.size <= sealed_bytes and unit.last >= 0]
         end = statement.end_of_file
+        stamp = stamp_at(self._stream, last.end, self._size) if end and state == SEALED else None
+        checked = None
+        if stamp:
+            checked = TimeStamp() if authorities is None else check_reply(stamp.reply, last.sha256, authorities)
         return SealReport(
             self._path,
             state,
@@ -145,6 +160,8 @@ class _Check:
             unsealed if state == CUT else 0,
             self._seals[0].statement.time_ns,
             statement.time_ns,
+            last.end,
+            checked,
         )
 
     def _first_deviation(self) -> tuple[Deviation | None, int]:
@@ -178,15 +195,35 @@ class _Check:
         if end is None:
             missing = self._missing_last_seal(at)
             return missing, CHANGED if missing else CUT, at
+        if stamp := stamp_at(self._stream, at, self._size):
+            return self._behind_stamp(stamp, last)
         if digest_of(self._stream, at, end.size) == end.digest and rest >= end.size:
             if rest == end.size:
                 return None, SEALED, self._size
             here = at + end.size
             return Deviation("added", "bytes", 0, here, self._size, text="behind the end of the file"), CHANGED, here
-        if rest < end.size and not self._ends_with_magic():
+        if not self._ends_with_magic() and (rest < end.size or self._has_begun_stamp(at)):
             return None, CUT, at
         text = f"the index at the end of the file: {rest:,} bytes, {end.size:,} sealed"
         return Deviation("changed", "index", 0, at, self._size, text=text), CHANGED, at
+
+    def _behind_stamp(self, stamp: Stamp, last: FoundSeal) -> tuple[Deviation | None, str, int]:
+        """As :meth:`_behind`, for a file with a time stamp behind its last seal."""
+        end = last.statement.end_of_file
+        problem = stamp.problem or ("" if last.sha256 in stamp.reply else "it is of another seal")
+        if problem:
+            return Deviation("changed", TIME_STAMP, 0, stamp.at, stamp.end, text=problem), CHANGED, stamp.at
+        if end and has_sealed_end(self._stream, self._size, stamp, end):
+            return None, SEALED, self._size
+        if not self._ends_with_magic() and not has_footer(self._stream, stamp.end, self._size):
+            return None, CUT, stamp.at
+        text = f"the index at the end of the file: {self._size - stamp.end:,} bytes behind the time stamp"
+        return Deviation("changed", "index", 0, stamp.end, self._size, text=text), CHANGED, stamp.at
+
+    def _has_begun_stamp(self, at: int) -> bool:
+        """Return whether an attachment begins at an offset, as behind the last seal only a time stamp does."""
+        self._stream.seek(at)
+        return self._stream.read(1) == bytes([records.ATTACHMENT])
 
     def _missing_last_seal(self, at: int) -> Deviation | None:
         """Return the deviation of a file that was closed but has no last seal; None if its end was cut."""

@@ -12,17 +12,18 @@ from io import BufferedWriter
 from pathlib import Path
 from typing import IO
 
-from mcap.records import DataEnd, Footer, MetadataIndex, SummaryOffset
+from mcap.records import DataEnd, Footer, MetadataIndex
 
 from igtl_gateway.errors import RecordingError, UnsupportedRecording
 from igtl_gateway.seal.statement import UnitRow
 from igtl_gateway.sessionfile import records
 from igtl_gateway.sessionfile.chunks import batches, packed_chunk
 from igtl_gateway.sessionfile.contents import ChunkEntry
+from igtl_gateway.sessionfile.file_end import pack_summary
 from igtl_gateway.sessionfile.index import recover_hint
 from igtl_gateway.sessionfile.layout import SEAL_METADATA
 from igtl_gateway.sessionfile.new_file import create_file, os_error_text
-from igtl_gateway.sessionfile.records import FOOTER_RECORD, HEAD, MAGIC, Malformed, crc32, pack
+from igtl_gateway.sessionfile.records import FOOTER_RECORD, HEAD, MAGIC, Malformed, pack
 from igtl_gateway.sessionfile.sealing import SEAL, Sealer
 from igtl_gateway.sessionfile.seals import has_name_of_seal
 from igtl_gateway.sessionfile.units import FoundUnit, data_end, kind_of, units
@@ -76,14 +77,14 @@ def _end_of_file(path: Path, stream: IO[bytes], size: int) -> tuple[int, dict[in
     limits.check_limit("memory", stop - start, f"{path}: summary")
     stream.seek(start)
     data = stream.read(stop - start)
-    groups: dict[int, bytes] = {}
+    groups: dict[int, bytearray] = {}
     try:
         for opcode, begin, after in records.records(data, "summary"):
-            groups[opcode] = groups.get(opcode, b"") + data[begin - HEAD.size : after]
+            groups.setdefault(opcode, bytearray()).extend(data[begin - HEAD.size : after])
     except Malformed as error:
         raise UnsupportedRecording(f"{path}: {error}{recover_hint(path)}") from None
     groups.pop(records.SUMMARY_OFFSET, None)
-    return end, groups
+    return end, {opcode: bytes(group) for opcode, group in groups.items()}
 
 
 def _row(path: Path, stream: IO[bytes], unit: FoundUnit) -> UnitRow:
@@ -129,7 +130,7 @@ def _summary(start: int, groups: dict[int, bytes], indexes: bytes) -> bytes:
     """Return the summary with the indexes of two more metadata records, the footer and the last magic."""
     if not groups:
         return pack(Footer(0, 0, 0)) + MAGIC
-    data, offsets = bytearray(), bytearray()
+    rows = []
     for opcode in (*groups, *(() if records.METADATA_INDEX in groups else (records.METADATA_INDEX,))):
         group = groups.get(opcode, b"")
         if opcode == records.STATISTICS:
@@ -137,10 +138,5 @@ def _summary(start: int, groups: dict[int, bytes], indexes: bytes) -> bytes:
             group = pack(replace(statistics, metadata_count=statistics.metadata_count + 2))
         elif opcode == records.METADATA_INDEX:
             group += indexes
-        place = SummaryOffset(group_opcode=opcode, group_start=start + len(data), group_length=len(group))
-        offsets += pack(place)
-        data += group
-    footer = Footer(summary_start=start, summary_offset_start=start + len(data), summary_crc=0)
-    data += offsets
-    crc = crc32(pack(footer)[: records.FOOTER_COVERED], crc32(data))
-    return bytes(data) + pack(replace(footer, summary_crc=crc)) + MAGIC
+        rows.append((opcode, group))
+    return pack_summary(start, rows)

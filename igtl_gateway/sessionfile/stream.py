@@ -21,20 +21,19 @@ from mcap.records import (
     AttachmentIndex,
     Channel,
     DataEnd,
-    Footer,
     Header,
     McapRecord,
     Metadata,
     MetadataIndex,
     Schema,
     Statistics,
-    SummaryOffset,
 )
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.sessionfile import records
 from igtl_gateway.sessionfile.chunk_rows import RowStream, add_rows, index_messages
 from igtl_gateway.sessionfile.compression import NAMES, Compression, compress
+from igtl_gateway.sessionfile.file_end import pack_summary
 from igtl_gateway.sessionfile.layout import CHUNK_BYTES, SEAL_METADATA
 from igtl_gateway.sessionfile.records import MAGIC, MESSAGE, MESSAGE_HEAD, MESSAGE_RECORD, crc32, pack
 from igtl_gateway.sessionfile.sealing import KINDS, SEAL, Sealer, entry_numbers
@@ -200,10 +199,8 @@ class McapStream:
         data = bytearray(pack(DataEnd(0)))
         return bytes(data + self._summary(self.size + seal + len(data)))
 
-    def _summary(self, start: int) -> bytearray:
+    def _summary(self, start: int) -> bytes:
         """The summary, the footer and the last magic, at an offset."""
-        data = bytearray()
-        offsets: list[SummaryOffset] = []
         groups: tuple[tuple[int, Buffer], ...] = (
             (records.SCHEMA, pack(*self.schemas)),
             (records.CHANNEL, pack(*self.channels)),
@@ -212,13 +209,7 @@ class McapStream:
             (records.ATTACHMENT_INDEX, pack(*self._attachments)),
             (records.METADATA_INDEX, pack(*self._metadata)),
         )
-        for opcode, group in groups:
-            offsets.append(SummaryOffset(group_opcode=opcode, group_start=start + len(data), group_length=len(group)))
-            data += group
-        footer = Footer(summary_start=start, summary_offset_start=start + len(data), summary_crc=0)
-        data += pack(*offsets)
-        crc = crc32(pack(footer)[: records.FOOTER_COVERED], crc32(data))
-        return data + pack(replace(footer, summary_crc=crc)) + MAGIC
+        return pack_summary(start, groups)
 
     def statistics(self) -> Statistics:
         """Of the file up to its last complete chunk."""

@@ -63,6 +63,15 @@ def data_end(stream: IO[bytes], at: int, end: int) -> int | None:
     return None
 
 
+def has_footer(stream: IO[bytes], at: int, end: int) -> bool:
+    """Return whether there is a footer with room for the last magic behind it, from the offset of a record on."""
+    while (head := _head(stream, at, end)) is not None:
+        opcode, at = head
+        if opcode == records.FOOTER:
+            return at + len(MAGIC) <= end
+    return False
+
+
 def kind_of(opcode: int) -> str:
     """Return the kind of a unit that begins with an opcode."""
     return KINDS.get(opcode, f"record 0x{opcode:02x}")
