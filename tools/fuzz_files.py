@@ -92,6 +92,9 @@ _MCAP_VERBS = (
     *(f"export F --to {target} --out O" for target in ("csv", "rosbag2", "ply", "nrrd", "igs.mha")),
     "review F",
     "import F --out O.mcap",
+    "sync F",
+    "deidentify F -o O.mcap",
+    "verify F --seal",
 )
 
 

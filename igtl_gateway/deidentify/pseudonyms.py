@@ -18,6 +18,8 @@ from igtl_gateway.stamp import NS_PER_S
 
 #: Least length of a key, bytes.
 MIN_KEY_BYTES = 16
+#: A longer key counts as its SHA-256 (RFC 2104).
+_BLOCK_BYTES = 64
 #: Characters of a pseudonym behind its first letter: 35 bits.  ``AToB`` of two of them fits into a device name.
 _LENGTH = 7
 _A_TO_B = re.compile(r"([A-Za-z0-9_]+?)To([A-Z][A-Za-z0-9_]*)")
@@ -52,6 +54,10 @@ class Pseudonyms:
     changed: Callable[[], None] = lambda: None
     full: dict[str, str] = field(default_factory=dict)
     _owners: dict[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if len(self.key) > _BLOCK_BYTES:
+            self.key = hashlib.sha256(self.key).digest()  # as HMAC does it, but once and not for each name
 
     def name(self, name: str) -> str:
         """Return the new name; ``AToB`` is replaced part by part.  Raises GatewayError for equal new names."""

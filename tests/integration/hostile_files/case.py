@@ -89,9 +89,28 @@ _SESSION_VERBS = (
     "view F --save OUT.rrd",
     "review F",
     "review F --json",
+    "deidentify F -o OUT.mcap",
+    "deidentify F -o OUT.mcap --profile PROFILE --json",
+    "seal F --key KEY -o OUT.mcap",
+    "verify F --seal",
+    "verify F --seal --trusted KEY.pub --json",
+    "export F --to lerobot --write-recipe OUT.toml",
+    "export F --to lerobot --recipe RECIPE --out OUT",
+    "merge F SMALL -o OUT.mcap",
+    "merge F --extract a -o OUT.mcap",
 )
 
-#: Sort of file → the verbs that read it.  F is the file, GOOD and SMALL are sound recordings, OUT is what is written.
+#: Files that verbs get besides the hostile one, all of them sound: name in ``VERBS`` → content.
+BESIDES = {
+    "PROFILE": '[[mask]]\nstream = "**"\nrectangles = [[0, 0, 8, 8]]\n[[text]]\nstream = "**"\naction = "keep"\n',
+    "RECIPE": '[dataset]\nfps = 20\ntask = "none"\nrobot_type = "none"\n[episodes]\nby = "whole"\n'
+    + "".join(
+        f'[[feature]]\nname = "{name}"\nstream = "TRANSFORM/Probe**"\n' for name in ("observation.state", "action")
+    ),
+}
+
+#: Sort of file → the verbs that read it.  F is the file, GOOD, SMALL and SEALED are sound recordings, KEY is the key of
+#: SEALED, OUT is what is written.
 VERBS: dict[str, tuple[str, ...]] = {
     "session": _SESSION_VERBS,
     "foreign MCAP": _SESSION_VERBS,
@@ -107,6 +126,19 @@ VERBS: dict[str, tuple[str, ...]] = {
         "lint GOOD --config F",
         "bridge --no-ros --listen 127.0.0.1:0 --duration 0.1 --config F",
     ),
+    "key": (
+        "keys show F",
+        "keys rotate F OUT.key",
+        "seal SMALL --key F -o OUT.mcap",
+        "verify SEALED --seal --trusted F",
+        "deidentify SMALL -o OUT.mcap --secret F",
+        "bridge --no-ros --listen 127.0.0.1:0 --duration 0.1 --record OUT.mcap --seal F",
+    ),
+    "profile": ("deidentify SMALL -o OUT.mcap --profile F", "deidentify SMALL -o OUT.mcap --profile F --json"),
+    "recipe": (
+        "export SMALL --to lerobot --recipe F --out OUT",
+        "export SMALL --to lerobot --recipe F --out OUT --json",
+    ),
     # not decode: it reads a stream, which a FIFO or a device may be
     "place": (
         "info F",
@@ -114,6 +146,12 @@ VERBS: dict[str, tuple[str, ...]] = {
         "verify GOOD --config F",
         "recover F -o OUT.mcap",
         "export F --to csv --out OUT",
+        "deidentify F -o OUT.mcap",
+        "seal F --key KEY -o OUT.mcap",
+        "verify F --seal",
+        "verify SEALED --seal --trusted F",
+        "deidentify SMALL -o OUT.mcap --profile F",
+        "export SMALL --to lerobot --recipe F --out OUT",
     ),
 }
 

@@ -10,13 +10,16 @@ import subprocess
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import MappingProxyType
 
-from tests.integration.hostile_files import bags, foreign, images, robots, sessions, streams
-from tests.integration.hostile_files.case import FORGED, GOOD, ROOT, SMALL, VERBS, Hostile
+from igtl_gateway.app.sealing import seal_recording
+from igtl_gateway.seal.keys import SigningKey
+from tests.integration.hostile_files import bags, foreign, images, keys, robots, sessions, streams
+from tests.integration.hostile_files.case import BESIDES, FORGED, GOOD, ROOT, SMALL, VERBS, Hostile
 
 CASES: tuple[Hostile, ...] = (
     *sessions.CASES,
@@ -25,6 +28,7 @@ CASES: tuple[Hostile, ...] = (
     *images.CASES,
     *streams.CASES,
     *robots.CASES,
+    *keys.CASES,
 )
 
 WORKER = Path(__file__).with_name("worker.py")
@@ -186,9 +190,21 @@ def _cpu_s(process: int) -> float:
     return (int(told[11]) + int(told[12])) / os.sysconf("SC_CLK_TCK")
 
 
-def words(verb: str, path: Path, out: Path) -> list[str]:
-    """The arguments of a verb of ``VERBS`` for a file."""
-    told = {"F": str(path), "GOOD": str(GOOD), "SMALL": str(SMALL)}
+def besides(folder: Path) -> dict[str, str]:
+    """Write the files of ``BESIDES``, a key and a sealed recording; return their paths by their names in ``VERBS``."""
+    for name, content in BESIDES.items():
+        (folder / name).write_text(content, "utf-8")
+    key, sealed = SigningKey.generate(), folder / "SEALED"
+    for path, data in ((folder / "KEY", key.private_pem()), (folder / "KEY.pub", key.public_pem())):
+        path.write_bytes(data)
+        path.chmod(0o600)
+    seal_recording(SMALL, folder / "KEY", sealed)
+    return {name: str(folder / name) for name in (*BESIDES, "KEY", "KEY.pub", "SEALED")}
+
+
+def words(verb: str, path: Path, out: Path, more: Mapping[str, str] = MappingProxyType({})) -> list[str]:
+    """The arguments of a verb of ``VERBS`` for a file; ``more`` is of :func:`besides`."""
+    told = {"F": str(path), "GOOD": str(GOOD), "SMALL": str(SMALL), **more}
     return [told.get(word, word.replace("OUT", str(out)) if word.startswith("OUT") else word) for word in verb.split()]
 
 
@@ -214,6 +230,7 @@ def outcomes(
     memory = Path("/dev/shm")  # where no verb waits for a disk
     with TemporaryDirectory(prefix="hostile-", dir=memory if memory.is_dir() else None) as name:
         folder = Path(name)
+        more = besides(folder)
         worker = Worker(folder, tree)
         try:
             for turn, case in enumerate(cases):
@@ -221,7 +238,7 @@ def outcomes(
                 place.mkdir()
                 path = case.build(place)
                 for number, verb in enumerate(chosen(case.sort, turn, verbs)):
-                    outcome = worker.run(case.name, verb, words(verb, path, place / f"out-{number}"))
+                    outcome = worker.run(case.name, verb, words(verb, path, place / f"out-{number}", more))
                     yield outcome
                     if not patient and {"hang", "memory"} & set(outcome.faults):
                         break
