@@ -18,7 +18,9 @@ $ igtl-gateway verify clean.mcap
 
 The file is complete or absent at the end, only its owner can read it (mode 0600), and an existing file stays without
 `--overwrite`. A damaged recording is refused: `recover` it first. Files of other programs are imported first. The
-parts of a split recording become one file; the prologue of a snapshot is changed like the rest.
+parts of a split recording become one file; the prologue of a snapshot is changed like the rest. If the
+recording is sealed, the result has no seal, and its metadata name the last seal of the recording (`derived_from`). Of a
+merged session, each part is de-identified by itself.
 
 The actions in the table have the letters of DICOM PS3.15 (X remove, Z empty, C clean, U consistent pseudonym, K
 keep), and the options have its codes. `--json` prints the counts of each rule; the last note of the result and the
@@ -74,8 +76,8 @@ value = 0
 Streams are named as in the recording: `TYPE/device` or the topic. A mask applies to all slices of a volume, and to
 parts of an image at their place. JPEG and PNG are decoded, masked and encoded again, as are H.264 and VP9 (PyAV, the
 extra `video`). A masked picture that cannot be decoded or encoded again, such as H.265 or raw I420, is removed, and
-without PyAV all encoded pictures with a mask. JPEG, PNG, H.264 and H.265 without a mask lose their text (EXIF,
-comments, SEI) and keep their pixels.
+without PyAV all encoded pictures with a mask. JPEG, PNG, H.264, H.265 and AV1 without a mask lose their text
+(EXIF, comments, SEI, metadata, filling) and keep their pixels. A mask that is outside of a picture is reported.
 
 ## What it does not cover
 """

@@ -1,6 +1,6 @@
 """Masks and metadata of pictures: plain ones, JPEG and PNG, and video, which is encoded again.
 
-Without a mask the pixels stay.  JPEG, PNG, H.264 and H.265 lose their text without being decoded.
+Without a mask the pixels stay.  JPEG, PNG, H.264, H.265 and AV1 lose their text without being decoded.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.convert.bitstream import is_key_frame
-from igtl_gateway.deidentify.masks import Mask, masked
+from igtl_gateway.deidentify.masks import Mask, hidden, masked
 from igtl_gateway.deidentify.profile import Profile
 from igtl_gateway.deidentify.report import Report
 from igtl_gateway.deidentify.transcoding import MaskedVideo, masked_picture
@@ -28,6 +28,12 @@ _START = b"\x00\x00\x01"
 #: Segments of JPEG that are needed to decode it: JFIF (APP0) and Adobe's colour transform (APP14), tables, frames.
 _KEPT_SEGMENTS = frozenset({0xE0, 0xEE, 0xC4, 0xDB, 0xDD, *range(0xC0, 0xC4), *range(0xC5, 0xC8), *range(0xC9, 0xCC)})
 _KEPT_CHUNKS = frozenset({b"IHDR", b"PLTE", b"IDAT", b"IEND", b"tRNS", b"gAMA", b"sBIT", b"pHYs", b"sRGB", b"cHRM"})
+
+#: Kinds of units that a decoder needs: of H.264 slices, parameter sets, delimiters and ends; of H.265 the same; of AV1
+#: sequence headers, delimiters, frames and tiles.  The others are text, filling, reserved, or for private use.
+_H264_UNITS = frozenset({1, 2, 3, 4, 5, 7, 8, 9, 10, 11, 13, 14, 15, 19, 20})
+_H265_UNITS = frozenset({*range(10), *range(16, 22), *range(32, 38)})
+_AV1_UNITS = frozenset({1, 2, 3, 4, 6, 7})
 
 
 class PixelCleaner:
@@ -44,6 +50,8 @@ class PixelCleaner:
         mask = self._mask(stream)
         if mask is None or not pixels.size:
             return None
+        if not hidden(mask, *size).any():
+            self._report.left["mask"] = "no mask reaches some pictures: it is outside of them, and text burnt in stays"
         self._report.add("pixels")
         return np.ascontiguousarray(masked(mask, pixels, size, at)).reshape(-1).view(np.uint8).data
 
@@ -118,6 +126,8 @@ def without_jpeg_texts(data: bytes) -> bytes:
             parts.append(data[at:end])
         elif marker == 0xE0:
             parts.append(_jfif(data[at:end]))
+        elif marker == 0xEE:
+            parts.append(_adobe(data[at:end]))
         elif marker in _KEPT_SEGMENTS:
             parts.append(data[at:end])
         at = end
@@ -128,6 +138,12 @@ def _jfif(segment: bytes) -> bytes:
     if segment[4:9] != b"JFIF\0" or len(segment) < 18:
         return b""
     return b"\xff\xe0" + struct.pack(">H", 16) + segment[4:16] + b"\0\0"
+
+
+def _adobe(segment: bytes) -> bytes:
+    """Return APP14 of Adobe without what follows its colour transform; nothing for other APP14."""
+    is_adobe = segment[4:9] == b"Adobe" and len(segment) >= 16
+    return b"\xff\xee" + struct.pack(">H", 14) + segment[4:16] if is_adobe else b""
 
 
 def without_png_texts(data: bytes) -> bytes:
@@ -146,20 +162,51 @@ def without_png_texts(data: bytes) -> bytes:
 
 
 def without_h264_messages(data: bytes) -> bytes:
-    """Return a frame of H.264 (Annex B) without units of text (SEI)."""
-    return _without(data, lambda head: head & 0x1F == 6)
+    """Return a frame of H.264 (Annex B) without units of text (SEI) and those that no decoder reads."""
+    return _without(data, lambda head: head & 0x1F in _H264_UNITS)
 
 
 def without_h265_messages(data: bytes) -> bytes:
-    """Return a frame of H.265 (Annex B) without units of text (SEI)."""
-    return _without(data, lambda head: head >> 1 & 0x3F in (39, 40))
+    """Return a frame of H.265 (Annex B) without units of text (SEI) and those that no decoder reads."""
+    return _without(data, lambda head: head >> 1 & 0x3F in _H265_UNITS)
 
 
-def _without(data: bytes, is_text: Callable[[int], bool]) -> bytes:
-    """Return the same bytes if no unit is text.  Raises ValueError."""
+def without_av1_metadata(data: bytes) -> bytes:
+    """Return a frame of AV1 (Section 5 of its specification) without metadata, padding and units of unknown kinds.
+
+    Raises ValueError and IndexError.
+    """
+    parts, at = [], 0
+    while at < len(data):
+        head = data[at]
+        if not head & 0x02:
+            raise ValueError("no size")
+        begin = at + 1 + (head >> 2 & 1)
+        size, begin = _leb128(data, begin)
+        if begin + size > len(data):
+            raise ValueError("no end")
+        if head >> 3 & 0x0F in _AV1_UNITS:
+            parts.append(data[at : begin + size])
+        at = begin + size
+    return b"".join(parts)
+
+
+def _leb128(data: bytes, at: int) -> tuple[int, int]:
+    """Return a number of AV1, and the offset behind it.  Raises IndexError and ValueError."""
+    value = 0
+    for place in range(8):
+        value |= (data[at + place] & 0x7F) << 7 * place
+        if data[at + place] < 0x80:
+            return value, at + place + 1
+    raise ValueError("no number")
+
+
+def _without(data: bytes, is_needed: Callable[[int], bool]) -> bytes:
+    """Return the same bytes if all units are needed, and nothing is before them.  Raises ValueError and IndexError."""
     units = list(_units(data))
-    kept = [unit for unit, head in units if not is_text(head)]
-    return data if len(kept) == len(units) else b"".join(kept)
+    kept = [unit for unit, head in units if is_needed(head)]
+    is_clean = len(kept) == len(units) and not data[: data.find(_START)].strip(b"\0")
+    return data if is_clean else b"".join(kept)
 
 
 def _units(data: bytes) -> Iterator[tuple[bytes, int]]:
@@ -179,4 +226,5 @@ _STRIPPERS = {
     "png": without_png_texts,
     "h264": without_h264_messages,
     "h265": without_h265_messages,
+    "av1": without_av1_metadata,
 }

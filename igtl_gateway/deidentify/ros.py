@@ -100,6 +100,8 @@ class RosCleaner:
                 self._counters[ros_type] = ElementCounter(self._store.fielddefs, ros_type)
             self._counters[ros_type].check(data)
             message = self._store.deserialize_cdr(data, ros_type)
+            if ros_type == _ITEM and not self._keeps_item(message):
+                raise Removed("metadata")
             self._message(message, ros_type, stream)
             return bytes(self._store.serialize_cdr(message, ros_type))
         except (SerdeError, ConversionError, ValueError, IndexError, TypeError, KeyError, OverflowError):

@@ -76,7 +76,8 @@ RULES = {
              "removed", Action.REMOVE, "113100"),
         Rule("pixels", "streams with a mask: IMAGE, VIDEO, Image, CompressedImage, Volume",
              "masked; encoded pictures are encoded again, or removed if that fails", Action.CLEAN, "113101"),
-        Rule("picture data", "EXIF, comments and text of JPEG and PNG, messages (SEI) in H.264 and H.265",
+        Rule("picture data", "EXIF, comments and text of JPEG and PNG;"
+             " in H.264, H.265 and AV1 all units that no decoder needs",
              "removed", Action.REMOVE, "113101"),
         Rule("address", "peers and ports of links, in notes and in [[peers]]", "pseudonym", Action.PSEUDONYM, "113100"),
         Rule("note", "text and facts of notes; numbers that the gateway needs stay",

@@ -11,6 +11,7 @@ from itertools import chain
 from pathlib import Path
 
 from igtl_gateway import __version__
+from igtl_gateway.app.sealing import SealVerification, verify_seal
 from igtl_gateway.app.verification import IMPORTED, verify_recording
 from igtl_gateway.config import Config
 from igtl_gateway.convert.names import short_device_name
@@ -21,7 +22,14 @@ from igtl_gateway.deidentify.notes import clean_note
 from igtl_gateway.deidentify.profile import Profile
 from igtl_gateway.deidentify.report import Report
 from igtl_gateway.deidentify.ros import RosCleaner
-from igtl_gateway.errors import ConfigError, DamagedRecording, GatewayError, UnsupportedRecording, WireError
+from igtl_gateway.errors import (
+    ConfigError,
+    DamagedRecording,
+    GatewayError,
+    Unavailable,
+    UnsupportedRecording,
+    WireError,
+)
 from igtl_gateway.gateway import Session, make_core
 from igtl_gateway.gateway.metadata import FULL_NAME, restore_metadata
 from igtl_gateway.gateway.session import header_names
@@ -31,6 +39,7 @@ from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.sessionfile import layout
 from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.seal_check import UNSEALED
 from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.bind import Bind
@@ -39,6 +48,8 @@ from igtl_gateway.wire.registry import BODIES
 
 #: Code of the note at the end of the result, and key of its metadata.
 DEIDENTIFIED = "deidentified"
+#: Key of the metadata for the seal of the recording.
+DERIVED_FROM = "derived_from"
 #: Metadata that stay if they are numbers: they decide how a session is verified.
 _KEPT = ("igtl_gateway_version", layout.PART_KEY, layout.SNAPSHOT_KEY)
 _NUMBERS = re.compile(r"[0-9]{1,9}([.][0-9]{1,9}){0,3}", re.ASCII)
@@ -72,11 +83,14 @@ def deidentify(
         raise GatewayError(f"cannot write to {out}: {error.strerror}") from None
     try:
         with SessionFile.open(path) as file:
+            if file.merge:
+                one = path / file.merge.names[0]
+                raise UnsupportedRecording(f"{path}: found a merged session, expected one of its parts, such as {one}")
             if file.foreign:
                 raise UnsupportedRecording(
                     f"{path}: found an MCAP file of another program, expected a session; import it first"
                 )
-            run = _Run(file, Context.of(profile, key, shift_ns))
+            run = _Run(file, Context.of(profile, key, shift_ns), _seal_of(path))
             run.write(partial)
         if IMPORTED not in file.session and not verify_recording(partial).good:
             raise GatewayError(f"{path}: found outputs that the gateway does not compute from the new inputs")
@@ -90,12 +104,23 @@ def deidentify(
         partial.unlink(missing_ok=True)
 
 
+def _seal_of(path: Path) -> SealVerification | None:
+    """Return the result of ``verify --seal``; None for a recording without seals, or if nothing can check them."""
+    try:
+        found = verify_seal(path)
+    except (Unavailable, UnsupportedRecording):  # no cryptography; a part of a merged session, which has no seals
+        return None
+    return None if found.state == UNSEALED else found
+
+
 class _Run:
     """One de-identification."""
 
-    def __init__(self, file: SessionFile, context: Context) -> None:
-        self._file, self._context = file, context
+    def __init__(self, file: SessionFile, context: Context, seal: SealVerification | None) -> None:
+        self._file, self._context, self._seal = file, context, seal
         self.report = context.report
+        if seal and not seal.good:
+            self.report.left["seal"] = f"the result does not name it: the recording is {seal.state}, expected sealed"
         self._messages = MessageCleaner(context)
         self._ros = RosCleaner(context, self._messages, file.definitions)
         self._is_import = IMPORTED in file.session
@@ -221,6 +246,8 @@ class _Run:
         if self._is_import:
             facts[IMPORTED] = "removed"
         self.report.add("session", len(self._file.session.keys() - facts.keys() - {layout.CONFIGURATION_KEY}))
+        if self._seal and self._seal.good:
+            facts[DERIVED_FROM] = f"sealed recording, SHA-256 of its last seal: {self._seal.parts[-1].last_seal}"
         options = ", ".join(self.report.options)
         return {
             **facts,

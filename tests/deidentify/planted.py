@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import dataclasses
 import io
 import json
@@ -41,8 +42,13 @@ _STRUCTURE = {"encoding", "format", "codec", "unit_text"}
 _TYPES = {"type", "types"}
 
 
-def planted_session(path: Path) -> None:
-    """Write the session with every type, an identifier in all its strings, and the outputs for that."""
+def planted_session(path: Path, *, prologue: bool = False) -> None:
+    """Write the session with every type, an identifier in all its strings, and the outputs for that.
+
+    Args:
+        path: the file.
+        prologue: whether its first inputs are a prologue, as in a snapshot.
+    """
     with SessionFile.open(SOURCE) as file:
         given = json.loads(file.session[layout.CONFIGURATION_KEY])
         inputs = [planted(entry) for entry in file.entries() if entry.kind.is_input]
@@ -55,7 +61,10 @@ def planted_session(path: Path) -> None:
     facts = {"host": MARK, "command": MARK, "platform": MARK, "operator": MARK, layout.CUSTOM_KEY: f'{{"a": "{MARK}"}}',
              "igtl_gateway_version": MARK, layout.CONFIGURATION_KEY: json.dumps(config.to_dict())}  # fmt: skip
     session = Session(make_core(config, fast_path=False))
-    writer = SessionWriter(path, facts, compression="zstd")
+    before, inputs = (inputs[:20], inputs[20:]) if prologue else ([], inputs)
+    for entry in before:
+        session.recorded(entry)
+    writer = SessionWriter(path, facts, compression="zstd", prologue=before)
     seq = stamp_ns = 0
     for entry in inputs:
         first = dataclasses.replace(entry, seq=seq + 1, stamp_ns=max(entry.stamp_ns, stamp_ns + 1))
@@ -185,4 +194,8 @@ def found(path: Path, text: str = MARK, least: int = 6) -> list[str]:
         for form in (part, part.lower(), part.upper())
         for code in ("utf-8", "utf-16-le", "utf-16-be")
     }
+    digits = {part.encode().hex(): part for part in parts}
+    needles |= {form.encode(): part for each, part in digits.items() for form in (each, each.upper())}
+    # of the three alignments in base64, the characters that no neighbour changes
+    needles |= {base64.b64encode(bytes(shift) + text.encode())[4 if shift else 0 : -4]: text for shift in range(3)}
     return sorted({part for data in all_bytes(path) for needle, part in needles.items() if needle in data})

@@ -108,25 +108,3 @@ def test_the_command_refuses_what_it_cannot_do(tmp_path: Path, capsys: pytest.Ca
         assert main(["deidentify", *call]) == code, call
         assert said in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["damaged.mcap", "short.key"]
-
-
-def test_diff_names_what_the_report_names(tmp_path: Path) -> None:
-    """With names and times kept, only the streams of the report differ."""
-    out = tmp_path / "clean.mcap"
-    profile = Profile(keep_names=("**",), keep_types=("**",))
-    report = deidentify(SOURCE, out, profile, KEY, shift_ns=0)
-    changed = {name for name in report.streams.keys() | report.removed.keys() if name != "notes"}
-    differing = {
-        new.channel
-        for old, new in paired(inputs(SOURCE), inputs(out))
-        if new is None or old.data() != new.data()
-        for new in (new or old,)
-        if old.kind in (Kind.IGTL_IN, Kind.ROS_IN)
-    }
-    assert differing == changed
-
-
-def paired(olds: list[Any], news: list[Any]) -> list[tuple[Any, Any]]:
-    """Return each old entry with the new one of the same time and kind, None if that is missing."""
-    found = {(entry.stamp_ns, entry.kind): entry for entry in news}
-    return [(entry, found.get((entry.stamp_ns, entry.kind))) for entry in olds]
