@@ -31,6 +31,7 @@ _AGES = {"h": 3600, "d": 86_400, "w": 7 * 86_400}
 _SIZES = {"MB": 10**6, "GB": 10**9, "TB": 10**12, "MiB": 1 << 20, "GiB": 1 << 30, "TiB": 1 << 40}
 #: Longest age, a hundred years, and largest size, an exabyte.
 _MOST_AGE_S, _MOST_BYTES = 36_525 * 86_400, 10**18
+_BUCKET = re.compile(r"[a-z0-9][a-z0-9.-]{1,61}[a-z0-9]")
 _QUANTITY = re.compile(r"([0-9]{1,15}(?:\.[0-9]{1,9})?) ?([A-Za-z]+)")
 
 _LAST_CPU = 8191  # of any Linux
@@ -55,6 +56,17 @@ class RetentionRule:
     text: str
     age_s: int = 0
     size: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class UploadPlace:
+    """A bucket of an object store, and what keys in it begin with: no slash at either end, perhaps empty."""
+
+    bucket: str
+    prefix: str = ""
+
+    def __str__(self) -> str:
+        return f"s3://{self.bucket}/{self.prefix}".rstrip("/")
 
 
 def address(text: str) -> tuple[str, int]:
@@ -205,6 +217,21 @@ def retention(text: str) -> RetentionRule:
                 f"({', '.join(_SIZES)}){second}, such as 30 d, 200 GB"
             )
     return RetentionRule(text, age_s, size)
+
+
+def upload_place(text: str) -> UploadPlace:
+    """Parse ``s3://BUCKET/PREFIX``.  The error does not repeat a text with signs of a key in it."""
+    expected = "expected s3://BUCKET or s3://BUCKET/PREFIX; keys come from the environment or from ~/.aws"
+    scheme, colon, rest = text.partition("://")
+    if any(sign in text for sign in "@?#%\\") or not text.isprintable():
+        raise ConfigError(f"found a URL with @, ?, #, % or a control character, {expected}")
+    bucket, _, prefix = rest.partition("/")
+    prefix = prefix.strip("/")
+    if scheme != "s3" or not colon or not _BUCKET.fullmatch(bucket):
+        raise ConfigError(f"found {text!r}, {expected}")
+    if any(part in ("", ".", "..") for part in prefix.split("/") if prefix) or len(prefix.encode()) > 700:
+        raise ConfigError(f"found the prefix {prefix[:80]!r}, expected names with / between them, up to 700 bytes")
+    return UploadPlace(bucket, prefix)
 
 
 def _quantity(part: str, number: str, unit: int, most: int, most_text: str) -> int:

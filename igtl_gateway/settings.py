@@ -579,6 +579,26 @@ SETTINGS: tuple[Setting, ...] = (
         reads=notations.retention,
     ),
     Setting(
+        "upload",
+        "",
+        "copy closed recordings and parts to this object store (S3) in the background; keys come from the environment "
+        "or from ~/.aws",
+        RECORD,
+        metavar="s3://BUCKET[/PREFIX]",
+        reads=notations.upload_place,
+    ),
+    Setting(
+        "upload_rate",
+        0.0,
+        "with --upload: maximum rate; 0: no limit",
+        RECORD,
+        metavar="MB/S",
+        unit="MB/s",
+        least=0,
+        most=100_000,
+        shown="0",
+    ),
+    Setting(
         "on_record_failure",
         "continue",
         "what the bridge does if the recording fails, for example if the disk is full",

@@ -24,6 +24,7 @@ from igtl_gateway.app.passage import BridgePassage, make_passage
 from igtl_gateway.app.recording import serve_recording
 from igtl_gateway.app.ros_log import NOTED, RosLog
 from igtl_gateway.app.timer import Timer
+from igtl_gateway.app.uploads import BridgeUploads
 from igtl_gateway.app.video import VideoCodecs
 from igtl_gateway.clock import Clock
 from igtl_gateway.config import Config
@@ -41,6 +42,7 @@ from igtl_gateway.gateway.diagnostics import DIAGNOSTICS_TOPIC, Diagnostics, Pee
 from igtl_gateway.gateway.live_settings import LiveSettings
 from igtl_gateway.gateway.to_igtl.tf_out import TF_QOS
 from igtl_gateway.globs import matches
+from igtl_gateway.notations import UploadPlace
 from igtl_gateway.once import Once
 from igtl_gateway.passage import Passage
 from igtl_gateway.passage.streams import OnPassed
@@ -111,6 +113,8 @@ class BridgeOptions:
         tls_listen, tls_connect: the addresses of ``listen`` and ``connect`` that use TLS.
         node_name: name of the ROS node.
         recording: options of the recorder.
+        upload: where closed recordings are copied to; None: nowhere.
+        upload_rate: bytes per second of it; 0: no limit.
         video: options of the codec from ROS images to VIDEO and back; None: neither encode nor decode.
         diagnostics: publish the state of the bridge on /diagnostics once a second.
         realtime: scheduling of the threads that pass messages.
@@ -131,6 +135,8 @@ class BridgeOptions:
     tls_connect: frozenset[Address] = frozenset()
     node_name: str = "igtl_gateway"
     recording: RecordOptions = field(default_factory=RecordOptions)
+    upload: UploadPlace | None = None
+    upload_rate: float = 0.0
     video: VideoOptions | None = None
     diagnostics: bool = False
     reserved: ReservedPorts | None = None
@@ -167,6 +173,7 @@ class Bridge:
         self.addresses: list[Address] = []
         self.recorder: Recorder | None = None
         self.summary: RecordingSummary | None = None
+        self.uploads: BridgeUploads | None = None
         self._clock = clock
         self._settings = LiveSettings.of(config)
         self._change_lock = threading.Lock()
@@ -285,6 +292,10 @@ class Bridge:
                     rule=state_rule(self.gateway.config),
                     lock=self._passage.recorder_lock if self._passage else None,
                 )
+                if self.options.upload:
+                    self.uploads = BridgeUploads(
+                        self.options.record, self.options.upload, self.options.upload_rate, self._on_edge_note
+                    )
             if self._passage:
                 self._passage.start(self.recorder, builds_all=self.gateway.has_subscriber is None)
             if not active:  # the first entry of the session
@@ -347,6 +358,8 @@ class Bridge:
             self.losses = ledger | {"gaps": gaps(ledger)}
         if self.recorder and not self.summary:
             self.summary = self.recorder.close(self.losses)
+        if self.uploads:
+            self.uploads.stop()
 
     def change(self, changes: Mapping[str, object]) -> None:
         """Change settings while the bridge runs: ``deny_in``, ``deny_out``, ``max_age_s``, ``kinds``, ``active``.
@@ -462,7 +475,13 @@ class Bridge:
         try:
             streams, watched = self.gateway.ledger.to_dict(), self.gateway.guard.items()
             statuses = diagnostics.array(
-                self._clock.utc_ns(), self._clock.monotonic_ns(), streams, watched, peers, recorder
+                self._clock.utc_ns(),
+                self._clock.monotonic_ns(),
+                streams,
+                watched,
+                peers,
+                recorder,
+                self.uploads.counters() if self.uploads else None,
             )
             self.ros.publish(DIAGNOSTICS_TOPIC, DiagnosticArray.TYPE, statuses.pack(), _DIAGNOSTICS)
         except Exception as error:  # a defect here must not stop the ticks of this thread

@@ -23,6 +23,7 @@ from igtl_gateway.notations import (
     retention,
     ros_middleware,
     size_by_type,
+    upload_place,
 )
 from igtl_gateway.realtime import RealtimeOptions
 from igtl_gateway.record.options import RecordOptions
@@ -42,6 +43,7 @@ _OF_A_RECORDING = (
     "snapshot",
     "seal",
     "retention",
+    "upload",
 )
 
 
@@ -83,6 +85,8 @@ def bridge_options(
         tls_connect=tls_connect,
         node_name=node_name,
         recording=how,
+        upload=upload_place(values["upload"]) if values["upload"] else None,
+        upload_rate=values["upload_rate"] * 1e6,
         video=_video(values, ros=ros),
         diagnostics=ros and values["diagnostics"],
         reserved=reserved,
@@ -174,6 +178,7 @@ def record_options(values: Mapping[str, Any]) -> RecordOptions:
         file_mode=file_mode(values["file_mode"]),
         seal=Path(values["seal"]) if values["seal"] else None,
         retention=retention(values["retention"]) if values["retention"] else None,
+        uploaded=bool(values["upload"]),
     )
 
 

@@ -171,6 +171,16 @@ METRICS = (
     ),
     Metric("recorder_queue_entries", "gauge", "entries in the recorder's queue", _one("recorder", "queued_entries")),
     Metric("recorder_queue_bytes", "gauge", "bytes in the recorder's queue", _one("recorder", "queued_bytes")),
+    Metric("upload_waiting_files", "gauge", "closed files that the store has not confirmed", _one("upload", "waiting")),
+    Metric("upload_waiting_bytes", "gauge", "their size", _one("upload", "waiting_bytes")),
+    Metric("upload_sent_bytes_total", "counter", "bytes sent to the store", _one("upload", "sent_bytes")),
+    Metric("upload_confirmed_total", "counter", "files that the store has confirmed", _one("upload", "confirmed")),
+    Metric(
+        "upload_last_confirmed_seconds",
+        "gauge",
+        "UTC time of the last one; 0: none",
+        _one("upload", "last_confirmed_s"),
+    ),
 )
 
 PREFIX = "igtl_gateway_"

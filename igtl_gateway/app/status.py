@@ -88,6 +88,7 @@ class BridgeStatus:
             },
             "ledger": ledger,
             "native_times": bridge.native_times(),
+            "upload": bridge.uploads and bridge.uploads.counters(),
             "recorder": recorder
             and recorder.counters() | {"path": str(bridge.options.record), "paused": recorder.paused},
         }

@@ -159,6 +159,8 @@ class TextOutput:
                 + (f", LOST {lost:,}" if lost else "")
                 + (f": {summary.failure}" if summary.failure else "")
             )
+        if bridge.uploads:
+            print_line(bridge.uploads.left_text())
         lines = losses(bridge.losses)
         for line in lines[:_MAX_LOSSES]:
             print_line(f"  {line}")
@@ -225,6 +227,8 @@ class JsonOutput:
                 "bytes": bridge.summary.size,
                 "failure": bridge.summary.failure,
             }
+        if bridge.uploads:
+            facts["upload"] = bridge.uploads.counters()
         if times := bridge.native_times():
             facts["native_times"] = times
         self._print("stopped", **facts, ledger=bridge.losses)

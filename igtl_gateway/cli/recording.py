@@ -25,7 +25,7 @@ def add_arguments(group: Options) -> None:
     add_settings(group, "record_all")
     add_settings(group, "record_include", "record_exclude", "custom_data", words=True)
     add_settings(group, "compression", "flush_interval", "fsync", "split_size", "split_duration", "snapshot")
-    add_settings(group, "seal", "retention", "on_record_failure")
+    add_settings(group, "seal", "retention", "upload", "upload_rate", "on_record_failure")
 
 
 @contextmanager

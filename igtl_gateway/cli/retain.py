@@ -13,6 +13,7 @@ from igtl_gateway.clock import SystemClock
 from igtl_gateway.errors import RecordingError
 from igtl_gateway.keeping.retention import Choice, Retention, RetentionReport
 from igtl_gateway.keeping.stored import StoredRecording
+from igtl_gateway.keeping.upload_state import UploadProtection
 from igtl_gateway.notations import retention
 
 EXAMPLES = """\
@@ -38,6 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--dry-run", action="store_true", help="print what would be deleted, and delete nothing")
     parser.add_argument("--only-sealed", action="store_true", help="keep recordings that are not sealed to their end")
+    parser.add_argument("--only-uploaded", action="store_true", help="keep recordings that no store has confirmed")
     parser.add_argument(
         "--trust-clock",
         action="store_true",
@@ -51,8 +53,13 @@ def run(options: argparse.Namespace) -> int:
     if not folder.is_dir():
         raise RecordingError(f"{folder}: found no directory, expected one with recordings")
 
+    uploads = UploadProtection(folder, all_files=options.only_uploaded)
+    uploads.refresh()
+
     def hindrance(recording: StoredRecording) -> str:
-        return "it is not sealed" if options.only_sealed and not recording.sealed else ""
+        if options.only_sealed and not recording.sealed:
+            return "it is not sealed"
+        return uploads.why(recording)
 
     how = Retention(folder, options.retention, SystemClock(), hindrance, trust_clock=options.trust_clock)
     report = how.preview() if options.dry_run else how.apply()

@@ -54,6 +54,7 @@ VERBS = {
     "seal": _own("seal", "sign a recording, so that verify --seal finds every change", writes_files=True),
     "keys": _own("seal_keys", "make, rotate and show the keys of seals", reads_files=False),
     "retain": _own("retain", "delete recordings of a directory by age and by size"),
+    "upload": _own("upload", "copy the recordings of a directory to an object store"),
     "info": _own("info", "show the contents of a recording"),
     "doctor": _own("doctor", "connect to a peer, or wait for one, and diagnose the connection", reads_files=False),
     "lint": _own("lint", "check a recording with the rules of doctor"),

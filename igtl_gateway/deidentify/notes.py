@@ -24,7 +24,8 @@ CODES = frozenset({
     *"site_clock site_latency site_lost site_over_budget zenoh_connected zenoh_lost zenoh_left zenoh_no_router".split(),
     *"video_drop video_refused video_failed record_drop record_failed record_refused record_undefined".split(),
     *"record_thread record_paused record_resumed record_snapshot fault fault_disconnect synthetic".split(),
-    *"retention_deleted retention_kept retention_clock retention_failed stamps_corrected deidentified".split(),
+    *"retention_deleted retention_kept retention_clock retention_failed".split(),
+    *"upload_confirmed upload_waits upload_reached upload_differs stamps_corrected deidentified".split(),
 })  # fmt: skip
 OTHER = "other"
 _ROLES = frozenset({"server", "client"})

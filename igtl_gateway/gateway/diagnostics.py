@@ -73,6 +73,7 @@ class Diagnostics:
         watched: Iterable[tuple[tuple[int, str], GuardedStream]],
         peers: Iterable[PeerFacts],
         recorder: Mapping[str, Any] | None,
+        uploads: Mapping[str, Any] | None = None,
     ) -> DiagnosticArray:
         """Build the message.
 
@@ -83,6 +84,7 @@ class Diagnostics:
             watched: (link, stream) and the guarded stream.
             peers: the connected peers.
             recorder: counters of the recorder; None without a recording.
+            uploads: counters of the upload; None without one.
         """
         seconds = (now_ns - self._last_ns) / NS_PER_S if self._last_ns else 0.0
         self._last_ns = now_ns
@@ -92,6 +94,8 @@ class Diagnostics:
             by_stream.setdefault(("igtl_in" if link else "ros_in", stream), []).append(one)
             by_link.setdefault(link, []).append(one)
         statuses = [self._recorder(recorder)]
+        if uploads is not None:
+            statuses.append(self._upload(uploads))
         statuses += [self._peer(peer, by_link.get(peer.link, [])) for peer in peers]
         rows = [(side, stream, fates) for side in _SIDES for stream, fates in streams.get(side, {}).items()]
         for side, stream, fates in rows[:MAX_STREAMS]:
@@ -171,6 +175,12 @@ class Diagnostics:
         keys = ("written_entries", "queued_entries", "dropped_entries", "left_out_entries")
         values = tuple((key, f"{counters[key]}") for key in keys if key in counters)
         return DiagnosticStatus(level, name, text, self._hardware_id, values)
+
+    def _upload(self, counters: Mapping[str, Any]) -> DiagnosticStatus:
+        waiting, problem = counters["waiting"], counters["problem"]
+        level, text = (WARN, f"waits: {problem}") if problem else (OK, f"{waiting:,} files wait")
+        values = tuple((key, f"{counters[key]}") for key in counters if key != "problem")
+        return DiagnosticStatus(level, "igtl_gateway: upload", text, self._hardware_id, values)
 
     def _increase(self, name: str, number: int) -> int:
         """Return the increase of a count since the previous call."""

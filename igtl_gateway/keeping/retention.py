@@ -21,6 +21,7 @@ from igtl_gateway.clock import Clock
 from igtl_gateway.keeping.retention_log import RetentionLog
 from igtl_gateway.keeping.side_files import update_side_file
 from igtl_gateway.keeping.stored import RecordingFolder, StoredFiles, StoredRecording, identity_of
+from igtl_gateway.keeping.upload_state import remove_finished
 from igtl_gateway.notations import RetentionRule
 from igtl_gateway.stamp import NS_PER_S
 
@@ -202,6 +203,9 @@ class Retention:
         for folder in sorted({each.recording.parent for each in report.deleted if each.recording.part >= 0}):
             if not self._is_live(folder):
                 update_side_file(folder)
+        gone = {each.recording.name for each in report.deleted}
+        if gone:
+            remove_finished(self._folder.path, {each.name for each in found.closed} - gone)
         with suppress(OSError):  # it was possible before
             self._log.mark(mark_ns or now_ns)
         return replace(report, bytes_left=total, problem=problem)

@@ -45,6 +45,7 @@ class RecordOptions:
         custom: keys and values of the user for the metadata of the recording.
         file_mode: mode of the files; directories may also be entered by those who may read files.
         seal: file of the private key that seals the recording; None: it is not sealed.
+        uploaded: the retention keeps recordings that no store has confirmed.
         retention: which recordings in the folder of this one are deleted; None: none.
     """
 
@@ -65,3 +66,4 @@ class RecordOptions:
     file_mode: int = 0o600
     seal: Path | None = None
     retention: RetentionRule | None = None
+    uploaded: bool = False

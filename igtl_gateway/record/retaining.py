@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Callable
 from pathlib import Path
 
 from igtl_gateway.clock import Clock
 from igtl_gateway.keeping.retention import Choice, Retention, RetentionReport
 from igtl_gateway.keeping.stored import MOST_FILES, StoredRecording
+from igtl_gateway.keeping.upload_state import UploadProtection
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.sessionfile.side_file import parts_folder
@@ -37,9 +37,10 @@ class RetentionThread:
     def __init__(self, path: Path, options: RecordOptions, clock: Clock) -> None:
         assert options.retention
         self._live = parts_folder(path) if options.split_bytes or options.split_s else None
-        self._retention = Retention(
-            path.absolute().parent, options.retention, clock, _hindrance(options), is_live=self._is_live
-        )
+        folder = path.absolute().parent
+        self._uploads = UploadProtection(folder, all_files=options.uploaded)
+        self._seals = options.seal is not None
+        self._retention = Retention(folder, options.retention, clock, self._hindrance, is_live=self._is_live)
         self._notes: deque[Note] = deque()
         self._last: dict[str, str] = {}  # code → text of the last note
         self._deleted_parts = False
@@ -77,12 +78,18 @@ class RetentionThread:
             self._due.clear()
             ends = self._ends
             try:
+                self._uploads.refresh()
                 self._report(self._retention.apply())
             except Exception as error:  # a defect here must not delete anything, nor end the recording
                 self._note(Level.ERROR, FAILED, f"no retention: {type(error).__name__}: {error}")
                 return
             if ends:
                 return
+
+    def _hindrance(self, recording: StoredRecording) -> str:
+        if self._seals and not recording.sealed:
+            return "it is not sealed"
+        return self._uploads.why(recording)
 
     def _is_live(self, folder: Path) -> bool:
         return self._live is not None and folder == self._live.absolute()
@@ -106,13 +113,6 @@ class RetentionThread:
         if text and text != self._last.get(code):
             self._notes.append(Note(level, code, text))
         self._last[code] = text
-
-
-def _hindrance(options: RecordOptions) -> Callable[[StoredRecording], str]:
-    def why(recording: StoredRecording) -> str:
-        return "it is not sealed" if options.seal and not recording.sealed else ""
-
-    return why
 
 
 def _text(choices: list[Choice]) -> str:

@@ -1,0 +1,98 @@
+"""The process that uploads while a bridge records; it has the lowest priority.
+
+``python -m igtl_gateway.keeping.upload_process``: the first line of its input has the settings, the last is ``end``.
+Its output has a JSON object a line: ``note`` or ``counts``.  If its input ends without ``end``, the bridge is gone: it
+ends at once, and the next upload continues.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from contextlib import suppress
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway.clock import SystemClock
+from igtl_gateway.errors import ConfigError
+from igtl_gateway.keeping.uploading import WAITS, Uploader
+from igtl_gateway.notations import upload_place
+from igtl_gateway.session.note import Level, Note
+
+#: Time between two looks at the folder, seconds.
+_LOOK_S = 1.0
+#: Time for what is left when the bridge ends, seconds.
+END_S = 10.0
+
+
+def main() -> None:
+    """The process."""
+    # a service manager signals all processes of a service at once: the bridge decides when this one ends
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    with suppress(OSError):
+        os.nice(19)
+    settings = json.loads(sys.stdin.readline() or "null")
+    if settings:
+        _Process(settings).run()
+
+
+class _Process:
+    def __init__(self, settings: dict[str, Any]) -> None:
+        self._settings = settings
+        self._woken = threading.Event()
+        self._end_s = 0.0  # on the monotonic clock, once the bridge has ended the recording
+        self._gone = False
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def run(self) -> None:
+        settings = self._settings
+        try:
+            place = upload_place(settings["to"])
+            uploader = Uploader(
+                Path(settings["folder"]), settings["base"], place, settings["rate"], SystemClock(), _note, self._stops
+            )
+            if settings["begin"]:
+                uploader.begin()
+        except (ConfigError, OSError) as error:
+            _note(Note(Level.ERROR, WAITS, f"no upload: {error}"))
+            return
+        with suppress(BrokenPipeError):
+            while not self._stops():
+                ending = self._end_s
+                done = uploader.step()
+                _print({"counts": asdict(uploader.counts)})
+                if ending and done:
+                    break
+                self._woken.wait(0.2 if self._end_s else _LOOK_S)
+            _print({"counts": asdict(uploader.counts)})
+        uploader.close()
+
+    def _stops(self) -> bool:
+        return self._gone or (self._end_s > 0 and time.monotonic() > self._end_s)
+
+    def _listen(self) -> None:
+        for line in sys.stdin:
+            if line.strip() == "end":
+                self._end_s = time.monotonic() + END_S
+                self._woken.set()
+        self._gone = not self._end_s
+        self._woken.set()
+
+
+def _note(note: Note) -> None:
+    _print({"note": {"level": note.level.value, "code": note.code, "text": note.text, "data": note.data}})
+
+
+def _print(facts: dict[str, Any]) -> None:
+    sys.stdout.write(json.dumps(facts) + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()
