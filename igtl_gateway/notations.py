@@ -220,7 +220,7 @@ def retention(text: str) -> RetentionRule:
 
 
 def upload_place(text: str) -> UploadPlace:
-    """Parse ``s3://BUCKET/PREFIX``.  The error does not repeat a text with signs of a key in it."""
+    """Parse ``s3://BUCKET/PREFIX``.  The error does not repeat what may have a key in it."""
     expected = "expected s3://BUCKET or s3://BUCKET/PREFIX; keys come from the environment or from ~/.aws"
     scheme, colon, rest = text.partition("://")
     if any(sign in text for sign in "@?#%\\") or not text.isprintable():

@@ -44,11 +44,11 @@ class BridgeUploads:
         self._lock = threading.Lock()  # guards all that follows
         self._counts: dict[str, Any] = dict(_NONE)
         self._before: dict[str, Any] = dict(_NONE)  # of the processes that have ended
-        self._ends = False
-        self._starts = 0
         self._child: Child | None = None
-        self._timer: threading.Timer | None = None
-        self._start()
+        self._stop = threading.Event()
+        # a child ends with the thread that started it
+        self._thread = threading.Thread(target=self._supervise, name="igtl-uploads", daemon=True)
+        self._thread.start()
 
     def counters(self) -> dict[str, Any]:
         """Return what waits, was sent and was confirmed, so far."""
@@ -61,17 +61,14 @@ class BridgeUploads:
 
     def stop(self) -> None:
         """Upload what is left, for a limited time."""
+        self._stop.set()
         with self._lock:
-            if self._ends:
-                return
-            self._ends = True
-            child, timer = self._child, self._timer
-        if timer:
-            timer.cancel()
+            child = self._child
         if child:
             child.write("end\n")
             child.wait(END_S + _MARGIN_S)
             child.kill()
+        self._thread.join()
 
     def left_text(self) -> str:
         """Return what was uploaded, and what is left and how it is finished."""
@@ -83,25 +80,30 @@ class BridgeUploads:
         why = f" ({found['problem']})" if found["problem"] else ""
         return f"{done}, {found['waiting']:,} LEFT{why}: {command} finishes it"
 
-    def _start(self) -> None:
-        with self._lock:
-            if self._ends:
-                return
-            self._starts += 1
-            first = self._starts == 1
-            path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
+    def _supervise(self) -> None:
+        """Start the process, and start it again when it ends too early."""
+        for number in range(_MOST_STARTS):
             try:
-                self._child = Child(
-                    "upload",
-                    _COMMAND,
-                    on_line=self._on_line,
-                    on_end=self._on_end,
-                    env={**os.environ, "PYTHONPATH": path},
-                )
+                child = self._start(first=number == 0)
             except OSError as error:
                 self._on_note(Note(Level.ERROR, WAITS, f"no upload: no process can be started: {error.strerror}"))
                 return
-            self._child.write(json.dumps(self._settings | {"begin": first}) + "\n")
+            child.wait()
+            child.kill()
+            self._keep_counts()
+            if self._stop.is_set() or self._stop.wait(_AGAIN_S):
+                return
+            self._on_note(Note(Level.WARN, WAITS, "upload: its process ended, and is started again"))
+
+    def _start(self, *, first: bool) -> Child:
+        path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
+        child = Child("upload", _COMMAND, on_line=self._on_line, env={**os.environ, "PYTHONPATH": path})
+        child.write(json.dumps(self._settings | {"begin": first}) + "\n")
+        with self._lock:
+            self._child = child
+        if self._stop.is_set():  # meanwhile: stop did not see it
+            child.write("end\n")
+        return child
 
     def _on_line(self, line: str) -> None:
         try:
@@ -114,8 +116,8 @@ class BridgeUploads:
         except (ValueError, KeyError, TypeError, AttributeError):
             return  # a line that was cut off
 
-    def _on_end(self) -> None:
-        """Start it again, unless it was to end."""
+    def _keep_counts(self) -> None:
+        """Add the counts of a process that has ended to those of the processes before."""
         with self._lock:
             for key in ("sent_bytes", "confirmed"):
                 self._before[key] += self._counts[key]
@@ -123,9 +125,3 @@ class BridgeUploads:
                 self._before["last_confirmed_ns"], self._counts["last_confirmed_ns"]
             )
             self._counts = self._counts | {"sent_bytes": 0, "confirmed": 0, "last_confirmed_ns": 0}
-            if self._ends or self._starts >= _MOST_STARTS:
-                return
-            self._timer = threading.Timer(_AGAIN_S, self._start)
-            self._timer.daemon = True
-            self._timer.start()
-        self._on_note(Note(Level.WARN, WAITS, "upload: its process ended, and is started again"))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import time
 from pathlib import Path
 
 from igtl_gateway.cli.common import count_text, size_text, stop_event
@@ -14,6 +13,7 @@ from igtl_gateway.errors import ConfigError, RecordingError
 from igtl_gateway.keeping.uploading import CONFIRMED, Uploader
 from igtl_gateway.notations import upload_place
 from igtl_gateway.session.note import Note
+from igtl_gateway.stamp import NS_PER_S
 
 EXAMPLES = """\
   # upload all recordings of a directory, or what a bridge has left of them
@@ -64,14 +64,14 @@ def run(options: argparse.Namespace) -> int:
         folder = options.folder.absolute()
         uploader = Uploader(folder, None, options.to, options.rate * 1e6, clock, show, stop.is_set)
         counts = uploader.counts
-        good_s, confirmed = time.monotonic(), 0
+        good_ns, confirmed = clock.monotonic_ns(), 0
         try:
             while not uploader.step() and not stop.wait(_LOOK_S):
                 if counts.confirmed != confirmed or not counts.problem:
-                    good_s, confirmed = time.monotonic(), counts.confirmed
+                    good_ns, confirmed = clock.monotonic_ns(), counts.confirmed
                     if not counts.problem:
                         break  # what still waits cannot be uploaded: notes state why
-                if time.monotonic() - good_s > options.patience:
+                if clock.monotonic_ns() - good_ns > options.patience * NS_PER_S:
                     break
             left = uploader.waiting()
         finally:

@@ -15,7 +15,7 @@ import html
 import http.client
 import os
 import re
-import time
+import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -25,8 +25,10 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import quote, urlsplit
 
+from igtl_gateway.clock import Clock
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.notations import UploadPlace
+from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.untrusted.text import printable
 
 #: Longest wait for a step of a connection, seconds.
@@ -81,19 +83,22 @@ class RateLimit:
 
     Args:
         bytes_per_s: the limit; 0: there is none.
+        clock: measures the time.
     """
 
-    def __init__(self, bytes_per_s: float) -> None:
+    def __init__(self, bytes_per_s: float, clock: Clock) -> None:
         self._rate = bytes_per_s
-        self._free_s = 0.0  # on the monotonic clock: when everything so far is paid for
+        self._clock = clock
+        self._free_ns = 0  # on the monotonic clock: when everything so far may have been sent
+        self._never = threading.Event()
 
     def wait(self, count: int) -> None:
         """Wait until ``count`` bytes may be sent."""
         if self._rate <= 0:
             return
-        now_s = time.monotonic()
-        self._free_s = max(self._free_s, now_s) + count / self._rate
-        time.sleep(max(0.0, self._free_s - now_s))
+        now_ns = self._clock.monotonic_ns()
+        self._free_ns = max(self._free_ns, now_ns) + int(count / self._rate * NS_PER_S)
+        self._never.wait((self._free_ns - now_ns) / NS_PER_S)
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,16 +119,18 @@ class S3Store:
     Args:
         place: the bucket and the prefix.
         rate: limits what is sent.
+        clock: stamps requests.
         on_sent: called with the number of sent bytes of content.
 
     Raises ConfigError for a wrong endpoint in the environment.
     """
 
     def __init__(
-        self, place: UploadPlace, rate: RateLimit, on_sent: Callable[[int], None] = lambda _count: None
+        self, place: UploadPlace, rate: RateLimit, clock: Clock, on_sent: Callable[[int], None] = lambda _count: None
     ) -> None:
         self._place = place
         self._rate = rate
+        self._clock = clock
         self._on_sent = on_sent
         self._region = _keys().region if _has_keys() else _region()
         text = os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL") or ""
@@ -269,7 +276,7 @@ class S3Store:
         self, keys: _Keys, method: str, path: str, query: str, digest: str, headers: dict[str, str]
     ) -> dict[str, str]:
         """Return the headers with the signature, version 4 of AWS."""
-        now = datetime.now(UTC)
+        now = datetime.fromtimestamp(self._clock.utc_ns() // NS_PER_S, UTC)
         stamp, day = f"{now:%Y%m%dT%H%M%SZ}", f"{now:%Y%m%d}"
         usual = self._port == (443 if self._secure else 80)
         headers |= {"host": self._host if usual else f"{self._host}:{self._port}"}
@@ -277,18 +284,33 @@ class S3Store:
         if keys.token:
             headers["x-amz-security-token"] = keys.token
         names = ";".join(sorted(headers))
-        lines = "".join(f"{name}:{headers[name].strip()}\n" for name in sorted(headers))
-        request = "\n".join([method, path, query, lines, names, digest])
         scope = f"{day}/{self._region}/s3/aws4_request"
-        text = "\n".join(["AWS4-HMAC-SHA256", stamp, scope, hashlib.sha256(request.encode()).hexdigest()])
-        key = f"AWS4{keys.secret}".encode()
-        for word in (day, self._region, "s3", "aws4_request"):
-            key = hmac.digest(key, word.encode(), "sha256")
-        signature = hmac.digest(key, text.encode(), "sha256").hex()
+        signature = sign(keys.secret, stamp, self._region, "\n".join([method, path, query]), headers, digest)
         headers["authorization"] = (
             f"AWS4-HMAC-SHA256 Credential={keys.access}/{scope}, SignedHeaders={names}, Signature={signature}"
         )
         return headers
+
+
+def sign(secret: str, stamp: str, region: str, target: str, headers: Mapping[str, str], digest: str) -> str:
+    """Return the signature of a request, version 4 of AWS, as hexadecimal digits.
+
+    Args:
+        secret: the secret key.
+        stamp: UTC time of the request, as ``20130524T000000Z``.
+        region: of the store.
+        target: method, path and query, a line each.
+        headers: those that are signed, by names in lower case.
+        digest: SHA-256 of the content, as hexadecimal digits.
+    """
+    lines = "".join(f"{name}:{headers[name].strip()}\n" for name in sorted(headers))
+    request = "\n".join([target, lines, ";".join(sorted(headers)), digest])
+    scope = f"{stamp[:8]}/{region}/s3/aws4_request"
+    text = "\n".join(["AWS4-HMAC-SHA256", stamp, scope, hashlib.sha256(request.encode()).hexdigest()])
+    key = f"AWS4{secret}".encode()
+    for word in scope.split("/"):
+        key = hmac.digest(key, word.encode(), "sha256")
+    return hmac.digest(key, text.encode(), "sha256").hex()
 
 
 def _checksum(data: bytes) -> dict[str, str]:

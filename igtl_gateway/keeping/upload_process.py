@@ -12,7 +12,6 @@ import os
 import signal
 import sys
 import threading
-import time
 from contextlib import suppress
 from dataclasses import asdict
 from pathlib import Path
@@ -23,9 +22,12 @@ from igtl_gateway.errors import ConfigError
 from igtl_gateway.keeping.uploading import WAITS, Uploader
 from igtl_gateway.notations import upload_place
 from igtl_gateway.session.note import Level, Note
+from igtl_gateway.stamp import NS_PER_S
 
 #: Time between two looks at the folder, seconds.
 _LOOK_S = 1.0
+#: Time between two reports, seconds.
+_REPORT_S = 0.5
 #: Time for what is left when the bridge ends, seconds.
 END_S = 10.0
 
@@ -42,11 +44,17 @@ def main() -> None:
         _Process(settings).run()
 
 
+#: Lines are whole: two threads write them.
+_OUTPUT = threading.Lock()
+
+
 class _Process:
     def __init__(self, settings: dict[str, Any]) -> None:
         self._settings = settings
         self._woken = threading.Event()
-        self._end_s = 0.0  # on the monotonic clock, once the bridge has ended the recording
+        self._never = threading.Event()
+        self._clock = SystemClock()
+        self._end_ns = 0  # on the monotonic clock, once the bridge has ended the recording
         self._gone = False
         threading.Thread(target=self._listen, daemon=True).start()
 
@@ -55,33 +63,40 @@ class _Process:
         try:
             place = upload_place(settings["to"])
             uploader = Uploader(
-                Path(settings["folder"]), settings["base"], place, settings["rate"], SystemClock(), _note, self._stops
+                Path(settings["folder"]), settings["base"], place, settings["rate"], self._clock, _note, self._stops
             )
             if settings["begin"]:
                 uploader.begin()
+            threading.Thread(target=self._report, args=(uploader,), daemon=True).start()
         except (ConfigError, OSError) as error:
             _note(Note(Level.ERROR, WAITS, f"no upload: {error}"))
             return
         with suppress(BrokenPipeError):
             while not self._stops():
-                ending = self._end_s
+                ending = self._end_ns
                 done = uploader.step()
-                _print({"counts": asdict(uploader.counts)})
                 if ending and done:
                     break
-                self._woken.wait(0.2 if self._end_s else _LOOK_S)
+                self._woken.wait(0.2 if self._end_ns else _LOOK_S)
             _print({"counts": asdict(uploader.counts)})
         uploader.close()
 
+    def _report(self, uploader: Uploader) -> None:
+        """Write the counts from time to time, also while a large file is sent."""
+        with suppress(BrokenPipeError):
+            while True:
+                _print({"counts": asdict(uploader.counts)})
+                self._never.wait(_REPORT_S)
+
     def _stops(self) -> bool:
-        return self._gone or (self._end_s > 0 and time.monotonic() > self._end_s)
+        return self._gone or 0 < self._end_ns < self._clock.monotonic_ns()
 
     def _listen(self) -> None:
         for line in sys.stdin:
             if line.strip() == "end":
-                self._end_s = time.monotonic() + END_S
+                self._end_ns = self._clock.monotonic_ns() + int(END_S * NS_PER_S)
                 self._woken.set()
-        self._gone = not self._end_s
+        self._gone = not self._end_ns
         self._woken.set()
 
 
@@ -90,8 +105,10 @@ def _note(note: Note) -> None:
 
 
 def _print(facts: dict[str, Any]) -> None:
-    sys.stdout.write(json.dumps(facts) + "\n")
-    sys.stdout.flush()
+    data = json.dumps(facts).encode() + b"\n"
+    with _OUTPUT:
+        while data:
+            data = data[os.write(1, data) :]
 
 
 if __name__ == "__main__":

@@ -10,7 +10,6 @@ import base64
 import hashlib
 import math
 import os
-import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from dataclasses import dataclass
@@ -24,6 +23,7 @@ from igtl_gateway.keeping.upload_state import FileState, UploadState, base_of, b
 from igtl_gateway.notations import UploadPlace
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.sessionfile.new_file import os_error_text
+from igtl_gateway.stamp import NS_PER_S
 
 #: Codes of its notes.
 CONFIRMED, WAITS, REACHED, DIFFERS = "upload_confirmed", "upload_waits", "upload_reached", "upload_differs"
@@ -91,10 +91,10 @@ class Uploader:
         self._stops = stops
         self._folder = RecordingFolder(folder)
         self._states: dict[str, UploadState] = {}
-        self._store = S3Store(place, RateLimit(rate), self._on_sent)
+        self._store = S3Store(place, RateLimit(rate, clock), clock, self._on_sent)
         self._told: dict[str, str] = {}  # file → text of its last note
         self._wait_s = 0.0
-        self._next_s = 0.0  # on the monotonic clock
+        self._next_ns = 0  # on the monotonic clock
 
     def begin(self) -> None:
         """State that the recording is to be uploaded, before it has a file.  Raises OSError."""
@@ -110,7 +110,7 @@ class Uploader:
     def step(self) -> bool:
         """Upload what waits, up to the first problem with the store; return whether nothing waits any more."""
         self._find()
-        if time.monotonic() < self._next_s:
+        if self._clock.monotonic_ns() < self._next_ns:
             return not self.counts.waiting
         for recording, state in list(self._waiting()):
             if self._stops():
@@ -184,7 +184,7 @@ class Uploader:
         except (OSError, StoreError) as error:
             why = str(error) if isinstance(error, StoreError) else os_error_text(error)
             self._wait_s = min(_LAST_WAIT_S, max(_FIRST_WAIT_S, 2 * self._wait_s))
-            self._next_s = time.monotonic() + self._wait_s
+            self._next_ns = self._clock.monotonic_ns() + int(self._wait_s * NS_PER_S)
             self.counts.problem = why
             self._tell("", Level.WARN, WAITS, f"upload waits: {why}; the files stay here")
             return False

@@ -107,6 +107,7 @@ def test_every_metric_says_what_it_is_and_is_told_without_a_recording() -> None:
         "peers": [],
         "queues": {},
         "recorder": None,
+        "upload": None,
     }
     page = prometheus(facts)
     assert values(page)[PREFIX + r'stream_rate{direction="igtl_in",stream="a\\b\n"}'] == 2.5

@@ -1,0 +1,72 @@
+"""Kills uploads with SIGKILL at random moments, and compares the objects with the files, byte for byte.
+
+    python tools/upload_kills.py s3://BUCKET/PREFIX [--kills 50] [--seed 1]
+
+The store is that of ``AWS_ENDPOINT_URL``; the bucket has to exist.  It needs boto3 for the comparison: an independent
+client, in an environment of its own (``--python``), because it excludes versions of libraries that this project pins.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from igtl_gateway.notations import UploadPlace, upload_place
+from tests.record import samples
+from tests.record.test_parts import record
+
+_COMPARE = """
+import sys, boto3
+place, prefix, folder = sys.argv[1:]
+found = boto3.client("s3", endpoint_url=__import__("os").environ["AWS_ENDPOINT_URL"])
+pages = found.get_paginator("list_objects_v2").paginate(Bucket=place, Prefix=prefix + "/")
+keys = [row["Key"] for page in pages for row in page.get("Contents", [])]
+for key in keys:
+    data = found.get_object(Bucket=place, Key=key)["Body"].read()
+    if data != open(folder + "/" + key.removeprefix(prefix + "/"), "rb").read():
+        sys.exit(key + " differs")
+left = found.list_multipart_uploads(Bucket=place, Prefix=prefix + "/").get("Uploads", [])
+print(len(keys), "objects equal their files;", len(left), "uploads are not finished")
+"""
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("to", type=upload_place)
+    parser.add_argument("--kills", type=int, default=50)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--python", default=sys.executable, help="interpreter that has boto3")
+    options = parser.parse_args()
+    place: UploadPlace = options.to
+    chance = random.Random(options.seed)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for number in range(3):
+            entries = [samples.igtl(seq, body=chance.randbytes(1_000_000)) for seq in range(1, 31)]
+            record(folder / f"session{number}.mcap", entries, compression="none")
+        words = [sys.executable, "-m", "igtl_gateway", "upload", name, "--to", str(place), "--rate", "15"]
+        killed = 0
+        while killed < options.kills:
+            with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+                try:
+                    process.wait(chance.uniform(0.3, 2.5))
+                except subprocess.TimeoutExpired:
+                    process.kill()
+                    killed += 1
+                    continue
+            break
+        print(f"{killed} kills", flush=True)
+        begun_s = time.monotonic()
+        done = subprocess.run(words, check=False, capture_output=True, text=True)
+        print(f"{done.stdout.splitlines()[-1]} in {time.monotonic() - begun_s:.1f} s")
+        compare = [options.python, "-c", _COMPARE, place.bucket, place.prefix, name]
+        return subprocess.run(compare, check=False).returncode or done.returncode
+
+
+if __name__ == "__main__":
+    sys.exit(main())
