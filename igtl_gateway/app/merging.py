@@ -31,6 +31,8 @@ _INPUTS = {Kind.IGTL_IN: b"igtl", Kind.ROS_IN: b"ros"}
 #: Smaller ROS messages, and OpenIGTLink messages without a body, are equal by coincidence.
 _LEAST_ROS_BYTES = 24
 _READ_BYTES = 1 << 20
+#: Times are 64-bit numbers with a sign when they are compared.
+_MAX_STAMP_NS = 1 << 63
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,6 +253,9 @@ def _passed(recorder: _Recorder, kinds: Mapping[Kind, bytes]) -> Passed:
                 digest.update(entry.type.encode())
             for part in entry.payload:
                 digest.update(part)
+            if entry.stamp_ns >= _MAX_STAMP_NS:
+                found = f"entry {entry.seq:,} with the stamp {entry.stamp_ns} ns"
+                raise UnsupportedRecording(f"{recorder.name}: found {found}, expected one below {_MAX_STAMP_NS}")
             keys.append(int.from_bytes(digest.digest(), "little"))
             times.append(entry.stamp_ns)
             streams.append(names.setdefault(entry.channel, len(names)))

@@ -18,6 +18,8 @@ from tests.record import samples
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 SMALL = FIXTURES / "paper-types.mcap"
 
+CORPUS = next((Path(__file__).parents[1] / "wire" / "corpus").glob("TRANSFORM_v1_s1.bin"))
+
 #: What writes files: words of the command line; OUT is a new name in an empty folder.
 WRITERS = (
     ("keys", "new", "OUT"),
@@ -25,6 +27,8 @@ WRITERS = (
     ("recover", SMALL, "-o", "OUT.mcap"),
     ("export", SMALL, "--to", "csv", "-o", "OUT"),
     ("export", SMALL, "--to", "rosbag2", "-o", "OUT"),
+    ("deidentify", SMALL, "-o", "OUT.mcap"),
+    ("decode", CORPUS, "--reencode", "OUT.igtl"),
 )
 
 
