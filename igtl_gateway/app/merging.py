@@ -180,7 +180,7 @@ def _recorded_clock(part: Mapping[str, Any], path: Path) -> Clock:
             math.inf if facts[key] is None else NS_PER_S * abs(facts[key] - facts["offset_s"])
             for key in ("low_s", "high_s")
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise DamagedRecording(f"{path}: part {part['name']}: found a clock without {error}") from None
     if not all(chain):
         raise DamagedRecording(f"{path}: part {part['name']}: found a clock without offset, expected one")

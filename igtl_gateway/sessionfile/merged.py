@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import re
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -45,6 +46,7 @@ NUMBERS = 1 << 16
 
 MessageIn = tuple[Schema | None, Channel, Row]
 
+_NAME = re.compile(r"\w+", re.ASCII)
 _MESSAGE = struct.Struct("<IIQQQ")
 
 
@@ -52,6 +54,12 @@ def _number_or_null(value: Any, place: str) -> None:
     """A number, or null where it is not known."""
     if value is not None and not (type(value) in (int, float) and math.isfinite(value)):
         raise wrong(place, value, "a number or null")
+
+
+def _name(value: Any, place: str) -> None:
+    """The name of a part, which is also a part of a path and of topics."""
+    if not isinstance(value, str) or not _NAME.fullmatch(value):
+        raise wrong(place, value, "letters, digits and _")
 
 
 def _method(value: Any, place: str) -> None:
@@ -70,6 +78,7 @@ _PART_TEXTS = ("name", "file", "sha256", "digest", "profile", "library")
 _PART = fields(
     {
         **dict.fromkeys(_PART_TEXTS, text),
+        "name": _name,
         "session": map_of(text),
         "ledger": map_of(text),
         "messages": number,

@@ -153,5 +153,11 @@ def test_a_changed_part_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         merge(recordings.sources, out, given={})
     with pytest.raises(DamagedRecording, match=r"part r1: found digest [0-9a-f]{64}, expected 0{64}"):
         SessionFile.open(out / "r1")
+    with monkeypatch.context() as patched:
+        patched.setattr("igtl_gateway.app.merging.topic_token", lambda _name: "../r1")
+        merge(recordings.sources, out, given={"../r1_2": AHEAD["r1"]}, overwrite=True)
+    with pytest.raises(DamagedRecording, match=r'name: found "\.\./r1", expected letters, digits and _'):
+        SessionFile.open(out)
+    merge(recordings.sources, out, given={}, overwrite=True)
     with pytest.raises(UnsupportedRecording, match="found no part 'other', expected one of r0, r1"):
         SessionFile.open(out / "other")

@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from igtl_gateway.clock import Clock
@@ -56,6 +57,8 @@ class TopicPublisher:
         self.noted_over_budget = 0
         self._traffic = traffic
         self._class = traffic.class_of(topic, type_name) if traffic else None
+        if self._class and qos.latched:  # nothing repeats it for late joiners
+            self._class = replace(self._class, debt_s=None)
         self._clock = clock
         self._lock = threading.Lock()
         self._made_ns = clock.monotonic_ns()

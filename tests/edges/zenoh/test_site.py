@@ -78,6 +78,9 @@ def test_two_sites(routers: tuple[int, int], monkeypatch: pytest.MonkeyPatch) ->
         assert 0 < counts["/picture"]["published"] < 5
         assert counts["/picture"]["published"] + counts["/picture"]["over_budget"] == 40
         or1.wait_code("site_over_budget")
+        for _ in range(3):
+            or1.edge.publish("/latched", Image.TYPE, PICTURE, Qos(1, latched=True))
+        assert or1.edge.counters()["/latched"]["published"] == 3
         for side, ahead_s in ((or1, 5), (planning, -5)):
             side.wait_code("site_clock")
             found = side.data("site_clock")
