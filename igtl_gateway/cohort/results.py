@@ -46,6 +46,7 @@ class Results:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self.parts: list[str] = []
+        self._current: tuple[list[str], dict[tuple[str, str], Row]] | None = None  # of these parts
         manifest = folder / MANIFEST
         if manifest.exists():
             self.parts = _parts_of(manifest)
@@ -85,11 +86,13 @@ class Results:
 
     def current(self) -> dict[tuple[str, str], Row]:
         """Return (file, verb) → the row of the latest task.  Raises GatewayError."""
-        rows: dict[tuple[str, str], Row] = {}
-        for path in self.files("tasks"):
-            for row in _read(path).to_pylist():
-                rows[row["file"], row["verb"]] = row
-        return rows
+        if self._current is None or self._current[0] != self.parts:
+            rows: dict[tuple[str, str], Row] = {}
+            for path in self.files("tasks"):
+                for row in _read(path).to_pylist():
+                    rows[row["file"], row["verb"]] = row
+            self._current = list(self.parts), rows
+        return self._current[1]
 
     def add(self, rows: Mapping[str, Sequence[Row]], provenance: Mapping[str, Any]) -> None:
         """Write rows as one part, all or none.  Raises GatewayError."""
@@ -120,7 +123,7 @@ class Results:
             for table, content in tables.items():
                 with open(partial / f"{table}.parquet", "wb") as file:
                     pq.write_table(content.cast(schema(table, {"runs": list(runs)})), file, compression="zstd")
-                    _sync(file.fileno())
+                    os.fsync(file.fileno())
             os.replace(partial, folder)
         return name
 
@@ -130,7 +133,7 @@ class Results:
             with open(partial, "w", encoding="utf-8") as file:
                 json.dump({"schema_version": SCHEMA_VERSION, "parts": parts}, file)
                 file.flush()
-                _sync(file.fileno())
+                os.fsync(file.fileno())
             os.replace(partial, self.folder / MANIFEST)
         self.parts = parts
 
@@ -145,10 +148,6 @@ class Results:
             yield
         except OSError as error:
             raise GatewayError(f"cannot write to {self.folder}: {error.strerror or error}") from None
-
-
-def _sync(handle: int) -> None:
-    os.fsync(handle)
 
 
 def _latest(tasks: pa.Table, results: Results) -> pa.Table:
@@ -172,7 +171,7 @@ def _parts_of(manifest: Path) -> list[str]:
 def _read(path: Path) -> pa.Table:
     try:
         with files.open_file(path) as file:
-            return pq.read_table(file).cast(schema(path.stem))
+            return pq.ParquetFile(file).read().cast(schema(path.stem))
     except (pa.ArrowException, ValueError) as error:
         reason = str(error).partition("\n")[0]
         raise GatewayError(
