@@ -191,7 +191,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(GENERATORS, ("ros_interfaces.build",)),
     "rosbags": ("deidentify.ros", "exchange", "replay", "sessionfile.schemas", "untrusted"),
     "ruamel": ("untrusted.yaml_text",),  # brought by rosbags, as zstandard is by mcap
-    "xxhash": ("edges.zenoh.names",),
+    "xxhash": ("edges.zenoh.library",),
     "zenoh": ("edges.zenoh.library",),
     "shtab": ("cli.completion",),
     "zstandard": ("sessionfile.compression", "untrusted.unpack"),

@@ -74,7 +74,7 @@ def bridge_options(
         listen,
         connect,
         ros=ros,
-        zenoh=ros_middleware(values["ros"]),
+        zenoh=ros_middleware(values["ros"]) if ros else None,
         site=_site(values),
         record=Path(values["record"]) if values["record"] else None,
         record_topics=("**",) if values["record_all"] else tuple(values["record_topics"]),

@@ -228,7 +228,7 @@ class _Plan:
             )
         self.ros = not (options.no_ros or values["relay"])
         over_zenoh = ros_middleware(values["ros"]) is not None
-        if over_zenoh and not self.ros:
+        if options.ros and over_zenoh and not self.ros:  # of a file, it is not used
             raise ConfigError(
                 f"--ros {values['ros']}: found --no-ros or --relay, expected neither: they run without ROS"
             )

@@ -12,8 +12,29 @@ import igtl_gateway
 from igtl_gateway import Bridge
 from igtl_gateway.errors import ConfigError, NoReply, RecordingError, Refused, Unavailable
 from igtl_gateway.session.note import Note
+from tests.edges.zenoh.routers import free_port, router
 
 LOCAL = ["127.0.0.1:0"]
+
+
+def test_ros_over_zenoh(tmp_path: Path) -> None:
+    port = free_port()
+    with router(port), Bridge(listen=LOCAL, ros=f"zenoh:127.0.0.1:{port}", record=tmp_path / "out.mcap") as bridge:
+        assert [note.code for note in bridge.notes] == ["zenoh_connected"]
+        bridge.change(max_age_s=1.0)
+    with pytest.raises(ConfigError, match="ros: found 'nothing', expected dds, zenoh or zenoh:ENDPOINT"):
+        Bridge(listen=LOCAL, ros="nothing")
+    with pytest.raises(ConfigError, match="ros_args: found ros='zenoh', expected ROS"):
+        Bridge(listen=LOCAL, ros="zenoh", ros_args=["-r", "__ns:=/or1"])
+    with pytest.raises(ConfigError, match="--node-name"):
+        Bridge(listen=LOCAL, ros="zenoh", node_name="a b").start()
+
+
+def test_zenoh_in_a_file_waits_for_ros(tmp_path: Path) -> None:
+    file = tmp_path / "room.toml"
+    file.write_text('[host]\nros = "zenoh:nowhere:1"\n')
+    with Bridge(config=file, listen=LOCAL, ros=False) as bridge:
+        assert bridge.addresses and not bridge.notes
 
 
 def test_peers_record_and_verify(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""zenoh itself, imported when a session opens."""
+"""zenoh and the hash of its gids, imported when a session opens: an extra installs them."""
 
 from __future__ import annotations
 
@@ -14,13 +14,22 @@ _PLACE = re.compile(r"!?\s+at \S+\.rs:\d+\.?")
 
 
 def import_zenoh() -> Any:
-    """Return the module with its part ``ext``.  Raises RosError if it is missing."""
+    """Return the module with its part ``ext``.  Raises RosError if it, or what it is used with, is missing."""
+    import_xxhash()
     try:
         zenoh = importlib.import_module("zenoh")
         importlib.import_module("zenoh.ext")
     except ImportError as error:
         raise RosError(missing("zenoh", error)) from error
     return zenoh
+
+
+def import_xxhash() -> Any:
+    """Return the module.  Raises RosError if it is missing."""
+    try:
+        return importlib.import_module("xxhash")
+    except ImportError as error:
+        raise RosError(missing("xxhash", error)) from error
 
 
 def first_line(error: BaseException) -> str:

@@ -14,9 +14,10 @@ import re
 import struct
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
+from typing import Any
 
-import xxhash
-
+from igtl_gateway.edges.zenoh.library import import_xxhash
 from igtl_gateway.qos import Qos
 
 #: The first chunk of all tokens of ROS.
@@ -150,7 +151,8 @@ def checked_node(name: str) -> str:
 
 def gid(token: str) -> bytes:
     """Return the 16 bytes that identify the entity of a token."""
-    return xxhash.xxh3_128_intdigest(token.encode()).to_bytes(_GID_BYTES, "little")
+    number: int = _xxhash().xxh3_128_intdigest(token.encode())
+    return number.to_bytes(_GID_BYTES, "little")
 
 
 def attachment(sequence: int, stamp_ns: int, of_gid: bytes) -> bytes:
@@ -218,6 +220,11 @@ def read_token(token: str) -> Entity:
         raise ValueError(f"found the type hash {type_hash!r}, expected RIHS01_ and 64 hexadecimal digits")
     topic = checked_topic(topic.replace("%", "/"))
     return Entity(node, int(number), what, topic, "/".join(found.groups()), type_hash, read_qos(qos))
+
+
+@cache
+def _xxhash() -> Any:
+    return import_xxhash()
 
 
 def _mangled(name: str) -> str:
