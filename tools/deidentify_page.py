@@ -79,6 +79,12 @@ extra `video`). A masked picture that cannot be decoded or encoded again, such a
 without PyAV all encoded pictures with a mask. JPEG, PNG, H.264, H.265 and AV1 without a mask lose their text
 (EXIF, comments, SEI, metadata, filling) and keep their pixels. A mask that is outside of a picture is reported.
 
+Make a rectangle 8 pixels larger than the text on each side: video stores colour at half the resolution, so yellow text
+leaves a coloured rim around itself. This was measured with a name, a birth date and a hospital in yellow letters of 16
+pixels in real ultrasound of tissue (820 × 616, H.264 and VP9 at 2 Mbit/s): with a rectangle that fits the letters
+exactly, pixels beside it differ by up to 31 of 255 between red, green and blue; with 8 pixels more, by 0. Inside of the
+rectangle, no pixel of any frame, key frame or not, is above 9 of 255.
+
 ## What it does not cover
 """
 
