@@ -13,7 +13,6 @@ import random
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
 
 from igtl_gateway.notations import UploadPlace, upload_place
@@ -44,28 +43,35 @@ def main() -> int:
     options = parser.parse_args()
     place: UploadPlace = options.to
     chance = random.Random(options.seed)
+    killed = number = 0
+    while killed < options.kills:
+        number += 1
+        killed += _round(UploadPlace(place.bucket, f"{place.prefix}/{number}"), chance, options.python)
+    print(f"{killed} kills in {number} rounds")
+    return 0
+
+
+def _round(place: UploadPlace, chance: random.Random, python: str) -> int:
+    """Upload three recordings, kill the upload until it ends by itself, and compare; return the number of kills."""
     with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
         for number in range(3):
-            entries = [samples.igtl(seq, body=chance.randbytes(1_000_000)) for seq in range(1, 31)]
-            record(folder / f"session{number}.mcap", entries, compression="none")
-        words = [sys.executable, "-m", "igtl_gateway", "upload", name, "--to", str(place), "--rate", "15"]
+            entries = [samples.igtl(seq, body=chance.randbytes(1_000_000)) for seq in range(1, 21)]
+            record(Path(name) / f"session{number}.mcap", entries, compression="none")
+        words = [sys.executable, "-m", "igtl_gateway", "upload", name, "--to", str(place), "--rate", "20"]
         killed = 0
-        while killed < options.kills:
+        while True:
             with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
                 try:
-                    process.wait(chance.uniform(0.3, 2.5))
+                    process.wait(chance.uniform(0.5, 4.0))
                 except subprocess.TimeoutExpired:
                     process.kill()
                     killed += 1
                     continue
             break
-        print(f"{killed} kills", flush=True)
-        begun_s = time.monotonic()
-        done = subprocess.run(words, check=False, capture_output=True, text=True)
-        print(f"{done.stdout.splitlines()[-1]} in {time.monotonic() - begun_s:.1f} s")
-        compare = [options.python, "-c", _COMPARE, place.bucket, place.prefix, name]
-        return subprocess.run(compare, check=False).returncode or done.returncode
+        compare = [python, "-c", _COMPARE, place.bucket, place.prefix, name]
+        if process.returncode or subprocess.run(compare, check=False).returncode:
+            sys.exit(f"round {place.prefix} failed")
+        return killed
 
 
 if __name__ == "__main__":
