@@ -472,6 +472,9 @@ class Bridge:
             if link.connected and (counts := counters.get(link.number))
         ]
         recorder = self.recorder.counters() if self.recorder else None
+        over_budget = None
+        if self.options.site.name:
+            over_budget = sum(counts["over_budget"] for counts in self.ros.counters().values())
         try:
             streams, watched = self.gateway.ledger.to_dict(), self.gateway.guard.items()
             statuses = diagnostics.array(
@@ -482,6 +485,7 @@ class Bridge:
                 peers,
                 recorder,
                 self.uploads.counters() if self.uploads else None,
+                over_budget,
             )
             self.ros.publish(DIAGNOSTICS_TOPIC, DiagnosticArray.TYPE, statuses.pack(), _DIAGNOSTICS)
         except Exception as error:  # a defect here must not stop the ticks of this thread

@@ -74,6 +74,7 @@ class Diagnostics:
         peers: Iterable[PeerFacts],
         recorder: Mapping[str, Any] | None,
         uploads: Mapping[str, Any] | None = None,
+        over_budget: int | None = None,
     ) -> DiagnosticArray:
         """Build the message.
 
@@ -85,6 +86,7 @@ class Diagnostics:
             peers: the connected peers.
             recorder: counters of the recorder; None without a recording.
             uploads: counters of the upload; None without one.
+            over_budget: messages that exceed the budget of the site; None without a site.
         """
         seconds = (now_ns - self._last_ns) / NS_PER_S if self._last_ns else 0.0
         self._last_ns = now_ns
@@ -96,6 +98,8 @@ class Diagnostics:
         statuses = [self._recorder(recorder)]
         if uploads is not None:
             statuses.append(self._upload(uploads))
+        if over_budget is not None:
+            statuses.append(self._site(over_budget))
         statuses += [self._peer(peer, by_link.get(peer.link, [])) for peer in peers]
         rows = [(side, stream, fates) for side in _SIDES for stream, fates in streams.get(side, {}).items()]
         for side, stream, fates in rows[:MAX_STREAMS]:
@@ -181,6 +185,12 @@ class Diagnostics:
         level, text = (WARN, f"waits: {problem}") if problem else (OK, f"{waiting:,} files wait")
         values = tuple((key, f"{counters[key]}") for key in counters if key != "problem")
         return DiagnosticStatus(level, "igtl_gateway: upload", text, self._hardware_id, values)
+
+    def _site(self, over_budget: int) -> DiagnosticStatus:
+        name = "igtl_gateway: site"
+        dropped = self._increase(name, over_budget)
+        level, text = (WARN, f"budget exceeded: {dropped:,} messages dropped") if dropped else (OK, "within the budget")
+        return DiagnosticStatus(level, name, text, self._hardware_id, (("over_budget", f"{over_budget}"),))
 
     def _increase(self, name: str, number: int) -> int:
         """Return the increase of a count since the previous call."""

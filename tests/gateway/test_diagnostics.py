@@ -112,3 +112,13 @@ def test_more_streams_than_anybody_reads_are_told_as_one() -> None:
     array = Diagnostics("host").array(NS_PER_S, NS_PER_S, streams, [], [], None)
     assert len(array.status) == MAX_STREAMS + 2
     assert (array.status[-1].level, array.status[-1].message) == (WARN, "5 more streams are not shown")
+
+
+def test_the_budget_of_a_site() -> None:
+    diagnostics = Diagnostics("host")
+    found = [diagnostics.array(NS_PER_S, NS_PER_S, {}, [], [], None, None, count).status[-1] for count in (0, 7, 7)]
+    assert [(status.level, status.message) for status in found] == [
+        (OK, "within the budget"),
+        (WARN, "budget exceeded: 7 messages dropped"),
+        (OK, "within the budget"),
+    ]
