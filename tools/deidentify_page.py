@@ -80,10 +80,10 @@ without PyAV all encoded pictures with a mask. JPEG, PNG, H.264, H.265 and AV1 w
 (EXIF, comments, SEI, metadata, filling) and keep their pixels. A mask that is outside of a picture is reported.
 
 Make a rectangle 8 pixels larger than the text on each side: video stores colour at half the resolution, so yellow text
-leaves a coloured rim around itself. This was measured with a name, a birth date and a hospital in yellow letters of 16
-pixels in real ultrasound of tissue (820 × 616, H.264 and VP9 at 2 Mbit/s): with a rectangle that fits the letters
-exactly, pixels beside it differ by up to 31 of 255 between red, green and blue; with 8 pixels more, by 0. Inside of the
-rectangle, no pixel of any frame, key frame or not, is above 9 of 255.
+leaves a coloured rim around itself. This was measured with yellow letters of 16 pixels in real ultrasound of tissue
+(820 × 616, H.264 and VP9). With a rectangle that fits a name exactly (2 Mbit/s), pixels beside it differ by up to 31 of
+255 between red, green and blue; with 8 pixels more, by 0. With a name, a birth date and a hospital on the picture
+(8 Mbit/s), no pixel inside of the rectangle is above 9 of 255 in any of 12 frames, 3 of them key frames.
 
 ## What it does not cover
 """
