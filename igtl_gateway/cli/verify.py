@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="CERTS",
         type=Path,
-        help="with --seal: require a time stamp of an authority with these certificates (PEM, repeatable)",
+        help="with --seal: require a time stamp of an authority with these certificates, PEM (repeatable)",
     )
     add_json(parser)
 
