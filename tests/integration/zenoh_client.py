@@ -162,6 +162,12 @@ class Client:
         self._publishers: dict[str, Any] = {}
         self._last: dict[str, Any] = {}
         self._count = 0
+        self._tokens: set[str] = set()
+        space = f"@ros2_lv/{self._domain}/**"
+        self._graph = self.session.liveliness().declare_subscriber(space, self._on_token, history=True)
+
+    def _on_token(self, sample: Any) -> None:
+        (self._tokens.add if sample.kind == zenoh.SampleKind.PUT else self._tokens.discard)(str(sample.key_expr))
 
     def _declare(self, kind: str, topic: str, name: str, latched: bool) -> tuple[str, bytes]:
         """Declare a token; return the data key and the gid."""
@@ -208,9 +214,7 @@ class Client:
         topic, deadline = command["topic"], time.monotonic() + TIMEOUT_S
         pattern = re.compile(rf"@ros2_lv/.*/MS/.*/{topic.replace('/', '%')}/.*")
         while True:
-            tokens = self.session.liveliness().get(f"@ros2_lv/{self._domain}/**")
-            found = {str(reply.ok.key_expr) for reply in tokens if reply.ok}
-            count = sum(bool(pattern.fullmatch(token)) for token in found)
+            count = sum(bool(pattern.fullmatch(token)) for token in self._tokens.copy())
             if count >= command["count"] and self._publishers[topic][4].matching_status.matching:
                 return
             if time.monotonic() > deadline:
