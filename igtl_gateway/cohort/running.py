@@ -203,7 +203,7 @@ def _replies(
     """Yield each file with its reply, as they end."""
     try:
         import dask
-        from dask.distributed import KilledWorker, as_completed
+        from dask.distributed import as_completed
     except ImportError as error:
         raise Unavailable(extras.missing("dask", error)) from None
     with dask.config.set(_SETTINGS), _client(where, min(where.workers, len(todo))) as client:
@@ -213,12 +213,14 @@ def _replies(
             futures[future] = item
         for future in as_completed(list(futures), raise_errors=False):
             item = futures.pop(future)
-            if isinstance(_error(future, where), KilledWorker):
+            reply = _reply(future, where)
+            if reply["status"] == ends.KILLED:
                 again.append(item)
             else:
-                yield item, _reply(future, where)
+                yield item, reply
             future.release()
-        # A worker that dies takes the blame for all that it had: each alone, only the guilty one fails again.
+        # A worker that dies takes the blame for all that it had, and a program may be killed because the others took
+        # the memory: each alone, only the guilty one fails again.
         for item in again:
             [future] = _submitted(client, work, [item], "again")
             list(as_completed([future], raise_errors=False))

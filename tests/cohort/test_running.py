@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -147,7 +147,27 @@ def test_killed_programs_give_the_tables_of_a_serial_run(
     assert rows(tmp_path / "killed") == rows(here)
 
 
-def test_a_file_that_takes_too_long_or_too_much_is_a_row(cohort: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("times", [task.TRIES, 2 * task.TRIES])
+def test_a_killed_file_is_tried_again_alone(
+    cohort: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, times: int
+) -> None:
+    asked: list[str] = []
+
+    class Program(task.JobProgram):
+        def ask(self, job: Mapping[str, Any], timeout_s: float) -> dict[str, Any] | None:
+            asked.append(Path(job["name"]).name)
+            if asked[-1] == "2.mcap" and asked.count("2.mcap") <= times:
+                os.kill(self.pid, signal.SIGKILL)
+            return super().ask(job, timeout_s)
+
+    monkeypatch.setattr(task, "JobProgram", Program)
+    summary = run(cohort, tmp_path / "out")
+    good = times == task.TRIES
+    assert dict(summary.ends) == {"ok": 8 + good, "broken": 1, "unsupported": 2} | ({} if good else {"killed": 1})
+    assert asked[-1] == "2.mcap"
+
+
+def test_a_file_that_takes_too_long_is_a_row(cohort: Path, tmp_path: Path) -> None:
     for path in cohort.glob("*.mcap"):
         if path.name != "2.mcap":
             path.unlink()
