@@ -26,8 +26,8 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.buffers import join
+from igtl_gateway.cohort.columns import TABLES
 from igtl_gateway.cohort.results import Results
-from igtl_gateway.cohort.tables import TABLES
 from igtl_gateway.config import Config
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile.reader import SessionFile

@@ -15,7 +15,8 @@ from igtl_gateway.convert.rosmsg import Image as RosImage
 from igtl_gateway.convert.rosmsg import Marker, PointCloud2, PointStamped
 from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.session.entry import Kind
-from igtl_gateway.sync.lag import CUT_OFF_HZ, MAX_LAG_S, Lag, measure_lag
+from igtl_gateway.sync.defaults import CUT_OFF_HZ, MAX_LAG_S
+from igtl_gateway.sync.lag import Lag, measure_lag
 from igtl_gateway.sync.plus import line_height
 from igtl_gateway.sync.signal import Signal
 

@@ -16,7 +16,7 @@ from igtl_gateway.cli.outputs import check_target, written
 from igtl_gateway.cli.terminal import aligned, print_json, print_line
 from igtl_gateway.cohort.ends import VERB_NAMES
 from igtl_gateway.errors import ConfigError, Unavailable
-from igtl_gateway.sync.lag import MAX_LAG_S
+from igtl_gateway.sync.defaults import MAX_LAG_S
 
 EXAMPLES = """\
   # streams, times and rates of all sessions in and below a folder
@@ -95,21 +95,23 @@ def run(options: argparse.Namespace) -> int:
 def _run_query(options: argparse.Namespace) -> int:
     if len(options.sources) != 1:
         raise ConfigError(f"cohort query: found {len(options.sources)} arguments, expected one: the SQL")
-    from igtl_gateway.cohort.query import asking, plain_rows, write_answer
+    from igtl_gateway.cohort.query import asking, of_table, write_answer
 
+    [sql] = options.sources
     targets = [each for each in (options.csv, options.parquet) if each]
     for target in targets:
         check_target(target, overwrite=options.overwrite)
     with asking(options.out) as questions:
-        answer = questions.ask(options.sources[0])
+        table = questions.table(sql) if targets else None
+        answer = of_table(table) if table is not None else questions.answer(sql)
     for target in targets:
         with written(target) as path:
-            write_answer(answer, path, parquet=target is options.parquet)
+            write_answer(table, path, parquet=target is options.parquet)
     if options.json:
-        print_json({"columns": answer.column_names, "rows": plain_rows(answer)})
+        print_json({"columns": answer.columns, "rows": answer.rows})
     elif not targets:
-        rows = [answer.column_names, *([_cell(cell) for cell in row.values()] for row in plain_rows(answer))]
-        print_line(*aligned(rows, left=len(answer.column_names), indent=""))
+        rows = [answer.columns, *([_cell(cell) for cell in row] for row in answer.cells)]
+        print_line(*aligned(rows, left=len(answer.columns), indent=""))
     return 0
 
 

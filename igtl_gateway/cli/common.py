@@ -9,16 +9,20 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from igtl_gateway.config import Config
 from igtl_gateway.stamp import NS_PER_S
+
+if TYPE_CHECKING:
+    from igtl_gateway.config import Config
 
 _NS_PER_MS = 1_000_000
 
 
 def load_config(path: Path | None) -> Config:
     """The configuration of a file, or the default one."""
+    from igtl_gateway.config import Config  # here: it imports all conversions
+
     return Config.from_toml(path) if path else Config()
 
 

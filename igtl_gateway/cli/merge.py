@@ -20,7 +20,8 @@ from igtl_gateway.convert.names import topic_token
 from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.stamp import NS_PER_S
-from igtl_gateway.sync.lag import MAX_LAG_S, measure_lag
+from igtl_gateway.sync.defaults import MAX_LAG_S
+from igtl_gateway.sync.lag import measure_lag
 from igtl_gateway.sync.offsets import ClockOffset, Method, Piece
 from igtl_gateway.untrusted.files import is_same
 

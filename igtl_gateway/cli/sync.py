@@ -22,7 +22,8 @@ from igtl_gateway.cli.terminal import aligned, print_json, print_line
 from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.sync.correction import StampCorrection
-from igtl_gateway.sync.lag import CUT_OFF_HZ, MAX_LAG_S, Lag, measure_lag
+from igtl_gateway.sync.defaults import CUT_OFF_HZ, MAX_LAG_S
+from igtl_gateway.sync.lag import Lag, measure_lag
 from igtl_gateway.sync.signal import Signal
 
 EXAMPLES = """\

@@ -4,6 +4,7 @@
 * ``jobs`` is the table of verbs: each makes rows of an open session;
 * ``worker`` is the program that does jobs, one file after the other; ``task`` keeps one for each thread of Dask, with
   bounds of time and memory;
-* ``running`` gives the tasks to Dask and the rows to ``results``, the folder of tables (``tables`` has their schemas);
-* ``query`` answers SQL over them, and ``report`` draws them.
+* ``running`` gives the tasks to Dask and the rows to ``results``, the folder of tables: ``columns`` has their columns,
+  ``tables`` their schemas, ``parts`` the list of the parts that count;
+* ``loading`` has DuckDB read them, ``query`` answers SQL over them, and ``report`` draws them.
 """

@@ -35,7 +35,7 @@ from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.untrusted import files, limits
 
 if TYPE_CHECKING:
-    from igtl_gateway.cohort.tables import Row
+    from igtl_gateway.cohort.columns import Row
 
 Rows = dict[str, list["Row"]]
 

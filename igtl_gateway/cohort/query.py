@@ -6,15 +6,16 @@ settings, so that a question of anyone can be answered.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from igtl_gateway import extras
 from igtl_gateway.cohort.ends import VERB_NAMES
-from igtl_gateway.cohort.results import MANIFEST, Results
-from igtl_gateway.cohort.tables import TABLES
+from igtl_gateway.cohort.loading import Tables, reason
+from igtl_gateway.cohort.parts import MANIFEST
 from igtl_gateway.errors import ConfigError, GatewayError, Unavailable
 
 if TYPE_CHECKING:
@@ -22,28 +23,108 @@ if TYPE_CHECKING:
 
 #: One row for each file: how each verb ended, and what `info` has found.
 SESSIONS = "sessions"
+#: Settings of a database that answers the questions of anyone: no files, no network, no variables of Python.
+_SAFE = (
+    "temp_directory = ''",
+    "autoinstall_known_extensions = false",
+    "python_enable_replacements = false",
+    "enable_external_access = false",
+    "lock_configuration = true",
+)
+
+
+#: Types whose values come as they are.
+_PLAIN = frozenset({"VARCHAR", "BOOLEAN", "DOUBLE", "FLOAT", "DATE", "HUGEINT", "BIGINT", "INTEGER", "SMALLINT"})
+#: Types of times → digits of the second that they have.  Times come as text: Python has none with nanoseconds.
+_DIGITS = {
+    "TIMESTAMP_S": 0,
+    "TIMESTAMP_MS": 3,
+    "TIMESTAMP": 6,
+    "TIMESTAMP_NS": 9,
+    "TIMESTAMP WITH TIME ZONE": 6,
+    "TIMESTAMPTZ_NS": 9,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """The answer to a question, for people and JSON.
+
+    Attributes:
+        columns: their names, of which two may be equal.
+        cells: the rows; times are text, decimals are numbers.
+    """
+
+    columns: list[str]
+    cells: list[tuple[Any, ...]]
+
+    @property
+    def rows(self) -> list[dict[str, Any]]:
+        """The rows by column; the second column of a name has its number behind the name."""
+        names = [
+            name if self.columns.index(name) == number else f"{name}:{number + 1}"
+            for number, name in enumerate(self.columns)
+        ]
+        return [dict(zip(names, row, strict=True)) for row in self.cells]
 
 
 class Questions:
     """An open connection to the tables; use `asking`."""
 
-    def __init__(self, connection: Any, errors: type[Exception]) -> None:
-        self._connection = connection
-        self._errors = errors
+    def __init__(self, connection: Any, errors: type[Exception], tables: Tables) -> None:
+        self._connection, self._errors, self._tables = connection, errors, tables
 
-    def ask(self, sql: str) -> pyarrow.Table:
+    def answer(self, sql: str) -> Answer:
         """Return the answer.  Raises ConfigError if the question is wrong, or is not one SELECT."""
-        try:
-            kinds = [each.type.name for each in self._connection.extract_statements(sql)]
-            if kinds != ["SELECT"]:
-                raise ConfigError(f"query: found {', '.join(kinds) or 'no statement'}, expected one SELECT")
-            return self._connection.sql(sql).to_arrow_table()
-        except self._errors as error:
-            raise ConfigError(f"query: {str(error).strip()}") from None
+        with self._asked(sql) as found:
+            kinds = list(map(str, found.types))
+            values = [_expression(number, kind) for number, kind in enumerate(kinds, 1)]
+            if "" in values:
+                return of_table(found.to_arrow_table())
+            cells = found.project(", ".join(values)).fetchall()
+        times = [(number, _DIGITS[kind]) for number, kind in enumerate(kinds) if kind in _DIGITS]
+        return Answer(found.columns, [_with_times(row, times) for row in cells] if times else cells)
+
+    def table(self, sql: str) -> pyarrow.Table:
+        """Return the answer as an Arrow table; raises as `answer`."""
+        with self._asked(sql) as found:
+            return found.to_arrow_table()
 
     def rows(self, sql: str) -> list[dict[str, Any]]:
-        """Return the answer as rows; see `plain_rows`."""
-        return plain_rows(self.ask(sql))
+        """Return the rows of the answer."""
+        return self.answer(sql).rows
+
+    @contextmanager
+    def _asked(self, sql: str) -> Iterator[Any]:
+        try:
+            statements = self._connection.extract_statements(sql)
+            kinds = [each.type.name for each in statements]
+            if kinds != ["SELECT"]:
+                raise ConfigError(f"query: found {', '.join(kinds) or 'no statement'}, expected one SELECT")
+            yield self._connection.sql(statements[0])
+        except self._errors as error:
+            raise ConfigError(f"query: {reason(error, self._tables.devices)}") from None
+
+
+def _expression(number: int, kind: str) -> str:
+    """What gives a column as values of Python; "" for a type that only Arrow has."""
+    if kind in _DIGITS:
+        return f"#{number}::VARCHAR"
+    if kind.startswith("DECIMAL"):  # with digits after the point, and without: sums of integers
+        return f"#{number}::{'HUGEINT' if kind.endswith(',0)') else 'DOUBLE'}"
+    return f"#{number}" if kind in _PLAIN else ""
+
+
+def _with_times(row: tuple[Any, ...], times: Sequence[tuple[int, int]]) -> tuple[Any, ...]:
+    """The row with times as Arrow writes them, of those of DuckDB: without zeros at the end, ``+00`` for UTC."""
+    cells = list(row)
+    for column, digits in times:
+        if (text := row[column]) and text[-1].isdigit():  # not "infinity"
+            moment = text.removesuffix("+00")
+            seconds, _, fraction = moment.partition(".")
+            second = f"{seconds}.{fraction:0<{digits}}" if digits else seconds
+            cells[column] = second + "Z" * (moment != text)
+    return tuple(cells)
 
 
 @contextmanager
@@ -58,19 +139,18 @@ def asking(folder: Path) -> Iterator[Questions]:
         raise Unavailable(extras.missing("duckdb", error)) from None
     if not (folder / MANIFEST).is_file():
         raise ConfigError(f"{folder}: found no {MANIFEST}, expected the folder of a cohort (--out)")
-    results = Results(folder)
     connection = duckdb.connect(":memory:")
     try:
-        for name in TABLES:
-            connection.register(f"{name}_rows", results.read(name))
-            connection.execute(f"CREATE TABLE {name} AS SELECT * FROM {name}_rows")
-            connection.unregister(f"{name}_rows")
-        connection.execute(_sessions())
-        for setting in ("TimeZone = 'UTC'", "enable_external_access = false", "lock_configuration = true"):
-            connection.execute(f"SET {setting}")
-        yield Questions(connection, duckdb.Error)
+        with Tables(connection, duckdb.Error, folder) as tables:
+            connection.execute("SET TimeZone = 'UTC'")
+            tables.load()
+            connection.execute(_sessions())
+            devices = ", ".join(f"'{device}'" for device in tables.devices)
+            for setting in (f"allowed_paths = [{devices}]", *_SAFE):
+                connection.execute(f"SET {setting}")
+            yield Questions(connection, duckdb.Error, tables)
     except duckdb.Error as error:
-        raise GatewayError(f"{folder}: {str(error).strip()}") from None
+        raise GatewayError(f"{folder}: {reason(error, {})}") from None
     finally:
         connection.close()
 
@@ -85,25 +165,19 @@ def _sessions() -> str:
     )
 
 
-def plain_rows(answer: pyarrow.Table) -> list[dict[str, Any]]:
-    """Return the rows of an answer, with times as text (Python has none with nanoseconds), decimals as numbers."""
+def of_table(table: pyarrow.Table) -> Answer:
+    """Return the cells of an Arrow table."""
     import pyarrow
 
-    for number, field in enumerate(answer.schema):
+    columns = []
+    for field, column in zip(table.schema, table.columns, strict=True):
         if pyarrow.types.is_timestamp(field.type):
-            answer = answer.set_column(number, field.name, answer.column(number).cast(pyarrow.string()))
+            columns.append(column.cast(pyarrow.string()))
         elif pyarrow.types.is_decimal(field.type):
-            kind = pyarrow.float64() if field.type.scale else pyarrow.int64()  # of a sum of integers
-            answer = answer.set_column(number, field.name, answer.column(number).cast(kind))
-    names = answer.column_names  # of two columns with one name, both stay
-    return [
-        dict(zip(_unique(names), row, strict=True))
-        for row in zip(*(each.to_pylist() for each in answer.columns), strict=True)
-    ]
-
-
-def _unique(names: list[str]) -> list[str]:
-    return [name if names.index(name) == number else f"{name}:{number + 1}" for number, name in enumerate(names)]
+            columns.append(column.cast(pyarrow.float64() if field.type.scale else pyarrow.int64()))  # sums of integers
+        else:
+            columns.append(column)
+    return Answer(table.column_names, list(zip(*(each.to_pylist() for each in columns), strict=True)))
 
 
 def write_answer(answer: pyarrow.Table, path: Path, *, parquet: bool) -> None:

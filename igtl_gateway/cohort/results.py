@@ -10,7 +10,6 @@ from __future__ import annotations
 import fcntl
 import json
 import os
-import re
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -21,14 +20,14 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from igtl_gateway.cohort.tables import PROVENANCE, SCHEMA_VERSION, TABLES, Row, arrow_table, joined, schema
+from igtl_gateway.cohort.columns import SCHEMA_VERSION, TABLES, Row
+from igtl_gateway.cohort.parts import MANIFEST, PARTS, Parts, files_of, parts_of, unreadable
+from igtl_gateway.cohort.tables import PROVENANCE, arrow_table, joined, schema
 from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.untrusted import files
 from igtl_gateway.untrusted.text import parse_json
 
-MANIFEST = "cohort.json"
-_PARTS, _LOCK = "parts", ".lock"
-_NAME = re.compile(r"\d{6,}")
+_LOCK = ".lock"
 
 
 class Results:
@@ -37,31 +36,32 @@ class Results:
     Args:
         folder: that of ``--out``; it need not exist yet.
 
-    Attributes:
-        parts: names of the parts that count, in order.
-
     Raises ConfigError if the folder has something else, or tables of another version; GatewayError for others.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.parts: list[str] = []
+        self._found = Parts()
         self._current: tuple[list[str], dict[tuple[str, str], Row]] | None = None  # of these parts
-        manifest = folder / MANIFEST
-        if manifest.exists():
-            self.parts = _parts_of(manifest)
+        if (folder / MANIFEST).exists():
+            self._found = parts_of(folder)
         elif folder.exists() and not folder.is_dir():
             raise ConfigError(f"{folder}: found a file, expected a folder for tables")
-        elif folder.is_dir() and any(each.name not in (_PARTS, _LOCK) for each in folder.iterdir()):
+        elif folder.is_dir() and any(each.name not in (PARTS, _LOCK) for each in folder.iterdir()):
             raise ConfigError(
                 f"{folder}: found a folder without {MANIFEST}, expected tables of a cohort or a new folder"
             )
+
+    @property
+    def parts(self) -> list[str]:
+        """Names of the parts that count, in order."""
+        return self._found.names
 
     @contextmanager
     def locked(self) -> Iterator[None]:
         """Context manager: no other program writes.  Raises GatewayError if another does, or nothing can be written."""
         with self._writing():
-            (self.folder / _PARTS).mkdir(parents=True, exist_ok=True)
+            (self.folder / PARTS).mkdir(parents=True, exist_ok=True)
             lock = open(self.folder / _LOCK, "a")  # closed below
         with lock:
             try:
@@ -69,14 +69,13 @@ class Results:
             except BlockingIOError:
                 raise GatewayError(f"{self.folder}: another run is writing to it; wait for its end") from None
             if (self.folder / MANIFEST).exists():
-                self.parts = _parts_of(self.folder / MANIFEST)
+                self._found = parts_of(self.folder)
             self._remove_unlisted()
             yield
 
     def files(self, table: str) -> list[Path]:
         """Return the Parquet files of a table, in order."""
-        paths = (self.folder / _PARTS / part / f"{table}.parquet" for part in self.parts)
-        return [path for path in paths if path.is_file()]
+        return files_of(self.folder, self.parts, table)
 
     def read(self, table: str) -> pa.Table:
         """Return all rows of a table that count, ordered by file.  Raises GatewayError."""
@@ -97,11 +96,11 @@ class Results:
     def add(self, rows: Mapping[str, Sequence[Row]], provenance: Mapping[str, Any]) -> None:
         """Write rows as one part, all or none.  Raises GatewayError."""
         tables = {name: arrow_table(name, found) for name, found in rows.items() if found}
-        self._list([*self.parts, self._write(tables, [provenance])])
+        self._list(Parts([*self.parts, self._write(tables, [provenance])]))
 
     def compact(self) -> None:
-        """Join all parts to one, without the rows that count no more.  Raises GatewayError."""
-        if len(self.parts) < 2:
+        """Join all parts to one, without the rows that count no more, in order.  Raises GatewayError."""
+        if self._found.joined or not self.parts:
             return
         runs: list[Mapping[str, Any]] = []
         for path in self.files("tasks"):
@@ -109,12 +108,13 @@ class Results:
                 if run not in runs:
                     runs.append(run)
         tables = {name: self.read(name) for name in TABLES if self.files(name)}
-        self._list([self._write({name: table for name, table in tables.items() if len(table)}, runs)])
+        part = self._write({name: table for name, table in tables.items() if len(table)}, runs)
+        self._list(Parts([part], joined=True))
         self._remove_unlisted()
 
     def _write(self, tables: Mapping[str, pa.Table], runs: Sequence[Mapping[str, Any]]) -> str:
         name = f"{int(self.parts[-1]) + 1 if self.parts else 1:06d}"
-        folder = self.folder / _PARTS / name
+        folder = self.folder / PARTS / name
         partial = folder.with_name(f".{name}.part")
         with self._writing():
             shutil.rmtree(partial, ignore_errors=True)
@@ -127,18 +127,19 @@ class Results:
             os.replace(partial, folder)
         return name
 
-    def _list(self, parts: list[str]) -> None:
+    def _list(self, parts: Parts) -> None:
         partial = self.folder / f".{MANIFEST}.part"
         with self._writing():
             with open(partial, "w", encoding="utf-8") as file:
-                json.dump({"schema_version": SCHEMA_VERSION, "parts": parts}, file)
+                facts = {"schema_version": SCHEMA_VERSION, "parts": parts.names, "joined": parts.joined}
+                json.dump(facts, file)
                 file.flush()
                 os.fsync(file.fileno())
             os.replace(partial, self.folder / MANIFEST)
-        self.parts = parts
+        self._found = parts
 
     def _remove_unlisted(self) -> None:
-        for path in (self.folder / _PARTS).iterdir():
+        for path in (self.folder / PARTS).iterdir():
             if path.name not in self.parts:
                 shutil.rmtree(path, ignore_errors=True)
 
@@ -155,31 +156,16 @@ def _latest(tasks: pa.Table, results: Results) -> pa.Table:
     return pa.Table.from_pylist(rows, schema=tasks.schema)
 
 
-def _parts_of(manifest: Path) -> list[str]:
-    found = parse_json(files.read_bytes(manifest).decode("utf-8", "replace"), str(manifest))
-    version = found.get("schema_version") if isinstance(found, dict) else None
-    if version != SCHEMA_VERSION:
-        raise ConfigError(
-            f"{manifest}: found tables of version {version!r}, expected {SCHEMA_VERSION}; use another folder"
-        )
-    parts = found.get("parts")
-    if not isinstance(parts, list) or not all(isinstance(each, str) and _NAME.fullmatch(each) for each in parts):
-        raise ConfigError(f"{manifest}: found parts {parts!r}, expected a list of numbers")
-    return parts
-
-
 def _read(path: Path) -> pa.Table:
     try:
         with files.open_file(path) as file:
             return pq.ParquetFile(file).read().cast(schema(path.stem))
     except (pa.ArrowException, ValueError) as error:
-        reason = str(error).partition("\n")[0]
-        raise GatewayError(
-            f"{path}: found no table of this version ({reason}); remove the folder and run again"
-        ) from None
+        raise unreadable(path, str(error).partition("\n")[0]) from None
 
 
 def _provenance(path: Path) -> list[Mapping[str, Any]]:
-    metadata = pq.read_schema(path).metadata or {}
+    with files.open_file(path) as file:  # pyarrow opens no name that is not UTF-8
+        metadata = pq.read_schema(file).metadata or {}
     facts = parse_json(metadata.get(PROVENANCE, b"{}").decode(), str(path))
     return [run for run in facts.get("runs", []) if isinstance(run, dict)]

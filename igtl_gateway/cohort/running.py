@@ -22,7 +22,7 @@ from igtl_gateway.stamp import NS_PER_S
 if TYPE_CHECKING:
     from dask.distributed import Client, Future
 
-    from igtl_gateway.cohort.tables import Row
+    from igtl_gateway.cohort.columns import Row
 
 #: Rows are written after this time, or of this number of files: what a killed run loses.
 _FLUSH_S, _FLUSH_FILES = 5, 500

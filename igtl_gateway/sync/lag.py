@@ -22,13 +22,9 @@ from enum import Enum
 import numpy as np
 
 from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.sync.defaults import CUT_OFF_HZ, MAX_LAG_S
 from igtl_gateway.sync.fit import LEAST_R2, LEAST_SAMPLES, NORMAL_975, Fit, Window, chi_squared_999
 from igtl_gateway.sync.signal import Filtered, Signal, bandwidth, main_component, period, reversals
-
-#: Default of the search range to both sides, s.
-MAX_LAG_S = 1.0
-#: Default of the highest cut-off of the low-pass, Hz: movements of hands and of robots in surgery are below.
-CUT_OFF_HZ = 5.0
 
 _LEAST_CUT_OFF_HZ = 0.5
 _SIMILAR_R2, _EQUAL_R2 = 0.9, 0.98  # R² of another peak, relative to the best, that may be, or is, as good

@@ -85,7 +85,7 @@ def test_questions_only_read_the_tables(out: Path) -> None:
     with asking(out) as questions:
         for sql in WRONG:
             with pytest.raises(ConfigError, match="query: "):
-                questions.ask(sql)
+                questions.answer(sql)
         assert questions.rows("SELECT count(*) AS n FROM tasks") == [{"n": 4}]
 
 

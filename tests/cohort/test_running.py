@@ -15,11 +15,11 @@ pytest.importorskip("dask", reason='needs Dask: pip install "igtl-gateway[cohort
 pytest.importorskip("distributed", reason='needs Dask: pip install "igtl-gateway[cohort]"')
 
 from igtl_gateway.cohort import running, task
+from igtl_gateway.cohort.columns import TABLES
 from igtl_gateway.cohort.jobs import run_job
 from igtl_gateway.cohort.results import Results
 from igtl_gateway.cohort.running import RunSummary, Where, Work, run_cohort
 from igtl_gateway.cohort.sources import locate
-from igtl_gateway.cohort.tables import TABLES
 from igtl_gateway.errors import GatewayError
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"

@@ -10,7 +10,8 @@ import pytest
 
 pytest.importorskip("pyarrow", reason='needs pyarrow: pip install "igtl-gateway[cohort]"')
 
-from igtl_gateway.cohort.tables import TABLES, arrow_table, joined
+from igtl_gateway.cohort.columns import TABLES
+from igtl_gateway.cohort.tables import arrow_table, joined
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "cohort.md"
 
