@@ -57,5 +57,5 @@ def files_of(folder: Path, parts: Iterable[str], table: str) -> list[Path]:
 
 
 def unreadable(path: Path, reason: str) -> GatewayError:
-    """What to raise for a file that is no table of this version."""
+    """What to raise for a file that is not a table of this version."""
     return GatewayError(f"{path}: found no table of this version ({reason}); remove the folder and run again")

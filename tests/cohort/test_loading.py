@@ -24,7 +24,7 @@ from igtl_gateway.cohort.query import asking, of_table
 from igtl_gateway.cohort.results import Results
 from igtl_gateway.errors import ConfigError, GatewayError
 
-#: Globs, quotes, what looks like a partition by a column, bytes that are no text.
+#: Globs, quotes, what looks like a partition by a column, bytes that are not UTF-8.
 ODD = os.fsdecode(b"file=x'[1]*?\xff\n; --")
 START_NS = 1_767_225_600_123_456_789
 
