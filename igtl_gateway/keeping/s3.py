@@ -20,15 +20,17 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from functools import lru_cache
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Final
 from urllib.parse import quote, urlsplit
 
 from igtl_gateway.clock import Clock
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.errors import ConfigError, UnsupportedRecording
 from igtl_gateway.notations import UploadPlace
 from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.untrusted.files import open_file
 from igtl_gateway.untrusted.text import printable
 
 #: Longest wait for a step of a connection, seconds.
@@ -38,6 +40,9 @@ _MOST_ANSWER = 4 << 20
 #: Bytes that are sent at once.
 _BLOCK = 32 << 10
 _EMPTY: Final = hashlib.sha256(b"").hexdigest()
+#: What a key may be: it goes to a header.
+_WORD = re.compile(r"[!-~]{1,8192}")
+_MOST_CONFIG = 1 << 20
 _DENIED, _EXISTS = 403, (409, 412)
 
 
@@ -356,6 +361,8 @@ def _keys() -> _Keys:
         token = section.get("aws_session_token", "")
     if not (access and secret):
         raise StoreError("found no keys, expected AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or ~/.aws/credentials")
+    if not all(_WORD.fullmatch(each) for each in (access, secret, token or "-")):
+        raise StoreError("found keys with spaces or control characters, or of more than 8,192, expected those of S3")
     return _Keys(access, secret, token, _region())
 
 
@@ -369,10 +376,18 @@ def _region() -> str:
 
 def _section(variable: str, usual: str, name: str) -> Mapping[str, str]:
     """Return a section of a file of AWS, empty if there is none."""
-    parser = configparser.ConfigParser(interpolation=None)
     try:
         path = Path(os.environ.get(variable) or usual).expanduser()
-        parser.read_string(path.read_text("utf-8")[:1_000_000])
-        return parser[name]
-    except (OSError, ValueError, KeyError, RuntimeError, configparser.Error):
+        found = path.stat()
+        return _parsed(path, (found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns))[name]
+    except (UnsupportedRecording, OSError, ValueError, KeyError, RuntimeError, configparser.Error):
         return {}
+
+
+@lru_cache(maxsize=4)
+def _parsed(path: Path, identity: tuple[int, int, int, int]) -> configparser.ConfigParser:
+    """Return a file of AWS as it is with this identity.  Raises as `open_file` and the parser do."""
+    parser = configparser.ConfigParser(interpolation=None)
+    with open_file(path) as stream:
+        parser.read_string(stream.read(_MOST_CONFIG).decode())
+    return parser

@@ -11,8 +11,9 @@ import json
 import os
 import re
 import stat
+from collections.abc import Mapping
 from contextlib import closing, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -85,29 +86,46 @@ class UploadState:
         self.place = ""
         self.files: dict[str, FileState] = {}
         self._file: int | None = None
-        self._load()
+        self._read: tuple[int, int, int] | None = None  # device, number, and the bytes that were read
+        self.refresh()
 
-    def _load(self) -> None:
+    def refresh(self) -> None:
+        """Read what was added since the last time; everything if it is another file."""
         try:
             with closing(open_unlinked(self.path)) as stream:
-                lines = stream.read(_MOST_BYTES).splitlines()
+                found = os.fstat(stream.fileno())
+                if (
+                    self._read is None
+                    or self._read[:2] != (found.st_dev, found.st_ino)
+                    or found.st_size < self._read[2]
+                ):
+                    self.place, self.files = "", {}
+                    self._read = found.st_dev, found.st_ino, 0
+                device, number, at = self._read
+                if found.st_size == at:
+                    return
+                stream.seek(at)
+                data = stream.read(_MOST_BYTES)
         except OSError:
             return
-        for line in lines:
+        whole = data.rfind(b"\n") + 1  # a line that was cut off is not used
+        self._read = device, number, at + whole
+        changed: dict[str, dict[str, Any]] = {}
+        for line in data[:whole].splitlines():
             with suppress(DamagedRecording, ValueError):
-                found = parse_json(line.decode(), str(self.path))
-                if isinstance(found, dict):
-                    self._apply(found)
+                facts = parse_json(line.decode(), str(self.path))
+                if not isinstance(facts, dict):
+                    continue
+                if isinstance(place := facts.get("to"), str):
+                    self.place, self.files, changed = place, {}, {}
+                elif isinstance(name := facts.get("file"), str) and (name in changed or belongs(name, self.base)):
+                    changed.setdefault(name, {}).update(facts)
+        for name, facts in changed.items():
+            self._apply(name, facts)
 
-    def _apply(self, facts: dict[str, Any]) -> None:
-        if isinstance(place := facts.get("to"), str):
-            self.place, self.files = place, {}
-        elif isinstance(name := facts.get("file"), str) and belongs(name, self.base):
-            usual = FileState()
-            more: dict[str, Any] = {
-                key: value for key, value in facts.items() if type(value) is type(getattr(usual, key, None))
-            }
-            self.files[name] = replace(self.files.get(name, usual), **more)
+    def _apply(self, name: str, facts: dict[str, Any]) -> None:
+        more: dict[str, Any] = {key: value for key, value in facts.items() if type(value) is _KINDS.get(key)}
+        self.files[name] = replace(self.files.get(name, FileState()), **more)
 
     def lock(self) -> bool:
         """Take the lock, until `close`; False: another process has it.  Raises OSError."""
@@ -128,8 +146,7 @@ class UploadState:
                 os.close(file)
                 raise
             self._file = file
-            self.files = {}
-            self._load()
+            self.refresh()
         return True
 
     def close(self) -> None:
@@ -141,10 +158,12 @@ class UploadState:
     def begin(self, place: str) -> None:
         """State where the recording goes; what is known about its files is void.  Raises OSError."""
         self._add({"to": place})
+        self.place, self.files = place, {}
 
     def set(self, name: str, **facts: Any) -> FileState:
         """State facts about a file.  Raises OSError."""
         self._add({"file": name} | facts)
+        self._apply(name, facts)
         return self.files[name]
 
     def confirm(self, name: str, now_ns: int) -> None:
@@ -157,12 +176,34 @@ class UploadState:
         if os.write(self._file, data) != len(data):
             raise OSError(0, "the disk is full", str(self.path))
         os.fsync(self._file)
-        self._apply(facts)
+        found = os.fstat(self._file)
+        self._read = found.st_dev, found.st_ino, found.st_size  # what it has is known: another program does not write
 
 
-def states_in(folder: Path) -> list[UploadState]:
-    """Return the states of all recordings of a folder."""
-    return [UploadState(folder, path.name.removesuffix(SUFFIX)) for path in sorted(folder.glob(f"*{SUFFIX}"))]
+#: Field of `FileState` → its type.
+_KINDS: Mapping[str, type] = {each.name: type(each.default) for each in fields(FileState)}
+
+
+class UploadStates:
+    """The states of the recordings of a folder, which may be asked for again and again.
+
+    Args:
+        folder: the folder.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._known: dict[str, UploadState] = {}
+
+    def now(self) -> list[UploadState]:
+        """Return the states as they are now; only what was added is read."""
+        before, self._known = self._known, {}
+        for path in sorted(self._folder.glob(f"*{SUFFIX}")):
+            base = path.name.removesuffix(SUFFIX)
+            if base in before:
+                before[base].refresh()
+            self._known[base] = before.get(base) or UploadState(self._folder, base)
+        return list(self._known.values())
 
 
 class UploadProtection:
@@ -174,17 +215,17 @@ class UploadProtection:
     """
 
     def __init__(self, folder: Path, *, all_files: bool) -> None:
-        self._folder = folder
         self._all = all_files
-        self._states: dict[str, UploadState] = {}
+        self._found = UploadStates(folder)
+        self._states: list[UploadState] = []
 
     def refresh(self) -> None:
         """Read the states again."""
-        self._states = {state.base: state for state in states_in(self._folder)}
+        self._states = self._found.now()
 
     def why(self, recording: StoredRecording) -> str:
         """Return why a recording is kept, or ""."""
-        states = [state for state in self._states.values() if state.place and belongs(recording.name, state.base)]
+        states = [state for state in self._states if state.place and belongs(recording.name, state.base)]
         if not states:
             return "the store has not confirmed it" if self._all else ""
         known = [state.files.get(recording.name, FileState()) for state in states]
@@ -194,7 +235,7 @@ class UploadProtection:
 
 def remove_finished(folder: Path, names: set[str]) -> None:
     """Remove the states of recordings of which no file is left; one that is in use stays."""
-    for state in states_in(folder):
+    for state in UploadStates(folder).now():
         if any(belongs(name, state.base) for name in names) or not state.files:
             continue
         with suppress(OSError):

@@ -19,7 +19,7 @@ from typing import IO
 from igtl_gateway.clock import Clock
 from igtl_gateway.keeping.s3 import RateLimit, S3Store, StoredObject, StoreError
 from igtl_gateway.keeping.stored import RecordingFolder, StoredRecording, identity_of, open_unlinked
-from igtl_gateway.keeping.upload_state import FileState, UploadState, base_of, belongs, states_in
+from igtl_gateway.keeping.upload_state import FileState, UploadState, UploadStates, base_of, belongs
 from igtl_gateway.notations import UploadPlace
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.sessionfile.new_file import os_error_text
@@ -90,7 +90,8 @@ class Uploader:
         self._on_note = on_note
         self._stops = stops
         self._folder = RecordingFolder(folder)
-        self._states: dict[str, UploadState] = {}
+        self._stored = UploadStates(folder)
+        self._states: dict[str, UploadState] = {}  # those with our lock
         self._store = S3Store(place, RateLimit(rate, clock), clock, self._on_sent)
         self._told: dict[str, str] = {}  # file → text of its last note
         self._wait_s = 0.0
@@ -136,7 +137,7 @@ class Uploader:
         except OSError as error:
             self._tell("", Level.ERROR, WAITS, f"upload: {os_error_text(error)}")
             return
-        bases = {state.base for state in states_in(self._folder.path) if state.place == str(self._place)}
+        bases = {state.base for state in self._stored.now() if state.place == str(self._place)}
         if self._base is not None:
             bases.add(self._base)
         for recording in sorted(found, key=lambda each: (each.modified_ns, each.part, each.name)):
@@ -202,14 +203,16 @@ class Uploader:
 
     def _send(self, recording: StoredRecording, state: UploadState) -> None:
         """Upload a file and confirm it.  Raises Differs, Stopped, StoreError, OSError."""
+        if not recording.name.isascii() and recording.name != recording.name.encode(errors="replace").decode():
+            raise Differs("found a name that is invalid UTF-8, expected one that an object can have; rename the file")
         known = state.files.get(recording.name, FileState())
         if known.sha256 and not known.is_of(recording):
             raise Differs(f"found {recording.size:,} bytes that changed after it was closed, expected no change")
         with closing(open_unlinked(recording.path)) as stream:
             if identity_of(os.fstat(stream.fileno())) != recording.identity:
                 raise Differs("found another file than a moment ago")
-            if not known.sha256:
-                part_bytes = max(PART_BYTES, math.ceil(recording.size / _MOST_PARTS / PART_BYTES) * PART_BYTES)
+            part_bytes = max(PART_BYTES, math.ceil(recording.size / _MOST_PARTS / PART_BYTES) * PART_BYTES)
+            if not known.sha256 or known.part_bytes != part_bytes:
                 digests = self._digests(stream, part_bytes)
                 known = state.set(
                     recording.name,
@@ -219,6 +222,7 @@ class Uploader:
                     etag=digests.etag,
                     checksum=digests.checksum,
                     part_bytes=part_bytes,
+                    upload="",
                 )
             key = self._store.key(recording.name)
             found = self._store.find(key)

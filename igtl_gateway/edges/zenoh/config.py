@@ -13,11 +13,14 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.edges.zenoh.library import first_line, import_zenoh
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.notations import ZENOH_ENDPOINT
+from igtl_gateway.untrusted import files, limits
+from igtl_gateway.untrusted.text import check_nesting
 
 SESSION_FILE, OVERRIDE, DOMAIN = "ZENOH_SESSION_CONFIG_URI", "ZENOH_CONFIG_OVERRIDE", "ROS_DOMAIN_ID"
 _MAX_DOMAIN = 232
+_MOST_ENDPOINTS = 256
 
 #: As in ROS, but as a client: a peer on another machine receives nothing through the router of ROS.
 _SESSION: dict[str, Any] = {
@@ -55,6 +58,7 @@ def made(defaults: Mapping[str, Any], variable: str, given: Mapping[str, Any], e
     """Return a configuration of defaults (or of the file in a variable), given values and the overrides of ROS."""
     zenoh = import_zenoh()
     if path := environ.get(variable):
+        _check_document(variable, Path(path))
         try:
             config = zenoh.Config.from_file(path)
         except Exception as error:  # zenoh's class is one for all causes
@@ -70,6 +74,7 @@ def made(defaults: Mapping[str, Any], variable: str, given: Mapping[str, Any], e
         if not equals:
             raise ConfigError(f"{OVERRIDE}: found {rule!r}, expected key/path=value;key/path=value")
         _insert(config, name.strip(), text.strip(), OVERRIDE)
+    _check_endpoints(config)
     _check_files(config)
     return config
 
@@ -98,11 +103,29 @@ def domain_of(environ: Mapping[str, str] = os.environ) -> int:
     return int(text)
 
 
+def _check_document(variable: str, path: Path) -> None:
+    """Raise ConfigError for a file that Zenoh should not read: its parser has no limits, and waits for a FIFO."""
+    try:
+        data = files.read_bytes(path)
+        limits.check_limit("document", len(data), str(path))
+        check_nesting(data.decode("utf-8", "replace"), str(path))
+    except GatewayError as error:
+        raise ConfigError(f"{variable}: {error}") from None
+
+
 def _insert(config: Any, name: str, json5: str, place: str) -> None:
     try:
         config.insert_json5(name, json5)
     except Exception as error:  # zenoh's class is one for all causes
         raise ConfigError(f"{place}: found {name}={json5}, which Zenoh refuses ({first_line(error)})") from None
+
+
+def _check_endpoints(config: Any) -> None:
+    for name in ("connect/endpoints", "listen/endpoints"):
+        found = value_of(config, name)
+        for each in found.values() if isinstance(found, dict) else (found,):
+            if isinstance(each, list) and len(each) > _MOST_ENDPOINTS:  # Zenoh makes a task for each, and does not end
+                raise ConfigError(f"{name}: found {len(each):,} endpoints, expected at most {_MOST_ENDPOINTS}")
 
 
 def _check_files(config: Any) -> None:

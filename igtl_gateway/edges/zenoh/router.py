@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from typing import Any
 
 from igtl_gateway.edges.zenoh.config import made, value_of
@@ -73,8 +74,9 @@ class Router:
         return [self._changes.popleft() for _ in range(len(self._changes))]
 
     def close(self) -> None:
-        """End the router."""
-        self._session.close()
+        """End the router; a session that does not close in the time that Zenoh gives it ends with the process."""
+        with suppress(Exception):  # zenoh's class is one for all causes
+            self._session.close()
 
     def _on_transport(self, event: Any) -> None:
         came = event.kind == self._zenoh.SampleKind.PUT

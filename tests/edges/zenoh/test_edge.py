@@ -258,6 +258,8 @@ def test_a_router_that_restarts_is_found_again(port: int, sides: ExitStack) -> N
     ("name", "value", "place"),
     [
         ("ZENOH_SESSION_CONFIG_URI", "/nonexistent.json5", "ZENOH_SESSION_CONFIG_URI"),
+        ("ZENOH_SESSION_CONFIG_URI", "/dev/zero", "a device, expected a file"),
+        ("ZENOH_CONFIG_OVERRIDE", "connect/endpoints=[" + ",".join(["'tcp/a:1'"] * 300) + "]", "300 endpoints"),
         ("ZENOH_CONFIG_OVERRIDE", "mode", "key/path=value"),
         ("ZENOH_CONFIG_OVERRIDE", "nonsense/x=1", "nonsense/x"),
         ("ZENOH_CONFIG_OVERRIDE", 'transport/link/tls/connect_certificate="/nonexistent.pem"', "connect_certificate"),
