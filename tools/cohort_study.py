@@ -2,11 +2,12 @@
 
     python tools/cohort_study.py make study --count 2000 --stars 24
     python tools/cohort_study.py judge study --verb lint --work /tmp/judge [--s3 http://127.0.0.1:5000]
+    python tools/cohort_study.py scale study --work /tmp/scale
 
 `make` writes sessions of a few scenarios.  Each ends at a random moment and has metadata of its own; every hundredth is
 cut off, every hundredth has an output with a changed byte.  `judge` runs a verb with one worker, with two, and with two
 whose programs are killed at random moments, and then once more without kills; the three folders must have equal tables,
-and a second run must do nothing.
+and a second run must do nothing.  `scale` prints time and CPU time by the number of workers.
 With --s3, the sessions are uploaded to that server and read from there (AWS_ACCESS_KEY_ID … as for `cohort`).
 """
 
@@ -62,7 +63,14 @@ def main() -> int:
     judge_parser.add_argument("--work", type=Path, required=True, help="new folder for the tables")
     judge_parser.add_argument("--s3", default="", help="endpoint of an object store")
     judge_parser.add_argument("--kills", type=float, default=3.0, help="seconds between two kills")
+    scale_parser = actions.add_parser("scale")
+    scale_parser.add_argument("folder", type=Path)
+    scale_parser.add_argument("--verb", action="append", default=[], help="default: info, lint and verify")
+    scale_parser.add_argument("--work", type=Path, required=True, help="new folder for the tables")
     options = parser.parse_args()
+    if options.action == "scale":
+        scale(options.folder, options.verb or ["info", "lint", "verify"], options.work)
+        return 0
     if options.action == "make":
         make(options.folder, options.count, options.stars, options.seed)
         return 0
@@ -142,6 +150,30 @@ def judge(options: argparse.Namespace) -> int:
     equal = rows["serial"] == rows["two"] == rows["killed"]
     print(f"second run: {second_s:.1f} s; tables equal: {equal}", flush=True)
     return int(not equal)
+
+
+def scale(folder: Path, verbs: Sequence[str], work: Path) -> None:
+    """Print time and CPU time of each verb, by the number of workers up to the cores of this machine."""
+    work.mkdir(parents=True)
+    cores = len(os.sched_getaffinity(0))
+    for verb in verbs:
+        first_s = 0.0
+        for workers in range(1, cores + 1):
+            command = [sys.executable, "-m", "igtl_gateway", "cohort", verb, str(folder), "--workers", str(workers)]
+            start = time.monotonic()
+            program = subprocess.Popen(
+                [*command, "--out", str(work / f"{verb}-{workers}")],
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.DEVNULL,
+            )
+            _, _, used = os.wait4(program.pid, 0)
+            seconds = time.monotonic() - start
+            first_s = first_s or seconds
+            print(
+                f"{verb}: {workers} workers, {seconds:.1f} s, {first_s / seconds:.2f} times as fast as one, "
+                f"{used.ru_utime + used.ru_stime:.1f} s of CPU; load {os.getloadavg()[0]:.1f}",
+                flush=True,
+            )
 
 
 def upload(folder: Path) -> str:

@@ -1,12 +1,12 @@
-"""A run over a cohort: which files have to be read, the tasks on Dask, and their rows in the tables."""
+"""A run over a cohort: which files have to be read, their tasks, here or on Dask, and their rows in the tables."""
 
 from __future__ import annotations
 
 import json
-import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -15,27 +15,22 @@ from igtl_gateway.clock import SystemClock
 from igtl_gateway.cohort import ends
 from igtl_gateway.cohort.results import Results
 from igtl_gateway.cohort.sources import Located, digest
-from igtl_gateway.cohort.task import run_task
+from igtl_gateway.cohort.task import Programs, run_task
 from igtl_gateway.errors import Unavailable
 from igtl_gateway.stamp import NS_PER_S
 
 if TYPE_CHECKING:
-    from dask.distributed import Client, Future
+    from dask.distributed import Client
 
     from igtl_gateway.cohort.columns import Row
 
+Reply = dict[str, Any]
+#: A file, and the SHA-256 of its content at the last time.
+Item = tuple[Located, str]
+Do = Callable[["Work", Sequence[Item]], Iterator[tuple[Item, Reply]]]
+
 #: Rows are written after this time, or of this number of files: what a killed run loses.
 _FLUSH_S, _FLUSH_FILES = 5, 500
-#: Settings of Dask: one task at a time for each thread, so that a file is not lost with the worker that waits with it;
-#: and a task whose worker died three times is not tried again.
-_SETTINGS = {
-    "distributed.scheduler.worker-saturation": 1.0,
-    "distributed.scheduler.allowed-failures": 3,
-    "distributed.scheduler.http.routes": [],
-    "distributed.worker.http.routes": [],
-}
-#: Dask always opens a port for its pages, by default on all interfaces: on this machine only, and without pages.
-_PAGES = "127.0.0.1:0"
 _CONNECT_S = 20
 
 
@@ -125,7 +120,7 @@ def run_cohort(
     with results.locked():
         summary = RunSummary(len(files))
         known = results.current()
-        todo: list[tuple[Located, str]] = []
+        todo: list[Item] = []
         for each in files:
             row = known.get((each.shown, work.verb))
             if row and row["version"] == __version__ and row["settings"] == work.text and row["status"] in ends.FINAL:
@@ -144,7 +139,7 @@ def run_cohort(
 
 def _do(
     work: Work,
-    todo: Sequence[tuple[Located, str]],
+    todo: Sequence[Item],
     results: Results,
     where: Where,
     summary: RunSummary,
@@ -164,17 +159,18 @@ def _do(
         waiting, since_ns = 0, clock.monotonic_ns()
 
     try:
-        for (file, _), reply in _replies(work, todo, where):
-            if reply["status"] == ends.UNCHANGED:
-                rows.setdefault("tasks", []).append(known[file.shown, work.verb] | {"mark": file.mark})
-            else:
-                _add(rows, work, file, reply)
-            summary.ends[reply["status"]] += 1
-            summary.different += _is_different(reply)
-            waiting += 1
-            if waiting >= _FLUSH_FILES or clock.monotonic_ns() - since_ns > _FLUSH_S * NS_PER_S:
-                flush()
-            progress(summary)
+        with closing(_replies(work, todo, where)) as replies:
+            for (file, _), reply in replies:
+                if reply["status"] == ends.UNCHANGED:
+                    rows.setdefault("tasks", []).append(known[file.shown, work.verb] | {"mark": file.mark})
+                else:
+                    _add(rows, work, file, reply)
+                summary.ends[reply["status"]] += 1
+                summary.different += _is_different(reply)
+                waiting += 1
+                if waiting >= _FLUSH_FILES or clock.monotonic_ns() - since_ns > _FLUSH_S * NS_PER_S:
+                    flush()
+                progress(summary)
     finally:
         flush()
 
@@ -197,91 +193,87 @@ def _is_different(reply: Mapping[str, Any]) -> bool:
     )
 
 
-def _replies(
-    work: Work, todo: Sequence[tuple[Located, str]], where: Where
-) -> Iterator[tuple[tuple[Located, str], dict[str, Any]]]:
+def _replies(work: Work, todo: Sequence[Item], where: Where) -> Generator[tuple[Item, Reply], None, None]:
     """Yield each file with its reply, as they end."""
-    try:
-        import dask
-        from dask.distributed import as_completed
-    except ImportError as error:
-        raise Unavailable(extras.missing("dask", error)) from None
-    with dask.config.set(_SETTINGS), _client(where, min(where.workers, len(todo))) as client:
+    with _cluster(where) if where.scheduler else _here(min(where.workers, len(todo))) as do:
         again = []
-        futures = {}
-        for item, future in zip(todo, _submitted(client, work, todo), strict=True):
-            futures[future] = item
-        for future in as_completed(list(futures), raise_errors=False):
-            item = futures.pop(future)
-            reply = _reply(future, where)
+        for item, reply in do(work, todo):
             if reply["status"] == ends.KILLED:
                 again.append(item)
             else:
                 yield item, reply
-            future.release()
         # A worker that dies takes the blame for all that it had, and a program may be killed because the others took
         # the memory: each alone, only the guilty one fails again.
         for item in again:
-            [future] = _submitted(client, work, [item], "again")
-            list(as_completed([future], raise_errors=False))
-            yield item, _reply(future, where)
-
-
-def _submitted(client: Client, work: Work, todo: Sequence[tuple[Located, str]], turn: str = "") -> list[Future]:
-    requests = [
-        {
-            "name": file.name,
-            "size": file.size,
-            "verb": work.verb,
-            "settings": dict(work.settings),
-            "limits": list(work.limits),
-            "content": content,
-        }
-        for file, content in todo
-    ]
-    moment = str(SystemClock().utc_ns())  # Dask answers a key that it knows from memory
-    keys = [f"igtl-{work.verb}-{digest(file.name, file.mark, work.text, moment, turn)}" for file, _ in todo]
-    return list(client.map(run_task, requests, memory=work.memory, timeout_s=work.timeout_s, key=keys))
-
-
-def _error(future: Future, where: Where) -> BaseException | None:
-    if future.status in ("cancelled", "lost"):
-        raise Unavailable(f"{where.scheduler or 'Dask'}: the scheduler is gone; what is done is kept, run again")
-    return future.exception() if future.status == "error" else None
-
-
-def _reply(future: Future, where: Where) -> dict[str, Any]:
-    error = _error(future, where)
-    if error is None:
-        return dict(future.result())
-    killed = type(error).__name__ == "KilledWorker"
-    status = ends.KILLED if killed else ends.FAILED
-    text = "the worker of Dask died with this file" if killed else f"{type(error).__name__}: {error}"
-    return {"status": status, "error": text}
+            yield from do(work, [item])
 
 
 @contextmanager
-def _client(where: Where, workers: int) -> Iterator[Client]:
-    from dask.distributed import Client, LocalCluster, Security
+def _here(workers: int) -> Iterator[Do]:
+    """Context manager: threads of this process, of which each keeps a program of its own."""
+    pool = ThreadPoolExecutor(workers, thread_name_prefix="igtl-cohort")
 
-    if not where.scheduler:
-        # Threads: each keeps a program of its own (task.JobProgram), so Dask needs no process of its own.
-        with (
-            tempfile.TemporaryDirectory(prefix="igtl-gateway-") as scratch,
-            LocalCluster(
-                n_workers=1,
-                threads_per_worker=workers,
-                processes=False,
-                dashboard_address=_PAGES,
-                worker_dashboard_address=_PAGES,
-                local_directory=scratch,
-                memory_limit=0,
-                silence_logs=50,
-            ) as cluster,
-            Client(cluster) as client,
-        ):
-            yield client
-        return
+    def do(work: Work, todo: Sequence[Item]) -> Iterator[tuple[Item, Reply]]:
+        futures = {pool.submit(programs.run_task, _job(work, item), work.memory, work.timeout_s): item for item in todo}
+        for future in as_completed(list(futures)):
+            item, error = futures.pop(future), future.exception()  # no reply is kept
+            yield item, _failed(error) if error else future.result()
+
+    with Programs() as programs:
+        try:
+            yield do
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+    pool.shutdown()  # soon: the programs have ended
+
+
+@contextmanager
+def _cluster(where: Where) -> Iterator[Do]:
+    """Context manager: the workers of Dask behind a scheduler.  Raises Unavailable."""
+    try:
+        from dask import distributed
+    except ImportError as error:
+        raise Unavailable(extras.missing("dask", error)) from None
+
+    def do(work: Work, todo: Sequence[Item]) -> Iterator[tuple[Item, Reply]]:
+        moment = str(SystemClock().utc_ns())  # Dask answers a key that it knows from memory
+        keys = [f"igtl-{work.verb}-{digest(file.name, file.mark, work.text, moment)}" for file, _ in todo]
+        jobs = [_job(work, item) for item in todo]
+        found = client.map(run_task, jobs, memory=work.memory, timeout_s=work.timeout_s, key=keys)
+        futures = dict(zip(found, todo, strict=True))
+        for future in distributed.as_completed(found, raise_errors=False):
+            item = futures.pop(future)
+            if future.status in ("cancelled", "lost"):
+                raise Unavailable(f"{where.scheduler}: the scheduler is gone; what is done is kept, run again")
+            yield item, _failed(future.exception()) if future.status == "error" else dict(future.result())
+            future.release()
+
+    with _client(where) as client:
+        yield do
+
+
+def _job(work: Work, item: Item) -> dict[str, Any]:
+    file, content = item
+    return {
+        "name": file.name,
+        "size": file.size,
+        "verb": work.verb,
+        "settings": dict(work.settings),
+        "limits": list(work.limits),
+        "content": content,
+    }
+
+
+def _failed(error: BaseException) -> Reply:
+    if type(error).__name__ == "KilledWorker":
+        return {"status": ends.KILLED, "error": "the worker of Dask died with this file"}
+    return {"status": ends.FAILED, "error": f"{type(error).__name__}: {error}"}
+
+
+@contextmanager
+def _client(where: Where) -> Iterator[Client]:
+    from dask.distributed import Client, Security
+
     security = None
     if where.tls_ca:
         security = Security(

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import pyarrow as pa
@@ -31,19 +32,26 @@ def schema(table: str, provenance: Mapping[str, Any] | None = None) -> pa.Schema
 
 def arrow_table(name: str, rows: Sequence[Row]) -> pa.Table:
     """Return rows as a table; columns that a row does not have are null.  Text is valid UTF-8, and NaN is null."""
-    columns = TABLES[name]
-    arrays = [
-        pa.array([_value(row.get(column), kind) for row in rows], _TYPES[kind]) for column, kind in columns.items()
-    ]
+    arrays = []
+    for column, kind in TABLES[name].items():
+        values = [row.get(column) for row in rows]
+        if clean := _CLEAN.get(kind):
+            values = [None if value is None else clean(value) for value in values]
+        arrays.append(pa.array(values, _TYPES[kind]))
     return pa.Table.from_arrays(arrays, schema=schema(name))
 
 
-def _value(value: Any, kind: str) -> Any:
-    if kind == "text" and value is not None:
-        return str(value).encode("utf-8", "backslashreplace").decode()
-    if kind == "real" and value is not None:
-        return float(value) if value == value else None  # noqa: PLR0124  # NaN
-    return value
+def _text(value: object) -> str:
+    text = str(value)
+    return text if text.isascii() else text.encode("utf-8", "backslashreplace").decode()
+
+
+def _real(value: float) -> float | None:
+    return None if math.isnan(value) else float(value)
+
+
+#: What makes the values of a type fit.
+_CLEAN: Mapping[str, Callable[[Any], Any]] = {"text": _text, "real": _real}
 
 
 def joined(name: str, tables: Iterable[pa.Table]) -> pa.Table:

@@ -1,6 +1,7 @@
-"""One file as a task of Dask: done by a program beside the worker of Dask, with bounds of time and memory.
+"""One file as a task: done by a program of its own, with bounds of time and memory.
 
-A job that takes too long, or kills its program, is a result.  The program is kept for the next task of the thread.
+A job that takes too long, or kills its program, is a result.  The program is kept for the next task of the thread,
+which is one of ours or one of a worker of Dask.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import signal
 import sys
 import threading
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, Self
 
 from igtl_gateway.child import Child
 from igtl_gateway.clock import SystemClock
@@ -74,39 +75,76 @@ class JobProgram:
         return "".join(self._child.last_error_lines())
 
 
-_of_this_thread = threading.local()
+class Programs:
+    """The programs of the threads of a process: one for each, kept for its next task.
+
+    A context manager, which ends them; tasks that run meanwhile have the status ``killed``.
+    """
+
+    def __init__(self) -> None:
+        self._of_thread = threading.local()
+        self._lock = threading.Lock()
+        self._running: set[JobProgram] = set()
+        self._ended = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._ended = True
+            running = list(self._running)
+        for program in running:
+            program.end()
+
+    def run_task(self, job: Mapping[str, Any], memory: int, timeout_s: float) -> dict[str, Any]:
+        """Do a job; see the function `run_task`."""
+        clock = SystemClock()
+        start_ns = clock.monotonic_ns()
+        reply = self._reply(job, memory, timeout_s)
+        return reply | {"seconds": (clock.monotonic_ns() - start_ns) / NS_PER_S}
+
+    def _reply(self, job: Mapping[str, Any], memory: int, timeout_s: float) -> dict[str, Any]:
+        words = ""
+        for _ in range(TRIES):
+            program = self._program(memory)
+            if program is None:
+                return {"status": KILLED, "error": "the run was ended"}
+            try:
+                reply = program.ask(job, timeout_s)
+            except TimeoutError:
+                self._forget(program)
+                return {"status": TIMEOUT, "error": f"took more than {timeout_s:g} s (--timeout)"}
+            if reply is not None:
+                return reply
+            words = program.last_words()
+            self._forget(program)
+        return {"status": KILLED, "error": f"the worker ended {TRIES} times in this file{': ' * bool(words)}{words}"}
+
+    def _program(self, memory: int) -> JobProgram | None:
+        """The program of this thread, with this bound; None after the end."""
+        program: JobProgram | None = getattr(self._of_thread, "program", None)
+        if program is not None and program.memory != memory:
+            program.end()
+            self._forget(program)
+            program = None
+        with self._lock:
+            if self._ended:
+                return None
+            if program is None:
+                program = self._of_thread.program = JobProgram(memory)
+                self._running.add(program)
+        return program
+
+    def _forget(self, program: JobProgram) -> None:
+        self._of_thread.program = None
+        with self._lock:
+            self._running.discard(program)
+
+
+_of_this_process = Programs()
 
 
 def run_task(job: Mapping[str, Any], memory: int, timeout_s: float) -> dict[str, Any]:
     """Return the reply of ``jobs.run_job`` with ``seconds``; ``status`` may be ``timeout`` or ``killed``, too."""
-    clock = SystemClock()
-    start_ns = clock.monotonic_ns()
-    reply = _reply(job, memory, timeout_s)
-    return reply | {"seconds": (clock.monotonic_ns() - start_ns) / NS_PER_S}
-
-
-def _reply(job: Mapping[str, Any], memory: int, timeout_s: float) -> dict[str, Any]:
-    words = ""
-    for _ in range(TRIES):
-        program: JobProgram | None = getattr(_of_this_thread, "program", None)
-        if program is None or program.memory != memory:
-            end_program()
-            program = _of_this_thread.program = JobProgram(memory)
-        try:
-            reply = program.ask(job, timeout_s)
-        except TimeoutError:
-            _of_this_thread.program = None
-            return {"status": TIMEOUT, "error": f"took more than {timeout_s:g} s (--timeout)"}
-        if reply is not None:
-            return reply
-        words = program.last_words()
-        _of_this_thread.program = None
-    return {"status": KILLED, "error": f"the worker ended {TRIES} times in this file{': ' * bool(words)}{words}"}
-
-
-def end_program() -> None:
-    """End the program of this thread."""
-    program: JobProgram | None = getattr(_of_this_thread, "program", None)
-    if program is not None:
-        program.end()
-        _of_this_thread.program = None
+    return _of_this_process.run_task(job, memory, timeout_s)

@@ -11,8 +11,7 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("dask", reason='needs Dask: pip install "igtl-gateway[cohort]"')
-pytest.importorskip("distributed", reason='needs Dask: pip install "igtl-gateway[cohort]"')
+pytest.importorskip("pyarrow", reason='needs pyarrow: pip install "igtl-gateway[cohort]"')
 
 from igtl_gateway.cohort import running, task
 from igtl_gateway.cohort.columns import TABLES
@@ -57,7 +56,7 @@ def run(
 
 
 def in_this_process(work: Work, todo: Any, where: Where) -> Any:
-    """The replies without Dask and without programs, one after the other."""
+    """The replies without threads and programs, one after the other."""
     for file, content in todo:
         job = {
             "name": file.name,
@@ -97,7 +96,7 @@ def test_a_cohort_is_tables_and_a_second_run_does_nothing(
     assert "was cut off" in broken["error"]
 
     with monkeypatch.context() as patched:
-        patched.setattr(running, "_client", None)  # it would fail
+        patched.setattr(running, "_here", None)  # it would fail
         second = run(cohort, out)
     assert (second.before, second.done) == (12, 0)
 
