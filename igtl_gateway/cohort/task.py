@@ -1,7 +1,7 @@
 """One file as a task: done by a program of its own, with bounds of time and memory.
 
 A job that takes too long, or kills its program, is a result.  The program is kept for the next task of the thread,
-which is one of ours or one of a worker of Dask.
+of the caller or of a worker of Dask.
 """
 
 from __future__ import annotations
