@@ -186,16 +186,17 @@ def _pattern(cells: DepthCells, reach: float, window: float) -> tuple[float | No
     if applied is not None:
         inside, weight = applied
         bias = float((weight * wide.values(coefficients)[inside]).sum() - coefficients[0])
-    for place in _places(_PATTERN_RINGS, reach - 1.0):
-        applied = _weights_at(cells, place, weights, 1.0)
-        if applied is None:
-            continue
-        inside, weight = applied
+    places = [_weights_at(cells, place, weights, 1.0) for place in _places(_PATTERN_RINGS, reach - 1.0)]
+    fitted = [applied for applied in places if applied is not None]
+    functionals = [times(wide.columns[:, inside], weight) for inside, weight in fitted]
+    absorbed = wide.variances(np.stack(functionals), weights) if fitted else None
+    if absorbed is None:
+        return None, bias
+    for (inside, weight), lost in zip(fitted, absorbed.tolist(), strict=True):
         alone = float((weight**2 / cells.number[inside]).sum())
-        absorbed = wide.variance(times(wide.columns[:, inside], weight), weights)
-        if absorbed is not None and alone - absorbed > _MIN_LEFT * alone:
+        if alone - lost > _MIN_LEFT * alone:
             found.append(float((weight * left[inside]).sum()) ** 2)
-            expected.append(alone - absorbed)
+            expected.append(alone - lost)
     return (sum(found) / sum(expected) if len(found) >= _MIN_PLACES else None), bias
 
 

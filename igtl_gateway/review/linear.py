@@ -47,10 +47,13 @@ class Design:
         factor = self._factor(weights)
         return None if factor is None else weights * self.values(np.array(_solve(factor, functional.tolist())))
 
-    def variance(self, functional: Array, weights: Array) -> float | None:
-        """Return the variance of a linear functional (k,) of the solution, for values of variance 1 / weight."""
+    def variances(self, functionals: Array, weights: Array) -> Array | None:
+        """Return the (m,) variances of linear functionals (m, k) of the solution, for values of variance 1 / weight."""
         factor = self._factor(weights)
-        return None if factor is None else float((functional * _solve(factor, functional.tolist())).sum())
+        if factor is None:
+            return None
+        solved = np.stack(_solve(factor, list(functionals.T)))
+        return times(functionals, np.ascontiguousarray(solved.T))  # by rows: the order of the sum decides its bits
 
     def values(self, unknowns: Array) -> Array:
         """Return the (n,) values of the model."""
