@@ -24,7 +24,6 @@ from igtl_gateway.app.passage import BridgePassage, make_passage
 from igtl_gateway.app.recording import serve_recording
 from igtl_gateway.app.ros_log import NOTED, RosLog
 from igtl_gateway.app.timer import Timer
-from igtl_gateway.app.uploads import BridgeUploads
 from igtl_gateway.app.video import VideoCodecs
 from igtl_gateway.clock import Clock
 from igtl_gateway.config import Config
@@ -56,6 +55,7 @@ from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_MS
 
 if TYPE_CHECKING:
+    from igtl_gateway.app.uploads import BridgeUploads
     from igtl_gateway.record.recorder import Recorder
     from igtl_gateway.record.worker import RecordingSummary
 
@@ -293,6 +293,8 @@ class Bridge:
                     lock=self._passage.recorder_lock if self._passage else None,
                 )
                 if self.options.upload:
+                    from igtl_gateway.app.uploads import BridgeUploads  # its modules are a tenth of the start
+
                     self.uploads = BridgeUploads(
                         self.options.record, self.options.upload, self.options.upload_rate, self._on_edge_note
                     )

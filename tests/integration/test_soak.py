@@ -1,4 +1,4 @@
-"""``python -m tools.soak``: 20 s of it, and that its judgement would notice.
+"""``python -m tools.soak``: 10 s of it, and that its judgement would notice.
 
 The hour is in docs/soak.md.  This has a tenth of the mixed load, because every test shares two cores with others;
 clients connect more often than in the hour.  ``IGTL_GATEWAY_SOAK_S`` makes it longer or shorter.
@@ -25,7 +25,7 @@ from tools.soak_findings import Found, Settings
 from tools.soak_judge import judge, trend
 
 #: How long; half of it is waiting.
-SECONDS = float(os.environ.get("IGTL_GATEWAY_SOAK_S", "20"))
+SECONDS = float(os.environ.get("IGTL_GATEWAY_SOAK_S", "10"))
 SCALE = 0.1
 #: What memory may grow by, in the last two thirds of the time.
 GROWTH_MB = 20.0
