@@ -70,7 +70,7 @@ class Source:
         try:
             with limits_in_force(self.limits):
                 return self.decoder.decode(ros_type, data)
-        except DamagedRecording:
+        except (DamagedRecording, MemoryError):
             raise
         except Exception as error:  # rosbags raises many types of errors for untrusted bytes
             raise DamagedRecording(f"{ros_type}: cannot be decoded: {type(error).__name__}: {error}") from None

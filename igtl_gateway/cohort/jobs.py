@@ -45,6 +45,8 @@ _LONGEST = 2_000
 #: Bytes that are hashed at a time.
 _HASHED = 1 << 20
 _DAMAGED = RULES[0]
+#: What a task says whose program reaches its bound.
+TOO_LARGE = "needs more memory than a worker may have (--memory-mib)"
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +93,7 @@ def run_job(job: Mapping[str, Any]) -> dict[str, Any]:
                         del found[MOST_ROWS:]
                 reply["rows"] = rows
     except MemoryError:
-        status, error = MEMORY, "needs more memory than a worker may have (--memory)"
+        status, error = MEMORY, TOO_LARGE
     except BeingRecorded as problem:
         status, error = GROWING, str(problem)
     except DamagedRecording as problem:
@@ -107,7 +109,10 @@ def run_job(job: Mapping[str, Any]) -> dict[str, Any]:
     except OSError as problem:  # of a disk or a network
         status, error = UNREACHABLE, str(problem)
     except Exception as problem:  # one file must not end the cohort; the type leads to the defect
-        status, error = FAILED, f"{type(problem).__name__}: {problem}"
+        if isinstance(problem, RuntimeError) and "start new thread" in str(problem):  # no memory for its stack
+            status, error = MEMORY, TOO_LARGE
+        else:
+            status, error = FAILED, f"{type(problem).__name__}: {problem}"
     return reply | {"status": status, "error": error[:_LONGEST]}
 
 

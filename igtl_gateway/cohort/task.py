@@ -17,7 +17,7 @@ from typing import Any, Self
 
 from igtl_gateway.child import Child
 from igtl_gateway.clock import SystemClock
-from igtl_gateway.cohort.ends import KILLED, TIMEOUT
+from igtl_gateway.cohort.ends import KILLED, MEMORY, TIMEOUT
 from igtl_gateway.stamp import NS_PER_S
 
 #: How often a job is tried again whose program was killed: another process may have been the cause.
@@ -116,6 +116,9 @@ class Programs:
                 self._forget(program)
                 return {"status": TIMEOUT, "error": f"took more than {timeout_s:g} s (--timeout)"}
             if reply is not None:
+                if reply["status"] == MEMORY:  # the next file begins with all of it
+                    program.end()
+                    self._forget(program)
                 return reply
             words = program.last_words()
             self._forget(program)

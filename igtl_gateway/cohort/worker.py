@@ -12,7 +12,8 @@ import resource
 import sys
 from contextlib import suppress
 
-from igtl_gateway.cohort.jobs import run_job
+from igtl_gateway.cohort.ends import MEMORY
+from igtl_gateway.cohort.jobs import TOO_LARGE, run_job
 
 
 def main() -> None:
@@ -28,9 +29,7 @@ def main() -> None:
             try:
                 text = json.dumps(run_job(json.loads(line)))
             except MemoryError:
-                text = json.dumps(
-                    {"status": "memory", "error": "the rows need more memory than a worker may have (--memory)"}
-                )
+                text = json.dumps({"status": MEMORY, "error": TOO_LARGE})
             replies.write(f"{text}\n")
             replies.flush()
 

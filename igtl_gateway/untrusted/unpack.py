@@ -20,6 +20,8 @@ from igtl_gateway.untrusted import limits
 Packing = Literal["bz2", "lz4", "zstd", ""]
 
 _COPY_BYTES = 1 << 20
+#: What zstd says if this machine has too little memory.
+_NO_MEMORY = "Allocation error : not enough memory"
 
 
 class PackedDataError(ValueError):
@@ -29,12 +31,14 @@ class PackedDataError(ValueError):
 def unpack(packing: Packing, packed: bytes, size: int) -> bytes:
     """Unpack exactly ``size`` bytes, and allocate no more.  It checks no limits, so any thread can call it.
 
-    Raises PackedDataError.
+    Raises PackedDataError; MemoryError if this machine, or the bound of the process, has less: the data may be good.
     """
     try:
         declared = declared_size(packing, packed)
         found = b"" if declared > size else _at_most(packing, packed, size + 1, is_declared=0 < declared == size)
-    except (OSError, ValueError, EOFError, RuntimeError, MemoryError, zstandard.ZstdError) as error:
+    except (OSError, ValueError, EOFError, RuntimeError, zstandard.ZstdError) as error:
+        if _NO_MEMORY in str(error):
+            raise MemoryError from None
         raise PackedDataError(f"found {packing} data that cannot be unpacked: {error}") from None
     if declared > size or len(found) > size:
         raise PackedDataError(f"found more than {size} unpacked bytes, expected {size}")

@@ -177,6 +177,14 @@ def test_a_file_that_takes_too_long_is_a_row(cohort: Path, tmp_path: Path) -> No
     assert dict(again.ends) == {"ok": 1}
 
 
+def test_a_file_that_is_too_large_is_a_row(cohort: Path, tmp_path: Path) -> None:
+    star = cohort / "star.mcap"
+    shutil.copy(FIXTURES / "star.mcap", star)
+    run(star, tmp_path / "out", "review", workers=1, memory=16 << 20)
+    [row] = rows(tmp_path / "out")["tasks"]
+    assert (row["status"], row["error"]) == ("memory", "needs more memory than a worker may have (--memory-mib)")
+
+
 def test_two_runs_into_one_folder_are_refused(cohort: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     with Results(out).locked(), pytest.raises(GatewayError, match="another run is writing to it"):

@@ -74,3 +74,15 @@ def test_files_of_zstd() -> None:
     assert len(out.getvalue()) <= MIB
     with pytest.raises(DamagedRecording, match=r"bag\.db3\.zstd"):
         unpack.unpack_zstd_file(io.BytesIO(b"\0" * 100), io.BytesIO(), 100, MIB, "bag.db3.zstd")
+
+
+@pytest.mark.parametrize(
+    "error", [MemoryError(), zstandard.ZstdError("decompression error: Allocation error : not enough memory")]
+)
+def test_too_little_memory_is_no_damage(monkeypatch: pytest.MonkeyPatch, error: Exception) -> None:
+    def fail(*_: object, **__: object) -> bytes:
+        raise error
+
+    monkeypatch.setattr(unpack, "_at_most", fail)
+    with pytest.raises(MemoryError):
+        unpacked("lz4", lz4.frame.compress(bytes(100)), 100, "here")
