@@ -45,7 +45,7 @@ _LONGEST = 2_000
 #: Bytes that are hashed at a time.
 _HASHED = 1 << 20
 _DAMAGED = RULES[0]
-#: What a task says whose program reaches its bound.
+#: What a task reports whose program reaches its bound.
 TOO_LARGE = "needs more memory than a worker may have (--memory-mib)"
 
 

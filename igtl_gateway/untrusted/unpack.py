@@ -20,7 +20,7 @@ from igtl_gateway.untrusted import limits
 Packing = Literal["bz2", "lz4", "zstd", ""]
 
 _COPY_BYTES = 1 << 20
-#: What zstd says if this machine has too little memory.
+#: What zstd reports if this machine has too little memory.
 _NO_MEMORY = "Allocation error : not enough memory"
 
 
