@@ -70,8 +70,9 @@ def run_job(job: Mapping[str, Any]) -> dict[str, Any]:
     """Do the job of one file.  Never raises for what is in the file.
 
     Args:
-        job: ``name`` of the file, ``size``, ``verb``, ``settings``, ``limits`` (words of ``--limit``), and
-            ``content``, the SHA-256 of the file at the last time, ``""`` if unknown.
+        job: ``name`` of the file, ``size``, ``e_tag`` of an object, ``verb``, ``settings``,
+            ``limits`` (words of ``--limit``), and ``content``, the SHA-256 of the file at the last time, ``""`` if
+            unknown.
 
     Returns:
         ``status`` with ``error``; ``content``; ``rows`` by table; ``requests`` and ``bytes_read`` of an object store.
@@ -85,7 +86,7 @@ def run_job(job: Mapping[str, Any]) -> dict[str, Any]:
                 reply["content"] = content_of(Path(job["name"]))
                 if job["content"] and reply["content"] == job["content"]:
                     return reply | {"status": UNCHANGED}
-            with _opened(job["name"], int(job["size"]), reply) as file:
+            with _opened(job, reply) as file:
                 rows = verb.work(file, job["settings"])
                 for table, found in rows.items():
                     if len(found) > MOST_ROWS:
@@ -126,12 +127,13 @@ def content_of(path: Path) -> str:
 
 
 @contextmanager
-def _opened(name: str, size: int, reply: dict[str, Any]) -> Iterator[SessionFile]:
+def _opened(job: Mapping[str, Any], reply: dict[str, Any]) -> Iterator[SessionFile]:
+    name = job["name"]
     if not is_url(name):
         with SessionFile.open(Path(name)) as file:
             yield file
         return
-    raw = ObjectFile(name, size)
+    raw = ObjectFile(name, int(job["size"]), job["e_tag"])
     try:
         with io.BufferedReader(raw, BLOCK) as stream:
             yield SessionFile(Path(name), stream)

@@ -10,15 +10,18 @@ import io
 import re
 from collections import OrderedDict
 from collections.abc import Iterator, Mapping
+from datetime import timedelta
 from pathlib import PurePosixPath
 from typing import Any
 
 from igtl_gateway import extras
-from igtl_gateway.errors import DamagedRecording, Unavailable
+from igtl_gateway.errors import ConfigError, Unavailable
 
 #: Bytes of one request for small reads, and how many of these blocks are kept.
 BLOCK = 64 << 10
 _KEPT = 64
+#: How often and how long a request is tried again, each for 30 s at most (``AWS_TIMEOUT`` …).
+RETRY: Any = {"max_retries": 4, "retry_timeout": timedelta(seconds=60)}
 _URL = re.compile(r"(?P<root>(?P<scheme>[a-zA-Z][a-zA-Z0-9+.-]*)://[^/]*)/?(?P<name>.*)", re.DOTALL)
 _WILD = re.compile(r"[*?\[]")
 
@@ -39,9 +42,13 @@ def list_objects(url: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
         url: of an object; of a "folder", whose objects ``*.mcap`` are the sessions; or with ``*``, ``?`` and ``[…]``,
             of which ``*`` matches any characters.
 
-    Raises Unreachable, Unavailable.
+    Raises Unreachable, Unavailable; ConfigError for a URL with a password, which would stand in the tables.
     """
     root, name = _parts(url)
+    if "@" in root:
+        raise ConfigError(
+            f"source {url.partition(':')[0]}://…: found a user in the URL, expected credentials in the environment"
+        )
     store = _store(root)
     wild = _WILD.search(name)
     prefix = name[: wild.start()].rpartition("/")[0] if wild else name.rstrip("/")
@@ -72,12 +79,12 @@ class ObjectFile(io.RawIOBase):
     Attributes:
         requests, bytes_read: what was requested so far.
 
-    Reads raise Unreachable, or DamagedRecording if the object is shorter than ``size``.
+    Reads raise Unreachable, also if the object has changed: its bytes are those of one version, or none.
     """
 
-    def __init__(self, url: str, size: int) -> None:
+    def __init__(self, url: str, size: int, e_tag: str = "") -> None:
         root, self._name = _parts(url)
-        self._store, self._url, self._size = _store(root), url, size
+        self._store, self._url, self._size, self._tag = _store(root), url, size, e_tag
         self._at = self.requests = self.bytes_read = 0
         self._blocks: OrderedDict[int, bytes] = OrderedDict()
 
@@ -121,15 +128,25 @@ class ObjectFile(io.RawIOBase):
     def _range(self, start: int, count: int) -> bytes:
         import obstore
 
+        options: dict[str, Any] = {"range": (start, start + count)}
+        if self._tag:
+            options["if_match"] = self._tag
         try:
-            data = bytes(obstore.get_range(self._store, self._name, start=start, length=count))
+            found = obstore.get(self._store, self._name, options=options)
+            facts, data = found.meta, bytes(found.bytes())
         except Exception as error:
-            raise Unreachable(f"{self._url}: {_reason(error)}") from None
+            changed = type(error).__name__ == "PreconditionError"
+            raise self._changed() if changed else Unreachable(f"{self._url}: {_reason(error)}") from None
+        if facts["size"] != self._size or (self._tag and facts.get("e_tag") != self._tag):
+            raise self._changed()
         self.requests += 1
         self.bytes_read += len(data)
         if len(data) != count:
-            raise DamagedRecording(f"{self._url}: found {len(data)} bytes at {start}, expected {count}")
+            raise Unreachable(f"{self._url}: found {len(data)} bytes at {start}, expected {count}; run again")
         return data
+
+    def _changed(self) -> Unreachable:
+        return Unreachable(f"{self._url}: found another object than at the beginning of the run; run again")
 
 
 def _parts(url: str) -> tuple[str, str]:
@@ -145,7 +162,7 @@ def _store(root: str) -> Any:
     except ImportError as error:
         raise Unavailable(extras.missing("obstore", error)) from None
     try:
-        return from_url(root)
+        return from_url(root, retry_config=RETRY)
     except Exception as error:
         raise Unreachable(f"{root}: {_reason(error)}") from None
 

@@ -257,6 +257,7 @@ def _job(work: Work, item: Item) -> dict[str, Any]:
     return {
         "name": file.name,
         "size": file.size,
+        "e_tag": file.e_tag,
         "verb": work.verb,
         "settings": dict(work.settings),
         "limits": list(work.limits),

@@ -23,11 +23,13 @@ class Located:
         size: bytes.
         mark: changes when the file does: of a local file size, time of its last change and inode; of an object the
             entity tag, which stands for the content, with the version and the size.
+        e_tag: of an object that has one.
     """
 
     name: str
     size: int
     mark: str
+    e_tag: str = ""
 
     @property
     def shown(self) -> str:
@@ -59,7 +61,7 @@ def _of_url(url: str) -> Iterator[Located]:
     for name, facts in list_objects(url):
         size = int(facts["size"])
         tag = facts.get("e_tag") or f"modified {facts.get('last_modified')}"
-        yield Located(name, size, f"{tag} {facts.get('version') or ''} {size}")
+        yield Located(name, size, f"{tag} {facts.get('version') or ''} {size}", str(facts.get("e_tag") or ""))
 
 
 def _local(source: str) -> Iterator[Located]:

@@ -61,6 +61,7 @@ def in_this_process(work: Work, todo: Any, where: Where) -> Any:
         job = {
             "name": file.name,
             "size": file.size,
+            "e_tag": "",
             "verb": work.verb,
             "settings": {},
             "limits": [],
