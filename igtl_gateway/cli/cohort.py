@@ -16,6 +16,7 @@ from igtl_gateway.cli.outputs import check_target, written
 from igtl_gateway.cli.terminal import aligned, print_json, print_line
 from igtl_gateway.cohort.ends import VERB_NAMES
 from igtl_gateway.errors import ConfigError, Unavailable
+from igtl_gateway.sessionfile.new_file import write_text
 from igtl_gateway.sync.defaults import MAX_LAG_S
 
 EXAMPLES = """\
@@ -129,7 +130,7 @@ def _run_report(options: argparse.Namespace) -> int:
 
     check_target(options.html, overwrite=options.overwrite)
     with asking(options.out) as questions, written(options.html) as path:
-        path.write_text(page(questions, str(options.out)), encoding="utf-8")
+        write_text(path, page(questions, str(options.out)))
     if options.json:
         print_json({"out": str(options.out), "html": str(options.html)})
     else:

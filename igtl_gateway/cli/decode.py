@@ -13,6 +13,7 @@ from igtl_gateway.buffers import Buffer
 from igtl_gateway.cli.options import default
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.errors import ConfigError, MessageTooLarge, RecordingError, WireError
+from igtl_gateway.sessionfile.new_file import open_new
 from igtl_gateway.untrusted.files import is_same, obstacle
 from igtl_gateway.wire import decode, describe, encode
 from igtl_gateway.wire.framer import DEFAULT_MAX_BODY, Framer
@@ -69,17 +70,17 @@ def _source(name: str) -> BufferedReader[FileIO]:
         raise ConfigError(f"{name}: {_reason(error)}") from None
 
 
-def _target(path: Path, source: BufferedReader[FileIO]) -> BufferedWriter[FileIO]:
+def _target(path: Path, source: BufferedReader[FileIO]) -> BufferedWriter:
     """Open the output, empty.  Raises ConfigError if it is the input, RecordingError if it cannot be written."""
     if is_same(path, Path(f"/dev/fd/{source.fileno()}")):
         raise ConfigError(f"--reencode: found {path}, which is the input, expected another file")
     try:
-        return BufferedWriter(FileIO(path, "w"))
+        return open_new(path, "wb")
     except (OSError, ValueError) as error:
         raise RecordingError(f"cannot write to {path}: {obstacle(path, error)}") from None
 
 
-def _decode(options: argparse.Namespace, source: BufferedReader[FileIO], target: BufferedWriter[FileIO] | None) -> int:
+def _decode(options: argparse.Namespace, source: BufferedReader[FileIO], target: BufferedWriter | None) -> int:
     damaged = foreign = 0
     framer = Framer(options.max_body)
     offset = 0
@@ -123,7 +124,7 @@ def _messages(name: str, source: BufferedReader[FileIO], framer: Framer) -> Iter
             return
 
 
-def _write(path: Path, target: BufferedWriter[FileIO], parts: Iterable[Buffer]) -> None:
+def _write(path: Path, target: BufferedWriter, parts: Iterable[Buffer]) -> None:
     try:
         target.writelines(parts)
         target.flush()

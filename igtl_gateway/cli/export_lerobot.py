@@ -11,6 +11,7 @@ from igtl_gateway.cli.common import count_text
 from igtl_gateway.cli.outputs import check_target, write_error, written
 from igtl_gateway.cli.terminal import aligned, print_json, print_line
 from igtl_gateway.errors import ConfigError, GatewayError
+from igtl_gateway.sessionfile.new_file import write_text
 
 LEROBOT = "lerobot"
 LEROBOT_TEXT = "a training set by a recipe: streams at one rate, video, Parquet"
@@ -61,7 +62,7 @@ def _write_recipe(options: argparse.Namespace) -> int:
     with recordings.open(options.file) as recording:
         text = draft(recording)
     with written(options.write_recipe) as path:
-        path.write_text(text, encoding="utf-8")
+        write_text(path, text)
     if options.json:
         print_json({"file": str(options.file), "to": LEROBOT, "recipe": str(options.write_recipe)})
     else:

@@ -18,6 +18,7 @@ from igtl_gateway.cli.sync import stream_named
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.convert.names import topic_token
 from igtl_gateway.errors import ConfigError, GatewayError
+from igtl_gateway.sessionfile.new_file import open_new
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.sync.defaults import MAX_LAG_S
@@ -147,7 +148,7 @@ def _measured(sources: list[Source], options: argparse.Namespace) -> ClockOffset
 def _extract(options: argparse.Namespace) -> int:
     if len(options.files) != 1 or options.offset or options.sync:
         raise ConfigError("--extract: expected one merged session, and neither --offset nor --sync")
-    with SessionFile.open(options.files[0]) as file, written(options.output) as path, path.open("wb") as out:
+    with SessionFile.open(options.files[0]) as file, written(options.output) as path, open_new(path, "wb") as out:
         file.extract(options.extract, out)
     size = options.output.stat().st_size
     if options.json:

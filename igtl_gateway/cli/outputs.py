@@ -9,6 +9,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from igtl_gateway.errors import ConfigError, GatewayError
+from igtl_gateway.sessionfile.new_file import empty_file
 
 
 def check_target(path: Path, *, overwrite: bool) -> None:
@@ -35,7 +36,7 @@ def written(path: Path) -> Iterator[Path]:
     """
     partial = path.with_name(f".igtl-gateway-{os.getpid()}.part{path.suffix if path.suffix.isascii() else ''}")
     try:
-        partial.open("xb").close()
+        empty_file(partial, "xb")
     except OSError as error:
         raise write_error(path, error) from None
     try:

@@ -13,7 +13,7 @@ from igtl_gateway.cli.options import add_file, add_json, add_overwrite, default
 from igtl_gateway.cli.terminal import clear_live_line, is_terminal, live_line, print_json, print_line
 from igtl_gateway.errors import ConfigError, RecordingError, UnsupportedRecording
 from igtl_gateway.sessionfile.copying import CopyWriter
-from igtl_gateway.sessionfile.new_file import os_error_text
+from igtl_gateway.sessionfile.new_file import make_folder, os_error_text
 from igtl_gateway.sessionfile.salvage import Salvage
 from igtl_gateway.sessionfile.salvage_report import Loss, SalvageReport
 from igtl_gateway.sessionfile.side_file import SIDE_FILE, RecordingPart, write_side_file
@@ -68,7 +68,7 @@ def _run_parts(options: argparse.Namespace) -> int:
     if not parts:
         raise UnsupportedRecording(f"{source}: found a directory without .mcap files, expected a split recording")
     try:
-        output.mkdir(exist_ok=options.overwrite)
+        make_folder(output, exist_ok=options.overwrite)
     except OSError as error:
         raise RecordingError(f"cannot record to {output}: {error.strerror}") from None
     everything = []

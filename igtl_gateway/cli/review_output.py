@@ -17,6 +17,7 @@ from igtl_gateway.cli.common import count_text
 from igtl_gateway.cli.terminal import cell, is_terminal, print_line, width
 from igtl_gateway.errors import GatewayError
 from igtl_gateway.review import EndReview, Level, PlanReview, Review, StitchReview
+from igtl_gateway.sessionfile.new_file import open_text
 
 _COLOURS = {Level.OK: "32", Level.LOOK: "33", Level.WRONG: "1;31"}
 _MARKS = {Level.OK: " ", Level.LOOK: "?", Level.WRONG: "!"}
@@ -84,7 +85,7 @@ _END_COLUMNS = (
 
 def write_csv(path: Path, review: Review, overwrite: bool) -> None:
     try:
-        with path.open("w" if overwrite else "x", newline="", encoding="utf-8") as out:
+        with open_text(path, "w" if overwrite else "x", newline="") as out:
             rows = list(_csv_rows(review))
             writer = csv.DictWriter(out, list(rows[0]))
             writer.writeheader()

@@ -20,6 +20,7 @@ from igtl_gateway.cli.options import add_file, add_json, add_overwrite, default
 from igtl_gateway.cli.outputs import check_target, written
 from igtl_gateway.cli.terminal import aligned, print_json, print_line
 from igtl_gateway.errors import ConfigError, GatewayError
+from igtl_gateway.sessionfile.new_file import write_text
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.sync.correction import StampCorrection
 from igtl_gateway.sync.defaults import CUT_OFF_HZ, MAX_LAG_S
@@ -96,7 +97,7 @@ def run(options: argparse.Namespace) -> int:
 
         chart = lag_chart(fixed, lags)
         with written(options.plot) as path:
-            path.write_text(chart, encoding="utf-8")
+            write_text(path, chart)
     if options.json:
         print_json({"file": str(options.file), "fixed": fixed.name, "lags": [lag_facts(*each) for each in lags]})
     else:

@@ -30,6 +30,7 @@ from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.replay.source import through_gateway
 from igtl_gateway.review import Material, review_of
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile.new_file import write_bytes
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.sync.curves import lag_text
@@ -320,7 +321,7 @@ def _picture(options: argparse.Namespace, recording: Path, out: Path, view: Sess
         at = view.seen.first_ns + round(min(options.at, view.seen.seconds) * NS_PER_S)
     (shot,) = take_shots(recording, [at])
     try:
-        out.write_bytes(shot.png)
+        write_bytes(out, shot.png)
     except OSError as error:
         raise write_error(options.screenshot, error) from None
     for complaint in shot.complaints:

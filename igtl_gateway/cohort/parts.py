@@ -15,7 +15,9 @@ from igtl_gateway.untrusted.text import parse_json
 MANIFEST = "cohort.json"
 #: Folder of the parts.
 PARTS = "parts"
-_NAME = re.compile(r"\d{6,}")
+_NAME = re.compile(r"\d{6,20}")
+#: A run joins its parts at its end: these are of one that made 20,000, each with the files of some seconds.
+_MOST = 20_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +49,8 @@ def parts_of(folder: Path) -> Parts:
     names = found.get("parts")
     if not isinstance(names, list) or not all(isinstance(each, str) and _NAME.fullmatch(each) for each in names):
         raise ConfigError(f"{manifest}: found parts {names!r}, expected a list of numbers")
+    if len(names) > _MOST:
+        raise ConfigError(f"{manifest}: found {len(names):,} parts, expected at most {_MOST:,}")
     return Parts(names, joined=found.get("joined") is True and len(names) == 1)
 
 

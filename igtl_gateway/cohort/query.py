@@ -17,6 +17,7 @@ from igtl_gateway.cohort.ends import VERB_NAMES
 from igtl_gateway.cohort.loading import Tables, reason
 from igtl_gateway.cohort.parts import MANIFEST
 from igtl_gateway.errors import ConfigError, GatewayError, Unavailable
+from igtl_gateway.sessionfile.new_file import open_new
 
 if TYPE_CHECKING:
     import pyarrow
@@ -187,9 +188,10 @@ def write_answer(answer: pyarrow.Table, path: Path, *, parquet: bool) -> None:
     from pyarrow import parquet as files
 
     try:
-        if parquet:
-            files.write_table(answer, path)
-        else:
-            csv.write_csv(answer, path)
+        with open_new(path, "wb") as out:
+            if parquet:
+                files.write_table(answer, out)
+            else:
+                csv.write_csv(answer, out)
     except pyarrow.ArrowException as error:
         raise GatewayError(f"query: cannot write the answer: {str(error).partition(chr(10))[0]}") from None

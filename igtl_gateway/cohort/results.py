@@ -24,6 +24,7 @@ from igtl_gateway.cohort.columns import SCHEMA_VERSION, TABLES, Row
 from igtl_gateway.cohort.parts import MANIFEST, PARTS, Parts, files_of, parts_of, unreadable
 from igtl_gateway.cohort.tables import PROVENANCE, arrow_table, joined, schema
 from igtl_gateway.errors import ConfigError, GatewayError
+from igtl_gateway.sessionfile.new_file import make_folder, open_new, open_text
 from igtl_gateway.untrusted import files
 from igtl_gateway.untrusted.text import parse_json
 
@@ -61,8 +62,10 @@ class Results:
     def locked(self) -> Iterator[None]:
         """Context manager: no other program writes.  Raises GatewayError if another does, or nothing can be written."""
         with self._writing():
-            (self.folder / PARTS).mkdir(parents=True, exist_ok=True)
-            lock = open(self.folder / _LOCK, "a")  # closed below
+            make_folder(self.folder / PARTS, parents=True, exist_ok=True)
+            if found := files.obstacle(self.folder / _LOCK):
+                raise GatewayError(f"cannot write to {self.folder / _LOCK}: {found}")
+            lock = open_new(self.folder / _LOCK, "ab")  # closed below
         with lock:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -119,9 +122,9 @@ class Results:
         with self._writing():
             shutil.rmtree(partial, ignore_errors=True)
             shutil.rmtree(folder, ignore_errors=True)
-            partial.mkdir()
+            make_folder(partial)
             for table, content in tables.items():
-                with open(partial / f"{table}.parquet", "wb") as file:
+                with open_new(partial / f"{table}.parquet") as file:
                     pq.write_table(content.cast(schema(table, {"runs": list(runs)})), file, compression="zstd")
                     os.fsync(file.fileno())
             os.replace(partial, folder)
@@ -130,7 +133,7 @@ class Results:
     def _list(self, parts: Parts) -> None:
         partial = self.folder / f".{MANIFEST}.part"
         with self._writing():
-            with open(partial, "w", encoding="utf-8") as file:
+            with open_text(partial, "w") as file:
                 facts = {"schema_version": SCHEMA_VERSION, "parts": parts.names, "joined": parts.joined}
                 json.dump(facts, file)
                 file.flush()

@@ -38,6 +38,7 @@ from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.sessionfile import layout
+from igtl_gateway.sessionfile.new_file import empty_file
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.seal_check import UNSEALED
 from igtl_gateway.sessionfile.writer import SessionWriter
@@ -78,7 +79,7 @@ def deidentify(
         raise ConfigError(f"{out}: exists already, expected a new file or --overwrite")
     partial = out.with_name(f".igtl-gateway-{os.getpid()}.part.mcap")
     try:
-        os.close(os.open(partial, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o600))
+        empty_file(partial, "xb")
     except OSError as error:
         raise GatewayError(f"cannot write to {out}: {error.strerror}") from None
     try:

@@ -32,6 +32,7 @@ from igtl_gateway.exchange.columns import (
 from igtl_gateway.exchange.folder import FileNames, Folder, failure_text, new_folder
 from igtl_gateway.exchange.recording import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile.new_file import open_text
 from igtl_gateway.untrusted.decoding import MessageDecoder
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.registry import describe_content
@@ -138,7 +139,7 @@ class _Table:
         try:
             with (
                 self._path.open(encoding="utf-8", newline="") as old,
-                whole.open("x", encoding="utf-8", newline="") as new,
+                open_text(whole, newline="") as new,
             ):
                 rows, writer = csv.reader(old), csv.writer(new)
                 next(rows)

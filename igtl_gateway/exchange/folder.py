@@ -13,6 +13,7 @@ from igtl_gateway.errors import GatewayError, UnsupportedRecording
 from igtl_gateway.exchange.account import ExportAccount
 from igtl_gateway.exchange.recording import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile.new_file import make_folder, open_new
 
 #: Characters of a stream's name that a file name can contain.
 _MAX_NAME = 100
@@ -28,7 +29,7 @@ class Folder:
     def create(self, name: str) -> BinaryIO:
         """Create a file and return it, open for writing.  Raises OSError."""
         path = self.path / name
-        stream = path.open("xb")
+        stream = open_new(path)
         self._created.append(path)
         return stream
 
@@ -48,7 +49,7 @@ def new_folder(path: Path, account: ExportAccount) -> Iterator[Folder]:
     """
     is_new = not path.exists()
     try:
-        path.mkdir(exist_ok=True)
+        make_folder(path, exist_ok=True)
         filled = any(path.iterdir())
     except OSError as error:
         raise GatewayError(f"cannot write to {path}: {error.strerror}") from None

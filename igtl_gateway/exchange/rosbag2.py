@@ -27,6 +27,7 @@ from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.sessionfile import layout
 from igtl_gateway.sessionfile.index import read_index, recover_hint
+from igtl_gateway.sessionfile.new_file import open_new
 from igtl_gateway.sessionfile.order import message_rows
 from igtl_gateway.sessionfile.records import Malformed
 from igtl_gateway.untrusted import files, limits
@@ -96,7 +97,7 @@ class Rosbag2(NonRosSource):
         # the file is on disk, so the limit of memory does not apply
         allowed = min(max(bounds.free, bounds.ratio * size), shutil.disk_usage(self._unpacked.name).free // 2)
         try:
-            with files.open_file(path) as packed, plain.open("wb") as out:
+            with files.open_file(path) as packed, open_new(plain) as out:
                 unpack_zstd_file(packed, out, size, allowed, str(path))
         except OSError as error:
             raise DamagedRecording(f"{path}: cannot be decompressed: {error.strerror or error}") from None

@@ -22,6 +22,7 @@ from igtl_gateway.exchange.placement import ImagePlacement
 from igtl_gateway.exchange.recording import Recording
 from igtl_gateway.exchange.sequence import EPOCH_FIELD
 from igtl_gateway.exchange.sequence_frames import IDENTITY, SequenceFrame, SequenceFrames
+from igtl_gateway.sessionfile.new_file import open_new
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire.image import BIG_ENDIAN, SCALARS, Image
 
@@ -44,7 +45,7 @@ def export_sequence(recording: Recording, out: Path, globs: Sequence[str]) -> Ex
     first, moving = sequence.first, len(survey.matrices) > 1
     place = ImagePlacement.of_image(first) if first and not moving else None
     epoch = f"{EPOCH_FIELD} = {epoch_ns}"
-    with out.open("xb") as stream, _removed_on_error(out):
+    with open_new(out) as stream, _removed_on_error(out):
         text = "\n".join(metaimage_header(first, place, survey.frames, recording.session, epoch)) + "\n"
         size_at = text.index(SIZE_KEY) + len(SIZE_KEY)
         stream.write(text.encode("ascii", "replace"))

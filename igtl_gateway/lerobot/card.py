@@ -8,6 +8,7 @@ from pathlib import Path
 from igtl_gateway import __version__
 from igtl_gateway.lerobot.frames import Plan
 from igtl_gateway.lerobot.streams import Facts
+from igtl_gateway.sessionfile.new_file import write_text
 from igtl_gateway.sync.lag import Lag, Verdict
 from igtl_gateway.untrusted.text import printable
 
@@ -28,8 +29,8 @@ _OVERVIEW = ("data_type", "license", "version")
 def write_card(plan: Plan, meta: Path, streams: list[Facts]) -> None:
     """Write both files of the card."""
     synchronization = list(_synchronization(plan, streams))
-    (meta / "SYNCHRONIZATION.md").write_text("\n".join(synchronization) + "\n", encoding="utf-8")
-    (meta / "README.md").write_text("\n".join(_readme(plan, streams)) + "\n", encoding="utf-8")
+    write_text(meta / "SYNCHRONIZATION.md", "\n".join(synchronization) + "\n")
+    write_text(meta / "README.md", "\n".join(_readme(plan, streams)) + "\n")
 
 
 def _cell(text: str) -> str:

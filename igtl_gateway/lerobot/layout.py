@@ -15,6 +15,7 @@ from pyarrow import parquet
 from igtl_gateway.lerobot.episodes import TOLERANCE_S
 from igtl_gateway.lerobot.stats import QUANTILES, Stats
 from igtl_gateway.lerobot.video import VideoFile
+from igtl_gateway.sessionfile.new_file import make_folder, open_new, write_text
 
 CHUNK = 1000
 DATA_MB, VIDEO_MB = 100, 200
@@ -76,12 +77,13 @@ def float32_horizon_s() -> float:
 
 def write_json(path: Path, value: Any) -> None:
     """Write an indented JSON file."""
-    path.write_text(json.dumps(value, indent=4, ensure_ascii=False) + "\n", encoding="utf-8")
+    write_text(path, json.dumps(value, indent=4, ensure_ascii=False) + "\n")
 
 
 def _write_table(path: Path, table: pa.Table) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    parquet.write_table(table, path, compression="snappy")
+    make_folder(path.parent, parents=True, exist_ok=True)
+    with open_new(path) as file:
+        parquet.write_table(table, file, compression="snappy")
 
 
 def _info(version: str, facts: Facts, episodes: int, frames: int, more: Mapping[str, Any]) -> dict[str, Any]:
@@ -136,7 +138,7 @@ class _Version21:
         tasks = [{"task_index": number, "task": text} for number, text in enumerate(self.facts.tasks)]
         for name, rows in (("tasks", tasks), ("episodes", self.episodes), ("episodes_stats", self.stats)):
             lines = "".join(json.dumps(row, ensure_ascii=False) + "\n" for row in rows)
-            (meta / f"{name}.jsonl").write_text(lines, encoding="utf-8")
+            write_text(meta / f"{name}.jsonl", lines)
 
 
 @dataclass

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from igtl_gateway.edges.video.worker import THREADS, import_av
 from igtl_gateway.errors import DamagedRecording, Unavailable
+from igtl_gateway.sessionfile.new_file import empty_file, make_folder
 
 Pixels = npt.NDArray[np.uint8]
 
@@ -44,9 +45,9 @@ class VideoFile:
         if encoder not in self._av.codecs_available:
             raise Unavailable(f"video codec {codec}: this PyAV has no {encoder}")
         os.environ.setdefault("SVT_LOG", "1")  # libsvtav1 writes its settings to stderr: errors only
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent, parents=True, exist_ok=True)
         self.path, self.count = path, 0
-        self._file = self._av.open(str(path), "w", format="mp4")
+        self._file = self._av.open(str(empty_file(path)), "w", format="mp4")
         self._stream = self._file.add_stream(encoder, rate=fps, options=options)
         self._stream.height, self._stream.width = size
         self._stream.pix_fmt = PIXEL_FORMAT

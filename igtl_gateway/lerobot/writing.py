@@ -20,6 +20,7 @@ from igtl_gateway.lerobot.layout import Facts, Layout, layout_of
 from igtl_gateway.lerobot.stats import PictureStats, Stats, number_stats, sampled
 from igtl_gateway.lerobot.streams import Facts as StreamFacts
 from igtl_gateway.lerobot.video import video_info
+from igtl_gateway.sessionfile.new_file import make_folder, open_new, write_bytes
 from igtl_gateway.untrusted.files import read_bytes
 
 PROVENANCE, RECIPE = "provenance.parquet", "recipe.toml"
@@ -43,11 +44,11 @@ def write_data_set(plan: Plan, out: Path, recipe: Path, streams: list[StreamFact
     """
     with _new_directory(out) as root:
         meta = root / "meta"
-        meta.mkdir()
+        make_folder(meta)
         facts = facts_of(plan)
         layout = layout_of(plan.recipe.format, root, facts)
         _write_episodes(plan, layout, meta / PROVENANCE)
-        (meta / RECIPE).write_bytes(read_bytes(recipe))
+        write_bytes(meta / RECIPE, read_bytes(recipe))
         write_card(plan, meta, streams)
         return sum(each.is_file() for each in root.rglob("*"))
 
@@ -71,7 +72,7 @@ def _new_directory(out: Path) -> Iterator[Path]:
     check_out(out)
     try:
         part = out.absolute().with_name(f".igtl-gateway-{os.getpid()}.part")
-        part.mkdir()
+        make_folder(part)
     except OSError as error:
         raise GatewayError(f"cannot write to {out}: {error.strerror or error}") from None
     try:
@@ -145,7 +146,8 @@ def _write_episodes(plan: Plan, layout: Layout, provenance: Path) -> None:
         first += episode.count
     total = {name: each.stats() for name, each in pictures.items()}
     layout.finish(total | {name: number_stats(np.concatenate(each)) for name, each in everything.items()})
-    parquet.write_table(trace_of(plan), provenance, compression="zstd")
+    with open_new(provenance) as file:
+        parquet.write_table(trace_of(plan), file, compression="zstd")
 
 
 def _write_video(plan: Plan, layout: Layout, episode: Episode, name: str, indices: Any) -> PictureStats:

@@ -15,7 +15,7 @@ from igtl_gateway.errors import RecordingError
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.sessionfile import layout
-from igtl_gateway.sessionfile.new_file import cannot_begin, folder_mode
+from igtl_gateway.sessionfile.new_file import cannot_begin, make_folder
 from igtl_gateway.sessionfile.side_file import (
     SIDE_FILE,
     RecordingPart,
@@ -141,7 +141,7 @@ class PartsWriter:
 def _make_folder(folder: Path, overwrite: bool) -> None:
     """Make the folder, without the files of an earlier recording.  Raises RecordingError with the obstacle."""
     try:
-        folder.mkdir(folder_mode())
+        make_folder(folder)
     except FileExistsError:
         if not folder.is_dir():
             raise RecordingError(f"cannot record to {folder}: it is not a folder") from None

@@ -8,11 +8,13 @@ from __future__ import annotations
 import errno
 import fcntl
 import os
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from io import BufferedWriter
 from pathlib import Path
+from typing import Literal, TextIO
 
 from igtl_gateway.errors import DiskRefused, RecordingError
 from igtl_gateway.untrusted.files import obstacle
@@ -52,12 +54,53 @@ def folder_mode() -> int:
 
 def write_text(path: Path, text: str) -> None:
     """Write a file (UTF-8) with the mode of new files.  Raises OSError."""
-    with open(path, "w", encoding="utf-8", opener=_open_new) as file:
+    with open_text(path, "w") as file:
         file.write(text)
 
 
 def _open_new(path: str, flags: int) -> int:
     return os.open(path, flags, _MODE.get())
+
+
+def open_new(path: Path, mode: Literal["xb", "wb", "ab"] = "xb") -> BufferedWriter:
+    """Open a file for writing with the mode of new files; an older one of this name gets that mode.  Raises OSError."""
+    file = open(path, mode, opener=_open_new)
+    _limit_mode(path, file.fileno())
+    return file
+
+
+def open_text(path: Path, mode: Literal["x", "w"] = "x", newline: str | None = None) -> TextIO:
+    """Open a file as `open_new` does, for text (UTF-8); ``newline`` is as of ``open``.  Raises OSError."""
+    file = open(path, mode, encoding="utf-8", newline=newline, opener=_open_new)
+    _limit_mode(path, file.fileno())
+    return file
+
+
+def _limit_mode(path: Path, file: int) -> None:
+    """Take from an older file what the mode of new files does not allow."""
+    mode = os.fstat(file).st_mode
+    if stat.S_ISREG(mode) and stat.S_IMODE(mode) & ~_MODE.get():
+        with suppress(OSError):  # of another owner, or a file system without modes
+            path.chmod(_MODE.get())
+
+
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write a file with the mode of new files.  Raises OSError."""
+    with open_new(path, "wb") as file:
+        file.write(data)
+
+
+def empty_file(path: Path, mode: Literal["xb", "wb"] = "wb") -> Path:
+    """Make an empty file, for a library that opens it by its name; return the path.  Raises OSError."""
+    open_new(path, mode).close()
+    return path
+
+
+def make_folder(path: Path, *, parents: bool = False, exist_ok: bool = False) -> None:
+    """Make a directory with the mode of new ones, also those above it.  Raises OSError."""
+    if parents and not path.parent.is_dir():
+        make_folder(path.parent, parents=True, exist_ok=True)
+    path.mkdir(folder_mode(), exist_ok=exist_ok)
 
 
 def create_file(path: Path, overwrite: bool) -> BufferedWriter:

@@ -8,6 +8,7 @@ from pathlib import Path
 import rerun as rr
 
 from igtl_gateway.errors import ViewerError
+from igtl_gateway.sessionfile.new_file import empty_file
 from igtl_gateway.view.blueprints import blueprint, choose
 from igtl_gateway.view.contents import SessionContents
 
@@ -20,7 +21,7 @@ def to_file(out: Path, identity: str) -> rr.RecordingStream:
 
     Raises OSError if the file cannot be written.
     """
-    out.open("wb").close()  # rerun's error does not give the cause
+    empty_file(out)  # rerun's error does not give the cause
     recording = rr.RecordingStream(APPLICATION, recording_id=identity, send_properties=False)
     recording.save(out)
     return recording
