@@ -227,6 +227,7 @@ UNMIRRORED = (
     "test_docs.py",  # tools/docs.py
     "api/test_documents.py",  # docs/python-*.md
     "test_examples.py",  # examples/
+    "test_private_files.py",  # who creates files
     "test_package.py",  # igtl_gateway/__init__.py
     "test_packaging.py",  # pyproject.toml, lab/pyproject.toml
     "test_fixtures.py",  # what the recordings in fixtures/ promise

@@ -6,6 +6,7 @@ settings, so that a question of anyone can be answered.
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,6 +19,7 @@ from igtl_gateway.cohort.loading import Tables, reason
 from igtl_gateway.cohort.parts import MANIFEST
 from igtl_gateway.errors import ConfigError, GatewayError, Unavailable
 from igtl_gateway.sessionfile.new_file import open_new
+from igtl_gateway.untrusted import limits
 
 if TYPE_CHECKING:
     import pyarrow
@@ -34,6 +36,11 @@ _SAFE = (
 )
 
 
+#: Longest question, characters.
+_LONGEST = 1 << 16
+_MOST_COLUMNS = 1000
+#: Rows that are read at a time.
+_BATCH = 10_000
 #: Types whose values come as they are.
 _PLAIN = frozenset({"VARCHAR", "BOOLEAN", "DOUBLE", "FLOAT", "DATE", "HUGEINT", "BIGINT", "INTEGER", "SMALLINT"})
 #: Types of times → digits of the second that they have.  Times come as text: Python has none with nanoseconds.
@@ -81,15 +88,17 @@ class Questions:
             kinds = list(map(str, found.types))
             values = [_expression(number, kind) for number, kind in enumerate(kinds, 1)]
             if "" in values:
-                return of_table(found.to_arrow_table())
-            cells = found.project(", ".join(values)).fetchall()
+                return of_table(_bounded(found))
+            most = limits.current_limits().count
+            cells = found.project(", ".join(values)).limit(most + 1).fetchall()
+            limits.check_limit("count", len(cells), "query: rows")
         times = [(number, _DIGITS[kind]) for number, kind in enumerate(kinds) if kind in _DIGITS]
         return Answer(found.columns, [_with_times(row, times) for row in cells] if times else cells)
 
     def table(self, sql: str) -> pyarrow.Table:
         """Return the answer as an Arrow table; raises as `answer`."""
         with self._asked(sql) as found:
-            return found.to_arrow_table()
+            return _bounded(found)
 
     def rows(self, sql: str) -> list[dict[str, Any]]:
         """Return the rows of the answer."""
@@ -97,14 +106,43 @@ class Questions:
 
     @contextmanager
     def _asked(self, sql: str) -> Iterator[Any]:
+        """Context manager: the question; its time and memory are bounded, those of the answer by who reads it."""
+        if len(sql) > _LONGEST:  # the memory of the parser grows with the levels of brackets
+            raise ConfigError(f"query: found {len(sql):,} characters, expected at most {_LONGEST:,}")
+        bounds = limits.current_limits()
+        over = threading.Timer(bounds.seconds, self._connection.interrupt)
+        over.start()
         try:
             statements = self._connection.extract_statements(sql)
             kinds = [each.type.name for each in statements]
             if kinds != ["SELECT"]:
                 raise ConfigError(f"query: found {', '.join(kinds) or 'no statement'}, expected one SELECT")
-            yield self._connection.sql(statements[0])
+            found = self._connection.sql(statements[0])
+            if len(found.columns) > _MOST_COLUMNS:
+                raise ConfigError(f"query: found {len(found.columns):,} columns, expected at most {_MOST_COLUMNS:,}")
+            yield found
         except self._errors as error:
+            match type(error).__name__:
+                case "InterruptException":
+                    raise limits.exceeded("seconds", "a longer question", "query", f"{bounds.seconds} s") from None
+                case "OutOfMemoryException":
+                    raise limits.exceeded("memory", "more memory", "query", f"{bounds.memory} bytes") from None
             raise ConfigError(f"query: {reason(error, self._tables.devices)}") from None
+        finally:
+            over.cancel()
+
+
+def _bounded(found: Any) -> pyarrow.Table:
+    """Return an answer as an Arrow table of the limit ``memory`` at most.  Raises LimitExceeded."""
+    import pyarrow
+
+    size, batches = 0, []
+    reader = found.fetch_arrow_reader(_BATCH)
+    for batch in reader:
+        size += batch.nbytes
+        limits.check_limit("memory", size, "query: bytes of the answer")
+        batches.append(batch)
+    return pyarrow.Table.from_batches(batches, reader.schema)
 
 
 def _expression(number: int, kind: str) -> str:
@@ -147,7 +185,8 @@ def asking(folder: Path) -> Iterator[Questions]:
             tables.load()
             connection.execute(_sessions())
             devices = ", ".join(f"'{device}'" for device in tables.devices)
-            for setting in (f"allowed_paths = [{devices}]", *_SAFE):
+            memory = f"memory_limit = '{limits.current_limits().memory}B'"
+            for setting in (f"allowed_paths = [{devices}]", memory, *_SAFE):
                 connection.execute(f"SET {setting}")
             yield Questions(connection, duckdb.Error, tables)
     except duckdb.Error as error:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from pathlib import Path
 
 import rerun as rr
 
 from igtl_gateway.errors import ViewerError
-from igtl_gateway.sessionfile.new_file import empty_file
 from igtl_gateway.view.blueprints import blueprint, choose
 from igtl_gateway.view.contents import SessionContents
 
@@ -21,7 +21,7 @@ def to_file(out: Path, identity: str) -> rr.RecordingStream:
 
     Raises OSError if the file cannot be written.
     """
-    empty_file(out)  # rerun's error does not give the cause
+    os.close(os.open(out, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600))  # rerun's error does not give the cause
     recording = rr.RecordingStream(APPLICATION, recording_id=identity, send_properties=False)
     recording.save(out)
     return recording

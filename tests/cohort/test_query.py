@@ -14,7 +14,8 @@ pytest.importorskip("pyarrow", reason='needs pyarrow: pip install "igtl-gateway[
 from igtl_gateway.cli import main
 from igtl_gateway.cohort.query import asking
 from igtl_gateway.cohort.results import Results
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.errors import ConfigError, GatewayError
+from igtl_gateway.untrusted.limits import limits_in_force, parse_limits
 
 HOSTILE = "</td><script>alert(1)</script>\x1b[31m'; DROP TABLE tasks; --"
 
@@ -125,3 +126,28 @@ def test_an_empty_cohort_has_a_report(tmp_path: Path) -> None:
     page = tmp_path / "report.html"
     assert main(["cohort", "report", "--out", str(tmp_path / "out"), "--html", str(page)]) == 0
     assert "1 files." in page.read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("sql", "words", "text"),
+    [
+        ("SELECT " + "(" * 40_000 + "1" + ")" * 40_000, (), "characters, expected at most 65,536"),
+        ("SELECT " + ",".join(["1"] * 2000), (), "found 2,000 columns"),
+        ("SELECT * FROM range(5000)", ("count=100",), "expected at most 100"),
+        ("SELECT list(range) FROM range(100000000)", ("memory=20000000",), "--limit memory="),
+        (
+            "SELECT count(*) FROM range(9000000000) a, range(9000000) b WHERE a.range % 7 = b.range",
+            ("seconds=1",),
+            "1 s",
+        ),
+    ],
+)
+def test_a_question_is_bounded(tmp_path: Path, sql: str, words: tuple[str, ...], text: str) -> None:
+    results = Results(tmp_path)
+    with results.locked():
+        results.add({"tasks": [{"task": "a", "file": "a", "verb": "info", "status": "ok"}]}, {})
+    with limits_in_force(parse_limits(list(words))), asking(tmp_path) as questions:
+        with pytest.raises(GatewayError, match=text) as error:
+            questions.answer(sql)
+        assert "\n" not in str(error.value)
+        assert questions.answer("SELECT 1 AS a").rows == [{"a": 1}]  # and goes on
