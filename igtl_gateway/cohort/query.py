@@ -137,7 +137,8 @@ def _bounded(found: Any) -> pyarrow.Table:
     import pyarrow
 
     size, batches = 0, []
-    reader = found.fetch_arrow_reader(_BATCH)
+    read = getattr(found, "to_arrow_reader", None) or found.fetch_arrow_reader  # the older name
+    reader = read(_BATCH)
     for batch in reader:
         size += batch.nbytes
         limits.check_limit("memory", size, "query: bytes of the answer")
