@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import ctypes
 import signal
 import subprocess
-import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from functools import partial
 from typing import IO, Self
+
+from igtl_gateway.systems.processes import INTERRUPT, apart
 
 #: Lines of the standard error that are kept.
 _KEPT_LINES = 100
-_PR_SET_PDEATHSIG = 1
 
 OnLine = Callable[[str], None]
 
@@ -60,8 +58,7 @@ class Child:
             text=True,
             errors="replace",
             env=env,
-            start_new_session=True,
-            preexec_fn=partial(_prepare, death_signal),  # noqa: PLW1509  # it takes no lock
+            **apart(death_signal),
         )
 
         def keep(line: str) -> None:
@@ -106,7 +103,7 @@ class Child:
 
     def interrupt(self) -> None:
         """Send what Ctrl-C would."""
-        self._process.send_signal(signal.SIGINT)
+        self._process.send_signal(INTERRUPT)
 
     def wait(self, timeout_s: float | None = None) -> int | None:
         """Wait for its end; the exit code, None if that took too long."""
@@ -146,15 +143,3 @@ def _read(stream: IO[str], on_line: OnLine, on_end: Callable[[], None]) -> None:
         for line in stream:
             on_line(line.rstrip("\n"))
     on_end()
-
-
-def _prepare(death_signal: int) -> None:
-    """In the new process, before the program: accept interrupts, and end with the thread that started it."""
-    # ignored where a shell without job control started us in the background; the program would ignore it, too
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    if _LIBC:
-        _LIBC.prctl(_PR_SET_PDEATHSIG, death_signal)
-
-
-#: Loaded before any fork.
-_LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 import time
 from typing import Protocol
+
+if sys.platform == "win32":
+    from igtl_gateway.systems.clocks import precise_utc_ns
 
 
 class Clock(Protocol):
@@ -21,11 +25,21 @@ class Clock(Protocol):
 class SystemClock:
     """The clock of the host."""
 
-    def utc_ns(self) -> int:
-        return time.time_ns()
+    if sys.platform == "win32":
 
-    def monotonic_ns(self) -> int:
-        return time.monotonic_ns()
+        def utc_ns(self) -> int:
+            return precise_utc_ns()
+
+        def monotonic_ns(self) -> int:
+            return time.perf_counter_ns()  # monotonic_ns has steps of 15.6 ms there before Python 3.13
+
+    else:
+
+        def utc_ns(self) -> int:
+            return time.time_ns()
+
+        def monotonic_ns(self) -> int:
+            return time.monotonic_ns()
 
 
 class ManualClock:

@@ -77,17 +77,18 @@ class RealtimeOptions:
 
     def check(self) -> None:
         """Return if this process has all permissions.  Raises Unavailable with the missing one."""
-        if self and sys.platform != "linux":
+        if sys.platform == "linux":
+            if self.cpus and not self.cpus <= (usable := os.sched_getaffinity(0)):
+                raise Unavailable(
+                    f"--cpu-affinity: found CPU {cpus_text(self.cpus - usable)}, expected CPUs of {cpus_text(usable)}, "
+                    "which this process may use (taskset, cpuset of the container)"
+                )
+            if self.lock_memory:
+                _check_memory()
+            if self.priority:
+                _check_priority(self.priority)
+        elif self:
             raise Unavailable("--realtime-priority, --lock-memory and --cpu-affinity: available on Linux only")
-        if self.cpus and not self.cpus <= (usable := os.sched_getaffinity(0)):
-            raise Unavailable(
-                f"--cpu-affinity: found CPU {cpus_text(self.cpus - usable)}, expected CPUs of {cpus_text(usable)}, "
-                "which this process may use (taskset, cpuset of the container)"
-            )
-        if self.lock_memory:
-            _check_memory()
-        if self.priority:
-            _check_priority(self.priority)
 
     def apply(self) -> str:
         """Set everything for the threads that exist; return one line of text, empty if there is nothing to set.
@@ -96,14 +97,12 @@ class RealtimeOptions:
         """
         if not self:
             return ""
-        done, names = [], []
+        done: list[str] = []
+        names: list[str] = []
         if self.priority or self.cpus:
             for thread, name in sorted(message_threads().items()):
                 try:
-                    if self.cpus:
-                        os.sched_setaffinity(thread, self.cpus)
-                    if self.priority:
-                        os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(self.priority))
+                    self._apply_to(thread)
                 except ProcessLookupError:  # it has just ended
                     continue
                 except OSError as error:
@@ -118,6 +117,14 @@ class RealtimeOptions:
             _lock_memory()
             text += f"{', ' if text else ''}memory locked"
         return f"real-time: {text}" + (f" ({', '.join(names)})" if names else "")
+
+    def _apply_to(self, thread: int) -> None:
+        """Set CPUs and priority of a thread.  Raises OSError."""
+        if sys.platform == "linux":
+            if self.cpus:
+                os.sched_setaffinity(thread, self.cpus)
+            if self.priority:
+                os.sched_setscheduler(thread, os.SCHED_FIFO, os.sched_param(self.priority))
 
 
 def message_threads(tasks: Path = _TASKS) -> dict[int, str]:
@@ -148,53 +155,51 @@ def has_capability(number: int, status: Path = _STATUS) -> bool:
     return len(words) > 1 and bool(int(words[1], 16) >> number & 1)
 
 
-def _check_priority(priority: int) -> None:
-    """Try the priority in a thread that ends.  Raises Unavailable."""
-    import resource  # not on Windows
+if sys.platform == "linux":
+    import resource
 
-    problem: list[OSError] = []
+    def _check_priority(priority: int) -> None:
+        """Try the priority in a thread that ends.  Raises Unavailable."""
+        problem: list[OSError] = []
 
-    def attempt() -> None:
-        try:
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-        except OSError as error:
-            problem.append(error)
+        def attempt() -> None:
+            try:
+                os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+            except OSError as error:
+                problem.append(error)
 
-    thread = threading.Thread(target=attempt, name="igtl-attempt")
-    thread.start()
-    thread.join()
-    if not problem:
-        return
-    limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
-    permitted = limit in (resource.RLIM_INFINITY, -1) or limit >= priority
-    if has_capability(CAP_SYS_NICE) or permitted:  # so the reason is the control group, or a sandbox
+        thread = threading.Thread(target=attempt, name="igtl-attempt")
+        thread.start()
+        thread.join()
+        if not problem:
+            return
+        limit = resource.getrlimit(resource.RLIMIT_RTPRIO)[0]
+        permitted = limit in (resource.RLIM_INFINITY, -1) or limit >= priority
+        if has_capability(CAP_SYS_NICE) or permitted:  # so the reason is the control group, or a sandbox
+            raise Unavailable(
+                f"--realtime-priority {priority}: {problem[0].strerror}, although the limits permit it; "
+                "give the control group a real-time budget (cpu.rt_runtime_us)"
+            )
         raise Unavailable(
-            f"--realtime-priority {priority}: {problem[0].strerror}, although the limits permit it; "
-            "give the control group a real-time budget (cpu.rt_runtime_us)"
+            f"--realtime-priority {priority}: found RLIMIT_RTPRIO {limit} without CAP_SYS_NICE, "
+            f"expected {priority} or more; "
+            f"add 'USER - rtprio {priority}' to /etc/security/limits.conf and log in again "
+            "(systemd: LimitRTPRIO=, Docker: --cap-add SYS_NICE)"
         )
-    raise Unavailable(
-        f"--realtime-priority {priority}: found RLIMIT_RTPRIO {limit} without CAP_SYS_NICE, "
-        f"expected {priority} or more; "
-        f"add 'USER - rtprio {priority}' to /etc/security/limits.conf and log in again "
-        "(systemd: LimitRTPRIO=, Docker: --cap-add SYS_NICE)"
-    )
 
+    def _check_memory() -> None:
+        """Return if all memory may be locked, also what is allocated later.  Raises Unavailable.
 
-def _check_memory() -> None:
-    """Return if all memory may be locked, also what is allocated later.  Raises Unavailable.
-
-    A finite limit is no permission, even if it is large: later memory counts with its whole address range, and where
-    it exceeds the limit, threads cannot start and messages cannot be allocated.
-    """
-    import resource  # not on Windows
-
-    limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
-    if limit not in (resource.RLIM_INFINITY, -1) and not has_capability(CAP_IPC_LOCK):
-        raise Unavailable(
-            f"--lock-memory: found RLIMIT_MEMLOCK {limit >> 10} KiB without CAP_IPC_LOCK, expected unlimited; "
-            "add 'USER - memlock unlimited' to /etc/security/limits.conf and log in again "
-            "(systemd: LimitMEMLOCK=infinity, Docker: --cap-add IPC_LOCK)"
-        )
+        A finite limit is no permission, even if it is large: later memory counts with its whole address range, and
+        where it exceeds the limit, threads cannot start and messages cannot be allocated.
+        """
+        limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
+        if limit not in (resource.RLIM_INFINITY, -1) and not has_capability(CAP_IPC_LOCK):
+            raise Unavailable(
+                f"--lock-memory: found RLIMIT_MEMLOCK {limit >> 10} KiB without CAP_IPC_LOCK, expected unlimited; "
+                "add 'USER - memlock unlimited' to /etc/security/limits.conf and log in again "
+                "(systemd: LimitMEMLOCK=infinity, Docker: --cap-add IPC_LOCK)"
+            )
 
 
 def _lock_memory(mlockall: Callable[[int], int] | None = None) -> None:

@@ -39,6 +39,7 @@ LEVELS = {
     "once": 0,
     "qos": 0,
     "stamp": 0,
+    "systems": 0,  # what Linux, macOS and Windows do differently
     "values": 0,
     "seal": 1,
     "session": 1,
@@ -99,6 +100,7 @@ STRANGERS = ("lab.demo",)
 SIBLINGS: dict[str, str | tuple[str, ...]] = {
     TOP: "api",  # the public names, imported at their first use
     "cli": ("api", "cohort", "deidentify", "lerobot"),  # verbs that need a recording as arrays
+    "clock": "systems",
     "cohort": "api",
     "lerobot": "api",
     "config": ("convert", "settings"),
@@ -135,9 +137,20 @@ HOMES: dict[str, tuple[str, ...]] = {
     "asyncio": ("api.aio",),
     "select": ("edges.tcp.sender",),
     "selectors": ("edges.tcp.loop",),
+    # What not every system has
+    "fcntl": (
+        "systems.files",
+        "edges.tcp.sockets",  # what a peer has not confirmed, of Linux
+        "ros_interfaces.cache",
+    ),
+    "termios": ("cli.keys",),
+    "msvcrt": ("cli.keys", "systems.files"),
+    "resource": ("realtime", "systems.processes"),
+    **dict.fromkeys(("grp", "posix", "pty", "pwd", "syslog", "tty", "winreg", "_winapi"), ()),
     "socket": (
         "edges.tcp",
         "edges.reserved",
+        "systems.signals",
         "lab.bench",
     ),  # a measurement has a peer that costs nothing, and a port for any bridge
     "socketserver": (),
@@ -200,6 +213,33 @@ HOMES: dict[str, tuple[str, ...]] = {
 #: What the levels up to the gateway may not use, on top: the environment, other threads, other processes.
 IMPURE = frozenset({"ctypes", "multiprocessing", "os", "signal", "subprocess", "threading"})
 HIGHEST_PURE_LEVEL = 3
+#: Who does that below, for all others.
+SYSTEM = "systems"
+
+#: What Windows does not have, of modules that it has, and who uses it: where it is not needed, or only on Linux.
+ABSENT: dict[str, frozenset[str]] = {
+    "os": frozenset(
+        "O_CLOEXEC O_DIRECTORY O_NOFOLLOW O_NONBLOCK chown chroot eventfd fchmod fchown fork forkpty getegid geteuid "
+        "getgid getloadavg getpgid getpgrp getsid getuid killpg lchown major memfd_create minor mkfifo mknod nice "
+        "pipe2 posix_fadvise posix_fallocate posix_spawn pread preadv pwrite pwritev readv sched_getaffinity "
+        "sched_param sched_setaffinity sched_setscheduler sendfile setpgid setsid splice statvfs sync sysconf "
+        "tcgetpgrp tcsetpgrp uname wait wait3 wait4 WNOHANG writev".split()
+    ),
+    "signal": frozenset(
+        "SIGALRM SIGCHLD SIGCONT SIGHUP SIGKILL SIGPIPE SIGQUIT SIGSTOP SIGTSTP SIGUSR1 SIGUSR2 alarm pause "
+        "pthread_kill pthread_sigmask setitimer sigtimedwait sigwait".split()
+    ),
+    "socket": frozenset("AF_UNIX CMSG_LEN SCM_RIGHTS SO_PEERCRED SO_REUSEPORT TCP_INFO recv_fds send_fds".split()),
+    "select": frozenset("epoll kqueue poll POLLIN POLLOUT".split()),
+    "mmap": frozenset("MAP_PRIVATE MAP_SHARED PROT_READ PROT_WRITE".split()),
+    "time": frozenset("CLOCK_BOOTTIME CLOCK_MONOTONIC CLOCK_REALTIME clock_gettime clock_gettime_ns tzset".split()),
+}
+ABSENT_HOMES: dict[str, tuple[str, ...]] = {
+    "os": (SYSTEM, "cli.keys", "edges.ros.env", "realtime", "record.shared_queue"),
+    "signal": (SYSTEM,),
+    "socket": ("edges.tcp.sockets",),
+    "select": ("edges.tcp.sender",),
+}
 
 #: Who may choose a module's name at run time: message types from the graph, verbs from the command line; and the
 #: package itself, the names of the API.
@@ -320,6 +360,12 @@ def violations(module: str, source: str, *, is_package: bool = False) -> list[st
                 not _is_home(module, STREAM_WRITERS)
             ):
                 found.append((node.lineno, f"uses sys.{node.attr}; only cli.terminal does"))
+            case ast.Attribute(value=ast.Name(of), attr=attr) if (
+                attr in ABSENT.get(of, ())
+                and not lies_in(module, LAB)
+                and not _is_home(module, ABSENT_HOMES.get(of, ()))
+            ):
+                found.append((node.lineno, f"uses {of}.{attr}, which Windows does not have"))
             case ast.Attribute(value=ast.Name("traceback"), attr="print_exc" | "print_exception"):
                 found.append((node.lineno, "prints; only cli.terminal does"))
             case ast.Attribute(value=ast.Name(of) | ast.Attribute(attr=of), attr=call) if (
@@ -342,7 +388,7 @@ def _import_fault(module: str, unit: str, name: str) -> str | None:
         return f"imports {library}, whose home is {' and '.join(HOMES[library]) or 'nowhere'}"
     if library not in sys.stdlib_module_names:
         return f"imports {library}, which has no home"
-    if library in IMPURE and LEVELS[unit] <= HIGHEST_PURE_LEVEL:
+    if library in IMPURE and LEVELS[unit] <= HIGHEST_PURE_LEVEL and unit != SYSTEM:
         return f"imports {library}, but level {LEVELS[unit]} is pure"
     return None
 
@@ -443,6 +489,13 @@ def test_what_is_allowed(module: str, source: str) -> None:
 @pytest.mark.parametrize(
     ("module", "source", "fault"),
     [
+        # What Windows does not have
+        ("keeping.stored", "import fcntl", "imports fcntl, whose home is systems.files"),
+        (
+            "record.host",
+            "import signal\nsignal.SIGHUP",
+            "record.host:2: uses signal.SIGHUP, which Windows does not have",
+        ),
         # Upwards
         ("stamp", "import igtl_gateway.wire.message", "imports wire (level 1)"),
         ("wire.message", "from igtl_gateway.convert import table", "imports convert (level 2)"),

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import ctypes
 import os
-import sys
 import threading
 from collections.abc import Callable
 from contextlib import suppress
@@ -20,7 +19,7 @@ _LOOK_NS, _BLIND_LOOK_NS = NS_PER_S, 50 * NS_PER_MS
 
 _NEVER = 1 << 63
 _CLOCK_REALTIME = 0
-_TFD_TIMER_ABSTIME, _TFD_TIMER_CANCEL_ON_SET = 1, 2
+_TFD_TIMER_ABSTIME, _TFD_TIMER_CANCEL_ON_SET, _TFD_CLOEXEC = 1, 2, 0o2000000
 _FAR_S = (1 << 31) - 1  # the timer itself never ends
 
 
@@ -148,11 +147,9 @@ class _TimerSpec(ctypes.Structure):
 
 def _clock_timer() -> int:
     """Return the descriptor of a timer that only a step of the host's clock ends; -1 if the system has none."""
-    if not sys.platform.startswith("linux"):
-        return -1
     try:
-        descriptor = int(ctypes.CDLL(None).timerfd_create(_CLOCK_REALTIME, os.O_CLOEXEC))
-    except (OSError, AttributeError):
+        descriptor = int(ctypes.CDLL(None).timerfd_create(_CLOCK_REALTIME, _TFD_CLOEXEC))
+    except (OSError, AttributeError, TypeError):  # macOS has no such function, Windows no such library
         return -1
     never, flags = _TimerSpec(0, 0, _FAR_S, 0), _TFD_TIMER_ABSTIME | _TFD_TIMER_CANCEL_ON_SET
     if descriptor >= 0 and not _set_timer(descriptor, never, flags):

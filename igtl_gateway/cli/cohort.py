@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -18,6 +17,7 @@ from igtl_gateway.cohort.ends import VERB_NAMES
 from igtl_gateway.errors import ConfigError, Unavailable
 from igtl_gateway.sessionfile.new_file import write_text
 from igtl_gateway.sync.defaults import MAX_LAG_S
+from igtl_gateway.systems.processes import usable_cpus
 
 EXAMPLES = """\
   # streams, times and rates of all sessions in and below a folder
@@ -151,7 +151,7 @@ def _run_files(options: argparse.Namespace) -> int:
     files = locate(options.sources)
     work = Work(options.action, _settings(options), options.limit, options.memory_mib << 20, options.timeout)
     where = Where(
-        options.workers or len(os.sched_getaffinity(0)),
+        options.workers or usable_cpus(),
         options.scheduler,
         options.tls_ca,
         options.tls_cert,

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import os
 import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.systems.signals import ENDINGS, KEPT_IGNORED, signals_in_thread
 
 if TYPE_CHECKING:
     from igtl_gateway.config import Config
@@ -30,35 +30,16 @@ def load_config(path: Path | None) -> Config:
 def stop_event() -> Iterator[threading.Event]:
     """An event that SIGINT (Ctrl-C), SIGTERM and SIGHUP set; a second signal ends the program the hard way.
 
-    The handler runs in the main thread, perhaps while that is inside ``event.wait`` and holds the event's lock:
-    setting the event there would wait for that lock forever.  So it writes to a pipe, and a thread sets the event.
+    On Windows Ctrl-C and Ctrl-Break set it.  A thread sets it: see :func:`signals_in_thread`.
     """
     event = threading.Event()
-    reader, writer = os.pipe()
-
-    def watch() -> None:
-        if os.read(reader, 1):
-            event.set()
-
-    def on_signal(number: int, _frame: Any) -> None:
-        os.write(writer, b"!")
-        signal.signal(number, signal.SIG_DFL)
-
-    watcher = threading.Thread(target=watch, name="igtl-signals", daemon=True)
-    watcher.start()
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
-    if before[signal.SIGHUP] is signal.SIG_IGN:  # nohup: the terminal may go
-        del before[signal.SIGHUP]
-    for number in before:
-        signal.signal(number, on_signal)
-    try:
+    numbers = [
+        number
+        for number in ENDINGS
+        if number not in KEPT_IGNORED or signal.getsignal(number) is not signal.SIG_IGN  # nohup: the terminal may go
+    ]
+    with signals_in_thread(dict.fromkeys(numbers, event.set), "igtl-signals", once=True):
         yield event
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        os.close(writer)
-        watcher.join()
-        os.close(reader)
 
 
 def count_text(number: int, thing: str, things: str = "") -> str:

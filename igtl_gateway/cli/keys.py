@@ -7,11 +7,16 @@ from __future__ import annotations
 
 import os
 import sys
-import termios
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import IO, Any
+
+if sys.platform == "win32":
+    import _thread
+    import msvcrt
+else:
+    import termios
 
 PAUSE, NEXT, FASTER, SLOWER, QUIT = "pause", "next", "faster", "slower", "quit"
 
@@ -54,39 +59,76 @@ def can_read_keys(stream: IO[Any] | None = None) -> bool:
     """Return whether keys can be read: from a terminal with this program in its foreground."""
     stream = stream or sys.stdin
     try:
+        if sys.platform == "win32":
+            return stream.isatty()
         return stream.isatty() and os.tcgetpgrp(stream.fileno()) == os.getpgrp()
     except (OSError, ValueError, AttributeError):
         return False
 
 
-@contextmanager
-def keyboard(on_command: Callable[[str], None], stream: IO[Any] | None = None) -> Iterator[None]:
-    """Context manager: a thread calls ``on_command`` for every key with a meaning."""
-    descriptor = (stream or sys.stdin).fileno()
-    before = termios.tcgetattr(descriptor)
-    raw = termios.tcgetattr(descriptor)
-    raw[3] &= ~(termios.ICANON | termios.ECHO)
-    raw[6][termios.VMIN], raw[6][termios.VTIME] = 0, _POLL_DS
-    over = threading.Event()
+if sys.platform == "win32":
+    #: Keys without a character come as two.
+    _ARROWS = {"M": NEXT, "H": FASTER, "P": SLOWER}
+    _FIRST_OF_TWO = ("\0", "\xe0")
+    _INTERRUPT = "\x03"
 
-    def read() -> None:
-        rest = b""
-        while not over.is_set():
-            typed = os.read(descriptor, 64)
-            # no more bytes arrived: the pending byte was a key by itself
-            found, rest = parse_keys(rest + typed) if typed else ([], b"")
-            for command in found:
-                on_command(command)
+    @contextmanager
+    def keyboard(on_command: Callable[[str], None], stream: IO[Any] | None = None) -> Iterator[None]:
+        """Context manager: a thread calls ``on_command`` for every key with a meaning; keys come from the console."""
+        over = threading.Event()
 
-    reader = threading.Thread(target=read, name="igtl-keyboard", daemon=True)
-    termios.tcsetattr(descriptor, termios.TCSADRAIN, raw)
-    try:
+        def read() -> None:
+            while not over.wait(0 if msvcrt.kbhit() else _POLL_DS / 10):
+                if not msvcrt.kbhit():
+                    continue
+                key = msvcrt.getwch()
+                if key == _INTERRUPT:
+                    _thread.interrupt_main()
+                    continue
+                command = (
+                    _ARROWS.get(msvcrt.getwch()) if key in _FIRST_OF_TWO else _KEYS.get(key.encode("utf-8", "replace"))
+                )
+                if command:
+                    on_command(command)
+
+        reader = threading.Thread(target=read, name="igtl-keyboard", daemon=True)
         reader.start()
-        yield
-    finally:
-        over.set()
-        reader.join()
-        termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
+        try:
+            yield
+        finally:
+            over.set()
+            reader.join()
+
+else:
+
+    @contextmanager
+    def keyboard(on_command: Callable[[str], None], stream: IO[Any] | None = None) -> Iterator[None]:
+        """Context manager: a thread calls ``on_command`` for every key with a meaning."""
+        descriptor = (stream or sys.stdin).fileno()
+        before = termios.tcgetattr(descriptor)
+        raw = termios.tcgetattr(descriptor)
+        raw[3] &= ~(termios.ICANON | termios.ECHO)
+        raw[6][termios.VMIN], raw[6][termios.VTIME] = 0, _POLL_DS
+        over = threading.Event()
+
+        def read() -> None:
+            rest = b""
+            while not over.is_set():
+                typed = os.read(descriptor, 64)
+                # no more bytes arrived: the pending byte was a key by itself
+                found, rest = parse_keys(rest + typed) if typed else ([], b"")
+                for command in found:
+                    on_command(command)
+
+        reader = threading.Thread(target=read, name="igtl-keyboard", daemon=True)
+        termios.tcsetattr(descriptor, termios.TCSADRAIN, raw)
+        try:
+            reader.start()
+            yield
+        finally:
+            over.set()
+            reader.join()
+            termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
 
 
 def read_lines(on_line: Callable[[], object], on_end: Callable[[], None], stream: IO[Any] | None = None) -> None:

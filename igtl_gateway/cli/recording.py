@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
@@ -13,6 +10,8 @@ from igtl_gateway.app.recording import pause, resume, snapshot
 from igtl_gateway.cli.keys import NEXT, PAUSE, can_read_keys, keyboard
 from igtl_gateway.cli.options import Options
 from igtl_gateway.cli.settings import add_settings
+from igtl_gateway.systems.signals import PAUSE as PAUSE_SIGNAL
+from igtl_gateway.systems.signals import SAVE, signals_in_thread
 
 if TYPE_CHECKING:
     from igtl_gateway.record.recorder import Recorder
@@ -43,45 +42,20 @@ def recording_controls(recorder: Recorder | None) -> Iterator[str]:
         def save() -> None:
             snapshot(recorder)  # a note reports the result
 
-        actions = {signal.SIGUSR1: save} if snapshots else {signal.SIGUSR2: toggle}
-        stack.enter_context(_signals(actions))
+        number, action = (SAVE, save) if snapshots else (PAUSE_SIGNAL, toggle)
+        stack.enter_context(signals_in_thread({number: action} if number else {}, "igtl-steering"))
         keys = can_read_keys()
         if keys:
             # key s means "next message" in a replay
             bound = {NEXT: save} if snapshots else {PAUSE: toggle}
             stack.enter_context(keyboard(lambda command: bound.get(command, _nothing)()))
+        ways = (["key s" if snapshots else "space"] if keys else []) + ([number.name] if number else [])
         if snapshots:
-            yield f"{'key s or ' if keys else ''}SIGUSR1 saves the last {recorder.options.snapshot_s:g} s"
+            does = f"saves the last {recorder.options.snapshot_s:g} s"
         else:
-            yield f"{'space or ' if keys else ''}SIGUSR2 pauses and resumes" if keys else ""
+            does = "pauses and resumes" if keys else ""
+        yield f"{' or '.join(ways)} {does}" if ways and does else ""
 
 
 def _nothing() -> None:
     """Ignore another key."""
-
-
-@contextmanager
-def _signals(actions: dict[signal.Signals, Callable[[], None]]) -> Iterator[None]:
-    """Context manager that handles signals in a thread: in a handler, this thread might itself hold the lock needed."""
-    reader, writer = os.pipe()
-    numbers = {bytes([number]): action for number, action in actions.items()}
-
-    def watch() -> None:
-        while (number := os.read(reader, 1)) in numbers:
-            numbers[number]()
-
-    watcher = threading.Thread(target=watch, name="igtl-steering", daemon=True)
-    watcher.start()
-    before = {
-        number: signal.signal(number, lambda number, _frame: os.write(writer, bytes([number])) and None)
-        for number in actions
-    }
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        os.write(writer, b"\0")
-        watcher.join()
-        os.close(reader)
-        os.close(writer)

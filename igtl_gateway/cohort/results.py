@@ -7,7 +7,6 @@ folder that is valid, and loses the files of its last seconds.  Of two tasks of 
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import shutil
@@ -25,6 +24,7 @@ from igtl_gateway.cohort.parts import MANIFEST, PARTS, Parts, files_of, parts_of
 from igtl_gateway.cohort.tables import PROVENANCE, arrow_table, joined, schema
 from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.sessionfile.new_file import make_folder, open_new, open_text
+from igtl_gateway.systems.files import lock
 from igtl_gateway.untrusted import files
 from igtl_gateway.untrusted.text import parse_json
 
@@ -65,10 +65,10 @@ class Results:
             make_folder(self.folder / PARTS, parents=True, exist_ok=True)
             if found := files.obstacle(self.folder / _LOCK):
                 raise GatewayError(f"cannot write to {self.folder / _LOCK}: {found}")
-            lock = open_new(self.folder / _LOCK, "ab")  # closed below
-        with lock:
+            file = open_new(self.folder / _LOCK, "ab")  # closed below
+        with file:
             try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                lock(file.fileno())
             except BlockingIOError:
                 raise GatewayError(f"{self.folder}: another run is writing to it; wait for its end") from None
             if (self.folder / MANIFEST).exists():

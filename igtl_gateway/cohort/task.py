@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import os
 import queue
-import signal
 import sys
 import threading
 from collections.abc import Mapping
@@ -19,6 +18,7 @@ from igtl_gateway.child import Child
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.cohort.ends import KILLED, MEMORY, TIMEOUT
 from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.systems.processes import KILL
 
 #: How often a job is tried again whose program was killed: another process may have been the cause.
 TRIES = 3
@@ -43,7 +43,7 @@ class JobProgram:
             on_line=self._replies.put,
             on_end=lambda: self._replies.put(_ENDED),
             env=dict(os.environ) | _ONE_THREAD,
-            death_signal=signal.SIGKILL,
+            death_signal=KILL,
         )
 
     @property

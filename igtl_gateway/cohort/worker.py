@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import sys
-from contextlib import suppress
 
 from igtl_gateway.cohort.ends import MEMORY
 from igtl_gateway.cohort.jobs import TOO_LARGE, run_job
+from igtl_gateway.systems.processes import limit_data
 
 
 def main() -> None:
@@ -22,8 +21,7 @@ def main() -> None:
     os.dup2(2, 1)  # what a library prints is no reply
     most = int(sys.argv[1])
     if most:
-        with suppress(ValueError, OSError):  # a lower bound holds already
-            resource.setrlimit(resource.RLIMIT_DATA, (most, most))
+        limit_data(most)
     with open(0, encoding="utf-8", closefd=False) as jobs:
         for line in jobs:
             try:

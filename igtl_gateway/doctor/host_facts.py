@@ -7,8 +7,8 @@ show to this user, is None or empty: no reading fails.
 from __future__ import annotations
 
 import ctypes
-import os
 import re
+import shutil
 import struct
 from collections.abc import Callable, Iterator
 from contextlib import suppress
@@ -132,10 +132,9 @@ def is_clock_synchronised() -> bool | None:
 def free_bytes(folder: Path) -> int | None:
     """Return the free space of a file system; None without the folder."""
     try:
-        found = os.statvfs(folder)
-    except (OSError, AttributeError):  # no such folder; not Windows
+        return shutil.disk_usage(folder).free
+    except OSError:  # no such folder
         return None
-    return found.f_bavail * found.f_frsize
 
 
 def read_times(root: Path = ROOT) -> CpuTimes | None:

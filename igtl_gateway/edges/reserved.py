@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import socket
+import sys
 from collections.abc import Iterable
 
 #: Connections that may wait while one callback runs, or before the edge starts; beyond that they come a second later.
@@ -49,8 +50,10 @@ def listener(family: int, address: object) -> socket.socket:
     """Return a listening socket, which does not block.  Raises OSError."""
     sock = socket.socket(family, socket.SOCK_STREAM)
     try:
-        # a restart must not wait for the connections of the run before to time out
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if sys.platform == "win32":  # there SO_REUSEADDR would share the port with another program
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_EXCLUSIVEADDRUSE, 1)
+        else:  # a restart must not wait for the connections of the run before to time out
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         sock.bind(address)  # type: ignore[arg-type]
         sock.listen(BACKLOG)
         sock.setblocking(False)

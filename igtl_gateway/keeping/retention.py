@@ -10,7 +10,6 @@ far as it is credible, see :class:`Retention`: a wrong clock must not delete eve
 
 from __future__ import annotations
 
-import fcntl
 import os
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -24,6 +23,7 @@ from igtl_gateway.keeping.stored import RecordingFolder, StoredFiles, StoredReco
 from igtl_gateway.keeping.upload_state import remove_finished
 from igtl_gateway.notations import RetentionRule
 from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.systems.files import OpenFolder, lock
 
 #: No clock of a running gateway shows an earlier time, and no recording has one: 2025-01-01 and 2015-01-01, UTC ns.
 _EARLIEST_NOW_NS = 1_735_689_600 * NS_PER_S
@@ -248,7 +248,7 @@ class Retention:
         """Delete a recording; return why it is kept, or ""."""
         recording = choice.recording
         try:
-            folder = os.open(recording.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW | os.O_CLOEXEC)
+            folder = OpenFolder(recording.parent)
         except OSError as error:
             return f"{error.strerror}"
         try:
@@ -260,25 +260,26 @@ class Retention:
                 self._log.add(now_ns, "not deleted", file=recording.name, why=error.strerror)
             return f"{error.strerror}"
         finally:
-            os.close(folder)
+            folder.close()
 
-    def _delete_in(self, folder: int, choice: Choice, now_ns: int) -> str:
+    def _delete_in(self, folder: OpenFolder, choice: Choice, now_ns: int) -> str:
         """As `_delete`; raises BlockingIOError if it is being written, OSError."""
         recording, name = choice.recording, choice.recording.path.name
-        file = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, dir_fd=folder)
+        file = folder.open(name)
         try:
             try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                lock(file)
             except BlockingIOError:
                 raise
             except OSError:
                 pass  # a file system without locks
-            there = os.stat(name, dir_fd=folder, follow_symlinks=False)
-            if not identity_of(os.fstat(file)) == identity_of(there) == recording.identity:
+            if not identity_of(os.fstat(file)) == identity_of(folder.stat(name)) == recording.identity:
                 return "it has just changed"
             facts = {"bytes": recording.size, "ended_ns": recording.end_ns, "closed_ns": recording.modified_ns}
             self._log.add(now_ns, "delete", file=recording.name, reason=choice.reason, **facts)
-            os.unlink(name, dir_fd=folder)
+            removed, file = file, -1
+            folder.remove_locked(name, removed)
         finally:
-            os.close(file)
+            if file >= 0:
+                os.close(file)
         return ""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import json
 import os
-import stat
 from pathlib import Path
 from typing import Any
 
 from igtl_gateway.stamp import utc_text
+from igtl_gateway.systems.files import open_plain
 
 LOG_NAME = "igtl-gateway-retention.jsonl"
 
@@ -59,8 +59,4 @@ class RetentionLog:
             return 0
 
     def _open(self, flags: int) -> int:
-        file = os.open(self.path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, 0o600)
-        if not stat.S_ISREG(os.fstat(file).st_mode):
-            os.close(file)
-            raise OSError(0, "it is not an ordinary file", str(self.path))
-        return file
+        return open_plain(self.path, flags)

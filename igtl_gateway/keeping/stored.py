@@ -8,7 +8,6 @@ change, later passes only ask the file system.
 from __future__ import annotations
 
 import os
-import stat
 from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -21,6 +20,7 @@ from igtl_gateway.sessionfile.contents import Index
 from igtl_gateway.sessionfile.index import read_record, stated_index
 from igtl_gateway.sessionfile.records import MAGIC, Malformed
 from igtl_gateway.sessionfile.seals import ends_sealed
+from igtl_gateway.systems.files import open_plain
 
 #: Maximum number of files that one pass looks at.
 MOST_FILES = 20_000
@@ -136,11 +136,7 @@ def identity_of(found: os.stat_result) -> tuple[int, int, int, int]:
 
 def open_unlinked(path: Path) -> IO[bytes]:
     """Open an ordinary file for reading, but no link.  Raises OSError."""
-    handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
-    if not stat.S_ISREG(os.fstat(handle).st_mode):
-        os.close(handle)
-        raise OSError(0, "it is not an ordinary file", str(path))
-    return os.fdopen(handle, "rb")
+    return os.fdopen(open_plain(path), "rb")
 
 
 def _files(folder: Path) -> Iterator[tuple[str, os.stat_result]]:

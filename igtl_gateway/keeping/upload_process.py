@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import sys
 import threading
 from contextlib import suppress
@@ -23,6 +22,8 @@ from igtl_gateway.keeping.uploading import WAITS, Uploader
 from igtl_gateway.notations import upload_place
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.systems.processes import lower_priority
+from igtl_gateway.systems.signals import ignore_endings
 
 #: Time between two looks at the folder, seconds.
 _LOOK_S = 1.0
@@ -35,10 +36,8 @@ END_S = 10.0
 def main() -> None:
     """The process."""
     # a service manager signals all processes of a service at once: the bridge decides when this one ends
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)
-    with suppress(OSError):
-        os.nice(19)
+    ignore_endings()
+    lower_priority(19)
     settings = json.loads(sys.stdin.readline() or "null")
     if settings:
         _Process(settings).run()

@@ -6,11 +6,9 @@ line that was cut off by a crash is not used.  Keys of the store are not in it.
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
 import re
-import stat
 from collections.abc import Mapping
 from contextlib import closing, suppress
 from dataclasses import dataclass, fields, replace
@@ -20,6 +18,7 @@ from typing import Any
 from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.keeping.stored import StoredRecording, open_unlinked
 from igtl_gateway.stamp import utc_text
+from igtl_gateway.systems.files import lock, open_plain, remove_locked
 from igtl_gateway.untrusted.text import parse_json
 
 SUFFIX = ".uploads.jsonl"
@@ -130,15 +129,14 @@ class UploadState:
     def lock(self) -> bool:
         """Take the lock, until `close`; False: another process has it.  Raises OSError."""
         if self._file is None:
-            flags = os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-            file = os.open(self.path, flags, 0o600)
+            file = open_plain(self.path, os.O_RDWR | os.O_APPEND | os.O_CREAT)
             try:
-                if not stat.S_ISREG(os.fstat(file).st_mode):
-                    raise OSError(0, "it is not an ordinary file", str(self.path))
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                lock(file)
                 size = os.fstat(file).st_size
-                if size and os.pread(file, 1, size - 1) != b"\n":  # a crash cut the last line off
-                    os.write(file, b"\n")
+                if size:
+                    os.lseek(file, size - 1, os.SEEK_SET)
+                    if os.read(file, 1) != b"\n":  # a crash cut the last line off
+                        os.write(file, b"\n")
             except BlockingIOError:
                 os.close(file)
                 return False
@@ -154,6 +152,12 @@ class UploadState:
         if self._file is not None:
             os.close(self._file)
             self._file = None
+
+    def remove(self) -> None:
+        """Remove the file, under the lock, and release that.  Raises OSError."""
+        assert self._file is not None
+        file, self._file = self._file, None
+        remove_locked(self.path, file)
 
     def begin(self, place: str) -> None:
         """State where the recording goes; what is known about its files is void.  Raises OSError."""
@@ -240,5 +244,5 @@ def remove_finished(folder: Path, names: set[str]) -> None:
             continue
         with suppress(OSError):
             if state.lock():
-                state.path.unlink()
+                state.remove()
         state.close()

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import mmap
 import os
-import signal
 import subprocess
 import sys
 import threading
@@ -19,13 +18,14 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from multiprocessing import Pipe
-from multiprocessing.connection import Connection
 from pathlib import Path
 
 from igtl_gateway.clock import Clock, SystemClock
 from igtl_gateway.record.options import LARGEST_BYTES, RecordOptions
 from igtl_gateway.record.shared_queue import QueueReader, QueueWriter, memory, shared_memory
-from igtl_gateway.record.worker import WorkerSettings, run_worker
+from igtl_gateway.record.worker import WorkerPipe, WorkerSettings, run_worker
+from igtl_gateway.systems.processes import lower_priority
+from igtl_gateway.systems.signals import ignore_endings
 
 #: The bridge goes first where there is not processor time enough for both; the queue bridges that.
 _NICENESS = 5
@@ -47,7 +47,7 @@ class WorkerHost:
         warning: what is not as it should be, or ``""``.
     """
 
-    pipe: Connection
+    pipe: WorkerPipe
     queue: QueueWriter
     wait: Callable[[], str]
     warning: str = ""
@@ -57,7 +57,12 @@ Host = Callable[[WorkerSettings, Clock], WorkerHost]
 
 
 def in_process(settings: WorkerSettings, clock: Clock) -> WorkerHost:
-    """A process of its own, which outlives this one until all is written; a thread where the system refuses that."""
+    """A process of its own, which outlives this one until all is written; a thread where the system refuses that.
+
+    On Windows it is always a thread: memory without a name cannot be passed to another process there.
+    """
+    if sys.platform == "win32":
+        return in_thread(settings, clock)
     try:
         child, ours, queue = _start(settings.options)
     except OSError as error:
@@ -77,7 +82,7 @@ def in_process(settings: WorkerSettings, clock: Clock) -> WorkerHost:
     return WorkerHost(ours, queue, wait)
 
 
-def _start(options: RecordOptions) -> tuple[subprocess.Popen[bytes], Connection, QueueWriter]:
+def _start(options: RecordOptions) -> tuple[subprocess.Popen[bytes], WorkerPipe, QueueWriter]:
     """The process, our end of the pipe, and the queue to it.  Raises OSError."""
     handle = shared_memory(options.queue_bytes, LARGEST_BYTES)
     try:
@@ -129,11 +134,12 @@ def _queue_writer(place: mmap.mmap, options: RecordOptions) -> QueueWriter:
 
 def main() -> None:
     """The process."""
+    from multiprocessing.connection import Connection  # of file descriptors: not on Windows
+
     # a service manager signals all processes of a service at once: the bridge decides when this one ends
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, signal.SIG_IGN)
+    ignore_endings()
     pipe, handle, bridge = (int(word) for word in sys.argv[1:])
-    os.nice(_NICENESS)
+    lower_priority(_NICENESS)
     with Connection(pipe) as connection, suppress(EOFError):  # the bridge ended before it sent the settings
         settings = connection.recv()
         try:

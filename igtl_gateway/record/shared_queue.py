@@ -132,7 +132,7 @@ def shared_memory(queue_bytes: int, largest: int) -> int:
     """The same for processes: a file descriptor to be mapped."""
     size = _size(queue_bytes, largest)
     if hasattr(os, "memfd_create"):
-        handle = os.memfd_create("igtl-gateway recorder")
+        handle: int = os.memfd_create("igtl-gateway recorder")
     else:
         with tempfile.TemporaryFile() as file:
             handle = os.dup(file.fileno())
@@ -597,7 +597,7 @@ class QueueReader(_QueueEnd):
         for begin, end in (*self._gone, (self._begin, self._place)):
             start = -(-(_PAGE + max(begin, _KEPT_BYTES)) // _PAGE) * _PAGE
             length = (_PAGE + end) // _PAGE * _PAGE - start
-            if length > 0 and _REMOVE is not None:
+            if sys.platform != "win32" and length > 0 and _REMOVE is not None:
                 with suppress(OSError):  # --lock-memory locks it where the getter is a thread of the bridge
                     self._map.madvise(_REMOVE, start, length)
         self._gone.clear()

@@ -15,9 +15,8 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, Self
 
 from igtl_gateway.clock import Clock
 from igtl_gateway.errors import ConfigError, DiskRefused, RecordingError, Unavailable
@@ -131,10 +130,21 @@ class WorkerState:
         }
 
 
+class WorkerPipe(Protocol):
+    """One end of the pipe between bridge and worker: of file descriptors, or of handles on Windows."""
+
+    def send(self, words: Any, /) -> None: ...
+    def recv(self) -> Any: ...
+    def poll(self, timeout: float | None = ..., /) -> bool: ...
+    def close(self) -> None: ...
+    def __enter__(self) -> Self: ...
+    def __exit__(self, kind: Any, error: Any, place: Any, /) -> None: ...
+
+
 def run_worker(
     settings: WorkerSettings,
     queue: QueueReader,
-    pipe: Connection,
+    pipe: WorkerPipe,
     clock: Clock,
     orphaned: Callable[[], bool] = lambda: False,
     rank: Callable[[bool], bool] = lambda hurried: True,
@@ -151,7 +161,7 @@ def run_worker(
 def _run_worker(
     settings: WorkerSettings,
     queue: QueueReader,
-    pipe: Connection,
+    pipe: WorkerPipe,
     clock: Clock,
     orphaned: Callable[[], bool],
     rank: Callable[[bool], bool],
@@ -197,7 +207,7 @@ class _RecorderWorker:
         self,
         settings: WorkerSettings,
         queue: QueueReader,
-        pipe: Connection,
+        pipe: WorkerPipe,
         clock: Clock,
         orphaned: Callable[[], bool],
         rank: Callable[[bool], bool],

@@ -137,10 +137,11 @@ def _is_writable(folder: Path) -> bool:
 @contextmanager
 def _locked(path: Path) -> Iterator[int]:
     """Lock the file against other processes; the kernel releases the lock when the last descriptor is closed."""
-    import fcntl  # not available on Windows, for which there are no ROS wheels
-
     with path.open("w") as file:
-        fcntl.flock(file, fcntl.LOCK_EX)
+        if sys.platform != "win32":  # for which there are no ROS wheels
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX)
         yield file.fileno()
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 import hashlib
 import json
 import stat
+import sys
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -86,7 +87,7 @@ class SigningKey:
         except UnsupportedRecording as error:
             raise ConfigError(f"key {error}") from None
         mode = stat.S_IMODE(path.stat().st_mode)
-        if mode & _GROUP_AND_OTHERS:
+        if mode & _GROUP_AND_OTHERS and sys.platform != "win32":  # there the folder decides who may read it
             raise ConfigError(f"key {path}: found mode {mode:04o}, expected 0600: others may read it")
         try:
             private = serialization.load_pem_private_key(data, None)

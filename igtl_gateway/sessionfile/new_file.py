@@ -6,7 +6,6 @@ Recordings are data of patients: new files are for their owner only, unless :fun
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
 import stat
 from collections.abc import Iterator
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import Literal, TextIO
 
 from igtl_gateway.errors import DiskRefused, RecordingError
+from igtl_gateway.systems.files import lock, set_mode
 from igtl_gateway.untrusted.files import obstacle
 
 #: Errors of the system about a path that cannot have been intended; all others are the disk's.
@@ -110,15 +110,14 @@ def create_file(path: Path, overwrite: bool) -> BufferedWriter:
     try:
         file = open(path, "wb" if overwrite else "xb", opener=_open_untouched)
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock(file.fileno())
         except BlockingIOError:
             file.close()
             raise RecordingError(f"cannot record to {path}: another process is recording to it") from None
         except OSError:
             pass  # a file system without locks
         file.truncate()
-        with suppress(OSError):  # a file system without modes
-            os.fchmod(file.fileno(), _MODE.get())  # of an older file, too, and whatever the umask is
+        set_mode(file.fileno(), _MODE.get())  # of an older file, too, and whatever the umask is
         return file
     except FileExistsError:
         raise RecordingError(
@@ -137,15 +136,6 @@ def cannot_begin(path: Path, error: OSError | ValueError) -> RecordingError:
 def os_error_text(error: Exception) -> str:
     """The system's text for a refused file."""
     return (error.strerror if isinstance(error, OSError) else None) or str(error)
-
-
-def sync_folder(folder: Path) -> None:
-    """Make the names in a folder survive a power failure, too.  Raises OSError."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def _open_untouched(path: str, flags: int) -> int:

@@ -26,11 +26,12 @@ from igtl_gateway.sessionfile.chunk_rows import RowStream
 from igtl_gateway.sessionfile.compression import Compression
 from igtl_gateway.sessionfile.layout import CHUNK_BYTES, LayoutError
 from igtl_gateway.sessionfile.messages import RawPacker, device_name, pack_message
-from igtl_gateway.sessionfile.new_file import cannot_begin, create_file, os_error_text, sync_folder
+from igtl_gateway.sessionfile.new_file import cannot_begin, create_file, os_error_text
 from igtl_gateway.sessionfile.schemas import Definition, RosTypes
 from igtl_gateway.sessionfile.sealing import Sealer
 from igtl_gateway.sessionfile.side_file import TopicCount, topic_counts
 from igtl_gateway.sessionfile.stream import McapStream
+from igtl_gateway.systems.files import sync_folder
 
 #: When written data are forced to the disk, so that a power failure does not lose them.
 Fsync = Literal["never", "flush", "close"]

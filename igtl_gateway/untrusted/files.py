@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import errno
-import fcntl
 import stat
+import sys
 from pathlib import Path
 from typing import IO, BinaryIO
 
 from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
+from igtl_gateway.systems.files import lock, unlock
 from igtl_gateway.untrusted import limits
 
 _SEEK_DATA = 3  # as lseek(2)
@@ -47,6 +48,8 @@ def open_file(path: Path) -> BinaryIO:
 
 def stored_bytes(path: Path, size: int) -> int:
     """Return the number of the ``size`` bytes of a file that are on the disk: holes of a sparse file are not."""
+    if sys.platform == "win32":  # its files have no count of blocks
+        return size
     try:
         return min(size, path.stat().st_blocks * 512)
     except (OSError, ValueError):  # bytes in memory
@@ -64,10 +67,10 @@ def next_data(stream: IO[bytes], at: int) -> int:
 
 
 def is_being_written(stream: IO[bytes]) -> bool:
-    """Return whether another process holds a writer's lock (exclusive ``flock``) on an open file."""
+    """Return whether another process holds a writer's lock on an open file."""
     try:
-        fcntl.flock(stream.fileno(), fcntl.LOCK_SH | fcntl.LOCK_NB)
-        fcntl.flock(stream.fileno(), fcntl.LOCK_UN)
+        lock(stream.fileno(), shared=True)
+        unlock(stream.fileno())
     except BlockingIOError:
         return True
     except OSError:  # bytes in memory, or a file system without locks

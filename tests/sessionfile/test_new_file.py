@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.errors import DiskRefused, RecordingError
-from igtl_gateway.sessionfile.new_file import cannot_begin, create_file, os_error_text, sync_folder
+from igtl_gateway.sessionfile.new_file import cannot_begin, create_file, os_error_text
+from igtl_gateway.systems.files import sync_folder
 
 
 def test_a_new_file_is_locked(tmp_path: Path) -> None:

@@ -19,9 +19,12 @@ from __future__ import annotations
 import ctypes
 import os
 import re
+import shutil
 import sys
 from collections.abc import Mapping
 from pathlib import Path
+
+from igtl_gateway.systems import files
 
 PROFILE = Path(__file__).with_name("fastdds_profile.xml")
 #: The same with quick acknowledgements, for a program that waits for each.
@@ -77,6 +80,8 @@ def free_shared_memory(folder: Path) -> int:
     Each segment has a lock file beside it, which its process created and locked before the segment.  If both exist and
     no process holds the lock, the process has ended.
     """
+    if sys.platform == "win32":  # has no such folder
+        return 0
     freed = 0
     for lock in folder.glob("fastrtps_*_el"):
         segment = lock.with_name(lock.name.removesuffix("_el"))
@@ -96,11 +101,9 @@ def free_shared_memory(folder: Path) -> int:
 
 def _is_free(lock: Path) -> bool:
     """Whether no process holds the lock."""
-    import fcntl  # not on Windows, where there is no such folder
-
     with lock.open("rb") as file:
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            files.lock(file.fileno())
         except BlockingIOError:
             return False
         return True
@@ -130,9 +133,9 @@ def _why_keep_profile(environ: Mapping[str, str], cwd: Path, shared_memory: Path
         return f"not for {rmw}"
     if not shared_memory.is_dir():
         return f"not set, no {shared_memory} here"
-    free = os.statvfs(shared_memory)
-    if free.f_bavail * free.f_frsize < _ROOM_BYTES:
-        have, need = free.f_bavail * free.f_frsize >> 20, _ROOM_BYTES >> 20
+    free = shutil.disk_usage(shared_memory).free
+    if free < _ROOM_BYTES:
+        have, need = free >> 20, _ROOM_BYTES >> 20
         return f"not set, {have} MiB free in {shared_memory}, {need} MiB needed (large images will be slower)"
     return ""
 

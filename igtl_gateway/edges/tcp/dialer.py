@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import socket
+import sys
 import threading
 from collections.abc import Callable
 from functools import partial
@@ -17,6 +18,11 @@ from igtl_gateway.edges.tcp.sockets import address_text, resolve
 from igtl_gateway.edges.tcp.tls import Handshake, TlsSocket
 from igtl_gateway.once import Once
 from igtl_gateway.session.note import Level, Note
+
+#: Results of an attempt that has begun.
+_BEGUN = {0, errno.EINPROGRESS}
+if sys.platform == "win32":
+    _BEGUN.add(errno.WSAEWOULDBLOCK)
 
 _CONNECT_TIMEOUT_S = 5.0  # the kernel's own would be two minutes
 _RETRY_FIRST_S = 0.1  # as fast as 3D Slicer retries: a server that restarts is back at once
@@ -121,7 +127,7 @@ class Dialer:
             return
         sock.setblocking(False)
         code = sock.connect_ex(address)
-        if code not in (0, errno.EINPROGRESS):
+        if code not in _BEGUN:
             self.hang_up()
             self._dial_next(os.strerror(code))
             return

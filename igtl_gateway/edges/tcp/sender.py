@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import select
 import socket
+import sys
 import threading
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
@@ -15,6 +16,8 @@ from igtl_gateway.edges.tcp.reporter import NOTE_EVERY_S
 from igtl_gateway.edges.tcp.tls import TlsSocket
 from igtl_gateway.session.note import Level, Note
 
+#: As much is joined to one packet where the system sends only one buffer at a time.
+_JOINED_BYTES = 64 << 10
 _BLOCKED_POLL_MS = 100  # the longest time after which a waiting sender notices that its link was closed
 
 
@@ -213,7 +216,7 @@ class Sender:
     def _write(self, parts: Sequence[Part]) -> int:
         """Bytes that the kernel takes now; under the lock.  A link that fails is muted, and 0 returned."""
         try:
-            return self._sock.send(parts[0]) if len(parts) == 1 else self._sock.sendmsg(parts)
+            return self._sock.send(parts[0]) if len(parts) == 1 else _send_parts(self._sock, parts)
         except (BlockingIOError, InterruptedError):
             return 0
         except OSError as exc:
@@ -303,8 +306,35 @@ class Sender:
             self._link.fault(Level.ERROR, "queue_full", f"{self._link.peer} does not read: {self.reason}")
 
 
-def _await_room(descriptor: int) -> None:
-    # If the link is closed meanwhile, this returns at once or late, and the caller finds it muted.
-    poll = select.poll()
-    poll.register(descriptor, select.POLLOUT)
-    poll.poll(_BLOCKED_POLL_MS)
+if sys.platform == "win32":
+
+    def _send_parts(sock: socket.socket | TlsSocket, parts: Sequence[Part]) -> int:
+        """Send what follows each other; return the number of bytes that the system took.
+
+        Windows gives no ``sendmsg``: small parts are joined, so that they do not become packets of their own.
+        """
+        if isinstance(sock, TlsSocket):
+            return sock.sendmsg(parts)
+        size = 0
+        for count, part in enumerate(parts):
+            size += len(part)
+            if size > _JOINED_BYTES:
+                return sock.send(b"".join(parts[:count]) if count else part)
+        return sock.send(b"".join(parts))
+
+    def _await_room(descriptor: int) -> None:
+        # If the link is closed meanwhile, this returns at once or late, and the caller finds it muted.
+        with suppress(OSError, ValueError):
+            select.select((), (descriptor,), (descriptor,), _BLOCKED_POLL_MS / 1000)
+
+else:
+
+    def _send_parts(sock: socket.socket | TlsSocket, parts: Sequence[Part]) -> int:
+        """Send what follows each other; return the number of bytes that the system took."""
+        return sock.sendmsg(parts)
+
+    def _await_room(descriptor: int) -> None:
+        # If the link is closed meanwhile, this returns at once or late, and the caller finds it muted.
+        poll = select.poll()
+        poll.register(descriptor, select.POLLOUT)
+        poll.poll(_BLOCKED_POLL_MS)

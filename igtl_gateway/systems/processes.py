@@ -1,0 +1,96 @@
+"""Processes: how one is started apart from this one, its priority, its CPUs, and a bound of its memory."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from contextlib import suppress
+from functools import partial
+from typing import Any
+
+if sys.platform == "win32":
+    import ctypes
+
+    _IDLE_PRIORITY_CLASS = 0x40
+    _KERNEL = ctypes.WinDLL("kernel32", use_last_error=True)
+    _KERNEL.GetCurrentProcess.restype = ctypes.c_void_p
+
+    #: What Ctrl-C at a terminal would send.  Windows sends Ctrl-C to whole consoles only.
+    INTERRUPT = signal.CTRL_BREAK_EVENT
+    #: What ends a process at once.
+    KILL: signal.Signals = signal.SIGTERM
+
+    def apart(death_signal: signal.Signals) -> dict[str, Any]:
+        """Return arguments of ``Popen``: Ctrl-C at the terminal does not reach the process.
+
+        Nothing ends it with its parent: it has to end with its input.
+
+        Args:
+            death_signal: not used.
+        """
+        return {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
+
+    def lower_priority(niceness: int) -> None:
+        """Run this process only when no other one needs the processor.
+
+        Args:
+            niceness: not used; Windows has classes instead.
+        """
+        _KERNEL.SetPriorityClass(ctypes.c_void_p(_KERNEL.GetCurrentProcess()), _IDLE_PRIORITY_CLASS)
+
+else:
+    import ctypes
+    import resource
+
+    _PR_SET_PDEATHSIG = 1
+    #: Loaded before any fork.
+    _LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None
+
+    #: What Ctrl-C at a terminal would send.
+    INTERRUPT = signal.SIGINT
+    #: What ends a process at once.
+    KILL = signal.SIGKILL
+
+    def apart(death_signal: signal.Signals) -> dict[str, Any]:
+        """Return arguments of ``Popen``: a session of its own, so that Ctrl-C at the terminal does not reach it.
+
+        Args:
+            death_signal: on Linux the process gets it when the thread that started it ends, in whatever way.
+        """
+        return {"start_new_session": True, "preexec_fn": partial(_prepare, death_signal)}
+
+    def _prepare(death_signal: int) -> None:
+        """In the new process, before the program: accept interrupts, and end with the thread that started it.
+
+        It takes no lock, so it may run between fork and exec.
+        """
+        # ignored where a shell without job control started us in the background; the program would ignore it, too
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        if _LIBC:
+            _LIBC.prctl(_PR_SET_PDEATHSIG, death_signal)
+
+    def lower_priority(niceness: int) -> None:
+        """Add to the niceness of this process, where that is permitted."""
+        with suppress(OSError):
+            os.nice(niceness)
+
+
+def usable_cpus() -> int:
+    """Return the number of CPUs that this process may use."""
+    if sys.platform == "linux":
+        return len(os.sched_getaffinity(0))
+    else:  # a type checker for Linux takes what follows the return for unreachable
+        return os.cpu_count() or 1
+
+
+def limit_data(most: int) -> None:
+    """Bound the data of this process, where the system has such a bound: Linux has, Windows and macOS do not.
+
+    Args:
+        most: bytes; where a lower bound holds already, that stays.
+    """
+    if sys.platform != "win32":
+        with suppress(ValueError, OSError):
+            resource.setrlimit(resource.RLIMIT_DATA, (most, most))

@@ -1,0 +1,107 @@
+"""Signals: which of them end a program, and how they reach a thread."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any
+
+if sys.platform == "win32":
+    import socket
+
+    #: What asks a program to end: Ctrl-C, Ctrl-Break, and the end of the session.
+    ENDINGS: tuple[signal.Signals, ...] = (signal.SIGINT, signal.SIGBREAK, signal.SIGTERM)
+    #: What the start of a program in the background may have ignored: nothing.
+    KEPT_IGNORED: tuple[signal.Signals, ...] = ()
+    #: What saves a snapshot, and what pauses and resumes a recording: there are no signals for that.
+    SAVE: signal.Signals | None = None
+    PAUSE: signal.Signals | None = None
+else:
+    #: What asks a program to end: Ctrl-C, a service manager, the end of the terminal.
+    ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    #: What the start of a program in the background may have ignored (nohup): it stays ignored.
+    KEPT_IGNORED = (signal.SIGHUP,)
+    SAVE = signal.SIGUSR1
+    PAUSE = signal.SIGUSR2
+
+
+def ignore_endings() -> None:
+    """Ignore what asks a program to end: another process decides when this one does."""
+    for number in ENDINGS:
+        signal.signal(number, signal.SIG_IGN)
+
+
+@contextmanager
+def signals_in_thread(
+    actions: Mapping[signal.Signals, Callable[[], None]], name: str, *, once: bool = False
+) -> Iterator[None]:
+    """Context manager: a thread does the action of each signal, and the main thread waits for none.
+
+    A handler runs in the main thread, perhaps while that holds the lock which the action needs: there it would wait
+    forever.  On Windows it does not even run while the main thread waits for a lock, so the system itself
+    wakes the thread there.
+
+    Args:
+        actions: signal → action.
+        name: of the thread.
+        once: the second signal of a kind has the system's own effect.
+    """
+    if not actions:
+        yield
+        return
+    read, write, close = _channel()
+
+    def watch() -> None:
+        while (number := read()) != b"\0":
+            if number and number[0] in actions:
+                actions[signal.Signals(number[0])]()
+
+    def on_signal(number: int, _frame: Any) -> None:
+        if sys.platform != "win32":  # there the system has written it already
+            write(bytes([number]))
+        if once:
+            signal.signal(number, signal.SIG_DFL)
+
+    watcher = threading.Thread(target=watch, name=name, daemon=True)
+    watcher.start()
+    before = {number: signal.signal(number, on_signal) for number in actions}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        write(b"\0")
+        watcher.join()
+        close()
+
+
+if sys.platform == "win32":
+
+    def _channel() -> tuple[Callable[[], bytes], Callable[[bytes], object], Callable[[], None]]:
+        """Return functions that read a byte, write one, and close; the system writes the numbers of signals to it."""
+        reader, writer = socket.socketpair()
+        writer.setblocking(False)
+        before = signal.set_wakeup_fd(writer.fileno(), warn_on_full_buffer=False)
+
+        def close() -> None:
+            signal.set_wakeup_fd(before)
+            reader.close()
+            writer.close()
+
+        return lambda: reader.recv(1), writer.send, close
+
+else:
+
+    def _channel() -> tuple[Callable[[], bytes], Callable[[bytes], object], Callable[[], None]]:
+        """Return functions that read a byte, write one, and close."""
+        reader, writer = os.pipe()
+
+        def close() -> None:
+            os.close(reader)
+            os.close(writer)
+
+        return lambda: os.read(reader, 1), lambda data: os.write(writer, data), close
