@@ -13,7 +13,7 @@ run_tests = $(BIN)/python -m pytest $(PARALLEL) --durations=10 $(1) || { \
 	[ $$? -eq 1 ] || exit 1; \
 	echo "The failed tests run again, alone."; $(BIN)/python -m pytest -q --last-failed --last-failed-no-failures none; }
 
-.PHONY: help demo test test-fast check static format lint types pins documents terms peers core coverage hooks pictures fixtures site release clean
+.PHONY: help demo test test-fast check static format lint types types-elsewhere pins documents terms peers core coverage hooks pictures fixtures site release clean
 .DEFAULT_GOAL := help
 
 help:
@@ -57,6 +57,12 @@ lint: $(READY)
 
 types: $(READY)
 	@$(BIN)/mypy --no-error-summary
+
+# Names of the standard library that exist on macOS and on Windows, see docs/systems.md.
+types-elsewhere: $(READY)
+	@for system in win32 darwin; do \
+	  $(BIN)/mypy --no-error-summary --platform $$system --no-warn-unreachable --cache-dir .mypy_cache/$$system -p igtl_gateway || exit 1; \
+	done
 
 pins: $(READY)
 	@$(BIN)/python tools/constraints.py --check

@@ -19,6 +19,8 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 WORKFLOWS = sorted(path.name for path in (GITHUB / "workflows").iterdir())
 PYTHONS = ["3.11", "3.12", "3.13"]
 SYSTEMS = ["ubuntu-22.04", "ubuntu-24.04"]
+#: Where a session over Zenoh is tried.
+OTHER_SYSTEMS = ["macos-latest", "windows-latest"]
 #: Programs of GitHub's machines that the workflows use.
 TOOLS = {"gh", "python", "rm", "sha256sum"}
 #: Actions in the versions that we know; any other is a decision.
@@ -91,6 +93,10 @@ def test_ci_runs_the_gate_and_the_core_on_all_that_we_promise() -> None:
     assert ".ci/run" in {step.get("run") for _, step in steps("ci.yml")}
     core = content["jobs"]["core"]
     assert core["strategy"]["matrix"] == {"os": SYSTEMS, "python": PYTHONS}
+    assert content["jobs"]["systems"]["strategy"]["matrix"] == {
+        "os": OTHER_SYSTEMS,
+        "python": [PYTHONS[0], PYTHONS[-1]],
+    }
     extras = PROJECT["optional-dependencies"].keys()
     assert {"view", "video", "nifti", "pcap", "lab", "dev"} <= set(core["env"]["EXTRAS"].split(",")) <= extras - {"ros"}
     assert PROJECT["requires-python"] == f">={PYTHONS[0]}"

@@ -165,7 +165,7 @@ def test_a_replay_sends_the_recorded_bytes(tmp_path: Path) -> None:
     arguments = ("replay", str(path), "--to", "igtl", "--listen", f"127.0.0.1:{port}", "--as-fast-as-possible")
     program = gateway(*arguments, PYTHONPATH=PYTHONPATH)
     try:
-        program.wait_until(lambda: bool(program.lines), "first line")
+        program.wait_until(lambda: any(str(port) in line for line in program.lines), "port")
         with RawPeer(port) as peer:
             assert peer.everything() == sent
         assert program.end(None).code == 0

@@ -42,7 +42,9 @@ from tests.integration.test_ros_types import (  # noqa: F401 (tests and fixtures
 )
 
 HERE = Path(__file__).parent
-WITHOUT_ROS = os.pathsep.join([str(HERE / "without_ros"), str(HERE.parents[1])])
+#: The imitation of Windows has no ROS, either.
+SITE = "as_windows" if os.environ.get("IGTL_GATEWAY_ALL_AS_WINDOWS") else "without_ros"
+WITHOUT_ROS = os.pathsep.join([str(HERE / SITE), str(HERE.parents[1])])
 
 
 @pytest.fixture(scope="module")

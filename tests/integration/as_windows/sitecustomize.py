@@ -77,6 +77,7 @@ STEP_NS = 15_625_000
 flock, LOCK_SH, LOCK_EX, LOCK_NB, LOCK_UN = (
     getattr(importlib.import_module("fcntl"), word) for word in ("flock", "LOCK_SH", "LOCK_EX", "LOCK_NB", "LOCK_UN")
 )
+statvfs = os.statvfs
 time_ns, readlink, listdir, os_open = time.time_ns, os.readlink, os.listdir, os.open
 
 #: What GetLastError returns.
@@ -120,6 +121,12 @@ def tcp_pair(*_: Any) -> tuple[socket.socket, socket.socket]:
     with socket.create_server(("127.0.0.1", 0)) as server:
         one = socket.create_connection(server.getsockname())
         return server.accept()[0], one
+
+
+def disk_usage(path: Any) -> types.SimpleNamespace:
+    """``shutil.disk_usage``, which asks ``nt`` on Windows."""
+    found = statvfs(path)
+    return types.SimpleNamespace(free=found.f_bavail * found.f_frsize)
 
 
 def no_attribute(it: object) -> None:
@@ -198,6 +205,7 @@ def install() -> None:
         os: {"O_BINARY": os.O_NOCTTY, "O_NOINHERIT": os.O_CLOEXEC, "open": open_file},
         signal: {"SIGBREAK": signal.SIGQUIT, "CTRL_BREAK_EVENT": signal.SIGQUIT},
         socket: {"SO_EXCLUSIVEADDRUSE": socket.SO_KEEPALIVE, "socketpair": tcp_pair},
+        shutil: {"disk_usage": disk_usage},
         errno: {"WSAEWOULDBLOCK": errno.EINPROGRESS},
         subprocess: {"CREATE_NEW_PROCESS_GROUP": 0x200, "Popen": Popen},
         ctypes: {"WinDLL": Kernel, "get_last_error": lambda: last_errors[0], "FormatError": str},
