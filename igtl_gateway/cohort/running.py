@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
+import logging
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, as_completed
+from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from igtl_gateway import __version__, extras
@@ -16,8 +19,9 @@ from igtl_gateway.cohort import ends
 from igtl_gateway.cohort.results import Results
 from igtl_gateway.cohort.sources import Located, digest
 from igtl_gateway.cohort.task import Programs, run_task
-from igtl_gateway.errors import Unavailable
+from igtl_gateway.errors import ConfigError, Unavailable, UnsupportedRecording
 from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.untrusted.files import open_file
 
 if TYPE_CHECKING:
     from dask.distributed import Client
@@ -234,6 +238,9 @@ def _cluster(where: Where) -> Iterator[Do]:
         from dask import distributed
     except ImportError as error:
         raise Unavailable(extras.missing("dask", error)) from None
+    for name in list(logging.root.manager.loggerDict):  # what it logs of a lost connection is in our errors
+        if name.partition(".")[0] == "distributed":
+            logging.getLogger(name).setLevel(logging.CRITICAL)
 
     def do(work: Work, todo: Sequence[Item]) -> Iterator[tuple[Item, Reply]]:
         moment = str(SystemClock().utc_ns())  # Dask answers a key that it knows from memory
@@ -243,9 +250,15 @@ def _cluster(where: Where) -> Iterator[Do]:
         futures = dict(zip(found, todo, strict=True))
         for future in distributed.as_completed(found, raise_errors=False):
             item = futures.pop(future)
-            if future.status in ("cancelled", "lost"):
-                raise Unavailable(f"{where.scheduler}: the scheduler is gone; what is done is kept, run again")
-            yield item, _failed(future.exception()) if future.status == "error" else dict(future.result())
+            try:
+                if future.status in ("cancelled", "lost"):
+                    raise CancelledError
+                reply = _failed(future.exception()) if future.status == "error" else dict(future.result())
+            except (CancelledError, asyncio.CancelledError, OSError):  # at any moment
+                raise Unavailable(
+                    f"{where.scheduler}: the scheduler is gone; what is done is kept, run again"
+                ) from None
+            yield item, reply
             future.release()
 
     with _client(where) as client:
@@ -276,6 +289,12 @@ def _client(where: Where) -> Iterator[Client]:
     from dask.distributed import Client, Security
 
     security = None
+    for option, name in (("--tls-ca", where.tls_ca), ("--tls-cert", where.tls_cert), ("--tls-key", where.tls_key)):
+        if name:
+            try:
+                open_file(Path(name)).close()
+            except UnsupportedRecording as error:
+                raise ConfigError(f"{option} {error}") from None
     if where.tls_ca:
         security = Security(
             tls_ca_file=where.tls_ca,
