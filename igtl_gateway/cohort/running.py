@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import asyncio
 import json
 import logging
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -252,9 +251,9 @@ def _cluster(where: Where) -> Iterator[Do]:
             item = futures.pop(future)
             try:
                 if future.status in ("cancelled", "lost"):
-                    raise CancelledError
+                    raise distributed.CancelledError
                 reply = _failed(future.exception()) if future.status == "error" else dict(future.result())
-            except (CancelledError, asyncio.CancelledError, OSError):  # at any moment
+            except (distributed.CancelledError, OSError):  # at any moment
                 raise Unavailable(
                     f"{where.scheduler}: the scheduler is gone; what is done is kept, run again"
                 ) from None
