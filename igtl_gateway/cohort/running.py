@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 import json
-import logging
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from igtl_gateway import __version__, extras
+from igtl_gateway import __version__
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.cohort import ends
 from igtl_gateway.cohort.results import Results
+from igtl_gateway.cohort.scheduler import cluster
 from igtl_gateway.cohort.sources import Located, digest
-from igtl_gateway.cohort.task import Programs, run_task
-from igtl_gateway.errors import ConfigError, Unavailable, UnsupportedRecording
+from igtl_gateway.cohort.task import Programs, failed, job_of
 from igtl_gateway.stamp import NS_PER_S
-from igtl_gateway.untrusted.files import open_file
 
 if TYPE_CHECKING:
-    from dask.distributed import Client
-
     from igtl_gateway.cohort.columns import Row
 
 Reply = dict[str, Any]
@@ -34,7 +29,6 @@ Do = Callable[["Work", Sequence[Item]], Iterator[tuple[Item, Reply]]]
 
 #: Rows are written after this time, or of this number of files: what a killed run loses.
 _FLUSH_S, _FLUSH_FILES = 5, 500
-_CONNECT_S = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +192,7 @@ def _is_different(reply: Mapping[str, Any]) -> bool:
 
 def _replies(work: Work, todo: Sequence[Item], where: Where) -> Generator[tuple[Item, Reply], None, None]:
     """Yield each file with its reply, as they end."""
-    with _cluster(where) if where.scheduler else _here(min(where.workers, len(todo))) as do:
+    with cluster(where) if where.scheduler else _here(min(where.workers, len(todo))) as do:
         again = []
         for item, reply in do(work, todo):
             if reply["status"] == ends.KILLED:
@@ -217,10 +211,12 @@ def _here(workers: int) -> Iterator[Do]:
     pool = ThreadPoolExecutor(workers, thread_name_prefix="igtl-cohort")
 
     def do(work: Work, todo: Sequence[Item]) -> Iterator[tuple[Item, Reply]]:
-        futures = {pool.submit(programs.run_task, _job(work, item), work.memory, work.timeout_s): item for item in todo}
+        futures = {
+            pool.submit(programs.run_task, job_of(work, item), work.memory, work.timeout_s): item for item in todo
+        }
         for future in as_completed(list(futures)):
             item, error = futures.pop(future), future.exception()  # no reply is kept
-            yield item, _failed(error) if error else future.result()
+            yield item, failed(error) if error else future.result()
 
     with Programs() as programs:
         try:
@@ -228,84 +224,3 @@ def _here(workers: int) -> Iterator[Do]:
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
     pool.shutdown()  # soon: the programs have ended
-
-
-@contextmanager
-def _cluster(where: Where) -> Iterator[Do]:
-    """Context manager: the workers of Dask behind a scheduler.  Raises Unavailable."""
-    try:
-        from dask import distributed
-    except ImportError as error:
-        raise Unavailable(extras.missing("dask", error)) from None
-    for name in list(logging.root.manager.loggerDict):  # what it logs of a lost connection is in our errors
-        if name.partition(".")[0] == "distributed":
-            logging.getLogger(name).setLevel(logging.CRITICAL)
-
-    def do(work: Work, todo: Sequence[Item]) -> Iterator[tuple[Item, Reply]]:
-        moment = str(SystemClock().utc_ns())  # Dask answers a key that it knows from memory
-        keys = [f"igtl-{work.verb}-{digest(file.name, file.mark, work.text, moment)}" for file, _ in todo]
-        jobs = [_job(work, item) for item in todo]
-        found = client.map(run_task, jobs, memory=work.memory, timeout_s=work.timeout_s, key=keys)
-        futures = dict(zip(found, todo, strict=True))
-        for future in distributed.as_completed(found, raise_errors=False):
-            item = futures.pop(future)
-            try:
-                if future.status in ("cancelled", "lost"):
-                    raise distributed.CancelledError
-                reply = _failed(future.exception()) if future.status == "error" else dict(future.result())
-            except (distributed.CancelledError, OSError):  # at any moment
-                raise Unavailable(
-                    f"{where.scheduler}: the scheduler is gone; what is done is kept, run again"
-                ) from None
-            yield item, reply
-            future.release()
-
-    with _client(where) as client:
-        yield do
-
-
-def _job(work: Work, item: Item) -> dict[str, Any]:
-    file, content = item
-    return {
-        "name": file.name,
-        "size": file.size,
-        "e_tag": file.e_tag,
-        "verb": work.verb,
-        "settings": dict(work.settings),
-        "limits": list(work.limits),
-        "content": content,
-    }
-
-
-def _failed(error: BaseException) -> Reply:
-    if type(error).__name__ == "KilledWorker":
-        return {"status": ends.KILLED, "error": "the worker of Dask died with this file"}
-    return {"status": ends.FAILED, "error": f"{type(error).__name__}: {error}"}
-
-
-@contextmanager
-def _client(where: Where) -> Iterator[Client]:
-    from dask.distributed import Client, Security
-
-    security = None
-    for option, name in (("--tls-ca", where.tls_ca), ("--tls-cert", where.tls_cert), ("--tls-key", where.tls_key)):
-        if name:
-            try:
-                open_file(Path(name)).close()
-            except UnsupportedRecording as error:
-                raise ConfigError(f"{option} {error}") from None
-    if where.tls_ca:
-        security = Security(
-            tls_ca_file=where.tls_ca,
-            tls_client_cert=where.tls_cert,
-            tls_client_key=where.tls_key,
-            require_encryption=True,
-        )
-    try:
-        client = Client(where.scheduler, security=security, timeout=_CONNECT_S)
-    except (OSError, ValueError, TypeError) as error:
-        raise Unavailable(
-            f"{where.scheduler}: found no scheduler of Dask ({str(error).partition(chr(10))[0]})"
-        ) from None
-    with client:
-        yield client

@@ -12,12 +12,15 @@ import queue
 import sys
 import threading
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from igtl_gateway.child import Child
 from igtl_gateway.clock import SystemClock
-from igtl_gateway.cohort.ends import KILLED, MEMORY, TIMEOUT
+from igtl_gateway.cohort.ends import FAILED, KILLED, MEMORY, TIMEOUT
 from igtl_gateway.stamp import NS_PER_S
+
+if TYPE_CHECKING:
+    from igtl_gateway.cohort.running import Item, Work
 from igtl_gateway.systems.processes import KILL
 
 #: How often a job is tried again whose program was killed: another process may have been the cause.
@@ -151,3 +154,24 @@ _of_this_process = Programs()
 def run_task(job: Mapping[str, Any], memory: int, timeout_s: float) -> dict[str, Any]:
     """Return the reply of ``jobs.run_job`` with ``seconds``; ``status`` may be ``timeout`` or ``killed``, too."""
     return _of_this_process.run_task(job, memory, timeout_s)
+
+
+def job_of(work: Work, item: Item) -> dict[str, Any]:
+    """Return the job of a file."""
+    file, content = item
+    return {
+        "name": file.name,
+        "size": file.size,
+        "e_tag": file.e_tag,
+        "verb": work.verb,
+        "settings": dict(work.settings),
+        "limits": list(work.limits),
+        "content": content,
+    }
+
+
+def failed(error: BaseException) -> dict[str, Any]:
+    """Return the reply for a task that raised."""
+    if type(error).__name__ == "KilledWorker":
+        return {"status": KILLED, "error": "the worker of Dask died with this file"}
+    return {"status": FAILED, "error": f"{type(error).__name__}: {error}"}
