@@ -165,7 +165,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     # Libraries
     "av": ("edges.video",),
     "cryptography": ("seal.keys", "seal.time_stamps"),
-    "dask": ("cohort.running",),
+    "dask": ("cohort.scheduler",),
     "duckdb": ("cohort.query",),
     "blake3": ("seal.digest",),
     "rfc3161_client": ("seal.time_stamps",),
