@@ -73,6 +73,10 @@ fan = [320, 20, 60, 400, 45, 135]  # apex x, y; near, far; from, to (degrees, 90
 value = 0
 ```
 
+A `pattern` is a regular expression of Python. A process of its own searches, and the text of a message may take 5 s: a
+pattern that repeats a repetition, such as `(a+)+$`, can take longer than the session for a short text. Then
+`deidentify` ends with exit code 2, names the pattern, and writes no file.
+
 Streams are named as in the recording: `TYPE/device` or the topic. A mask applies to all slices of a volume, and to
 parts of an image at their place. JPEG and PNG are decoded, masked and encoded again, as are H.264 and VP9 (PyAV, the
 extra `video`). A masked picture that cannot be decoded or encoded again, such as H.265 or raw I420, is removed, and

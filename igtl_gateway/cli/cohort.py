@@ -104,13 +104,15 @@ def _run_query(options: argparse.Namespace) -> int:
         check_target(target, overwrite=options.overwrite)
     with asking(options.out) as questions:
         table = questions.table(sql) if targets else None
-        answer = of_table(table) if table is not None else questions.answer(sql)
+        answer = questions.answer(sql) if table is None else of_table(table) if options.json else None
     for target in targets:
         with written(target) as path:
             write_answer(table, path, parquet=target is options.parquet)
+    if answer is None:
+        return 0
     if options.json:
         print_json({"columns": answer.columns, "rows": answer.rows})
-    elif not targets:
+    else:
         rows = [answer.columns, *([_cell(cell) for cell in row] for row in answer.cells)]
         print_line(*aligned(rows, left=len(answer.columns), indent=""))
     return 0

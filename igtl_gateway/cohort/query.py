@@ -128,8 +128,16 @@ class Questions:
                 case "OutOfMemoryException":
                     raise limits.exceeded("memory", "more memory", "query", f"{bounds.memory} bytes") from None
             raise ConfigError(f"query: {reason(error, self._tables.devices)}") from None
+        except (OverflowError, ValueError) as error:
+            raise _no_value(error) from None
         finally:
             over.cancel()
+
+
+def _no_value(error: Exception) -> ConfigError:
+    """What to raise for dates before the year 1 and the like, which Python does not have."""
+    text = str(error).partition("\n")[0]
+    return ConfigError(f"query: found a value that cannot be converted ({text}); cast it to VARCHAR")
 
 
 def _bounded(found: Any) -> pyarrow.Table:
@@ -182,12 +190,12 @@ def asking(folder: Path) -> Iterator[Questions]:
     connection = duckdb.connect(":memory:")
     try:
         with Tables(connection, duckdb.Error, folder) as tables:
-            connection.execute("SET TimeZone = 'UTC'")
+            for setting in ("TimeZone = 'UTC'", f"memory_limit = '{limits.current_limits().memory}B'"):
+                connection.execute(f"SET {setting}")
             tables.load()
             connection.execute(_sessions())
             devices = ", ".join(f"'{device}'" for device in tables.devices)
-            memory = f"memory_limit = '{limits.current_limits().memory}B'"
-            for setting in (f"allowed_paths = [{devices}]", memory, *_SAFE):
+            for setting in (f"allowed_paths = [{devices}]", *_SAFE):
                 connection.execute(f"SET {setting}")
             yield Questions(connection, duckdb.Error, tables)
     except duckdb.Error as error:
@@ -207,7 +215,14 @@ def _sessions() -> str:
 
 
 def of_table(table: pyarrow.Table) -> Answer:
-    """Return the cells of an Arrow table."""
+    """Return the cells of an Arrow table.  Raises ConfigError for values that Python does not have."""
+    try:
+        return _of_table(table)
+    except (OverflowError, ValueError) as error:
+        raise _no_value(error) from None
+
+
+def _of_table(table: pyarrow.Table) -> Answer:
     import pyarrow
 
     columns = []

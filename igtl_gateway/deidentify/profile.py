@@ -11,6 +11,7 @@ from typing import Any
 
 from igtl_gateway.config import read_toml
 from igtl_gateway.deidentify.masks import Fan, Mask, Rectangle
+from igtl_gateway.deidentify.patterns import replaced
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.globs import matches
 
@@ -29,7 +30,7 @@ class TextRule:
         stream: glob of the stream: topic or TYPE/device.
         action: one of ``TEXT_ACTIONS``; ``replace``: the whole text becomes ``by``; ``pattern``: only what matches.
         by: new text.
-        pattern: regular expression.
+        pattern: regular expression of Python.
     """
 
     stream: str
@@ -38,14 +39,14 @@ class TextRule:
     pattern: str = ""
 
     def apply(self, text: str) -> str:
-        """Return the new text."""
+        """Return the new text.  Raises ConfigError for a pattern that takes too long (`patterns`)."""
         match self.action:
             case "keep":
                 return text
             case "replace":
                 return self.by
             case "pattern":
-                return re.sub(self.pattern, lambda _: self.by, text)
+                return replaced(self.pattern, self.by, text)
             case _:
                 return ""
 

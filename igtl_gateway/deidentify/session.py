@@ -15,6 +15,7 @@ from igtl_gateway.app.sealing import SealVerification, verify_seal
 from igtl_gateway.app.verification import IMPORTED, verify_recording
 from igtl_gateway.config import Config
 from igtl_gateway.convert.names import short_device_name
+from igtl_gateway.deidentify import patterns
 from igtl_gateway.deidentify.configuration import SeenNames, clean_config
 from igtl_gateway.deidentify.context import Context, Removed
 from igtl_gateway.deidentify.messages import MessageCleaner
@@ -102,6 +103,7 @@ def deidentify(
     except OSError as error:
         raise GatewayError(f"cannot write to {out}: {error.strerror}") from None
     finally:
+        patterns.close()
         partial.unlink(missing_ok=True)
 
 
