@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
@@ -12,7 +13,8 @@ from igtl_gateway.stamp import NS_PER_S
 if TYPE_CHECKING:
     from igtl_gateway.cohort.running import RunSummary
 
-_COLUMNS = 24
+#: Longest bar, and columns of what stands behind it.
+_COLUMNS, _TEXT = 24, 54
 #: Seconds between two states on a terminal, and between two lines elsewhere.
 _LIVE_S, _LINE_S = 0.2, 30
 
@@ -45,27 +47,30 @@ class Progress:
         if self._quiet or now_ns - self._shown_ns < (_LIVE_S if self._live else _LINE_S) * NS_PER_S:
             return
         self._shown_ns = now_ns
-        text = state_line(summary, (now_ns - self._start_ns) / NS_PER_S)
+        columns = shutil.get_terminal_size().columns if self._live else 80
+        text = state_line(summary, (now_ns - self._start_ns) / NS_PER_S, columns)
         if self._live:
             live_line(text, error=True)
         else:
             print_line(text, error=True, flush=True)
 
 
-def state_line(summary: RunSummary, seconds: float) -> str:
+def state_line(summary: RunSummary, seconds: float, columns: int = 80) -> str:
     """Return the state of a run: a bar, counts, rate and time left.
 
     Args:
         summary: the run so far.
         seconds: since its start.
+        columns: of the terminal; a narrow one has a shorter bar, or none.
     """
     done, files = summary.before + summary.done, summary.files
-    filled = _COLUMNS * done // files if files else _COLUMNS
+    long = max(0, min(_COLUMNS, columns - _TEXT))
+    filled = long * done // files if files else long
     rate = summary.done / seconds if seconds > 0 else 0.0
     left = f", {duration((files - done) / rate)} left" if rate > 0 else ""
     failed = f", {summary.failed:,} without result" if summary.failed else ""
-    bar = "#" * filled + "." * (_COLUMNS - filled)
-    return f"[{bar}] {done:,} of {files:,} files, {rate:,.1f}/s{left}{failed}"
+    bar = f"[{'#' * filled}{'.' * (long - filled)}] " if long else ""
+    return f"{bar}{done:,} of {files:,} files, {rate:,.1f}/s{left}{failed}"
 
 
 def duration(seconds: float) -> str:

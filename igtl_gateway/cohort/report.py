@@ -114,7 +114,10 @@ def _latencies(questions: Questions) -> str:
     )
     if not found:
         return _section(title, _paragraph("No session has stamps: igtl-gateway cohort lint."))
-    drawn = [(row["host"], row["spread_ms"], f"{row['spread_ms']:,.1f} ms") for row in found]
+    drawn = [
+        (row["host"], row["spread_ms"], f"{row['spread_ms']:,.{1 if row['spread_ms'] >= 0.1 else 4}f} ms")
+        for row in found
+    ]
     cells = [
         [row["host"], row["files"], f"{row['messages']:,}", *(f"{row[key]:,.2f}" for key in _LATENCIES)]
         for row in found

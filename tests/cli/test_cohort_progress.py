@@ -17,6 +17,7 @@ def test_bar_rate_and_time_left() -> None:
     assert state_line(summary, 100) == (
         "[############............] 1,000 of 2,000 files, 8.0/s, 2 min 5 s left, 10 without result"
     )
+    assert state_line(RunSummary(5), 0, columns=40) == "0 of 5 files, 0.0/s"
     assert state_line(RunSummary(5), 0) == "[........................] 0 of 5 files, 0.0/s"
     assert [duration(each) for each in (0.4, 59.4, 3599, 90_000)] == ["0 s", "59 s", "59 min 59 s", "25 h 0 min"]
 
