@@ -170,5 +170,6 @@ def _read(path: Path) -> pa.Table:
 def _provenance(path: Path) -> list[Mapping[str, Any]]:
     with files.open_file(path) as file:  # pyarrow opens no name that is not UTF-8
         metadata = pq.read_schema(file).metadata or {}
-    facts = parse_json(metadata.get(PROVENANCE, b"{}").decode(), str(path))
-    return [run for run in facts.get("runs", []) if isinstance(run, dict)]
+    facts = parse_json(metadata.get(PROVENANCE, b"{}").decode("utf-8", "replace"), str(path))
+    runs = facts.get("runs") if isinstance(facts, dict) else None
+    return [run for run in runs if isinstance(run, dict)] if isinstance(runs, list) else []

@@ -98,6 +98,11 @@ _SESSION_VERBS = (
     "export F --to lerobot --recipe RECIPE --out OUT",
     "merge F SMALL -o OUT.mcap",
     "merge F --extract a -o OUT.mcap",
+    "merge SMALL F -o OUT.mcap --json",
+    "merge a=SMALL b=F -o OUT.mcap --offset b=0.5",
+    "retain FOLDER --retention 1MB --dry-run",
+    "retain FOLDER --retention 1h,1MB --only-sealed --json",
+    "upload FOLDER --to s3://bucket/prefix --patience 0",
 )
 
 #: Files that verbs get besides the hostile one, all of them sound: name in ``VERBS`` → content.
@@ -109,8 +114,9 @@ BESIDES = {
     ),
 }
 
-#: Sort of file → the verbs that read it.  F is the file, GOOD, SMALL and SEALED are sound recordings, KEY is the key of
-#: SEALED, OUT is what is written.
+#: Sort of file → the verbs that read it.  F is the file, FOLDER its folder, CONTENT its text; GOOD, SMALL, SEALED and
+#: STAMPED are sound recordings, KEY is the key of SEALED, COHORT a folder of tables; OUT is what is written.  Words
+#: with an equals sign before the verb are its environment.
 VERBS: dict[str, tuple[str, ...]] = {
     "session": _SESSION_VERBS,
     "foreign MCAP": _SESSION_VERBS,
@@ -139,6 +145,48 @@ VERBS: dict[str, tuple[str, ...]] = {
         "export SMALL --to lerobot --recipe F --out OUT",
         "export SMALL --to lerobot --recipe F --out OUT --json",
     ),
+    "time stamp": (
+        "seal SEALED --time-stamp F -o OUT.mcap",
+        "verify STAMPED --seal --tsa F",
+    ),
+    "certificate": (
+        "verify STAMPED --seal --tsa F",
+        "verify STAMPED --seal --tsa F --json",
+        "verify SEALED --seal --tsa F",
+        "verify SEALED --seal --trusted F",
+    ),
+    "folder": (
+        "retain F --retention 1MB --only-uploaded --dry-run",
+        "retain F --retention 1h,1MB --only-uploaded --json",
+        "upload F --to s3://bucket/prefix --patience 0",
+        "upload F --to s3://bucket/prefix --patience 0 --json",
+        "retain F --retention 1MB",
+    ),
+    "AWS file": (
+        "AWS_ACCESS_KEY_ID= AWS_SHARED_CREDENTIALS_FILE=F upload GOODS --to s3://bucket/prefix --patience 0",
+        "AWS_CONFIG_FILE=F upload GOODS --to s3://bucket/prefix --patience 0",
+    ),
+    "Zenoh configuration": (
+        "ZENOH_ROUTER_CONFIG_URI=F zenoh-router",
+        "ZENOH_SESSION_CONFIG_URI=F bridge --ros zenoh --listen 127.0.0.1:0 --duration 0.1",
+    ),
+    "cohort": (
+        *(
+            f"cohort {words} --out F --limit memory=64000000"
+            for words in (
+                "query 'SELECT * FROM tasks'",
+                "query 'SELECT * FROM sessions' --json",
+                "query 'SELECT * FROM findings' --csv OUT.csv",
+                "report --html OUT.html",
+            )
+        ),
+        "cohort info SMALL --out F --workers 1",
+    ),
+    "question": tuple(
+        f"cohort query CONTENT --out COHORT{words} --limit seconds=2 --limit memory=64000000"
+        for words in ("", " --json", " --csv OUT.csv", " --parquet OUT.parquet")
+    ),
+    "sources": tuple(f"cohort {verb} F --out OUT --workers 2" for verb in ("info", "lint", "verify", "review", "sync")),
     # not decode: it reads a stream, which a FIFO or a device may be
     "place": (
         "info F",
@@ -152,6 +200,13 @@ VERBS: dict[str, tuple[str, ...]] = {
         "verify SEALED --seal --trusted F",
         "deidentify SMALL -o OUT.mcap --profile F",
         "export SMALL --to lerobot --recipe F --out OUT",
+        "retain F --retention 1MB --dry-run",
+        "upload F --to s3://bucket/prefix --patience 0",
+        "cohort query 'SELECT 1' --out F",
+        "merge SMALL F -o OUT.mcap",
+        "seal SEALED --time-stamp F -o OUT.mcap",
+        "verify STAMPED --seal --tsa F",
+        "ZENOH_ROUTER_CONFIG_URI=F zenoh-router",
     ),
 }
 

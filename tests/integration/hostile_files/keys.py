@@ -156,6 +156,7 @@ _PROFILES: Mapping[str, tuple[Danger, str]] = {
     "masks": (Danger.BOMB, '[[mask]]\nstream = "**"\nrectangles = [[0, 0, 9, 9]]\n' * 20_000),
     "groups": (Danger.BOMB, f'[[text]]\nstream = "**"\naction = "pattern"\npattern = "{"(" * 5000 + ")" * 5000}"\n'),
     "repeats": (Danger.BOMB, '[[text]]\nstream = "**"\naction = "pattern"\npattern = "a{999999999999}"\n'),
+    "backtracking": (Danger.BOMB, '[[text]]\nstream = "**"\naction = "pattern"\npattern = "(.|.)*\\u0001"\n'),
     "rectangle": (Danger.LIE, '[[mask]]\nstream = "**"\nrectangles = [[-9, 0, 9, 9]]\n'),
     "huge": (Danger.LIE, '[[mask]]\nstream = "**"\nrectangles = [[0, 0, 999999999999999999999999, 1]]\n'),
     "infinite": (Danger.LIE, '[[mask]]\nstream = "**"\nfan = [0, 0, 0, inf, 0, nan]\n'),

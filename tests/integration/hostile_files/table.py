@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -12,14 +13,27 @@ import time
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import MappingProxyType
 
-from igtl_gateway.app.sealing import seal_recording
+from igtl_gateway.app.sealing import seal_recording, stamp_recording, verify_seal
 from igtl_gateway.seal.keys import SigningKey
-from tests.integration.hostile_files import bags, foreign, images, keys, robots, sessions, streams
+from tests.integration.hostile_files import (
+    bags,
+    cohorts,
+    folders,
+    foreign,
+    images,
+    keys,
+    robots,
+    sessions,
+    stamps,
+    streams,
+)
 from tests.integration.hostile_files.case import BESIDES, FORGED, GOOD, ROOT, SMALL, VERBS, Hostile
+from tests.seal.authority import new_authority
 
 CASES: tuple[Hostile, ...] = (
     *sessions.CASES,
@@ -29,6 +43,9 @@ CASES: tuple[Hostile, ...] = (
     *streams.CASES,
     *robots.CASES,
     *keys.CASES,
+    *stamps.CASES,
+    *folders.CASES,
+    *cohorts.CASES,
 )
 
 WORKER = Path(__file__).with_name("worker.py")
@@ -39,6 +56,9 @@ PATIENCE_S, WAIT_S, CPU_S, PEAK_MB = 20.0, 60.0, 5.0, 300.0
 _CONTROL = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 _TRACE = re.compile(r"Traceback \(most recent|Exception ignored|thread '.*' panicked|Fatal Python error|\w+Warning: ")
 _FORGED = re.compile(f"^{re.escape(FORGED[:6])}", re.MULTILINE)
+
+#: A store that is away, and keys for it.
+_STORE = {"AWS_ENDPOINT_URL": "http://127.0.0.1:9", "AWS_ACCESS_KEY_ID": "key", "AWS_SECRET_ACCESS_KEY": "secret"}
 
 #: What may be wrong with a verb's end.
 FAULTS = ("traceback", "memory", "hang", "slow", "control characters", "forged lines", "exit code")
@@ -63,7 +83,8 @@ class Outcome:
     def answer(self) -> str:
         """The first line of the errors, or of the output, without the names of files."""
         lines = (self.errors or self.output).splitlines() or [""]
-        return re.sub(r"/\S*/", "", lines[0].removeprefix(f"igtl-gateway {self.verb.split()[0]}: "))
+        verb = next(word for word in self.verb.split() if "=" not in word)
+        return re.sub(r"/\S*/", "", lines[0].removeprefix(f"igtl-gateway {verb}: "))
 
 
 def judged(name: str, verb: str, told: dict[str, object]) -> Outcome:
@@ -153,7 +174,7 @@ class Worker:
         self._results = self.folder / f"results-{self._starts}"
         self._results.touch()
         # few arenas: each thread would reserve 64 MB of the address space that is allowed
-        environment = os.environ | {"MALLOC_ARENA_MAX": "2"} | {"PYTHONPATH": str(self.tree), "COLUMNS": "200"}
+        environment = os.environ | {"MALLOC_ARENA_MAX": "2"} | {"PYTHONPATH": str(self.tree), "COLUMNS": "200"} | _STORE
         # its working directory is the folder: what is written beside a wrong path is found
         self._process = subprocess.Popen(
             [sys.executable, str(WORKER), str(self._results)],
@@ -191,7 +212,7 @@ def _cpu_s(process: int) -> float:
 
 
 def besides(folder: Path) -> dict[str, str]:
-    """Write the files of ``BESIDES``, a key and a sealed recording; return their paths by their names in ``VERBS``."""
+    """Write the sound files that ``VERBS`` names; return their paths by these names."""
     for name, content in BESIDES.items():
         (folder / name).write_text(content, "utf-8")
     key, sealed = SigningKey.generate(), folder / "SEALED"
@@ -199,13 +220,29 @@ def besides(folder: Path) -> dict[str, str]:
         path.write_bytes(data)
         path.chmod(0o600)
     seal_recording(SMALL, folder / "KEY", sealed)
-    return {name: str(folder / name) for name in (*BESIDES, "KEY", "KEY.pub", "SEALED")}
+    stamped = sealed
+    if shutil.which("openssl") and find_spec("rfc3161_client"):
+        authority, stamped = new_authority(folder / "authority", "Clock"), folder / "STAMPED"
+        stamp_recording(sealed, authority.reply(verify_seal(sealed).parts[-1].last_seal), stamped)
+    (folder / "COHORT").mkdir()
+    cohorts.write_cohort(folder / "COHORT")
+    (folder / "GOODS").mkdir()
+    shutil.copyfile(SMALL, folder / "GOODS" / "small.mcap")
+    names = (*BESIDES, "KEY", "KEY.pub", "SEALED", "COHORT", "GOODS")
+    return {name: str(folder / name) for name in names} | {"STAMPED": str(stamped)}
 
 
 def words(verb: str, path: Path, out: Path, more: Mapping[str, str] = MappingProxyType({})) -> list[str]:
     """The arguments of a verb of ``VERBS`` for a file; ``more`` is of :func:`besides`."""
-    told = {"F": str(path), "GOOD": str(GOOD), "SMALL": str(SMALL), **more}
-    return [told.get(word, word.replace("OUT", str(out)) if word.startswith("OUT") else word) for word in verb.split()]
+    told = {"F": str(path), "FOLDER": str(path.parent), "GOOD": str(GOOD), "SMALL": str(SMALL), **more}
+    if "CONTENT" in verb:
+        told["CONTENT"] = path.read_text("utf-8")
+    found = []
+    for word in shlex.split(verb):
+        name, equals, value = word.rpartition("=")
+        value = value.replace("OUT", str(out)) if value.startswith("OUT") else told.get(value, value)
+        found.append(name + equals + value)
+    return found
 
 
 def chosen(sort: str, turn: int, more: int | None) -> Sequence[str]:

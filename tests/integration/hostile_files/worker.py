@@ -13,13 +13,17 @@ import gc
 import json
 import os
 import resource
+import signal
 import sys
+import threading
 import time
 import traceback
 from pathlib import Path
 
 #: Address space, and size of a file: enough for what a verb may take, not for what a bomb asks.
 MEMORY, FILE = 2_500_000_000, 1_000_000_000
+#: Seconds after which Ctrl-C ends a router.
+ROUTER_S = 0.5
 
 
 def peak_kb() -> int:
@@ -34,6 +38,42 @@ def reset() -> None:
 
 
 def ran(arguments: list[str]) -> dict[str, object]:
+    """The result of one verb; words with an equals sign before it are its environment."""
+    given = list(arguments)
+    environment = {}
+    while "=" in given[0]:
+        name, _, value = given.pop(0).partition("=")
+        environment[name] = value
+    before = {name: os.environ.get(name) for name in environment}
+    os.environ.update(environment)
+    over = threading.Event()
+    ends = threading.Thread(target=interrupts, args=(over,))
+    if given[0] == "zenoh-router":
+        ends.start()
+    try:
+        return timed(given)
+    finally:
+        over.set()
+        if ends.ident:
+            ends.join()
+        for name, text in before.items():
+            if text is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = text
+
+
+def interrupts(over: threading.Event) -> None:
+    """Send Ctrl-C a while after the verb is ready for it."""
+    usual = signal.getsignal(signal.SIGINT)
+    while not over.wait(0.02):
+        if signal.getsignal(signal.SIGINT) != usual:
+            if not over.wait(ROUTER_S):
+                os.kill(os.getpid(), signal.SIGINT)
+            return
+
+
+def timed(arguments: list[str]) -> dict[str, object]:
     """The result of one verb."""
     from igtl_gateway.cli import main
 
