@@ -7,7 +7,8 @@
 `make` writes sessions of a few scenarios.  Each ends at a random moment and has metadata of its own; every hundredth is
 cut off, every hundredth has an output with a changed byte.  `judge` runs a verb with one worker, with two, and with two
 whose programs are killed at random moments, and then once more without kills; the three folders must have equal tables,
-and a second run must do nothing.  `scale` prints time and CPU time by the number of workers.
+and a second run must do nothing.  `scale` prints time and CPU time by the number of workers, and
+first how much faster several programs that only compute are on this machine.
 With --s3, the sessions are uploaded to that server and read from there (AWS_ACCESS_KEY_ID … as for `cohort`).
 """
 
@@ -22,6 +23,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -156,6 +158,9 @@ def scale(folder: Path, verbs: Sequence[str], work: Path) -> None:
     """Print time and CPU time of each verb, by the number of workers up to the cores of this machine."""
     work.mkdir(parents=True)
     cores = len(os.sched_getaffinity(0))
+    floor_s = [_only_computing(workers) for workers in range(1, cores + 1)]
+    for workers, seconds in enumerate(floor_s, 1):
+        print(f"programs that only compute: {workers} at a time, {floor_s[0] / seconds:.2f} times as fast as one")
     for verb in verbs:
         first_s = 0.0
         for workers in range(1, cores + 1):
@@ -174,6 +179,15 @@ def scale(folder: Path, verbs: Sequence[str], work: Path) -> None:
                 f"{used.ru_utime + used.ru_stime:.1f} s of CPU; load {os.getloadavg()[0]:.1f}",
                 flush=True,
             )
+
+
+def _only_computing(workers: int) -> float:
+    """Return the seconds of 12 programs that only compute, so many at a time: what the cores give."""
+    command = [sys.executable, "-c", "for _ in range(20_000_000): pass"]
+    start = time.monotonic()
+    with ThreadPoolExecutor(workers) as pool:
+        list(pool.map(lambda _: subprocess.run(command, check=True), range(12)))
+    return time.monotonic() - start
 
 
 def upload(folder: Path) -> str:
