@@ -61,6 +61,7 @@ class TopicPublisher:
             self._class = replace(self._class, debt_s=None)
         self._clock = clock
         self._lock = threading.Lock()
+        self._looking = threading.Lock()  # guards matched
         self._made_ns = clock.monotonic_ns()
         self._sequence = 0
         self._gid = bytes(16)
@@ -84,9 +85,11 @@ class TopicPublisher:
         if self._class:
             how |= how_to_send(zenoh, self._class)
 
-        def on_matching(status: Any) -> None:
-            came = status.matching and not self.matched
-            self.matched = status.matching
+        def on_matching(_status: Any) -> None:
+            # Zenoh's threads call in any order, and while the publisher is declared: what counts is what is true now.
+            with self._looking:
+                before, self.matched = self.matched, self._watch is not None and self._watch.matching_status.matching
+                came = self.matched and not before
             if came:
                 matched()
 
@@ -107,7 +110,8 @@ class TopicPublisher:
                     **how,
                 )
             self._listener = self._watch.declare_matching_listener(on_matching)
-            self.matched = self._watch.matching_status.matching
+            with self._looking:
+                self.matched = self._watch.matching_status.matching
             self._token = session.liveliness().declare_token(token)
             while self._early:
                 self.counts.held -= 1
@@ -157,6 +161,8 @@ class TopicPublisher:
             self.counts.held -= len(self._early)
             self._early.clear()
             self._publisher = None
+        with self._looking:
+            _watch, self._watch = self._watch, None  # released at the end, not while its callback waits for the lock
             self.matched = False
 
 
