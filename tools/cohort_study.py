@@ -182,7 +182,7 @@ def scale(folder: Path, verbs: Sequence[str], work: Path) -> None:
 
 
 def _only_computing(workers: int) -> float:
-    """Return the seconds of 12 programs that only compute, so many at a time: what the cores give."""
+    """Return the seconds of 12 programs that only compute, ``workers`` at a time: what the cores give."""
     command = [sys.executable, "-c", "for _ in range(20_000_000): pass"]
     start = time.monotonic()
     with ThreadPoolExecutor(workers) as pool:
