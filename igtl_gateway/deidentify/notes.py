@@ -22,6 +22,7 @@ CODES = frozenset({
     *"ros_hold_overflow ros_unknown_type ros_refused ros_publish_failed ros_receive_failed ros_callback_failed".split(),
     *"ros_type_hash ros_bad_attachment ros_bad_token ros_call_refused".split(),
     *"site_clock site_latency site_lost site_over_budget zenoh_connected zenoh_lost zenoh_left zenoh_no_router".split(),
+    *"site_command_late zenoh_not_closed".split(),
     *"video_drop video_refused video_failed record_drop record_failed record_refused record_undefined".split(),
     *"record_thread record_paused record_resumed record_snapshot fault fault_disconnect synthetic".split(),
     *"retention_deleted retention_kept retention_clock retention_failed".split(),

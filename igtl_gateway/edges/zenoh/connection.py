@@ -9,6 +9,7 @@ import json
 import threading
 from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 from igtl_gateway.edges.ros.reports import Reports
@@ -20,6 +21,8 @@ from igtl_gateway.session.note import Level
 #: Longest attempt to open the session, and the pause before the next.
 ATTEMPT_MS = 2000
 RETRY_NS = 1_000_000_000
+#: The stop waits this long for the session to close; Zenoh itself would wait 10 s for a router that does not read.
+CLOSE_S = 3.0
 #: Changes of links that are not noted yet.
 _CHANGES = 1000
 
@@ -120,7 +123,12 @@ class Connection:
             session, self.session = self.session, None
             self._declared.clear()
         if session is not None:
-            session.close()
+            closing = threading.Thread(target=_close, args=(session,), name="igtl-zenoh-close", daemon=True)
+            closing.start()
+            closing.join(CLOSE_S)
+            if closing.is_alive():  # a line that carries nothing: the session ends with the process
+                text = f"the session of Zenoh ({self._places}) did not close within {CLOSE_S:g} s"
+                self._reports.note(Level.WARN, "zenoh_not_closed", text)
 
     def _data(self) -> dict[str, Any]:
         return {"links": len(self._links)}
@@ -134,3 +142,8 @@ class Connection:
         who = f"{transport.whatami} {transport.zid}"
         self._changes.append((event.kind == self.zenoh.SampleKind.PUT, who))
         self._wake()
+
+
+def _close(session: Any) -> None:
+    with suppress(Exception):  # zenoh's class is one for all causes; here: its own limit of time
+        session.close()

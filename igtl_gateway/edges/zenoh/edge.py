@@ -6,7 +6,8 @@ Threads beside the callers of `ZenohEdge.publish`:
   all else to tables that the keeper looks at;
 * *receiver*: passes the messages of the inbox to ``on_message`` (``inbox``);
 * *keeper*: opens the session, subscribes to what is wanted, notes what happened;
-* those of *calls* of services (``services``).
+* those of *calls* of services (``services``);
+* *commands*: sends what may have to wait for the line (``waiting``).
 
 What differs from DDS: there are no incompatible QoS; nothing is held for subscribers that are not matched yet, because
 Zenoh routes the first message, too; own messages do not come back; and what is sent while the router is away is lost,
@@ -216,7 +217,7 @@ class ZenohEdge:
         self._connection.stop()  # before the inbox: no message comes from here on
         self._inbox.stop()
         self._subscribing.note_losses()
-        self._publishing.note_over_budget()
+        self._publishing.note_dropped()
 
     def follow(self, change: Change | None) -> None:
         """There are no parameters that could change."""
@@ -362,7 +363,7 @@ class ZenohEdge:
                 if now_ns() >= losses_ns:
                     losses_ns = now_ns() + _LOSSES_NS
                     self._subscribing.note_losses()
-                    self._publishing.note_over_budget()
+                    self._publishing.note_dropped()
                 if self._sites:
                     self._sites.keep()
                 while self._on_listener and self._listened:

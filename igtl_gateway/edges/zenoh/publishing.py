@@ -20,6 +20,7 @@ from igtl_gateway.edges.zenoh.library import first_line
 from igtl_gateway.edges.zenoh.names import Kind, Node, attachment, data_key, gid
 from igtl_gateway.edges.zenoh.traffic import Traffic, how_to_send
 from igtl_gateway.edges.zenoh.types import TypeHashes
+from igtl_gateway.edges.zenoh.waiting import Commands
 from igtl_gateway.errors import RosError
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.note import Level
@@ -47,6 +48,7 @@ class TopicPublisher:
         counts: TopicCounts,
         clock: Clock,
         traffic: Traffic | None = None,
+        commands: Commands | None = None,
     ) -> None:
         self.topic = topic
         self.type_name = type_name
@@ -59,6 +61,7 @@ class TopicPublisher:
         self._class = traffic.class_of(topic, type_name) if traffic else None
         if self._class and qos.latched:  # nothing repeats it for late joiners
             self._class = replace(self._class, debt_s=None)
+        self._commands = commands if self._class and self._class.blocks else None
         self._clock = clock
         self._lock = threading.Lock()
         self._looking = threading.Lock()  # guards matched
@@ -115,7 +118,7 @@ class TopicPublisher:
             self._token = session.liveliness().declare_token(token)
             while self._early:
                 self.counts.held -= 1
-                self._put(self._early.popleft())
+                self._pass_on(self._early.popleft())
 
     @property
     def has_subscriber(self) -> bool:
@@ -142,12 +145,23 @@ class TopicPublisher:
                 else:
                     self.counts.unheard += 1
                 return ""
+            return self._pass_on(cdr)
+
+    def _pass_on(self, cdr: bytes) -> str:
+        """To Zenoh, or to the thread that may wait for it."""
+        if self._commands is None:
             return self._put(cdr)
+        self._commands.put(self.topic, self.counts, lambda: self._put(cdr))
+        return ""
 
     def _put(self, cdr: bytes) -> str:
+        publisher = self._publisher
+        if publisher is None:  # stopped while it waited
+            self.counts.unheard += 1
+            return ""
         self._sequence += 1
         try:
-            self._publisher.put(cdr, attachment=attachment(self._sequence, self._clock.utc_ns(), self._gid))
+            publisher.put(cdr, attachment=attachment(self._sequence, self._clock.utc_ns(), self._gid))
         except Exception as error:  # zenoh's class is one for all causes
             self.counts.failed += 1
             return first_line(error)
@@ -188,6 +202,7 @@ class Publishing:
         self._clock = clock
         self._matched = matched
         self._traffic = traffic
+        self._commands = Commands(reports, clock)
         self._publishers: dict[str, TopicPublisher] = {}
         self._closed = False
 
@@ -246,8 +261,9 @@ class Publishing:
         """Return the publisher of a topic, if there is one."""
         return self._publishers.get(topic)
 
-    def note_over_budget(self) -> None:
-        """Note the messages that were dropped since the last call, because they exceed the budget."""
+    def note_dropped(self) -> None:
+        """Note the messages that were dropped since the last call: they exceed the budget, or the line took none."""
+        self._commands.note_dropped()
         with self._connection.lock:
             publishers = list(self._publishers.values())
         for one in publishers:
@@ -258,8 +274,9 @@ class Publishing:
                 self._reports.note(Level.WARN, "site_over_budget", text, one.topic, {"dropped": dropped})
 
     def close(self) -> None:
-        """At stop: refuse all further messages."""
+        """At stop: refuse all further messages; send the commands that wait, for 2 s at most."""
         self._closed = True
+        self._commands.stop()
         with self._connection.lock:
             for publisher in self._publishers.values():
                 publisher.close()
@@ -274,6 +291,7 @@ class Publishing:
             counts,
             self._clock,
             self._traffic,
+            self._commands,
         )
 
         def declare(session: Any) -> None:

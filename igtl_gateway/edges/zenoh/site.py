@@ -152,6 +152,7 @@ class Sites:
             on_reply,
             timeout=_TIMEOUT_S,
             priority=self._zenoh.Priority.REAL_TIME,
+            congestion_control=self._zenoh.CongestionControl.DROP,  # the keeper must not wait for a dead line
             express=True,
             allowed_destination=self._zenoh.Locality.REMOTE,
         )

@@ -36,6 +36,11 @@ class TrafficClass:
     express: bool
     debt_s: float | None
 
+    @property
+    def blocks(self) -> bool:
+        """Whether Zenoh keeps the sender until the line takes the message."""
+        return self.congestion == "BLOCK"
+
 
 #: Name → class.
 CLASSES = {

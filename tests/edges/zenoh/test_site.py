@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
 from typing import Any
@@ -91,6 +94,45 @@ def test_two_sites(routers: tuple[int, int], monkeypatch: pytest.MonkeyPatch) ->
         assert -found["error_ms"] <= found["min_ms"] <= found["p50_ms"] < 2000
         or1.edge.stop()
         planning.wait_code("site_lost")
+
+
+def test_a_dead_line_keeps_neither_the_caller_nor_the_stop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The router is stopped (SIGSTOP): it reads no more, and no connection ends."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", "11")
+    monkeypatch.setattr("igtl_gateway.edges.zenoh.waiting.LATE_NS", NS_PER_S // 10)
+    monkeypatch.setattr("igtl_gateway.edges.zenoh.waiting._STOP_S", 0.2)
+    monkeypatch.setattr("igtl_gateway.edges.zenoh.connection.CLOSE_S", 0.5)
+    port, now_ns = free_port(), SystemClock().monotonic_ns
+    command = [sys.executable, "-m", "igtl_gateway", "zenoh-router", "--listen", f"tcp/127.0.0.1:{port}"]
+    topics = {"/said": (String.TYPE, String("x").pack()), "/picture": (Image.TYPE, PICTURE * 20)}
+    with subprocess.Popen(command, stdout=subprocess.PIPE) as program, ExitStack() as stack:
+        stack.callback(program.kill)
+        assert program.stdout is not None
+        program.stdout.readline()
+        or1, planning = SiteSide(port, "or1"), SiteSide(port, "planning", tuple(topics))
+        for side in (or1, planning):
+            stack.callback(side.edge.stop)
+            side.edge.start()
+        for topic, (kind, _) in topics.items():
+            or1.edge.advertise(topic, kind, Qos(10))
+        or1.wait(lambda: all(or1.edge.subscriber_count(topic) for topic in topics))
+        program.send_signal(signal.SIGSTOP)
+        begun_ns, sent = now_ns(), 0
+        while or1.edge.counters()["/said"]["failed"] == 0:
+            for topic, (kind, cdr) in topics.items():
+                called_ns = now_ns()
+                or1.edge.publish(topic, kind, cdr, Qos(10))
+                assert now_ns() - called_ns < NS_PER_S  # in Zenoh it would be 5 s
+            sent += 1
+            assert now_ns() - begun_ns < 20 * NS_PER_S
+        begun_ns = now_ns()
+        or1.edge.stop()
+        assert now_ns() - begun_ns < 4 * NS_PER_S
+        program.kill()
+    found = or1.edge.counters()["/said"]
+    assert found["held"] == 0
+    assert found["published"] + found["failed"] + found["unheard"] in (sent, sent - 1)  # one may still be in Zenoh
+    assert {"site_command_late", "zenoh_not_closed"} <= set(or1.codes())
 
 
 def test_classes_and_budget() -> None:
