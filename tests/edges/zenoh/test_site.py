@@ -100,6 +100,7 @@ def test_a_dead_line_keeps_neither_the_caller_nor_the_stop(monkeypatch: pytest.M
     """The router is stopped (SIGSTOP): it reads no more, and no connection ends."""
     monkeypatch.setenv("ROS_DOMAIN_ID", "11")
     monkeypatch.setattr("igtl_gateway.edges.zenoh.waiting.LATE_NS", NS_PER_S // 10)
+    monkeypatch.setattr("igtl_gateway.edges.zenoh.waiting.MOST", 8)
     monkeypatch.setattr("igtl_gateway.edges.zenoh.waiting._STOP_S", 0.2)
     monkeypatch.setattr("igtl_gateway.edges.zenoh.connection.CLOSE_S", 0.5)
     port, now_ns = free_port(), SystemClock().monotonic_ns
