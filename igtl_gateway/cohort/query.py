@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 SESSIONS = "sessions"
 #: Settings of a database that answers the questions of anyone: no files, no network, no variables of Python.
 _SAFE = (
-    "temp_directory = ''",
     "autoinstall_known_extensions = false",
     "python_enable_replacements = false",
     "enable_external_access = false",
@@ -190,7 +189,8 @@ def asking(folder: Path) -> Iterator[Questions]:
     connection = duckdb.connect(":memory:")
     try:
         with Tables(connection, duckdb.Error, folder) as tables:
-            for setting in ("TimeZone = 'UTC'", f"memory_limit = '{limits.current_limits().memory}B'"):
+            memory = f"memory_limit = '{limits.current_limits().memory}B'"
+            for setting in ("TimeZone = 'UTC'", memory, "temp_directory = ''"):  # nothing is written
                 connection.execute(f"SET {setting}")
             tables.load()
             connection.execute(_sessions())
