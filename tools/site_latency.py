@@ -180,12 +180,24 @@ def judged(folder: Path) -> dict[str, Any]:
 
 
 def main(seconds: float, chosen: str = "") -> None:
+    """Run the cases whose name has ``chosen`` in it; print what was found, then a table."""
+    print(f"load average {os.getloadavg()[0]:.2f} at the start", flush=True)
+    results: dict[str, dict[str, Any]] = {}
     with tempfile.TemporaryDirectory() as name:
         for case in CASES:
             if chosen in case.name:
-                found = run(case, seconds, Path(name))
+                results[case.name] = found = run(case, seconds, Path(name))
                 print(case.name, json.dumps(found, indent=1, ensure_ascii=False), flush=True)
+    print(f"\ninjected: {1e3 * DELAY_S:g} ms each way, {RATE * 8 / 1e6:g} Mbit/s; latency of poses in ms")
+    print(f"{'':24}{'p50':>7}{'p99':>7}{'largest':>9}{'pictures':>10}   p99 / idle p99")
+    for label, found in results.items():
+        _, after, loss = label.partition(", 1 % loss")
+        idle = results.get(f"idle, sites{after}{loss}")
+        ratio = f"{found['p99_ms'] / idle['p99_ms']:.2f}" if idle else ""
+        row = f"{found['p50_ms']:7.1f}{found['p99_ms']:7.1f}{found['largest_ms']:9.1f}{found['pictures']:10d}"
+        print(f"{label:24}{row}   {ratio}")
+    print(f"load average {os.getloadavg()[0]:.2f} at the end")
 
 
 if __name__ == "__main__":
-    main(float(sys.argv[1]) if len(sys.argv) > 1 else 20.0, *sys.argv[2:3])
+    main(float(sys.argv[1]) if len(sys.argv) > 1 else 15.0, *sys.argv[2:3])
