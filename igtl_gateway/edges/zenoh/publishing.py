@@ -113,8 +113,7 @@ class TopicPublisher:
                     **how,
                 )
             self._listener = self._watch.declare_matching_listener(on_matching)
-            with self._looking:
-                self.matched = self._watch.matching_status.matching
+            on_matching(None)  # a subscriber that was there before
             self._token = session.liveliness().declare_token(token)
             while self._early:
                 self.counts.held -= 1
