@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
-from igtl_gateway.gateway import FAULT
+from igtl_gateway.gateway import FAULT, TICK
 from igtl_gateway.once import Once
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
@@ -37,6 +37,8 @@ class RosLog:
     def add(self, entry: Entry) -> None:
         """Take the note of an entry of the kinds ``NOTED``."""
         note = Note.unpack(entry.data())
+        if is_routine(note):
+            return
         if (note.level is Level.INFO and note.code != FAULT) or self._once.first(note.code, note.stream):
             self._waiting.append((note.level, note_text(note, entry.links), entry.stamp_ns))
 
@@ -44,6 +46,11 @@ class RosLog:
         """Pass on what has been collected; not under a lock that delays messages."""
         while self._waiting:
             self._log(*self._waiting.popleft())
+
+
+def is_routine(note: Note) -> bool:
+    """Return whether a note only drives the gateway, several times a second: people are not told."""
+    return note.code == TICK
 
 
 def note_text(note: Note, links: tuple[int, ...]) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from igtl_gateway import __version__
 from igtl_gateway.app.bridge import Bridge
 from igtl_gateway.app.entry_watch import EntryWatch, Event
-from igtl_gateway.app.ros_log import note_text
+from igtl_gateway.app.ros_log import is_routine, note_text
 from igtl_gateway.cli import admission
 from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.losses import losses
@@ -105,6 +105,8 @@ class TextOutput:
     def events(self, events: list[Event]) -> None:
         for event in events:
             note, links = event.note, event.links
+            if is_routine(note):
+                continue
             cause = (note.code, note.stream)
             if cause not in self._repeats and len(self._repeats) >= _MAX_CAUSES:
                 cause = (note.code, "(other streams)")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from igtl_gateway.app.ros_log import RosLog
+from igtl_gateway.gateway import TICK
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 
@@ -36,3 +37,12 @@ def test_a_flood_costs_no_memory() -> None:
         log.add(entry(number, Note(Level.ERROR, "bad", f"device {number}", f"STRING/{number}")))
     log.flush()
     assert lines == [f"device {number}" for number in range(1000)]
+
+
+def test_ticks_are_not_logged() -> None:
+    lines: list[str] = []
+    log = RosLog(lambda _level, text, _stamp_ns: lines.append(text))
+    for number in range(4):
+        log.add(entry(number, Note(Level.INFO, TICK, "a deadline has come")))
+    log.flush()
+    assert lines == []

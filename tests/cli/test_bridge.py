@@ -6,6 +6,7 @@ import pytest
 
 from igtl_gateway.app.entry_watch import Event
 from igtl_gateway.cli.bridge_output import TextOutput
+from igtl_gateway.gateway import TICK
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.session.note import Level, Note
 
@@ -22,3 +23,10 @@ def test_a_device_name_writes_no_lines_and_no_escape_sequences(capsys: pytest.Ca
     TextOutput(terminal=False).events([Event(0, Kind.NOTE, note, (3,))])
     shown = r"\x1b[2J\x9b31m\x0dTool\x0a= 10.0.0.9:18944 connected\x7f"
     assert capsys.readouterr().out == f"? {shown} is too old [link 3]\n"
+
+
+def test_ticks_drive_the_gateway_and_tell_people_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    out = TextOutput(terminal=False)
+    tick = Event(0, Kind.EDGE_NOTE, Note(Level.INFO, TICK, "a deadline has come"), ())
+    out.events([tick, Event(1, Kind.LINK, Note(Level.INFO, "link_up", "connected"), (1,)), tick])
+    assert capsys.readouterr().out == "= connected [link 1]\n"
