@@ -49,7 +49,7 @@ class RosLog:
 
 
 def is_routine(note: Note) -> bool:
-    """Return whether a note only drives the gateway, several times a second: people are not told."""
+    """Return whether a note only drives the gateway, several times a second, and is not for people."""
     return note.code == TICK
 
 

@@ -34,6 +34,10 @@ MIN_STAMPS, REPEATED_ONE_IN = 10, 10
 COARSE_NS = 10 * NS_PER_MS
 #: Largest distance of implausibly small positions from the origin: trackers do not measure so close to themselves.
 SMALL_MM, MIN_POSES = 5.0, 5
+#: Positions that all are nearer are small in metres, too: the residue of a calibration or the noise of a still tool.
+TINY_MM = 0.15
+#: Poses are the noise of a still tool, and not a motion, if the mean step is this part of their extent; least number.
+NOISE_STEP, MIN_STEPS = 0.2, 20
 #: Lengths above this do not occur in an operating room.
 LARGE_MM = 50_000.0
 #: The smallest plausible pixel spacing: that of a microscope.
@@ -341,7 +345,10 @@ def has_invalid_name(stream: ObservedStream) -> int:
 def is_small(stream: ObservedStream) -> int:
     lengths = stream.lengths
     few = lengths.messages < MIN_POSES if lengths.poses else lengths.positions < MIN_POSES
-    return 0 if few or not lengths.moved or not 0 < lengths.largest < SMALL_MM else lengths.messages
+    if few or not lengths.moved or not TINY_MM <= lengths.largest < SMALL_MM:
+        return 0
+    still = lengths.steps >= MIN_STEPS and lengths.path > NOISE_STEP * lengths.span * lengths.steps
+    return 0 if still else lengths.messages
 
 
 def is_fine(stream: ObservedStream) -> int:

@@ -27,6 +27,8 @@ class LengthStats:
         poses: whether they are positions of poses.
         largest: largest distance from the origin, mm.
         moved: whether not all positions are equal.
+        steps, path, span: of poses: number of steps from one message to the next, the sum of their lengths, and the
+            largest distance from the first position, all in the unit of the messages.
         smallest_spacing: of images, mm; 0 = an image without spacing, None = no image.
     """
 
@@ -35,8 +37,12 @@ class LengthStats:
     poses: bool = True
     largest: float = 0.0
     moved: bool = False
+    steps: int = 0
+    path: float = 0.0
+    span: float = 0.0
     smallest_spacing: float | None = None
     _first: Any = None
+    _last: Any = None
 
     def add(self, measured: ContentMeasures, millimetres: float) -> None:
         """Add the lengths of a message, which are finite; ``millimetres`` is the size of their unit."""
@@ -53,6 +59,12 @@ class LengthStats:
         if self._first is None:
             self._first = positions[0].copy()
         self.moved = self.moved or bool((positions != self._first).any())
+        if measured.pose:
+            if self._last is not None:
+                self.steps += 1
+                self.path += float(np.linalg.norm(positions[0] - self._last))
+            self.span = max(self.span, float(np.linalg.norm(positions[0] - self._first)))
+            self._last = positions[0].copy()
 
 
 @dataclass(slots=True)

@@ -160,6 +160,11 @@ CASES: dict[str, tuple[Callable[[], Scene], list[str]]] = {
     "one topic": (lambda: scene().receive(pose(), "US probe").receive(pose(), "US_probe"), ["W406"]),
     "metres": (lambda: poses(scene(), [0.1 + step / 100 for step in STEPS]), ["W501"]),
     "metres by configuration": (lambda: poses(scene(igtl_unit="m"), [0.1 + step / 100 for step in STEPS]), []),
+    "as small in metres": (lambda: poses(scene(), [0.001 * step for step in STEPS]), []),
+    "a still tool at the origin": (
+        lambda: poses(scene(), [0.3 * (-1) ** (step // 2) for step in range(40)]),
+        [],
+    ),
     "an offset near zero that stays": (lambda: poses(scene(), [0.1] * 12), []),
     "millimetres twice": (lambda: scene().receive(pose(200_000.0)), ["W502"]),
     "not a number": (lambda: scene().receive(Position((float("nan"), 0.0, 0.0)), kind="POSITION"), ["E503"]),
