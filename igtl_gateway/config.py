@@ -72,7 +72,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from string import Formatter
@@ -86,7 +86,7 @@ from igtl_gateway.convert.table import TO_IGTL
 from igtl_gateway.convert.units import UNITS, LengthUnits
 from igtl_gateway.errors import ConfigError, DamagedRecording, UnsupportedRecording
 from igtl_gateway.faults import RelayFaults
-from igtl_gateway.globs import matches
+from igtl_gateway.globs import MAX_LENGTH, matches
 from igtl_gateway.qos import Qos
 from igtl_gateway.settings import (
     GATEWAY,
@@ -216,6 +216,10 @@ class Config:
         if self.watch is None:
             del values["watch"]
         check_values(GATEWAY, GATEWAY, values)
+        for place, glob in self._globs():
+            if len(glob) > MAX_LENGTH:
+                found = f"a glob of {len(glob):,} characters, {glob[:40]}…"
+                raise ConfigError(f"{place}: found {found}, expected at most {MAX_LENGTH:,}")
         if RelayFaults.parse(self.faults, "gateway.faults") and not self.relay:
             raise ConfigError(f"gateway.faults: found {self.faults!r}, expected relay = true with it")
         for index, peer in enumerate(self.peers):
@@ -255,6 +259,14 @@ class Config:
                     f"to_ros[{index}].topic: found {row.topic!r}, "
                     "expected only {device}, {kind} and {type} in braces"
                 )
+
+    def _globs(self) -> Iterator[tuple[str, str]]:
+        """Yield the place of each glob, and the glob."""
+        for table, names in _GLOBS.items():
+            for index, row in enumerate(getattr(self, table)):
+                yield from ((f"{table}[{index}].{name}", getattr(row, name)) for name in names)
+        for name in _GLOB_LISTS:
+            yield from ((name, glob) for glob in getattr(self, name))
 
     def row_to_igtl(self, topic: str) -> ToIgtlRow | None:
         """Return the first row that matches a ROS topic; None if the topic is not bridged."""
@@ -531,6 +543,9 @@ def _pairs(place: str, value: Any) -> tuple[tuple[str, str], ...]:
     return pairs
 
 
+#: The settings that are globs: of the rows of a table, and lists of them.
+_GLOBS = {"to_igtl": ("topic",), "to_ros": ("device", "type"), "peers": ("at",), "crtk": ("arms",)}
+_GLOB_LISTS = ("deny_in", "deny_out", "allow_in", "allow_out")
 _NUMBER_LISTS = frozenset({"workspace", "joint_min", "joint_max", "joint_speed"})
 _TEXT_LISTS = frozenset(
     {"allow", "allow_in", "allow_out", "connect", "deny_in", "deny_out", "frames", "kinds", "listen"}

@@ -17,7 +17,7 @@ from igtl_gateway.globs import matches
 from igtl_gateway.wire.registry import BODIES
 
 _WILD = re.compile(r"[*?]")
-_BRACES = re.compile(r"(\{[^}]*\})")
+_BRACES = re.compile(r"(\{[^{}]*\})")
 
 
 @dataclasses.dataclass(frozen=True, slots=True)

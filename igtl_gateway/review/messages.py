@@ -201,7 +201,8 @@ def _of_point_list(entry: Entry) -> DrawnPlan | None:
     return _drawn(entry, message, positions[first], positions[last], labels, lines=False)
 
 
-_END = re.compile(r"\s*(entry|exit|target)\b", re.IGNORECASE)
+#: Spaces are tried from their first one only: a long run of them costs its length, not the square of it.
+_END = re.compile(r"(?<!\s)\s*(entry|exit|target)\b", re.IGNORECASE)
 
 
 def _of_cloud(entry: Entry) -> DrawnPlan | None:
