@@ -90,9 +90,9 @@ def movement(stream: Stream, *, frame: str = "", line: bool = False, arrival: bo
             break
     else:
         values, unit = _of_poses(stream, frame)
-    is_stamped = len(stream) and bool(np.all(stream.source_times))
-    times = stream.source_times if is_stamped and not arrival else stream.times
-    return Signal.of(times, values, stream.key, unit)
+    is_stamped = not arrival and len(stream) > 0 and bool(np.all(stream.source_times))
+    times = stream.source_times if is_stamped else stream.times
+    return Signal.of(times, values, stream.key, unit, is_stamped=is_stamped)
 
 
 def movements(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
 
 from igtl_gateway import __version__
@@ -14,13 +15,23 @@ from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway.sync.correction import StampCorrection, corrected
 
 
-def write_corrected(path: Path, out: Path, correction: StampCorrection) -> None:
-    """Write the session with the correction, and check that it verifies; an import has no outputs to check.
+def write_corrected(
+    path: Path,
+    out: Path,
+    correction: StampCorrection,
+    *,
+    channel: str,
+    type_name: str,
+    check: Callable[[Path], None],
+) -> bool:
+    """Write the session with the correction, and check it; return whether it was verified: an import has no outputs.
 
     Args:
         path: the session.
         out: the file to write; an existing one is replaced.
         correction: the stream, and what is subtracted from its stamps.
+        channel, type_name: of the entries of the stream.
+        check: called with the written file before it gets its name; what it raises leaves no file.
 
     Raises:
         UnsupportedRecording: the file is of another program.
@@ -38,11 +49,14 @@ def write_corrected(path: Path, out: Path, correction: StampCorrection) -> None:
 
             facts = {**file.session, "corrected_by": __version__}
             writer = SessionWriter(partial, facts, qos_of=qos_of, compression="zstd", overwrite=True)
-            for entry in corrected(file.entries(), correction):
+            for entry in corrected(file.entries(), correction, channel, type_name):
                 writer.write(entry)
             writer.close(dict(file.ledger or {}))
-        if IMPORTED not in facts and not verify_recording(partial).good:
+        has_outputs = IMPORTED not in facts
+        if has_outputs and not verify_recording(partial).good:
             raise GatewayError(f"{correction.stream}: found outputs that depend on its source stamps, expected none")
+        check(partial)
         os.replace(partial, out)
+        return has_outputs
     finally:
         partial.unlink(missing_ok=True)

@@ -6,7 +6,7 @@ import argparse
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -20,9 +20,11 @@ from igtl_gateway.cli.options import add_file, add_json, add_overwrite, default
 from igtl_gateway.cli.outputs import check_target, written
 from igtl_gateway.cli.terminal import aligned, print_json, print_line
 from igtl_gateway.errors import ConfigError, GatewayError
+from igtl_gateway.session.entry import Kind
 from igtl_gateway.sessionfile.new_file import write_text
 from igtl_gateway.stamp import NS_PER_S
-from igtl_gateway.sync.correction import StampCorrection
+from igtl_gateway.sync.correction import StampCorrection, is_corrected
+from igtl_gateway.sync.curves import lag_text
 from igtl_gateway.sync.defaults import CUT_OFF_HZ, MAX_LAG_S
 from igtl_gateway.sync.lag import Lag, measure_lag
 from igtl_gateway.sync.signal import Signal
@@ -89,24 +91,22 @@ def run(options: argparse.Namespace) -> int:
     if len(signals) < 2:
         raise GatewayError(f"{options.file}: found {len(signals)} streams in which something could move, expected two")
     fixed, *others = signals
-    lags = [
-        (signal, measure_lag(fixed, signal, max_lag_s=options.max_lag, cut_off_hz=options.cut_off)) for signal in others
-    ]
+    lags = [(signal, _measure(fixed, signal, options)) for signal in others]
     if options.plot:
         from igtl_gateway.sync.plot import lag_chart  # here: matplotlib is an extra
 
         chart = lag_chart(fixed, lags)
         with written(options.plot) as path:
             write_text(path, chart)
+    good = all(lag.verdict.has_lag for _, lag in lags)
+    applied = _apply(options, fixed, *lags[0]) if options.apply and good else None
     if options.json:
-        print_json({"file": str(options.file), "fixed": fixed.name, "lags": [lag_facts(*each) for each in lags]})
+        facts = {"file": str(options.file), "fixed": fixed.name, "lags": [lag_facts(*each) for each in lags]}
+        print_json(facts | ({"applied": applied.facts()} if applied else {}))
     else:
         _print(fixed, lags)
-    good = all(lag.verdict.has_lag for _, lag in lags)
-    if options.apply and good:
-        _apply(options, fixed, *lags[0])
-        if not options.json:
-            print_line(f"{options.out}: the stamps of {lags[0][0].name} are corrected; the session verifies")
+        if options.apply:
+            print_line(applied.text() if applied else f"{options.out}: not written: there is no lag to correct")
     return 0 if good else 1
 
 
@@ -139,6 +139,10 @@ def stream_named(opened: Sequence[Recording], name: str) -> Stream:
     raise GatewayError(f"{files}: found no stream {name!r}, expected one of {names}")
 
 
+def _measure(fixed: Signal, moving: Signal, options: argparse.Namespace) -> Lag:
+    return measure_lag(fixed, moving, max_lag_s=options.max_lag, cut_off_hz=options.cut_off)
+
+
 def _movement(stream: Stream, options: argparse.Namespace) -> Signal:
     return movement(stream, frame=options.frame, line=options.line)
 
@@ -146,7 +150,11 @@ def _movement(stream: Stream, options: argparse.Namespace) -> Signal:
 def lag_facts(signal: Signal, lag: Lag) -> dict[str, Any]:
     """Return a lag for JSON."""
     facts = {key: value for key, value in asdict(lag).items() if key != "search"}
-    return {"stream": signal.name, **_finite(facts), "verdict": lag.verdict.name.lower(), "reason": lag.verdict.value}
+    clock = "source" if signal.is_stamped else "gateway"
+    reason = lag.verdict.value
+    return {
+        "stream": signal.name, "clock": clock, **_finite(facts), "verdict": lag.verdict.name.lower(), "reason": reason,
+    }  # fmt: skip
 
 
 def _finite(value: Any) -> Any:
@@ -166,6 +174,9 @@ def _print(fixed: Signal, lags: Sequence[tuple[Signal, Lag]]) -> None:
     print_line(f"behind {fixed.name}: {len(fixed.times_ns):,} samples, {1 / fixed.period_s:.1f} Hz")
     rows = [("stream", "lag", "95 %", "R²", "skew", "samples", ""), *(_row(*each) for each in lags)]
     print_line(*aligned(rows, left=1))
+    unstamped = [signal.name for signal in (fixed, *(signal for signal, _ in lags)) if not signal.is_stamped]
+    if unstamped:
+        print_line(f"no stamps in {', '.join(unstamped)}: gateway times are used, so its lag contains the transport")
     for signal, lag in lags:
         for line in _remarks(lag):
             print_line(f"{signal.name}: {line}")
@@ -200,8 +211,56 @@ def _number(value: float, form: str) -> str:
     return "" if math.isnan(value) else format(value, form)
 
 
-def _apply(options: argparse.Namespace, fixed: Signal, moving: Signal, lag: Lag) -> None:
+@dataclass(frozen=True, slots=True)
+class _Applied:
+    """A corrected session.
+
+    Attributes:
+        out: the file.
+        stream: the corrected stream.
+        again: the lag in the file.
+        is_verified: whether the outputs of the gateway were verified; an import has none.
+    """
+
+    out: Path
+    stream: Signal
+    again: Lag
+    is_verified: bool
+
+    def facts(self) -> dict[str, Any]:
+        return {"out": str(self.out), "lag": lag_facts(self.stream, self.again), "verified": self.is_verified}
+
+    def text(self) -> str:
+        name = self.stream.name
+        stamps = f"the stamps of {name}" if self.stream.is_stamped else f"the gateway times of {name}, as its stamps,"
+        proof = "the session verifies" if self.is_verified else "an import has no outputs to verify"
+        measured = f"measured again, the lag is {self.again.lag_s * 1e3:+.1f} ms"
+        return f"{self.out}: {stamps} are corrected; {measured}; {proof}"
+
+
+def _apply(options: argparse.Namespace, fixed: Signal, moving: Signal, lag: Lag) -> _Applied:
+    """Write the corrected session.  Raises GatewayError if the lag is still there; then there is no file."""
     low_ns, lag_ns, high_ns = (round(value * NS_PER_S) for value in (lag.low_s, lag.lag_s, lag.high_s))
     skew_ppm = lag.skew_ppm if lag.has_skew else 0.0
-    correction = StampCorrection(moving.name, fixed.name, lag_ns, low_ns, high_ns, skew_ppm, lag.middle_ns)
-    write_corrected(options.file, options.out, correction)
+    correction = StampCorrection(
+        moving.name, fixed.name, lag_ns, low_ns, high_ns, skew_ppm, lag.middle_ns, moving.is_stamped
+    )
+    found: list[Lag] = []
+
+    def check(path: Path) -> None:
+        with recordings.open(path) as recording:
+            again = _signals([recording], options)
+        found.append(_measure(again[0], again[1], options))
+        if not is_corrected(lag, found[0]):
+            raise GatewayError(
+                f"{moving.name}: after the correction by {lag_text(lag)} found {lag_text(found[0])}, "
+                f"expected no lag; {options.out} is not written"
+            )
+
+    with recordings.open(options.file) as recording:
+        stream = stream_named([recording], options.streams[1])
+        if not Kind(stream.direction).is_input:
+            raise GatewayError(f"{stream.key}: found an output of the gateway, expected a stream that it received")
+        channel, type_name = stream.name, stream.type
+    verified = write_corrected(options.file, options.out, correction, channel=channel, type_name=type_name, check=check)
+    return _Applied(options.out, moving, found[0], verified)

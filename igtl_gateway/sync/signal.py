@@ -28,15 +28,19 @@ class Signal:
         values: float64 (N, K), K components in one unit.
         name: of the stream.
         unit: of the values.
+        is_stamped: whether the times are stamps of the sender; otherwise they are gateway times.
     """
 
     times_ns: npt.NDArray[np.int64]
     values: Floats
     name: str = ""
     unit: str = ""
+    is_stamped: bool = True
 
     @classmethod
-    def of(cls, times_ns: npt.ArrayLike, values: npt.ArrayLike, name: str = "", unit: str = "") -> Signal:
+    def of(
+        cls, times_ns: npt.ArrayLike, values: npt.ArrayLike, name: str = "", unit: str = "", *, is_stamped: bool = True
+    ) -> Signal:
         """Return the signal of samples in any order: sorted, without values that are not finite, one for each time."""
         times = np.asarray(times_ns, np.int64)
         array = np.asarray(values, np.float64)
@@ -46,7 +50,7 @@ class Signal:
         times, array = times[good][order], array[good][order]
         first = np.ones(len(times), bool)
         first[1:] = times[1:] > times[:-1]
-        return cls(times[first], array[first], name, unit)
+        return cls(times[first], array[first], name, unit, is_stamped)
 
     @property
     def period_s(self) -> float:
