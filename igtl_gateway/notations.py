@@ -37,6 +37,25 @@ _QUANTITY = re.compile(r"([0-9]{1,15}(?:\.[0-9]{1,9})?) ?([A-Za-z]+)")
 _LAST_CPU = 8191  # of any Linux
 
 
+#: Suffixes of file names that users know as one format.
+_FORMATS = {
+    ".mcap": "a recording (MCAP)",
+    ".rrd": "a recording of rerun",
+    ".bag": "a bag of ROS 1",
+    ".db3": "a bag of ROS 2 (SQLite)",
+    ".igtl": "OpenIGTLink bytes",
+    **dict.fromkeys((".pcap", ".pcapng"), "a network capture"),
+    **dict.fromkeys((".mha", ".mhd", ".nrrd", ".nhdr", ".nii"), "an image or a volume"),
+    **dict.fromkeys((".png", ".jpg", ".jpeg", ".svg", ".gif"), "a picture"),
+    **dict.fromkeys((".mp4", ".avi", ".mkv"), "a video"),
+    **dict.fromkeys((".csv", ".parquet", ".arrow"), "a table"),
+    **dict.fromkeys((".toml", ".yaml", ".yml", ".json"), "a configuration"),
+    **dict.fromkeys((".pem", ".key"), "a key"),
+    **dict.fromkeys((".html", ".pdf", ".txt", ".md"), "a document"),
+    **dict.fromkeys((".gz", ".zip", ".zst", ".zstd"), "a compressed file"),
+}
+
+
 class PeerAddress(tuple[str, int]):
     """Host and port; ``scheme`` is ``"tls"``, ``"tcp"`` or ``""``."""
 
@@ -89,6 +108,24 @@ def peer_address(text: str) -> PeerAddress:
     made = PeerAddress(address(rest if found else text))
     made.scheme = scheme if found else ""
     return made
+
+
+def recording_name(text: str) -> str:
+    """Return the name of a recording to write, see ``named``."""
+    return named(text, ".mcap")
+
+
+def named(text: str, *suffixes: str) -> str:
+    """Return the name of a file to write, unless its suffix is that of another format: a reader would be misled.
+
+    Any other suffix is part of a name (``day.2``).  ``suffixes`` are those of the format that is written.
+    """
+    _, dot, end = text.rpartition("/")[2].rpartition(".")
+    found = f".{end.lower()}" if dot else ""
+    if found in suffixes or found not in _FORMATS:
+        return text
+    expected = " or ".join(suffixes)
+    raise ConfigError(f"found {text!r}, the name of {_FORMATS[found]}, expected {_FORMATS[suffixes[0]]}: *{expected}")
 
 
 def ros_middleware(text: str) -> str | None:

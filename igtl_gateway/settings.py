@@ -28,6 +28,14 @@ NONE = ""
 #: The setting is a table of a file itself: one row of messages for each ``[[to_igtl]]``.
 ROWS = "rows"
 
+#: What a setting may need beside other settings: a graph of ROS, and a port for clients.
+ROS_GRAPH, CLIENTS = "ROS", "clients"
+#: Such a need → what to report if it is not there.
+_ABSENT = {
+    ROS_GRAPH: "found --no-ros or --relay, expected neither",
+    CLIENTS: "found --connect without --listen, expected --listen",
+}
+
 #: Values of the setting ``profile``.
 PROFILE_NAMES = (AUTO, *BY_NAME)
 #: Values of the setting ``stamp``: the sender's stamp, if it sent one, or the time of receipt.
@@ -73,6 +81,7 @@ class Setting:
         changes: whether it may change while the bridge runs.
         parameter: whether the node has it: the settings of a relay have no node.
         adds: the command line adds to the list of the file or of the parameters; other settings are replaced.
+        needs: settings, ``ROS_GRAPH`` or ``CLIENTS``, without which it has no effect.
     """
 
     name: str
@@ -91,6 +100,7 @@ class Setting:
     changes: bool = False
     parameter: bool = True
     adds: bool = False
+    needs: tuple[str, ...] = ()
 
     @property
     def flag(self) -> str:
@@ -169,6 +179,31 @@ def check_values(place: str, table: str, values: Mapping[str, object]) -> dict[s
     return checked
 
 
+def check_needs(values: Mapping[str, object], names: Iterable[str], *, ros: bool) -> None:
+    """Raise ConfigError for settings that have no effect, because what they need is not there.
+
+    Args:
+        values: the values of all settings.
+        names: settings that were given: each is expected to have an effect.
+        ros: whether there is a ROS graph.
+    """
+    met = {ROS_GRAPH: ros, CLIENTS: bool(values["listen"] or values["relay"]) or not values["connect"]}
+    without: dict[str, list[str]] = {}  # need → options
+    for name in dict.fromkeys(names):
+        row = BY_SETTING.get(name)
+        for need in row.needs if row else ():
+            if not met.get(need, values.get(need)):
+                without.setdefault(need, []).append(row.flag if row and row.flag else name)
+    for need, flags in without.items():
+        absent = _ABSENT.get(need) or f"found no {_usage(BY_SETTING[need])}, expected it"
+        raise ConfigError(f"{' and '.join(flags)}: {absent}: the option has no effect here")
+
+
+def _usage(row: Setting) -> str:
+    """Return the option of a setting with the placeholder of its value."""
+    return f"{row.flag} {row.metavar}" if row.metavar else row.flag
+
+
 def unknown(names: Iterable[str]) -> str:
     """The message about a name that no setting has."""
     return f"unknown setting, expected one of {', '.join(names)}"
@@ -240,6 +275,7 @@ SETTINGS: tuple[Setting, ...] = (
         IGTL,
         metavar="CIDR",
         reads=notations.network,
+        needs=(CLIENTS,),
     ),
     Setting("tls", False, "use TLS at all addresses except those that begin with tcp://", IGTL),
     Setting("tls_cert", "", "own certificate (PEM); turns TLS on for --listen", IGTL, metavar="FILE"),
@@ -250,6 +286,7 @@ SETTINGS: tuple[Setting, ...] = (
         IGTL,
         metavar="FILE",
         shown="file of --tls-cert",
+        needs=("tls_cert",),
     ),
     Setting("tls_ca", "", "require a certificate of this CA (PEM) from clients and servers", IGTL, metavar="FILE"),
     *(
@@ -281,7 +318,16 @@ SETTINGS: tuple[Setting, ...] = (
         )
     ),
     # -- limits of a peer ----------------------------------------------------------------------------------------------
-    Setting("max_clients", 32, "maximum number of connected clients", IGTL, metavar="N", least=1, most=1_000_000),
+    Setting(
+        "max_clients",
+        32,
+        "maximum number of connected clients",
+        IGTL,
+        metavar="N",
+        least=1,
+        most=1_000_000,
+        needs=(CLIENTS,),
+    ),
     Setting("queue_mib", 64, "size of the send queue", IGTL, metavar="MIB", unit="MiB", least=1, most=1 << 20),
     Setting("queue_messages", 4096, "number of messages in the send queue", IGTL, metavar="N", least=1, most=_MANY),
     Setting("max_body_mib", 256, "maximum body size", IGTL, metavar="MIB", unit="MiB", least=1, most=1 << 20),
@@ -355,6 +401,7 @@ SETTINGS: tuple[Setting, ...] = (
         "",
         metavar="NAMESPACE",
         adds=True,
+        needs=(ROS_GRAPH,),
     ),
     Setting(
         "peers",
@@ -373,6 +420,7 @@ SETTINGS: tuple[Setting, ...] = (
         "--send",
         metavar="TOPIC[=DEVICE[:TYPE]]",
         adds=True,
+        needs=(ROS_GRAPH,),
     ),
     Setting(
         "tf_out",
@@ -381,6 +429,7 @@ SETTINGS: tuple[Setting, ...] = (
         ROWS,
         metavar="FRAME[,FRAME…]:BASE[=DEVICE[:TYPE]]",
         adds=True,
+        needs=(ROS_GRAPH,),
     ),
     Setting(
         "to_ros",
@@ -391,6 +440,7 @@ SETTINGS: tuple[Setting, ...] = (
         "--kinds",
         metavar="DEVICE=KIND[,KIND…]",
         adds=True,
+        needs=(ROS_GRAPH,),
     ),
     Setting(
         "kinds",
@@ -431,6 +481,7 @@ SETTINGS: tuple[Setting, ...] = (
         metavar="NAME",
         reads=notations.site_name,
         parameter=False,
+        needs=(ROS_GRAPH,),
     ),
     Setting(
         "site_budget",
@@ -444,6 +495,7 @@ SETTINGS: tuple[Setting, ...] = (
         most=10_000_000,
         shown="0, no limit",
         parameter=False,
+        needs=("site",),
     ),
     Setting(
         "site_classes",
@@ -456,6 +508,7 @@ SETTINGS: tuple[Setting, ...] = (
         shown="by type",
         parameter=False,
         adds=True,
+        needs=("site",),
     ),
     Setting("publish_tf", True, "publish poses on /tf", GATEWAY, "--no-tf"),
     Setting("base_frame", "igtl", "frame of messages that do not name a frame", GATEWAY, ""),
@@ -491,42 +544,53 @@ SETTINGS: tuple[Setting, ...] = (
         open_ends=True,
     ),
     # -- recording -----------------------------------------------------------------------------------------------------
-    Setting("record", "", "record all messages to this MCAP file", metavar="FILE"),
-    Setting("overwrite", False, "overwrite an existing recording"),
+    Setting("record", "", "record all messages to this MCAP file", metavar="FILE", reads=notations.recording_name),
+    Setting("overwrite", False, "overwrite an existing recording", needs=("record",)),
     Setting(
         "file_mode",
         "0600",
         "mode of the files that it writes; directories may also be entered by those who may read files",
         metavar="MODE",
         reads=notations.file_mode,
+        needs=("record",),
     ),
     Setting(
         "record_topics",
         (),
         "also record these ROS topics, in addition to the bridged ones; * matches one level, ** any number",
         metavar="GLOB",
+        needs=("record", ROS_GRAPH),
     ),
-    Setting("record_all", False, "also record all ROS topics"),
+    Setting("record_all", False, "also record all ROS topics", needs=("record", ROS_GRAPH)),
     Setting(
         "record_include",
         (),
         "record only inputs of these streams and their outputs; by TYPE/device, device or topic; * matches one level, "
         "** any number",
         metavar="GLOB",
+        needs=("record",),
     ),
-    Setting("record_exclude", (), "do not record inputs of these streams and their outputs", metavar="GLOB"),
+    Setting(
+        "record_exclude",
+        (),
+        "do not record inputs of these streams and their outputs",
+        metavar="GLOB",
+        needs=("record",),
+    ),
     Setting(
         "custom_data",
         (),
         "add this key and value to the metadata of the recording, such as operator=Kim",
         metavar="KEY=VALUE",
         reads=notations.key_value,
+        needs=("record",),
     ),
     Setting(
         "compression",
         "lz4",
         "compression of chunks; streams that do not shrink are stored uncompressed",
         choices=("none", "lz4", "zstd"),
+        needs=("record",),
     ),
     Setting(
         "flush_interval",
@@ -536,14 +600,25 @@ SETTINGS: tuple[Setting, ...] = (
         unit="s",
         least=0,
         most=_YEAR_S,
+        needs=("record",),
     ),
     Setting(
         "fsync",
         "never",
         "when to force data to the disk, against power failures: at each flush, or when the file is closed",
         choices=("never", "flush", "close"),
+        needs=("record",),
     ),
-    Setting("split_size", 0, "start a new file after this size", metavar="MIB", unit="MiB", least=0, most=1 << 30),
+    Setting(
+        "split_size",
+        0,
+        "start a new file after this size",
+        metavar="MIB",
+        unit="MiB",
+        least=0,
+        most=1 << 30,
+        needs=("record",),
+    ),
     Setting(
         "split_duration",
         0.0,
@@ -552,6 +627,7 @@ SETTINGS: tuple[Setting, ...] = (
         unit="s",
         least=0,
         most=_YEAR_S,
+        needs=("record",),
     ),
     Setting(
         "snapshot",
@@ -562,12 +638,14 @@ SETTINGS: tuple[Setting, ...] = (
         unit="s",
         least=0,
         most=_YEAR_S,
+        needs=("record",),
     ),
     Setting(
         "seal",
         "",
         "sign the recording with this private key (Ed25519, PEM) while it is written; `keys new` makes one",
         metavar="KEY",
+        needs=("record",),
     ),
     Setting(
         "retention",
@@ -577,6 +655,7 @@ SETTINGS: tuple[Setting, ...] = (
         RECORD,
         metavar="RULE",
         reads=notations.retention,
+        needs=("record",),
     ),
     Setting(
         "upload",
@@ -586,6 +665,7 @@ SETTINGS: tuple[Setting, ...] = (
         RECORD,
         metavar="s3://BUCKET[/PREFIX]",
         reads=notations.upload_place,
+        needs=("record",),
     ),
     Setting(
         "upload_rate",
@@ -597,12 +677,14 @@ SETTINGS: tuple[Setting, ...] = (
         least=0,
         most=100_000,
         shown="0",
+        needs=("upload",),
     ),
     Setting(
         "on_record_failure",
         "continue",
         "what the bridge does if the recording fails, for example if the disk is full",
         choices=("continue", "stop"),
+        needs=("record",),
     ),
     # -- video ---------------------------------------------------------------------------------------------------------
     Setting(
@@ -610,6 +692,7 @@ SETTINGS: tuple[Setting, ...] = (
         "",
         "encode ROS images that are sent as VIDEO, and decode received VIDEO to ROS images",
         choices=("", *VIDEO_CODECS),
+        needs=(ROS_GRAPH,),
     ),
     Setting(
         "video_bit_rate",
@@ -619,6 +702,7 @@ SETTINGS: tuple[Setting, ...] = (
         unit="kbit/s",
         least=10,
         most=1_000_000,
+        needs=("video_codec",),
     ),
     Setting(
         "video_key_interval",
@@ -627,6 +711,7 @@ SETTINGS: tuple[Setting, ...] = (
         metavar="N",
         least=1,
         most=10_000,
+        needs=("video_codec",),
     ),
     # -- the host, diagnostics, faults ---------------------------------------------------------------------------------
     Setting(
@@ -670,6 +755,7 @@ SETTINGS: tuple[Setting, ...] = (
         "--fault",
         metavar="NAME=VALUE[,…]",
         parameter=False,
+        needs=("relay",),
     ),
     Setting(
         "fault_seed",
@@ -680,6 +766,7 @@ SETTINGS: tuple[Setting, ...] = (
         metavar="N",
         shown="0",
         parameter=False,
+        needs=("faults",),
     ),
 )
 

@@ -32,6 +32,10 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_DOMAIN_ID"] = str(domains.OWN)
 os.environ["ROS_LOG_DIR"] = _ros_log_dir
 
+# Colours and live lines as on the usual terminal, whatever the shell or the gate has.
+os.environ["TERM"] = "xterm-256color"
+os.environ.pop("NO_COLOR", None)
+
 # Compiled modules are kept, whatever the shell sets: a run starts some hundred Python processes; reading 240 test
 # files with their assertions takes each worker 16 s instead of 5.
 sys.dont_write_bytecode = False

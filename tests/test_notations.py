@@ -70,3 +70,14 @@ def test_what_is_refused(read: Callable[[str], object], texts: tuple[str, ...], 
 
 def test_cpus_are_written_as_they_are_read() -> None:
     assert notations.cpus(cpus_text({6, 4, 5, 2, 0})) == {0, 2, 4, 5, 6}
+
+
+@pytest.mark.parametrize("name", ["a.mcap", "A.MCAP", "long", "day.2", "2026-11-23.or1", ".hidden", "folder.bag/out"])
+def test_a_recording_may_have_these_names(name: str) -> None:
+    assert notations.recording_name(name) == name
+
+
+@pytest.mark.parametrize("name", ["out.bag", "x/out.db3", "star.PNG", "a.rrd", "a.mcap.zst", "bag.yaml"])
+def test_a_recording_with_the_name_of_another_format_is_refused(name: str) -> None:
+    with pytest.raises(ConfigError, match=r"found '.*', the name of .*, expected a recording \(MCAP\): \*\.mcap"):
+        notations.recording_name(name)

@@ -242,7 +242,7 @@ class Bridge:
 
     def _make(self, values: Mapping[str, Any]) -> RunningBridge:
         """Return the bridge for the values of all settings; it does not run."""
-        session, options = bridge_options(values, ros=self._ros, node_name=self._node_name)
+        session, options = bridge_options(values, ros=self._ros, node_name=self._node_name, given=self._ours)
         return RunningBridge(
             session, options, SystemClock(), self._on_entry, on_passed=self._watch.add, host=self._host
         )

@@ -28,27 +28,18 @@ from igtl_gateway.notations import (
 from igtl_gateway.realtime import RealtimeOptions
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.selection import Selection
-from igtl_gateway.settings import BY_SETTING
+from igtl_gateway.settings import SETTINGS, check_needs
 
 _NEVER = TlsFiles()
-#: Settings that need a file.
-_OF_A_RECORDING = (
-    "record_topics",
-    "record_all",
-    "record_include",
-    "record_exclude",
-    "custom_data",
-    "split_size",
-    "split_duration",
-    "snapshot",
-    "seal",
-    "retention",
-    "upload",
-)
 
 
 def bridge_options(
-    values: Mapping[str, Any], *, ros: bool, node_name: str, reserved: ReservedPorts | None = None
+    values: Mapping[str, Any],
+    *,
+    ros: bool,
+    node_name: str,
+    given: Iterable[str] = (),
+    reserved: ReservedPorts | None = None,
 ) -> tuple[Config, BridgeOptions]:
     """Return the configuration of the session and the options of the bridge.
 
@@ -56,11 +47,14 @@ def bridge_options(
         values: the values of all settings.
         ros: join the ROS graph; a relay does not.
         node_name: name of the ROS node.
+        given: settings of this call: unlike those of a file, each of them must have an effect.
         reserved: ports that are open already.
 
     Raises:
-        ConfigError: settings that contradict each other.
+        ConfigError: settings that contradict each other, or have no effect.
     """
+    ros = ros and not values["relay"]
+    check_needs(values, (*given, *_of_a_recording(values)), ros=ros)
     config = config_of(values)
     how = record_options(values)
     listen, connect = addresses(values["listen"], values["connect"])
@@ -68,7 +62,6 @@ def bridge_options(
         if len(connect) != 1:
             raise ConfigError(f"--relay: found {len(connect)} servers, expected one: --connect HOST:PORT")
         listen = listen or ((DEFAULT_HOST, DEFAULT_PORT),)
-    ros = ros and not config.relay
     tls_listen, tls_connect = secured(values, listen, connect)
     return config, BridgeOptions(
         listen,
@@ -100,8 +93,6 @@ def bridge_options(
 
 def _site(values: Mapping[str, Any]) -> SiteOptions:
     """Return the options of the site.  Raises ConfigError."""
-    if not values["site"] and (values["site_budget"] or values["site_classes"]):
-        raise ConfigError("--site-budget, --site-class: found no --site, expected the name of this site")
     if values["site"] and ros_middleware(values["ros"]) is None:
         raise ConfigError(f"--site {values['site']}: found --ros {values['ros']}, expected --ros zenoh")
     return SiteOptions(values["site"], values["site_budget"] << 10, tuple(values["site_classes"]))
@@ -155,13 +146,13 @@ def _with_tls(places: Iterable[tuple[str, int]], usual: bool) -> frozenset[tuple
     return frozenset(place for place, scheme in schemes if scheme == "tls" or (usual and scheme != "tcp"))
 
 
+def _of_a_recording(values: Mapping[str, Any]) -> list[str]:
+    """Return the changed settings of a recording, also those of a file: a lost recording is no detail."""
+    return [row.name for row in SETTINGS if "record" in row.needs and values[row.name] != row.default]
+
+
 def record_options(values: Mapping[str, Any]) -> RecordOptions:
     """Return the options of the recording for the values of all settings.  Raises ConfigError."""
-    if not values["record"]:
-        given = [name for name in _OF_A_RECORDING if values[name] != BY_SETTING[name].default]
-        if given:
-            names = " and ".join(f"--{name.replace('_', '-')}" for name in given)
-            raise ConfigError(f"{names}: found no --record FILE, expected it with options of a recording")
     if values["snapshot"] and (values["split_size"] or values["split_duration"]):
         raise ConfigError("--snapshot: found --split-size or --split-duration, expected neither: it records to memory")
     return RecordOptions(

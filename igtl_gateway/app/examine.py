@@ -20,11 +20,11 @@ from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.tcp import TcpEdge, TlsFiles
 from igtl_gateway.errors import ConfigError, Unavailable
 from igtl_gateway.gateway import Gateway, Session
+from igtl_gateway.gateway.dialogue.probing import PROBE, PROBE_DEVICE
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire import Message, encode
-from igtl_gateway.wire.text import Status
 
 #: Share of the time after which a silent peer is sent a STATUS, or the other TCP role is tried if no peer is connected.
 PATIENCE = 0.5
@@ -32,8 +32,7 @@ PATIENCE = 0.5
 #: Least time for the discovery of the ROS graph, in seconds; with less, the graph would seem empty.
 _GRAPH_S = 1.0
 
-_OK = 1
-_STREAM = "STATUS/doctor"
+_STREAM = f"STATUS/{PROBE_DEVICE}"
 _NODE = "igtl_doctor"
 
 Address = tuple[str, int]
@@ -204,8 +203,7 @@ class _Examination:
             with self._lock:
                 silent = link.connected and not self.seen.peer(link.number).messages
             if version and silent:
-                content = Status(_OK, 0, "", "igtl-gateway doctor is listening\r\n\r\n")
-                data = b"".join(bytes(part) for part in encode(Message("STATUS", "doctor", content, 0, version)))
+                data = b"".join(bytes(part) for part in encode(Message("STATUS", PROBE_DEVICE, PROBE, 0, version)))
                 edge.send((link.number,), (data,), _STREAM, True)
                 self._on_entry(
                     Entry(0, self._clock.utc_ns(), Kind.IGTL_OUT, _STREAM, "STATUS", (data,), (link.number,))

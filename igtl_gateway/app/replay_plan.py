@@ -11,10 +11,10 @@ from itertools import chain
 from igtl_gateway.config import Config
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.tcp import TcpEdge
-from igtl_gateway.errors import RosError
+from igtl_gateway.errors import ConfigError, RosError
 from igtl_gateway.qos import Qos
 from igtl_gateway.replay.latched import latched_state_rule, part_of_session
-from igtl_gateway.replay.source import first_form_only, one_side_of_relay, select_entries, through_gateway
+from igtl_gateway.replay.source import first_form_only, is_stream_of, one_side_of_relay, select_entries, through_gateway
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile.reader import SessionFile
 
@@ -26,6 +26,9 @@ _OUTPUTS = {"igtl": Kind.IGTL_OUT, "ros": Kind.ROS_OUT}
 _SIDES_INPUTS = {"igtl": Kind.IGTL_IN, "ros": Kind.ROS_IN}
 _IGTL = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT})
 _RECOMPUTED = "outputs that this version computes from the recorded inputs"
+
+#: Number of streams that an error names.
+_NAMED_STREAMS = 12
 
 #: Interval of the checks of the stop event.
 _POLL_S = 0.2
@@ -76,6 +79,24 @@ def plan_replay(file: SessionFile, side: str, recompute: bool) -> ReplayPlan:
     if output in present:
         return ReplayPlan(frozenset({output}), False, "the recorded bytes")
     return ReplayPlan(frozenset({own}), False, "the recorded messages from peers (none were sent to peers)")
+
+
+def check_streams(file: SessionFile, how: ReplayPlan, streams: Sequence[str]) -> list[str]:
+    """Return the globs that match no recorded stream of the plan.
+
+    Raises ConfigError if none of them matches one: a replay of nothing should not wait for peers.  If outputs are
+    computed again, or streams share a channel of the file, their names are known too late.
+    """
+    found = {(channel.stream, channel.kind) for channel in file.channels if channel.count and channel.kind in how.kinds}
+    names = sorted({name for name, _ in found})
+    if how.recompute or "" in names:
+        return []
+    without = [glob for glob in streams if not any(is_stream_of(kind, name, (glob,)) for name, kind in found)]
+    if streams and len(without) == len(streams):
+        few = ", ".join(names[:_NAMED_STREAMS]) + (" …" if len(names) > _NAMED_STREAMS else "")
+        expected = f"one of these streams: {few}" if names else "a recording with messages for this side"
+        raise ConfigError(f"--streams: found {', '.join(map(repr, without))}, expected {expected}")
+    return without
 
 
 def planned_entries(

@@ -12,7 +12,7 @@ from typing import Any
 from igtl_gateway.app.faulty import FaultyFeed
 from igtl_gateway.app.player import Jump, Player
 from igtl_gateway.app.replay_account import ReplayAccount
-from igtl_gateway.app.replay_plan import plan_replay, planned_entries
+from igtl_gateway.app.replay_plan import check_streams, plan_replay, planned_entries
 from igtl_gateway.app.replay_sides import ReplayOptions, ReplaySides, open_sides
 from igtl_gateway.app.sends import with_sends
 from igtl_gateway.clock import SystemClock
@@ -136,6 +136,8 @@ def run_replay(path: Path, options: ReplayOptions, stop: Event, events: ReplayEv
         start_ns, end_ns = _part(options, file)
         config = with_sends(config_to_run(file.session, options.config), options.send)
         how = plan_replay(file, options.to, options.through_gateway)
+        for glob in check_streams(file, how, options.streams):
+            events.on_line(f"! --streams {glob}: matches no recorded stream")
         events.on_line(f"{path}: {how.why}")
         pace = SessionTimeline(clock_steps_of(file))
         side = open_sides(options, file, how, stop, stack, events.on_line)
@@ -202,6 +204,13 @@ def check_options(options: ReplayOptions) -> None:
         raise ConfigError(f"--delay: found {options.delay_s}, expected seconds, 0 or more, at most {_LONGEST_S:,.0f}")
     if options.duration is not None and not 0 < options.duration <= _LONGEST_S:
         raise ConfigError(f"--duration: found {options.duration}, expected seconds, above 0, at most {_LONGEST_S:,.0f}")
+    for option, need, is_given, is_met in (
+        ("--config", "--through-gateway", options.config is not None, options.through_gateway),
+        ("--seed", "--fault", bool(options.seed), bool(options.fault)),
+        ("--ros-args", "--to ros or --to both", bool(options.ros_args), options.to != "igtl"),
+    ):
+        if is_given and not is_met:
+            raise ConfigError(f"{option}: found no {need}, expected it: the option has no effect here")
     if options.clock_hz is not None:
         period_ns(options.clock_hz)
         if options.to == "igtl":

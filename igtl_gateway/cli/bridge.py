@@ -20,7 +20,7 @@ from igtl_gateway.cli.bridge_session import BridgeSession, PlainRunner, options_
 from igtl_gateway.cli.common import stop_event
 from igtl_gateway.cli.options import default
 from igtl_gateway.cli.ros_arguments import add_ros_arguments
-from igtl_gateway.cli.settings import add_faults, add_settings, settled
+from igtl_gateway.cli.settings import add_faults, add_settings, given, settled
 from igtl_gateway.cli.terminal import is_terminal, print_line
 from igtl_gateway.cli.type_tables import types
 from igtl_gateway.clock import Clock, SystemClock
@@ -29,7 +29,6 @@ from igtl_gateway.edges.ros.env import prepare_environment, tune_malloc
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.errors import ConfigError, ViewerError
 from igtl_gateway.extras import missing
-from igtl_gateway.faults import RelayFaults
 from igtl_gateway.notations import DDS, address, ros_middleware
 from igtl_gateway.stamp import NS_PER_S
 
@@ -84,6 +83,7 @@ Messages of a device are published on /igtl/in/<device>/<kind>.  Messages that
 are published on /igtl/out/<device> are sent to the peers."""
 
 _STATUS_EVERY_S = 0.5
+_NODE_NAME = "igtl_gateway"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -103,9 +103,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("ROS")
     add_settings(group, "ros", "site", "site_budget", "site_classes", "publish_tf")
     group.add_argument("--no-ros", action="store_true", help="run without ROS, for OpenIGTLink only")
-    group.add_argument(
-        "--node-name", default="igtl_gateway", metavar="NAME", help="name of the ROS node " + default("igtl_gateway")
-    )
+    group.add_argument("--node-name", metavar="NAME", help="name of the ROS node " + default(_NODE_NAME))
     group.add_argument(
         "--no-autostart",
         action="store_true",
@@ -166,7 +164,7 @@ def run(options: argparse.Namespace) -> int:
         if plan.has_host:
             runner = ManagedBridge(
                 make,
-                options.node_name,
+                options.node_name or _NODE_NAME,
                 autostart=not options.no_autostart,
                 arguments=options.ros_args,
                 on_failure=problems.append,
@@ -222,10 +220,6 @@ class _Plan:
     def __init__(self, options: argparse.Namespace) -> None:
         self._options = options
         values = settled(options, {})
-        if RelayFaults.parse(options.fault or "") and not values["relay"]:
-            raise ConfigError(
-                "--fault: found no --relay, expected it: only a relay has a connection to inject faults into"
-            )
         self.ros = not (options.no_ros or values["relay"])
         over_zenoh = ros_middleware(values["ros"]) is not None
         if options.ros and over_zenoh and not self.ros:  # of a file, it is not used
@@ -237,8 +231,10 @@ class _Plan:
             raise ConfigError(
                 "--no-autostart: found no ROS, expected it: other nodes configure and activate the bridge"
             )
-        for given, option in ((options.no_autostart, "--no-autostart"), (options.ros_args, "--ros-args")):
-            if given and over_zenoh:
+        if options.node_name and not self.ros:
+            raise ConfigError("--node-name: found --no-ros or --relay, expected neither: without ROS there is no node")
+        for is_given, option in ((options.no_autostart, "--no-autostart"), (options.ros_args, "--ros-args")):
+            if is_given and over_zenoh:
                 raise ConfigError(
                     f"{option}: found --ros {values['ros']}, expected --ros {DDS}: it needs a node of rclpy"
                 )
@@ -249,7 +245,11 @@ class _Plan:
     def _take(self, values: Mapping[str, Any]) -> None:
         options = self._options
         self._config, self.how = bridge_options(
-            values, ros=self.ros, node_name=options.node_name, reserved=options.reserved
+            values,
+            ros=self.ros,
+            node_name=options.node_name or _NODE_NAME,
+            given=given(options),
+            reserved=options.reserved,
         )
         self._values = values
         self.metrics_at = address(values["metrics"]) if values["metrics"] else None

@@ -10,7 +10,7 @@ from typing import Any
 from igtl_gateway import extras
 from igtl_gateway.cli.cohort_progress import Progress
 from igtl_gateway.cli.common import count_text
-from igtl_gateway.cli.options import add_json, add_overwrite, default
+from igtl_gateway.cli.options import add_json, add_overwrite, default, output_file
 from igtl_gateway.cli.outputs import check_target, written
 from igtl_gateway.cli.terminal import aligned, print_json, print_line
 from igtl_gateway.cohort.ends import VERB_NAMES
@@ -52,9 +52,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the tables")
     add_json(parser)
-    parser.add_argument("--csv", type=Path, metavar="FILE", help="query: write the answer as CSV")
-    parser.add_argument("--parquet", type=Path, metavar="FILE", help="query: write the answer as Parquet")
-    parser.add_argument("--html", type=Path, metavar="FILE", help="report: the page to write")
+    parser.add_argument("--csv", type=output_file(".csv"), metavar="FILE", help="query: write the answer as CSV")
+    parser.add_argument(
+        "--parquet", type=output_file(".parquet"), metavar="FILE", help="query: write the answer as Parquet"
+    )
+    parser.add_argument("--html", type=output_file(".html"), metavar="FILE", help="report: the page to write")
     add_overwrite(parser)
     group = parser.add_argument_group("where the files are read")
     group.add_argument(
@@ -90,6 +92,8 @@ def run(options: argparse.Namespace) -> int:
             raise ConfigError(f"--{name}: found it with {options.action}, expected it with {action}")
     if options.action == QUERY:
         return _run_query(options)
+    if options.overwrite and not (options.csv or options.parquet or options.html):
+        raise ConfigError("--overwrite: found none of --csv, --parquet and --html, expected one of them")
     return _run_report(options) if options.action == REPORT else _run_files(options)
 
 

@@ -13,6 +13,7 @@ from igtl_gateway.buffers import Buffer
 from igtl_gateway.cli.options import default
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.errors import ConfigError, MessageTooLarge, RecordingError, WireError
+from igtl_gateway.exchange.formats import IGTL, START, format_of
 from igtl_gateway.sessionfile.new_file import open_new
 from igtl_gateway.untrusted.files import is_same, obstacle
 from igtl_gateway.wire import decode, describe, encode
@@ -81,6 +82,7 @@ def _target(path: Path, source: BufferedReader[FileIO]) -> BufferedWriter:
 
 
 def _decode(options: argparse.Namespace, source: BufferedReader[FileIO], target: BufferedWriter | None) -> int:
+    _check_format(options.file, source)
     damaged = foreign = 0
     framer = Framer(options.max_body)
     offset = 0
@@ -105,6 +107,19 @@ def _decode(options: argparse.Namespace, source: BufferedReader[FileIO], target:
     if target:
         _write(options.reencode, target, [])
     return 1 if damaged else 0
+
+
+def _check_format(name: str, source: BufferedReader[FileIO]) -> None:
+    """Raise ConfigError for a file of another format that `import` reads, or that is a recording."""
+    try:
+        kind = format_of(source.peek(START)[:START])
+    except OSError as error:
+        raise ConfigError(f"{name}: {_reason(error)}") from None
+    if kind and kind.name != IGTL:
+        raise ConfigError(
+            f"{name}: found a file of the format {kind.name} ({' '.join(kind.suffixes)}), expected OpenIGTLink bytes; "
+            "`igtl-gateway info` shows a recording, `igtl-gateway import` reads other formats"
+        )
 
 
 def _lost(offset: int, found: object) -> int:

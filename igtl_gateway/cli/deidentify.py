@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 from igtl_gateway.cli.common import count_text
-from igtl_gateway.cli.options import add_file, add_json, add_overwrite, default
+from igtl_gateway.cli.options import add_file, add_json, add_overwrite, default, new_recording
 from igtl_gateway.cli.outputs import check_target
 from igtl_gateway.cli.terminal import aligned, print_json, print_line
 from igtl_gateway.deidentify.profile import BASIC, read_profile
@@ -35,7 +35,7 @@ rule covers, such as faces in volumes.  See docs/deidentify.md."""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_file(parser)
-    parser.add_argument("-o", "--out", type=Path, required=True, metavar="OUT", help="file to write")
+    parser.add_argument("-o", "--out", type=new_recording, required=True, metavar="OUT", help="file to write")
     parser.add_argument(
         "--profile", type=Path, metavar="FILE", help="what stays, rules and masks (TOML) " + default("basic: nothing")
     )

@@ -11,7 +11,7 @@ from typing import Any
 
 from igtl_gateway import __version__
 from igtl_gateway.cli.common import count_text, size_text
-from igtl_gateway.cli.options import add_json, add_overwrite, default
+from igtl_gateway.cli.options import add_json, add_overwrite, default, new_recording
 from igtl_gateway.cli.terminal import cell, print_json, print_line, width
 from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError, DamagedRecording, WireError
@@ -46,7 +46,7 @@ output marks them."""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", metavar="SOURCE", type=Path, help="file, or directory of a rosbag2 recording")
-    parser.add_argument("-o", "--out", metavar="OUT", type=Path, required=True, help="session file to write")
+    parser.add_argument("-o", "--out", metavar="OUT", type=new_recording, required=True, help="session file to write")
     parser.add_argument(
         "--epoch",
         metavar="TIME",

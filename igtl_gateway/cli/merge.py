@@ -12,7 +12,7 @@ from igtl_gateway.api.lags import movement
 from igtl_gateway.app.merging import Source, merge
 from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.merge_output import print_merge
-from igtl_gateway.cli.options import add_json, add_overwrite, default
+from igtl_gateway.cli.options import add_json, add_overwrite, default, new_recording
 from igtl_gateway.cli.outputs import check_target, written
 from igtl_gateway.cli.sync import stream_named
 from igtl_gateway.cli.terminal import print_json, print_line
@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         help="recordings, and names of the parts; the clock of the first one is the reference",
     )
-    parser.add_argument("-o", "--output", required=True, metavar="OUT", type=Path, help="file to write")
+    parser.add_argument("-o", "--output", required=True, metavar="OUT", type=new_recording, help="file to write")
     parser.add_argument(
         "--offset",
         action="append",

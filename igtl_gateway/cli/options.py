@@ -138,6 +138,15 @@ address = parser_of(notations.address)
 peer_address = parser_of(notations.peer_address)
 
 
+def output_file(*suffixes: str) -> Callable[[str], Path]:
+    """Return a function for ``type`` of an option: the path of a file to write, see ``notations.named``."""
+    return parser_of(lambda text: Path(notations.named(text, *suffixes)))
+
+
+#: Parse the name of a recording to write.
+new_recording = output_file(".mcap")
+
+
 # -- lists of names ------------------------------------------------------------------------------------------------
 
 

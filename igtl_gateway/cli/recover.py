@@ -9,7 +9,7 @@ from typing import Any
 
 from igtl_gateway import __version__
 from igtl_gateway.cli.common import count_text, size_text
-from igtl_gateway.cli.options import add_file, add_json, add_overwrite, default
+from igtl_gateway.cli.options import add_file, add_json, add_overwrite, default, new_recording
 from igtl_gateway.cli.terminal import clear_live_line, is_terminal, live_line, print_json, print_line
 from igtl_gateway.errors import ConfigError, RecordingError, UnsupportedRecording
 from igtl_gateway.sessionfile.copying import CopyWriter
@@ -41,7 +41,11 @@ _SHOWN = 20
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_file(parser, "recording, directory of a split recording, or another MCAP file")
     parser.add_argument(
-        "-o", "--output", metavar="OUT", type=Path, help="file to write " + default("FILE with .recovered.mcap")
+        "-o",
+        "--output",
+        metavar="OUT",
+        type=new_recording,
+        help="file to write " + default("FILE with .recovered.mcap"),
     )
     add_overwrite(parser, "OUT")
     add_json(parser)

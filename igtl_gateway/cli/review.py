@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import fields
-from pathlib import Path
 
 from igtl_gateway.app.reviewing import ReviewSelection, checked_thresholds, review_recording
-from igtl_gateway.cli.options import RECORDING_OR_BAG, add_file, add_json, add_overwrite, default
+from igtl_gateway.cli.options import RECORDING_OR_BAG, add_file, add_json, add_overwrite, default, output_file
 from igtl_gateway.cli.review_output import print_review, review_facts, write_csv
 from igtl_gateway.cli.terminal import print_json
+from igtl_gateway.errors import ConfigError
 from igtl_gateway.review import Thresholds
 from igtl_gateway.review.material import CLOUDS
 
@@ -71,7 +71,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="maximum number of clouds, evenly spread over time " + default(CLOUDS),
     )
-    parser.add_argument("--csv", type=Path, metavar="OUT", help="write a table with one row per stitch and version")
+    parser.add_argument(
+        "--csv", type=output_file(".csv"), metavar="OUT", help="write a table with one row per stitch and version"
+    )
     add_overwrite(parser, "an existing table")
     add_json(parser)
     group = parser.add_argument_group("thresholds")
@@ -88,6 +90,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     values = {threshold.name: getattr(options, threshold.name) for threshold in fields(Thresholds)}
     limits = checked_thresholds(values, options.clouds, lambda name: f"--{name.replace('_', '-')}")
+    if options.overwrite and not options.csv:
+        raise ConfigError("--overwrite: found no --csv OUT, expected it")
     selection = ReviewSelection(options.plan, options.cloud, options.tool, options.clouds)
     review, start_ns = review_recording(options.file, selection, limits)
     if options.csv:

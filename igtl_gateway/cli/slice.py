@@ -9,7 +9,7 @@ from pathlib import Path
 
 from igtl_gateway import __version__
 from igtl_gateway.cli.common import count_text, size_text
-from igtl_gateway.cli.options import add_config, add_file, add_json, add_overwrite, add_streams, default
+from igtl_gateway.cli.options import add_config, add_file, add_json, add_overwrite, add_streams, default, new_recording
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.errors import ConfigError, UnsupportedRecording
 from igtl_gateway.qos import Qos
@@ -37,7 +37,7 @@ state of the gateway at its start, so that it verifies like the recording."""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_file(parser)
-    parser.add_argument("out", metavar="OUT", type=Path, help="file to write")
+    parser.add_argument("out", metavar="OUT", type=new_recording, help="file to write")
     parser.add_argument("--start", metavar="TIME", help="start at this time " + default("the beginning"))
     parser.add_argument("--end", metavar="TIME", help="skip messages from this time on " + default("the end"))
     add_streams(parser, "select inputs of these streams, and the inputs that cause outputs in them,")

@@ -16,7 +16,7 @@ from igtl_gateway.api.lags import movement, movements
 from igtl_gateway.api.recording import Recording
 from igtl_gateway.api.stream import Stream
 from igtl_gateway.app.correcting import write_corrected
-from igtl_gateway.cli.options import add_file, add_json, add_overwrite, default
+from igtl_gateway.cli.options import add_file, add_json, add_overwrite, default, new_recording, output_file
 from igtl_gateway.cli.outputs import check_target, written
 from igtl_gateway.cli.terminal import aligned, print_json, print_line
 from igtl_gateway.errors import ConfigError, GatewayError
@@ -72,11 +72,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--frame", default="", metavar="NAME", help="tool or child frame of streams with several poses")
     parser.add_argument("--line", action="store_true", help="follow the bright line in images, as in a water tank")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw signals, search and windows (SVG)")
+    parser.add_argument(
+        "--plot", type=output_file(".svg"), metavar="FILE", help="draw signals, search and windows (SVG)"
+    )
     parser.add_argument(
         "--apply", action="store_true", help="write a session in which the stamps of the second stream are corrected"
     )
-    parser.add_argument("-o", "--out", type=Path, metavar="FILE", help="with --apply: the file to write")
+    parser.add_argument("-o", "--out", type=new_recording, metavar="FILE", help="with --apply: the file to write")
     add_overwrite(parser, "files")
     add_json(parser)
 

@@ -26,11 +26,13 @@ _CLEAR = "\r\x1b[K"
 def print_line(*lines: str, error: bool = False, flush: bool = False, colour: str = "") -> None:
     """Print lines, each as one line whatever foreign text is in it: to stdout, or to stderr for an ``error``.
 
-    ``colour`` holds the parameters of the escape sequence SGR (``"1;31"``), for a terminal; the indent has none.
+    ``colour`` holds the parameters of the escape sequence SGR (``"1;31"``), for a terminal; the indent has none.  The
+    environment can forbid colours: NO_COLOR (any value), TERM=dumb.
     """
+    is_coloured = bool(colour) and not os.environ.get("NO_COLOR") and not _is_dumb()
     for line in lines or ("",):
         text = _printable_line(line)
-        if colour:
+        if is_coloured:
             bare = text.lstrip()
             text = f"{text[: len(text) - len(bare)]}\x1b[{colour}m{bare}\x1b[0m"
         _write(f"{text}\n", error)
@@ -55,14 +57,20 @@ def print_json(value: Any) -> None:
 
 
 def live_line(text: str, error: bool = False) -> None:
-    """Replace the last line of a terminal by this one, without a line end; :func:`clear_live_line` takes it away."""
+    """Replace the last line of a terminal by this one, without a line end; :func:`clear_live_line` takes it away.
+
+    A terminal without cursor control (TERM=dumb) has no such line.
+    """
+    if _is_dumb():
+        return
     _write(f"{_CLEAR}{_printable_line(text)[: shutil.get_terminal_size().columns - 1]}", error)
     _flush(error)
 
 
 def clear_live_line(error: bool = False) -> None:
     """Take the :func:`live_line` line away."""
-    _write(_CLEAR, error)
+    if not _is_dumb():
+        _write(_CLEAR, error)
 
 
 def is_terminal(error: bool = False) -> bool:
@@ -130,6 +138,11 @@ def flush_outputs() -> None:
 def discard_outputs() -> None:
     """Print to nowhere from now on: stdout takes nothing more."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _is_dumb() -> bool:
+    """Whether the terminal shows escape sequences instead of obeying them."""
+    return os.environ.get("TERM") == "dumb"
 
 
 def _printable_line(line: str) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 from igtl_gateway.api import recording as recordings
 from igtl_gateway.api.lags import movement
 from igtl_gateway.cli.common import count_text, size_text, stop_event
-from igtl_gateway.cli.options import RECORDING_OR_BAG, add_file, add_json, add_overwrite, default
+from igtl_gateway.cli.options import RECORDING_OR_BAG, add_file, add_json, add_overwrite, default, output_file
 from igtl_gateway.cli.outputs import check_target, write_error, written
 from igtl_gateway.cli.sync import lag_facts, stream_named
 from igtl_gateway.cli.terminal import cell, clear_live_line, is_terminal, live_line, print_json, print_line, width
@@ -69,9 +69,11 @@ _WAIT_S = 0.2
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_file(parser, RECORDING_OR_BAG)
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--save", metavar="OUT.rrd", type=Path, help="write a recording of rerun")
+    where.add_argument("--save", metavar="OUT.rrd", type=output_file(".rrd"), help="write a recording of rerun")
     where.add_argument("--web", action="store_true", help="serve a web page on 127.0.0.1 until stopped")
-    where.add_argument("--screenshot", metavar="OUT.png", type=Path, help="write an image; needs no screen")
+    where.add_argument(
+        "--screenshot", metavar="OUT.png", type=output_file(".png"), help="write an image; needs no screen"
+    )
     parser.add_argument(
         "--port", type=int, metavar="PORT", help="with --web: port of the page " + default("a free one")
     )
@@ -99,12 +101,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     _check(options)
+    with SessionFile.open(options.file):  # before what only a good file needs: rerun, a screen
+        pass
     if find_spec("rerun") is None:
         raise ViewerError(missing("rerun"))
+    from igtl_gateway.view.shots import check_driver
     from igtl_gateway.view.viewer import check_screen
 
-    if not (options.save or options.web or options.screenshot):
-        check_screen(os.environ)  # before the work, not after it
+    if options.screenshot:  # before the work, not after it
+        check_driver(os.environ)
+    elif not (options.save or options.web):
+        check_screen(os.environ)
     clock = SystemClock()
     started_ns = clock.monotonic_ns()
     with stop_event() as stop, _folder() as folder:
@@ -147,6 +154,8 @@ def _check(options: argparse.Namespace) -> None:
         raise ConfigError(f"--at: found {options.at:g}, expected seconds from the start, 0 or more")
     if options.port is not None and not options.web:
         raise ConfigError("--port: found no --web, expected it: --port is the port of the web page")
+    if options.overwrite and not (options.save or options.screenshot):
+        raise ConfigError("--overwrite: found neither --save nor --screenshot, expected one of them")
     if options.port is not None and not 0 <= options.port < 1 << 16:
         raise ConfigError(f"--port: found {options.port}, expected 0 to 65535")
     for path in filter(None, (options.save, options.screenshot)):

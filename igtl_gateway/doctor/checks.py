@@ -38,6 +38,8 @@ SMALL_MM, MIN_POSES = 5.0, 5
 TINY_MM = 0.15
 #: Poses are the noise of a still tool, and not a motion, if the mean step is this part of their extent; least number.
 NOISE_STEP, MIN_STEPS = 0.2, 20
+#: This number of equal poses is no coincidence.
+MIN_FROZEN = 10
 #: Lengths above this do not occur in an operating room.
 LARGE_MM = 50_000.0
 #: The smallest plausible pixel spacing: that of a microscope.
@@ -146,9 +148,39 @@ def silent(observed: Observer) -> Iterator[RuleMatch]:
     if observed.expected is None:
         return
     for peer in _of_role(observed, observed.expected.role):
+        if _ends_at_once(peer):
+            continue
         if not peer.messages and not peer.head and not peer.received_bytes and peer.up_ns:
             lasted = ((peer.down_ns or observed.ended_ns) - peer.up_ns) / NS_PER_S
             yield RuleMatch(peer.name, f"{peer.name} is connected, but sent nothing in {lasted:.1f} s")
+
+
+def _ends_at_once(peer: ObservedPeer) -> bool:
+    """Return whether the peer closed a link without any message in less than ``SHORT_NS``."""
+    closed = peer.reason.startswith(("closed by the peer", "receiving failed"))
+    is_short = bool(peer.up_ns and peer.down_ns) and peer.down_ns - peer.up_ns < SHORT_NS
+    return closed and is_short and not (peer.messages or peer.head or peer.received_bytes or peer.first_sent_ns)
+
+
+def closed_at_once(observed: Observer) -> Iterator[RuleMatch]:
+    """The peer accepts a connection, and closes it before a message.  In a recording it might be any port scan."""
+    if observed.expected is None:
+        return
+    peers = [peer for peer in _of_role(observed, observed.expected.role) if _ends_at_once(peer)]
+    if peers:
+        first = peers[0]
+        text = f"{first.name} closed the connection after {ms(first.down_ns - first.up_ns)}, before any message"
+        yield RuleMatch(
+            first.name, text + (f"; so {len(peers)} times" if len(peers) > 1 else ""), {"count": len(peers)}
+        )
+
+
+def is_gateway(observed: Observer) -> Iterator[RuleMatch]:
+    for peer in observed.peers.values():
+        if peer.is_gateway:
+            yield RuleMatch(
+                peer.name, f"{peer.name} is a bridge of igtl-gateway, which has no message for this link now"
+            )
 
 
 def disconnects_at_version(observed: Observer) -> Iterator[RuleMatch]:
@@ -206,6 +238,13 @@ def short_links(observed: Observer) -> Iterator[RuleMatch]:
 
 
 # ── headers ───────────────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def is_frozen(stream: ObservedStream) -> int:
+    """Return the number of poses of a stream in which nothing moves or turns; 0 for other streams."""
+    lengths = stream.lengths
+    is_still = lengths.poses and not lengths.changed
+    return lengths.messages if is_still and lengths.messages >= MIN_FROZEN else 0
 
 
 def each_stream(

@@ -27,6 +27,7 @@ class LengthStats:
         poses: whether they are positions of poses.
         largest: largest distance from the origin, mm.
         moved: whether not all positions are equal.
+        changed: whether the positions or orientations of a message differ from those of the first one.
         steps, path, span: of poses: number of steps from one message to the next, the sum of their lengths, and the
             largest distance from the first position, all in the unit of the messages.
         smallest_spacing: of images, mm; 0 = an image without spacing, None = no image.
@@ -37,12 +38,14 @@ class LengthStats:
     poses: bool = True
     largest: float = 0.0
     moved: bool = False
+    changed: bool = False
     steps: int = 0
     path: float = 0.0
     span: float = 0.0
     smallest_spacing: float | None = None
     _first: Any = None
     _last: Any = None
+    _content: Any = None
 
     def add(self, measured: ContentMeasures, millimetres: float) -> None:
         """Add the lengths of a message, which are finite; ``millimetres`` is the size of their unit."""
@@ -59,6 +62,10 @@ class LengthStats:
         if self._first is None:
             self._first = positions[0].copy()
         self.moved = self.moved or bool((positions != self._first).any())
+        content = tuple(part.tobytes() for part in (positions, measured.rotations, measured.quaternions))
+        if self._content is None:
+            self._content = content if measured.pose else ()
+        self.changed = self.changed or content != self._content
         if measured.pose:
             if self._last is not None:
                 self.steps += 1
@@ -146,6 +153,7 @@ class ObservedPeer:
         first_sent_ns: header version → gateway time of the first message to the peer with it, UTC.
         head: first bytes from the peer that are not a complete message.
         head_code: code of the note that reported ``head``.
+        is_gateway: whether the peer has replied to the probe of `doctor` as a gateway.
     """
 
     number: int
@@ -160,6 +168,7 @@ class ObservedPeer:
     first_sent_ns: dict[int, int] = field(default_factory=dict)
     head: bytes = b""
     head_code: str = ""
+    is_gateway: bool = False
 
     @property
     def name(self) -> str:

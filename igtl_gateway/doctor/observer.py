@@ -18,6 +18,7 @@ from igtl_gateway.doctor.observations import NoteCount, ObservedPeer, ObservedSt
 from igtl_gateway.doctor.protocols import is_openigtlink
 from igtl_gateway.errors import ChecksumMismatch, WireError
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP, metadata
+from igtl_gateway.gateway.dialogue.probing import PROBE_DEVICE, is_reply
 from igtl_gateway.session.clocksteps import ClockStep, without_jump
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
@@ -163,6 +164,8 @@ class Observer:
             return
         peer.messages += 1
         peer.received_versions[header.version] += 1
+        if header.device_name == PROBE_DEVICE and header.type == "STATUS":
+            return  # of a `doctor` that examines this session: no part of its traffic
         stream = self._stream(number, header)
         if stream is None:
             return
@@ -178,6 +181,7 @@ class Observer:
         if header.version in HEADER_VERSIONS:
             message = _decoded(stream, header, data)
             if message is not None:
+                peer.is_gateway |= is_reply(message)
                 self._measure(stream, message)
 
     def _stream(self, number: int, header: Header) -> ObservedStream | None:

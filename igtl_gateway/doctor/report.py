@@ -98,6 +98,9 @@ class DoctorReport:
         if cause:
             why = "probable cause" if not self.observed.good else "most important finding"
             yield f"{why}: {cause.rule.title} ({cause.rule.id}): {cause.match.text}"
+        elif self.findings:
+            first = self.findings[0]
+            yield f"no problems found, but see {first.rule.id}: {first.rule.title}: {first.match.text}"
         else:
             yield "no problems found"
 

@@ -163,6 +163,11 @@ RULES: tuple[Rule, ...] = (
         "raise the limit if the size is correct; a corrupt header has the same effect", checks.too_large,
     ),
     Rule(
+        "IGTL-E116", "the peer closes the connection at once", f"{DOCTOR}: Roles",
+        "see the log of the peer: it accepts one client only, or clients of other networks, or expects TLS",
+        checks.closed_at_once,
+    ),
+    Rule(
         "IGTL-E106", "connected, but silent", f"{DOCTOR}: Silence",
         "configure the peer to send data (3D Slicer: outgoing nodes of the connector; PLUS: data sent to clients)",
         checks.silent,
@@ -345,6 +350,18 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "IGTL-W702", "too many streams or links", f"{DOCTOR}: Limits",
         "use fixed device names; a peer sends a new name for each message", checks.too_many_streams,
+    ),
+    Rule(
+        "IGTL-I117", "the peer is igtl-gateway itself", f"{DOCTOR}: Silence",
+        "examine the program that sends to this bridge; `igtl-gateway lint FILE` examines a recording of the bridge",
+        checks.is_gateway,
+    ),
+    Rule(
+        "IGTL-I508", "poses do not change", f"{DOCTOR}: Rates",
+        "no action for a calibration; a moving tool is out of sight, or the sender repeats its last pose",
+        each_stream(
+            checks.is_frozen, lambda one: f"all {one.lengths.messages:,} poses are equal"
+        ),
     ),
     Rule(
         "IGTL-I603", "ROS: no subscriber", f"{DOCTOR}: ROS graph",

@@ -18,7 +18,10 @@ from igtl_gateway.exchange.sequence import Sequence
 from igtl_gateway.exchange.source import Source, library_errors_as_damage
 from igtl_gateway.untrusted import files
 
-_START = 512
+#: This number of bytes at the start of a file shows its format.
+START = 512
+#: The format of raw messages.
+IGTL = "igtl"
 _META_KEYS = (b"ObjectType", b"NDims", b"DimSize")
 
 
@@ -58,8 +61,13 @@ FORMATS = (
     ),
     ImportFormat("nifti", (".nii", ".nii.gz"), looks_like_nifti, lambda path, epoch: Sequence(path, epoch, read_nifti)),
     ImportFormat("pcap", (".pcap", ".cap", ".pcapng"), is_capture, lambda path, _epoch: Pcap(path)),
-    ImportFormat("igtl", (".igtl",), looks_like_igtl, Capture),
+    ImportFormat(IGTL, (".igtl",), looks_like_igtl, Capture),
 )
+
+
+def format_of(start: bytes) -> ImportFormat | None:
+    """Return the format of a file that begins with these bytes; None: none of the table."""
+    return next((kind for kind in FORMATS if kind.recognise(start)), None)
 
 
 def open_source(path: Path, epoch_ns: int | None = None) -> Source:
@@ -74,11 +82,10 @@ def open_source(path: Path, epoch_ns: int | None = None) -> Source:
             return Rosbag2(path)
         raise UnsupportedRecording(f"{path}: found a directory without {METADATA}, expected a rosbag2 recording")
     with library_errors_as_damage(path), files.open_file(path) as stream:
-        start = stream.read(_START)
+        start = stream.read(START)
     if path.name.endswith(".zstd"):
         return Rosbag2(path)
-    for kind in FORMATS:
-        if kind.recognise(start):
-            return kind.open(path, epoch_ns)
+    if kind := format_of(start):
+        return kind.open(path, epoch_ns)
     suffixes = " ".join(suffix for kind in FORMATS for suffix in kind.suffixes)
     raise UnsupportedRecording(f"{path}: found {start[:16]!r} at its start, expected one of these: {suffixes}")

@@ -24,8 +24,8 @@ from igtl_gateway.values import value
 MAX_NOTED = 2_000
 
 #: Fates of messages that were not dropped.
-CONVERTED, UNSUBSCRIBED, RECORDED_ONLY = "converted", "unheard", "recorded_only"
-_GOOD = frozenset({CONVERTED, UNSUBSCRIBED, RECORDED_ONLY})
+CONVERTED, UNSUBSCRIBED, RECORDED_ONLY, PROBED = "converted", "unheard", "recorded_only", "probed"
+_GOOD = frozenset({CONVERTED, UNSUBSCRIBED, RECORDED_ONLY, PROBED})
 
 _MESSAGES = frozenset({Kind.IGTL_IN, Kind.ROS_IN})
 _IGTL_OUT = Kind.IGTL_OUT.value

@@ -98,13 +98,16 @@ def select_entries(
     for entry in entries:
         if entry.kind in few:
             if entry.channel not in known:
-                known[entry.channel] = matches_any(entry.channel, globs) or (
-                    entry.kind in _IGTL and matches_any(entry.channel.partition("/")[2], globs)
-                )
+                known[entry.channel] = is_stream_of(entry.kind, entry.channel, globs)
             if known[entry.channel]:
                 yield entry
             else:
                 passed_over[STREAMS] += 1
+
+
+def is_stream_of(kind: Kind, channel: str, globs: Sequence[str]) -> bool:
+    """Return whether a topic, or ``TYPE/device`` or its device name, matches one of the globs, or there is no glob."""
+    return matches_any(channel, globs) or (kind in _IGTL and matches_any(channel.partition("/")[2], globs))
 
 
 def matches_any(name: str, globs: Sequence[str]) -> bool:

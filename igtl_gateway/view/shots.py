@@ -9,7 +9,8 @@ warnings of the views, for people to read and for tests to assert on.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+import sys
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,6 +29,10 @@ HELLOS = 100  #: requests until the viewer must have answered the first
 GRACE_S = 1.0  #: a viewer that does not answer may be about to exit
 TRIES = 20  #: screenshots until two in a row are equal
 
+_NEEDS_DRIVER = (
+    "found no usable Vulkan driver, expected that of a graphics card, or a software driver: "
+    "sudo apt-get install -y --no-install-recommends mesa-vulkan-drivers"
+)
 #: What the viewer logs without a usable Vulkan driver.
 _NO_DRIVER = re.compile(r"No graphics adapter|Failed to get render context|Failed to create render context")
 #: A headless viewer has one font and exits at a character that is not in it (policy of egui_kittest).
@@ -69,6 +74,31 @@ class Shot:
     time_ns: int
     png: bytes
     complaints: tuple[ViewerComplaint, ...]
+
+
+def check_driver(environment: Mapping[str, str]) -> None:
+    """Raise ViewerError if no Vulkan driver is installed: a user should not wait for the drawing first.
+
+    Only Linux is checked.  The places are those in which the loader of Vulkan looks for the manifests of drivers
+    (LoaderDriverInterface.md of Khronos).
+    """
+    if sys.platform != "linux":
+        return
+    if named := environment.get("VK_DRIVER_FILES") or environment.get("VK_ICD_FILENAMES"):
+        found = any(Path(path).is_file() for path in named.split(":"))
+    else:
+        home = environment.get("HOME", "")
+        places = [
+            environment.get("XDG_CONFIG_HOME") or f"{home}/.config",
+            *(environment.get("XDG_CONFIG_DIRS") or "/etc/xdg").split(":"),
+            "/etc",
+            "/usr/local/etc",
+            environment.get("XDG_DATA_HOME") or f"{home}/.local/share",
+            *(environment.get("XDG_DATA_DIRS") or "/usr/local/share:/usr/share").split(":"),
+        ]
+        found = any(True for place in places for _ in Path(place, "vulkan", "icd.d").glob("*.json"))
+    if not found:
+        raise ViewerError(_NEEDS_DRIVER)
 
 
 def take_shots(recording: Path, times_ns: Sequence[int | None], size: tuple[int, int] = SIZE) -> list[Shot]:
@@ -184,10 +214,7 @@ class HeadlessViewer:
 
     def _exit_error(self) -> ViewerError:
         if _NO_DRIVER.search(self._process.text):
-            return ViewerError(
-                "found no usable Vulkan driver, expected that of a graphics card, or a software driver: "
-                "sudo apt-get install -y --no-install-recommends mesa-vulkan-drivers"
-            )
+            return ViewerError(_NEEDS_DRIVER)
         if letter := _NO_LETTER.search(self._process.text):
             return ViewerError(
                 f"found the character {letter[1]} in the session: a headless viewer has no font for it and exits; "

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+import re
 import threading
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from igtl_gateway.app.replay_plan import both_sender, igtl_sender, plan_replay, planned_entries, ros_sender
+from igtl_gateway.app.replay_plan import (
+    both_sender,
+    check_streams,
+    igtl_sender,
+    plan_replay,
+    planned_entries,
+    ros_sender,
+)
 from igtl_gateway.clock import ManualClock
 from igtl_gateway.config import Config
+from igtl_gateway.errors import ConfigError
 from igtl_gateway.gateway import LINK_UP, LINKS_TOPIC, Gateway, Session
 from igtl_gateway.qos import Qos
 from igtl_gateway.record.host import in_thread
@@ -49,6 +58,19 @@ def test_each_side_gets_what_it_heard_that_day(side: str, kinds: set[Kind]) -> N
         assert plan_replay(file, side, recompute=True).recompute
         found = seqs(planned_entries(file, Config(), how, []))
         assert found == sorted(found) and found
+
+
+@pytest.mark.parametrize("glob", ["Foo", "TRANSFORM/Foo", "/nothing/**"])
+@pytest.mark.parametrize("side", ["igtl", "ros", "both"])
+def test_streams_that_are_not_there_are_refused_before_anybody_waits(side: str, glob: str) -> None:
+    with SessionFile.open(TYPES) as file:
+        how = plan_replay(file, side, recompute=False)
+        with pytest.raises(ConfigError, match=re.escape(f"--streams: found '{glob}', expected one of these streams: ")):
+            check_streams(file, how, [glob])
+        assert check_streams(file, how, []) == []
+        assert check_streams(file, how, ["**"]) == []
+        assert check_streams(file, how, ["**", glob]) == [glob]
+        assert check_streams(file, plan_replay(file, side, recompute=True), [glob]) == []  # known too late
 
 
 def test_both_sides_are_the_two_sides() -> None:

@@ -182,3 +182,22 @@ def test_nothing_of_a_message_reaches_the_terminal_raw(tmp_path: Path, capsys: p
     out = capsys.readouterr().out
     assert out.count("\n") == 2 and out.replace("\n", "").isprintable()
     assert json.loads(out.splitlines()[1])["content"]["string"] == evil
+
+
+@pytest.mark.parametrize(
+    ("start", "name"),
+    [
+        (b"\x89MCAP0\r\n", "rosbag2"),
+        (b"#ROSBAG V2.0\n", "rosbag1"),
+        (b"SQLite format 3\0", "rosbag2"),
+        (b"NRRD0004\n", "sequence"),
+    ],
+)
+def test_a_file_of_another_format_is_named(
+    start: bytes, name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "x"
+    path.write_bytes(start + bytes(300))
+    code, told, err = decoded(capsys, str(path))
+    assert (code, told) == (2, [])
+    assert f"found a file of the format {name} (" in err and "expected OpenIGTLink bytes" in err

@@ -9,7 +9,7 @@ import ssl
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,10 +19,13 @@ import pytest
 from igtl_gateway.buffers import join
 from igtl_gateway.cli import main
 from igtl_gateway.clock import SystemClock
+from igtl_gateway.session.entry import Kind
+from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.stamp import ns_to_ticks
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import String
 from igtl_gateway.wire.transform import Transform
+from tests.integration.bridge import Bridge
 
 HERE = "127.0.0.1"
 PEMS = Path(__file__).parents[1] / "edges" / "tcp" / "pems"
@@ -368,3 +371,20 @@ def test_a_text_for_people(capsys: pytest.CaptureFixture[str]) -> None:
     assert lines[0].startswith(f"  {place}: server; 1 message, header version 1")
     assert any(line.startswith("WARNING IGTL-W401") for line in lines)
     assert lines[-1].startswith("most important finding: ")
+
+
+def test_a_bridge_is_recognised_and_not_disturbed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with closing(Bridge("--no-ros", "--record", str(tmp_path / "session.mcap"))) as bridge:
+        assert main(["doctor", f"{HERE}:{bridge.port}", "--seconds", "2", "--json"]) == 0
+        assert bridge.end().code == 0
+    told = json.loads(capsys.readouterr().out)
+    assert [finding["id"] for finding in told["findings"]] == ["IGTL-I117"]
+    with SessionFile.open(tmp_path / "session.mcap") as file:
+        kinds = [(entry.kind, entry.channel) for entry in file.entries() if entry.channel]
+    assert (Kind.IGTL_IN, "STATUS/igtl_doctor") in kinds  # recorded, as every message
+    assert not any(kind is Kind.ROS_OUT and "doctor" in channel for kind, channel in kinds)
+    assert main(["verify", str(tmp_path / "session.mcap")]) == 0
+    capsys.readouterr()
+    assert main(["lint", str(tmp_path / "session.mcap"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["findings"]
+    assert not any("doctor" in finding["where"] for finding in found)

@@ -194,7 +194,7 @@ def test_every_type_is_listed(capsys: pytest.CaptureFixture[str]) -> None:
         (["--tf-out", "tool"], "--tf-out: found 'tool', expected FRAME"),
         (["--peer", "127.0.0.1=unknown"], "--peer: found '127.0.0.1=unknown', expected HOST:PORT=PROFILE"),
         (["--kinds", "Probe=colour"], "--kinds: found 'Probe=colour', expected DEVICE=KIND"),
-        (["--video-codec", "h264", "--no-ros"], "--video-codec: found --no-ros, expected ROS"),
+        (["--video-codec", "h264", "--no-ros"], "--video-codec: found --no-ros or --relay, expected neither"),
     ],
 )
 def test_routes_that_cannot_be_are_refused_in_one_line(

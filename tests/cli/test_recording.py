@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.app.bridge_options import record_options
+from igtl_gateway.app.bridge_options import bridge_options
 from igtl_gateway.cli import recording
-from igtl_gateway.cli.settings import settled
+from igtl_gateway.cli.settings import given, settled
 from igtl_gateway.clock import ManualClock
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.record.host import in_thread
@@ -31,7 +31,8 @@ DEADLINE_S = 30.0
 def parsed(*arguments: str) -> RecordOptions:
     parser = argparse.ArgumentParser()
     recording.add_arguments(parser)
-    return record_options(settled(parser.parse_args(arguments), {}))
+    options = parser.parse_args(arguments)
+    return bridge_options(settled(options, {}), ros=True, node_name="gateway", given=given(options))[1].recording
 
 
 def test_without_options_it_is_as_everywhere() -> None:

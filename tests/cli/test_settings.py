@@ -12,7 +12,7 @@ import pytest
 from igtl_gateway.app import bridge_options
 from igtl_gateway.app.bridge_options import addresses
 from igtl_gateway.app.settings import config_of, declared, of_parameters
-from igtl_gateway.cli import bridge
+from igtl_gateway.cli import bridge, main
 from igtl_gateway.cli.settings import settled
 from igtl_gateway.config import Config, PeerRow, TfOutRow, ToIgtlRow, ToRosRow
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
@@ -46,6 +46,68 @@ def test_every_option_that_is_a_setting_is_a_row_and_the_other_way_round() -> No
     bridge.add_arguments(parser)
     options = {action.dest: max(action.option_strings, key=len) for action in parser._actions}
     assert {flag for dest, flag in options.items() if dest not in NO_SETTINGS} == {r.flag for r in SETTINGS if r.flag}
+
+
+#: Command lines in which a setting has no effect, for each row that needs something.
+WITHOUT_EFFECT = {
+    "tls_key": "--tls-key a.pem",
+    "allow": "--connect :1 --allow 10.0.0.0/8",
+    "max_clients": "--connect :1 --max-clients 3",
+    "to_igtl": "--no-ros --send /a=A",
+    "tf_out": "--relay --connect :1 --tf-out a:b",
+    "to_ros": "--no-ros --kinds Probe=transform",
+    "site": "--no-ros --site or1",
+    "site_budget": "--site-budget 100",
+    "site_classes": "--site-class /a=poses",
+    "overwrite": "--overwrite",
+    "file_mode": "--file-mode 0640",
+    "record_topics": "--no-ros --record a.mcap --record-topics /a",
+    "record_all": "--no-ros --record a.mcap --record-all",
+    "record_include": "--record-include /a",
+    "record_exclude": "--record-exclude /a",
+    "custom_data": "--custom-data a=b",
+    "compression": "--compression zstd",
+    "flush_interval": "--flush-interval 1",
+    "fsync": "--fsync flush",
+    "split_size": "--split-size 10",
+    "split_duration": "--split-duration 10",
+    "snapshot": "--snapshot 5",
+    "seal": "--seal key.pem",
+    "retention": "--retention 30d",
+    "upload": "--upload s3://bucket",
+    "upload_rate": "--upload-rate 3",
+    "on_record_failure": "--on-record-failure stop",
+    "video_codec": "--no-ros --video-codec h264",
+    "video_bit_rate": "--video-bit-rate 100",
+    "video_key_interval": "--video-key-interval 10",
+    "faults": "--fault loss=1%",
+    "fault_seed": "--relay --connect :1 --seed 3",
+}
+
+
+def test_the_table_of_settings_without_effect_is_complete() -> None:
+    assert set(WITHOUT_EFFECT) == {row.name for row in SETTINGS if row.needs and row.flag}
+
+
+@pytest.mark.parametrize("name", WITHOUT_EFFECT)
+def test_a_setting_without_effect_is_refused(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    flag = next(row.flag for row in SETTINGS if row.name == name)
+    assert main(["bridge", *WITHOUT_EFFECT[name].split()]) == 2
+    error = capsys.readouterr().err
+    assert flag in error and "has no effect here" in error and error.count("\n") == 1
+
+
+def test_a_file_may_have_settings_for_other_sessions(path: Path) -> None:
+    path.write_text('[[to_igtl]]\ntopic = "/a"\n[igtl]\nmax_clients = 2\n')
+    found = values("--config", str(path), "--connect", ":1")
+    config, _ = bridge_options.bridge_options(found, ros=False, node_name="n", given=["connect", "config"])
+    assert config.to_igtl[0].topic == "/a"
+
+
+def test_a_changed_setting_of_a_recording_is_refused_wherever_it_is(path: Path) -> None:
+    path.write_text('[record]\nretention = "30 d"\n')
+    with pytest.raises(ConfigError, match="--retention: found no --record FILE, expected it"):
+        bridge_options.bridge_options(values("--config", str(path)), ros=True, node_name="n")
 
 
 def test_without_anything_it_is_the_default() -> None:
@@ -127,6 +189,10 @@ def test_an_empty_list_has_no_type_in_ros() -> None:
 WRONG_TYPES: dict[type, object] = {bool: "x", int: "x", float: "x", str: 5, tuple: 5}
 
 
+#: No address, size, rule or glob, and the name of another format than MCAP.
+UNREADABLE = "=:70000 x.png"
+
+
 def mistakes(row: Setting) -> list[object]:
     """Values that a setting may not have: of another type, outside of its range or its choices, unreadable."""
     found = [WRONG_TYPES[type(row.default)]]
@@ -135,7 +201,7 @@ def mistakes(row: Setting) -> list[object]:
     if row.choices:
         found.append("x y")
     if row.reads:
-        found.append(["=:70000 x"] if row.is_list else "=:70000 x")
+        found.append([UNREADABLE] if row.is_list else UNREADABLE)
     return found
 
 

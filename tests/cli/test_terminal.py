@@ -17,6 +17,7 @@ from igtl_gateway.cli.terminal import (
     Parser,
     aligned,
     cell,
+    clear_live_line,
     live_line,
     print_json,
     print_line,
@@ -51,6 +52,30 @@ def test_colours_are_ours_alone(capsys: pytest.CaptureFixture[str]) -> None:
     told = capsys.readouterr().out
     assert told.startswith("\x1b[31m/a\\x1b") and told.endswith("\\u202e\x1b[0m\n")
     assert told.count("\x1b") == 2
+
+
+@pytest.mark.parametrize(("name", "value"), [("NO_COLOR", "1"), ("TERM", "dumb")])
+def test_the_environment_forbids_colours(
+    name: str, value: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv(name, value)
+    print_line("wrong", colour="31")
+    assert capsys.readouterr().out == "wrong\n"
+
+
+def test_an_empty_no_color_forbids_nothing(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setenv("NO_COLOR", "")
+    print_line("wrong", colour="31")
+    assert "\x1b[31m" in capsys.readouterr().out
+
+
+def test_a_terminal_without_cursor_control_has_no_live_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("TERM", "dumb")
+    live_line("50 %")
+    clear_live_line()
+    assert capsys.readouterr().out == ""
 
 
 def test_a_live_line_is_cut_to_the_terminal(

@@ -234,3 +234,37 @@ def test_a_robot_of_the_user(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     for word, found in (("none.urdf", "none.urdf: No such file"), (str(path), "invalid XML"), ("", "found")):
         assert main(["view", str(path), "--save", str(out), "--overwrite", "--urdf", word]) in (1, 2)
         assert found in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "reason"),
+    [
+        (["nope.mcap"], 2, "nope.mcap: No such file"),
+        (["nope.mcap", "--screenshot", "x.png"], 2, "nope.mcap: No such file"),
+        (
+            ["FILE", "--save", "star.png"],
+            2,
+            "found 'star.png', the name of a picture, expected a recording of rerun: *.rrd",
+        ),
+        (["FILE", "--screenshot", "star.jpg"], 2, "found 'star.jpg', the name of a picture, expected a picture: *.png"),
+        (["FILE", "--overwrite"], 2, "--overwrite: found neither --save nor --screenshot"),
+    ],
+)
+def test_names_of_other_formats_and_missing_files(
+    words: list[str], code: int, reason: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = [str(FIXTURES / "star.mcap") if word == "FILE" else word for word in words]
+    try:
+        assert main(["view", *given]) == code
+    except SystemExit as end:  # argparse
+        assert end.code == code
+    assert reason in capsys.readouterr().err
+
+
+def test_a_screenshot_without_a_driver_is_refused_before_the_drawing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("VK_DRIVER_FILES", str(tmp_path / "no.json"))
+    monkeypatch.setattr("igtl_gateway.view.stream.to_file", None)  # nothing is drawn
+    assert main(["view", str(FIXTURES / "star.mcap"), "--screenshot", str(tmp_path / "x.png")]) == 1
+    assert "found no usable Vulkan driver" in capsys.readouterr().err

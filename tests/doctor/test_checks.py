@@ -15,6 +15,7 @@ from igtl_gateway.doctor import Observer
 from igtl_gateway.doctor.observer import ExpectedLinks
 from igtl_gateway.doctor.rules import RULES, judge
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP
+from igtl_gateway.gateway.dialogue.probing import PROBE, PROBE_DEVICE, REPLY, REPLY_DEVICE
 from igtl_gateway.gateway.metadata import FULL_NAME
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
@@ -138,8 +139,8 @@ CASES: dict[str, tuple[Callable[[], Scene], list[str]]] = {
     "type in small letters": (lambda: scene().receive(Raw(b""), kind="Transform"), ["W208"]),
     "malformed": (lambda: scene().receive(Raw(b"abc")), ["E210"]),
     "stamps do not change": (lambda: poses(scene(), STEPS, stamp_ns=T0_NS), ["W302"]),
-    "stamps of whole seconds": (lambda: whole_seconds(scene(), every_ns=150 * NS_PER_MS), ["W302"]),
-    "stamps of a second each": (lambda: whole_seconds(scene(), every_ns=NS_PER_S), []),
+    "stamps of whole seconds": (lambda: whole_seconds(scene(), every_ns=150 * NS_PER_MS), ["W302", "I508"]),
+    "stamps of a second each": (lambda: whole_seconds(scene(), every_ns=NS_PER_S), ["I508"]),
     "stamps of a regular clockwork": (lambda: poses(scene(), range(100, 130), age_ns=0), []),
     "stamps in the future": (lambda: scene().receive(pose(), age_ns=-NS_PER_S), ["W303"]),
     "stamps decrease": (lambda: scene().receive(pose()).receive(pose(), age_ns=100 * NS_PER_MS), ["W304"]),
@@ -165,7 +166,7 @@ CASES: dict[str, tuple[Callable[[], Scene], list[str]]] = {
         lambda: poses(scene(), [0.3 * (-1) ** (step // 2) for step in range(40)]),
         [],
     ),
-    "an offset near zero that stays": (lambda: poses(scene(), [0.1] * 12), []),
+    "an offset near zero that stays": (lambda: poses(scene(), [0.1] * 12), ["I508"]),
     "millimetres twice": (lambda: scene().receive(pose(200_000.0)), ["W502"]),
     "not a number": (lambda: scene().receive(Position((float("nan"), 0.0, 0.0)), kind="POSITION"), ["E503"]),
     "both infinities": (
@@ -239,3 +240,55 @@ def test_any_bytes_of_a_message_are_observed_without_error() -> None:
             made.add(Kind.IGTL_IN, bent)
             judge(made.observed)
             assert sum(peer.messages + bool(peer.head) for peer in made.observed.peers.values()) == 1
+
+
+def test_a_server_that_closes_at_once_is_not_silent() -> None:
+    scene = Scene(CLIENT).up(role="client").down()
+    assert scene.found == ["E116"]
+    assert Scene().up(role="client").down().found == ["I704"]  # a recording: it might have been a port scan
+
+
+@pytest.mark.parametrize("reason", ["stopped", "closed by the peer"])
+def test_a_server_that_stays_silent_is_silent(reason: str) -> None:
+    scene = Scene(CLIENT).up(role="client").after(3 * NS_PER_S).down(reason=reason)
+    assert scene.found == ["E106"]
+
+
+@pytest.mark.parametrize("number", [9, 10, 104])
+def test_poses_that_do_not_change(number: int) -> None:
+    scene = Scene().up()
+    for _ in range(number):
+        scene.receive(pose())
+    assert scene.found == (["I508"] if number >= 10 else [])
+    assert scene.receive(pose(200.001)).found == []
+
+
+def test_poses_that_only_turn_do_change() -> None:
+    scene = Scene().up()
+    for step in range(20):
+        c, s = np.cos(0.1 * step), np.sin(0.1 * step)
+        scene.receive(Transform((c, s, 0.0, -s, c, 0.0, 0.0, 0.0, 1.0, 200.0, 10.0, 0.0)))
+    assert scene.found == []
+
+
+def test_one_of_several_tools_that_moves() -> None:
+    def tools(x: float) -> TrackingData:
+        elements = np.zeros(2, TRACKING_DTYPE)
+        elements["name"] = [b"A", b"B"]
+        elements["matrix"] = [(1, 0, 0, 0, 1, 0, 0, 0, 1, 300, 400, 500), (1, 0, 0, 0, 1, 0, 0, 0, 1, x, 400, 500)]
+        return TrackingData(elements)
+
+    scene = Scene().up()
+    for _ in range(20):
+        scene.receive(tools(300.0), kind="TDATA")
+    assert scene.found == ["I508"]
+    assert scene.receive(tools(301.0), kind="TDATA").found == []
+
+
+def test_the_probe_of_another_doctor_is_no_traffic() -> None:
+    assert Scene().up().receive(PROBE, PROBE_DEVICE, "STATUS", stamp_ns=0).found == ["I704"]
+
+
+def test_a_gateway_is_recognised_by_its_reply() -> None:
+    scene = Scene(CLIENT).up(role="client").receive(REPLY, REPLY_DEVICE, "STATUS").after(3 * NS_PER_S)
+    assert scene.found == ["I117"]

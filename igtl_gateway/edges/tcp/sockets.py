@@ -123,7 +123,7 @@ def listening_socket(host: str, port: int, allow: AllowList, reserved: ReservedP
     if not (allow.opens or _ip(address[0]).is_loopback):
         raise ConfigError(
             f"{place}: open to other hosts, but none may connect; "
-            'allow networks such as 192.168.1.0/24, or "any" for all'
+            "expected --allow NETWORK, such as --allow 192.168.1.0/24, or --allow any for all"
         )
     try:
         return (reserved and reserved.take(host, port)) or listener(family, address)

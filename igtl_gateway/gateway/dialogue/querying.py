@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from igtl_gateway.convert.names import short_device_name
 from igtl_gateway.gateway.denials import Denials
-from igtl_gateway.gateway.dialogue import answers
+from igtl_gateway.gateway.dialogue import answers, probing
 from igtl_gateway.gateway.outcome import Finding, Item
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peer, Peers
@@ -54,6 +54,10 @@ class Queries:
         # escaped bytes make a name longer: the reply must fit the header
         device = short_device_name(visible(message.device_name))
         return answer(self, entry, peer, message, igtl_type, device) if answer else []
+
+    def identify(self, entry: Entry, peer: Peer) -> list[Item]:
+        """Return the reply to the probe of ``doctor``."""
+        return self._delivery.to(entry, [peer], [probing.reply(entry.stamp_ns)])
 
     def deny(self, entry: Entry, peer: Peer, message: Message, prefix: str, igtl_type: str, why: str) -> list[Item]:
         """Reject a query that is refused: with its RTS_ if it has one, else with a STATUS."""

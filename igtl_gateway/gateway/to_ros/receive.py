@@ -8,9 +8,10 @@ from igtl_gateway.gateway.activity import INACTIVE, Activity
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.commanding import Commands
 from igtl_gateway.gateway.dialogue.links import Links
+from igtl_gateway.gateway.dialogue.probing import is_probe
 from igtl_gateway.gateway.dialogue.querying import Queries
 from igtl_gateway.gateway.metadata import restore_metadata
-from igtl_gateway.gateway.outcome import Finding, Item, Outcome, conversion_failure
+from igtl_gateway.gateway.outcome import PROBED, Finding, Item, Outcome, conversion_failure
 from igtl_gateway.gateway.peers import Peer, Peers
 from igtl_gateway.gateway.to_ros.route import Router
 from igtl_gateway.session.entry import Entry
@@ -56,6 +57,8 @@ class IgtlReceiver:
         except WireError as error:
             return Outcome([conversion_failure(error, "message refused", entry, error.code)], error.code)
         peer = self._peers.get(entry.links[0])
+        if is_probe(message):
+            return Outcome(self._queries.identify(entry, peer) if peer else [], PROBED, decoded=True)
         news = self._learned(entry, peer, message) if peer else []
         if denied := self._denied.message(message):
             return Outcome([*news, *self._deny(entry, peer, message, denied)], "denied", decoded=True)
