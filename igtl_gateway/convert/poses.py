@@ -51,7 +51,11 @@ def pose_of_matrix(wire_matrix: Sequence[float], to: ToRosContext, place: str) -
     m = wire_matrix
     if not all(map(math.isfinite, m)):
         raise NotFinite(f"{place}: found {list(m)}, expected finite numbers")
-    rotation = nearest_quaternion([[m[row], m[row + 3], m[row + 6]] for row in range(3)], to, place)
+    matrix = [[m[row], m[row + 3], m[row + 6]] for row in range(3)]
+    rotation = nearest_quaternion(matrix, place)
+    if (off := distance_from_rotation(matrix)) > _NOTICEABLE:
+        lost = f"{place}: rotation matrix is not orthonormal: scale or shear ({off:.3g}) is lost"
+        to.warnings.append(("not_a_rotation", lost))
     to_ros = to.lengths.to_ros
     return (to_ros(m[9]), to_ros(m[10]), to_ros(m[11]), *rotation)
 
@@ -143,17 +147,12 @@ def rotation_matrix(q: tuple[Number, Number, Number, Number]) -> list[list[Numbe
     ]
 
 
-def nearest_quaternion(r: Rows, to: ToRosContext, place: str) -> Quaternion:
+def nearest_quaternion(r: Rows, place: str) -> Quaternion:
     """Return the unit quaternion (w ≥ 0) of a 3 × 3 matrix or, if it is not a rotation, of the nearest rotation.
 
-    Adds a warning if scale or shear is lost.  Raises ConversionError for a reflection or a singular matrix.
+    Raises ConversionError for a reflection or a singular matrix.
     """
-    off = distance_from_rotation(r)
-    if off > ROUNDING:
-        if off > _NOTICEABLE:
-            to.warnings.append(
-                ("not_a_rotation", f"{place}: rotation matrix is not orthonormal: scale or shear ({off:.3g}) is lost")
-            )
+    if distance_from_rotation(r) > ROUNDING:
         r = _nearest_rotation(r, place)
     elif determinant(r) < 0.0:
         raise _not_orthonormal(place, determinant(r))

@@ -27,6 +27,7 @@ from igtl_gateway.buffers import join
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config, ToIgtlRow, ToRosRow
 from igtl_gateway.convert import rosmsg
+from igtl_gateway.convert.arms import ArmsRow
 from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.rosmsg import Header, TransformStamped
 from igtl_gateway.edges.tcp import PeerLimits
@@ -38,7 +39,7 @@ from igtl_gateway.replay.verify import DeclaredLosses, verify
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
 from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
+from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.framer import Framer
 from igtl_gateway.wire.image import Image
@@ -746,3 +747,47 @@ def test_messages_pass_natively_while_an_oddity_of_their_stream_is_recent(
     odd = [note.code for note in notes if note.code in guarded_stream.CODES]
     assert odd == [guarded_stream.BACKWARDS, guarded_stream.CALM]
     check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+
+
+# -- robots -----------------------------------------------------------------------------------------------------------
+
+
+def _servo(x: float, stamp_ns: int) -> bytes:
+    content = Transform((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, x, 0.0, 0.0))
+    return join(encode(Message("TRANSFORM", "PSM1/servo_cp", content, ns_to_ticks(stamp_ns))))
+
+
+@pytest.mark.parametrize("native", [True, False])
+def test_a_burst_of_commands_beside_native_streams_moves_the_robot_at_its_limit(
+    native: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    path = tmp_path / "session.mcap"
+    arms = (ArmsRow("/PSM*", max_age_s=60.0),)
+    config = Config(crtk=arms, allow_in=("PSM1/servo_cp",)).watched()
+    sent = 0
+    with scene(monkeypatch, config, path, native=native, diagnostics=False) as here:
+        peer = here.connect()
+        begin_ns = time.time_ns()
+        for burst in range(12):
+            if burst % 4 == 0:
+                here.send_ros(PoseStamped(Header(time.time_ns()), (0.0,) * 6 + (1.0,)), "/PSM1/measured_cp")
+            stamps = [begin_ns + (10 * burst + number) * 10 * NS_PER_MS for number in range(10)]
+            xs = [0.002 * (10 * burst + number) if burst % 3 else 1e-5 * number for number in range(10)]
+            mixed = [data for at, ns in zip(xs, stamps, strict=True) for data in (_servo(at, ns), transform(at))]
+            peer.send(b"".join(mixed))
+            sent += len(mixed)
+            wait_for(lambda sent=sent: here.received("igtl_in") == sent)
+            time.sleep(0.03)
+        assert (here.native > 0) is native if native else here.bridge._passage is None
+    check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+    points: list[tuple[int, float]] = []
+    cause_ns = 0
+    for entry in entries_of(path):
+        if entry.kind.is_input:
+            cause_ns = entry.stamp_ns
+        elif entry.kind is Kind.ROS_OUT and entry.channel == "/PSM1/servo_cp":
+            points.append((cause_ns, PoseStamped.unpack(entry.data()).pose[0]))
+    assert len(points) > 3
+    for number, (at_ns, x) in enumerate(points):
+        for before_ns, before in points[:number]:
+            assert abs(x - before) <= 0.25 * (at_ns - before_ns) / NS_PER_S * (1 + 1e-9) + 1e-12

@@ -61,10 +61,12 @@ class Router:
             return self._routed(entry, message, restored)
         stamp_ns = restored.stamp_ns or ticks_to_ns(message.ticks)
         try:
-            frame_id = self._robots.check(entry, message.content, device, stamp_ns, restored.frame_id, self._guard)
+            checked = self._robots.check(entry, message.content, device, stamp_ns, restored.frame_id, self._guard)
         except Refused as error:
             return Outcome([Finding(Level.WARN, error.code, str(error), entry.channel, entry.links)], error.code)
-        outcome = self._routed(entry, message, restored, frame_id)
+        outcome = self._routed(entry, message, restored, checked.frame_id)
+        if outcome.fate == CONVERTED:
+            self._robots.published(checked)
         outcome.origin = None  # each command passes the guard: no compiled stream has one
         return outcome
 

@@ -1,0 +1,152 @@
+"""How far a streamed command may move an arm: by the time that has passed, whatever the stamps of the sender are.
+
+Strategy: a set point is compared with the last one that was published.  The way between them may be as long as the
+arm can move in the time between them, by the clock of the gateway or by that of the sender, whichever shows less.  So
+no window of time, between any two published set points, has a faster motion: there is no credit to save up in a stall,
+and no tolerance that a burst adds up.  A pause counts as 0.1 s at most, and after 0.5 s the arm must be where the
+command begins: ``docs/guard.md`` has the policy and its reasons.
+
+The state is the last published command of each device, so the prologue of a part of a recording restores it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from igtl_gateway.convert.poses import Quaternion
+from igtl_gateway.gateway.robot_command import Refused, RobotCommand, SetPoint
+from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
+
+#: The time that one command may make use of: at most this, so that a pause does not allow a jump.
+LONGEST_NS = 100 * NS_PER_MS
+#: A command may begin as far from the measured state as the arm moves in this time: what noise and lag need.
+BEGIN_NS = 20 * NS_PER_MS
+#: After this time without a command, the measured state counts, and another command may move the arm.
+PAUSE_NS = 500 * NS_PER_MS
+
+
+@dataclass(frozen=True, slots=True)
+class Reach:
+    """From where a command may go, how long it may move, and in words what was there before."""
+
+    start: SetPoint
+    span_ns: int
+    origin: str
+
+
+class Motions:
+    """The last published command of each device, and the last one of each arm."""
+
+    def __init__(self) -> None:
+        self._of_device: dict[str, SetPoint] = {}
+        self._of_arm: dict[str, tuple[str, SetPoint]] = {}
+
+    def published(self, command: RobotCommand, point: SetPoint) -> None:
+        """Take a command that was published."""
+        self._of_device[command.device] = point
+        self._of_arm[command.arm] = command.device, point
+
+    def last(self, device: str) -> SetPoint | None:
+        """Return the last published command of a device."""
+        return self._of_device.get(device)
+
+    def moved_since(self, command: RobotCommand, measured: SetPoint) -> bool:
+        """Return whether the arm has had a command since a state was measured."""
+        _, point = self._of_arm.get(command.arm, ("", None))
+        return point is not None and point.arrived_ns > measured.arrived_ns
+
+    def reaches(self, command: RobotCommand, measured: SetPoint | None, state: str) -> list[Reach]:
+        """Return what limits the motion to a set point; ``state`` is the topic of ``measured``.  Raises Refused."""
+        device = command.device
+        mover, point = self._of_arm.get(command.arm, ("", None))
+        last = self._of_device.get(device)
+        pause_ns = command.arrived_ns - point.arrived_ns if point else PAUSE_NS
+        if pause_ns < PAUSE_NS and mover != device:
+            raise Refused(
+                "command_unknown_state",
+                f"{device}: found {mover} {_ms(pause_ns)} ms ago, expected no other command to {command.arm} "
+                f"for {_ms(PAUSE_NS)} ms",
+            )
+        passed_ns = _passed_ns(last, command) if last else 0
+        if last and pause_ns < PAUSE_NS:
+            return [Reach(last, min(passed_ns, LONGEST_NS), "from the last one")]
+        if measured is None or self.moved_since(command, measured):
+            raise Refused(
+                "command_unknown_state",
+                f"{device}: found no {command.base}/{state} of the last second and after the last command, "
+                "expected one for the speed limit",
+            )
+        begin = [Reach(measured, BEGIN_NS, f"from {command.base}/{state}")]
+        return [*begin, Reach(last, passed_ns, "from the last one")] if last else begin
+
+
+def _passed_ns(last: SetPoint, command: RobotCommand) -> int:
+    """Return the time since a set point: of the two clocks, the one that shows less."""
+    arrived_ns = command.arrived_ns - last.arrived_ns
+    if command.stamp_ns <= 0 or last.stamp_ns <= 0:
+        return arrived_ns
+    return min(arrived_ns, command.stamp_ns - last.stamp_ns)
+
+
+def check_pose_speed(
+    command: RobotCommand, place: Sequence[float], rotation: Quaternion, reaches: Sequence[Reach]
+) -> None:
+    """Check the way and the turn to a pose.  Raises Refused."""
+    device, arms = command.device, command.arms
+    for reach in reaches:
+        assert reach.start.rotation is not None  # a pose is compared with poses
+        way, most = math.dist(reach.start.values, place), _most(arms.max_speed, reach)
+        if arms.max_speed and not way <= most:
+            limit = f"at most {1000 * most:.3g} mm ({arms.max_speed:g} m/s, max_speed)"
+            raise Refused("command_speed", _too_fast(device, f"{1000 * way:.3g} mm", reach, limit))
+        turn, most = angle(reach.start.rotation, rotation), _most(arms.max_turn_speed, reach)
+        if arms.max_turn_speed and not turn <= most:
+            limit = f"at most {most:.3g} rad ({arms.max_turn_speed:g} rad/s, max_turn_speed)"
+            raise Refused("command_speed", _too_fast(device, f"{turn:.3g} rad", reach, limit))
+
+
+def check_joint_speed(
+    command: RobotCommand, goal: Sequence[float], steps: Sequence[float] | None, reaches: Sequence[Reach]
+) -> None:
+    """Check the ways of all joints to ``goal``, or ``steps`` of a relative command.  Raises Refused."""
+    device, speeds = command.device, command.arms.joint_speed
+    limits = speeds * len(goal) if len(speeds) == 1 else speeds
+    if len(limits) != len(goal):
+        raise Refused(
+            "command_joint_count", f"{device}: found {len(goal)} joints, expected {len(speeds)} (joint_speed)"
+        )
+    for reach in reaches:
+        ways = steps
+        if ways is None:
+            before = reach.start.values
+            if len(before) != len(goal):
+                raise Refused("command_joint_count", f"{device}: found {len(goal)} joints, expected {len(before)}")
+            ways = [value - at for value, at in zip(goal, before, strict=True)]
+        for number, (way, speed) in enumerate(zip(ways, limits, strict=True), 1):
+            if not abs(way) <= _most(speed, reach):
+                limit = f"at most {_most(speed, reach):.3g} ({speed:g} per second, joint_speed)"
+                raise Refused(
+                    "command_joint_speed", _too_fast(device, f"{abs(way):.3g} of joint {number}", reach, limit)
+                )
+
+
+def angle(a: Quaternion, b: Quaternion) -> float:
+    """Return the angle between two rotations, rad; exact for small ones too."""
+    minus = [x - y for x, y in zip(a, b, strict=True)]
+    plus = [x + y for x, y in zip(a, b, strict=True)]
+    chord = math.sqrt(min(sum(x * x for x in minus), sum(x * x for x in plus)))
+    return 4.0 * math.asin(min(1.0, chord / 2.0))
+
+
+def _most(speed: float, reach: Reach) -> float:
+    return speed * reach.span_ns / NS_PER_S
+
+
+def _too_fast(device: str, found: str, reach: Reach, limit: str) -> str:
+    return f"{device}: found {found} {reach.origin} in {_ms(reach.span_ns)} ms, expected {limit}"
+
+
+def _ms(ns: int) -> str:
+    return f"{ns / NS_PER_MS:.4g}"

@@ -1,0 +1,324 @@
+"""How far commands of peers may move a robot: by the time of arrival, in stalls, bursts and with stamps that lie."""
+
+from __future__ import annotations
+
+import math
+import os
+from typing import Any
+
+import numpy as np
+import pytest
+
+from igtl_gateway.config import Config
+from igtl_gateway.convert.arms import ArmsRow
+from igtl_gateway.convert.common_msgs import JointState, PoseStamped
+from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.session.entry import Kind
+from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.wire import Message
+from igtl_gateway.wire.sensor import Sensor
+from igtl_gateway.wire.text import String
+from igtl_gateway.wire.transform import Transform
+from tests.gateway.robot_worlds import World
+from tests.script import T0_NS, Script
+
+#: Worlds of the gate, and of a search: IGTL_GATEWAY_WORLDS=10000.
+WORLDS = int(os.environ.get("IGTL_GATEWAY_WORLDS", "40"))
+_COMMANDS = ("*/servo_*", "*/*/servo_*", "*/move_*", "*/state_command")
+_MOTION = {"command_speed", "command_joint_speed", "command_unknown_state"}
+
+
+class Robot(Script):
+    """A gateway and an arm that follows, at times that are given."""
+
+    def __init__(self, **limits: Any) -> None:
+        super().__init__(Config(crtk=(ArmsRow("/PSM*", **limits),), allow_in=_COMMANDS))
+        self.up(1)
+        self.at: list[tuple[int, float]] = []
+        self.place = 0.0
+        self.measure()
+
+    def measure(self, place: float | None = None) -> None:
+        """The arm publishes its state: where it was commanded to be, or at ``place``."""
+        x = self.place if place is None else place
+        self.ros("/PSM1/measured_cp", PoseStamped(Header(self.now_ns), (x, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)))
+        self.ros("/PSM1/measured_js", JointState(Header(self.now_ns), ("a", "b"), np.array([x, 0.0])))
+
+    def servo(self, x: float, at_ns: int, stamp_ns: int, name: str = "servo_cp", link: int = 1) -> str:
+        """A command arrives at a time; return the code of its refusal, or "" if it was published."""
+        cartesian = name.endswith("cp")
+        content = _at(x) if cartesian else Sensor(np.array([x, 0.0], ">f8"))
+        self.now_ns = at_ns - NS_PER_MS  # which the script adds
+        lines = self.igtl(
+            Message("TRANSFORM" if cartesian else "SENSOR", f"PSM1/{name}", content, ns_to_ticks(stamp_ns)), link
+        )
+        if f"ros /PSM1/{name}" in lines:
+            self.at.append((at_ns, x))
+            self.place = x
+            return ""
+        (code,) = [line.removeprefix("note ") for line in lines if line.startswith("note command")]
+        return code
+
+
+def _at(x: float) -> Transform:
+    return Transform((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, x, 0.0, 0.0))
+
+
+# -- what a stall and a burst did -------------------------------------------------------------------------------------
+
+
+def test_commands_that_a_stall_has_held_back_do_not_arrive_as_a_jump() -> None:
+    """45 set points of 450 ms at 0.2 m/s, 90 mm, within 0.45 ms: the limit is 0.25 m/s."""
+    robot = Robot()
+    start_ns = robot.now_ns
+    assert robot.servo(0.0, start_ns + 10 * NS_PER_MS, start_ns + 10 * NS_PER_MS) == ""
+    end_ns = start_ns + 460 * NS_PER_MS
+    codes = [
+        robot.servo(0.002 * number, end_ns + number * 10_000, start_ns + (10 + 10 * number) * NS_PER_MS)
+        for number in range(1, 46)
+    ]
+    moved = robot.at[-1][1] - robot.at[0][1]
+    assert moved <= 0.0025, f"{1000 * moved:.1f} mm"
+    assert codes[0] == "" and set(codes[1:]) == {"command_speed"}, "one of them may use the time between arrivals"
+
+
+def test_commands_with_one_time_of_arrival_move_the_robot_once() -> None:
+    """199 set points whose stamps are 5 ms apart, at 0.249 m/s: 247 mm in no time."""
+    robot = Robot(max_age_s=0.5)
+    now_ns = robot.now_ns + 600 * NS_PER_MS
+    robot.now_ns = now_ns - 20 * NS_PER_MS
+    robot.measure()
+    codes = [robot.servo(0.00124 * number, now_ns, now_ns + (5 * number - 497) * NS_PER_MS) for number in range(199)]
+    assert codes[0] == "" and set(codes[1:]) == {"command_speed"}
+    assert robot.at == [(now_ns, 0.0)]
+
+
+@pytest.mark.parametrize(("name", "code"), [("servo_jp", "command_joint_speed"), ("servo_jr", "command_joint_speed")])
+def test_joints_and_their_steps_are_bounded_by_arrival(name: str, code: str) -> None:
+    robot = Robot()
+    now_ns = robot.now_ns + 10 * NS_PER_MS
+    x = (lambda number: 0.009 * number) if name == "servo_jp" else (lambda number: 0.009)
+    codes = [robot.servo(x(number), now_ns + number, now_ns + 10 * number * NS_PER_MS, name) for number in range(40)]
+    assert codes[0] == "" and set(codes[1:]) == {code}
+
+
+def test_small_turns_do_not_add_up_in_a_burst() -> None:
+    robot = Robot(max_speed=0.0, max_turn_speed=1.0)
+    now_ns = robot.now_ns + 10 * NS_PER_MS
+    passed = 0
+    for number in range(200):
+        angle = 9e-5 * number
+        c, s = math.cos(angle), math.sin(angle)
+        content = Transform((c, s, 0.0, -s, c, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
+        robot.now_ns = now_ns + number - NS_PER_MS
+        stamp = ns_to_ticks(now_ns + number * NS_PER_MS)
+        passed += "ros /PSM1/servo_cp" in robot.igtl(Message("TRANSFORM", "PSM1/servo_cp", content, stamp))
+    assert passed == 1, "200 ns allow 2e-7 rad"
+
+
+# -- after a stall ----------------------------------------------------------------------------------------------------
+
+
+def test_after_a_stall_a_slow_motion_goes_on_at_once() -> None:
+    """0.004 m/s, stalled for 450 ms: the tool is 2 mm farther, which is within its speed 10 ms later."""
+    robot = Robot()
+    start_ns = robot.now_ns
+    for number in range(1, 10):
+        assert robot.servo(4e-5 * number, start_ns + 10 * number * NS_PER_MS, start_ns + 10 * number * NS_PER_MS) == ""
+    end_ns = start_ns + 550 * NS_PER_MS
+    for number in range(10, 55):  # the backlog
+        robot.servo(4e-5 * number, end_ns + number, start_ns + 10 * number * NS_PER_MS)
+    codes = [
+        robot.servo(4e-5 * number, start_ns + 10 * number * NS_PER_MS, start_ns + 10 * number * NS_PER_MS)
+        for number in range(56, 80)
+    ]
+    assert codes == [""] * len(codes)
+
+
+def test_after_a_stall_a_fast_motion_waits_until_it_returns_to_the_robot() -> None:
+    """The tool was 90 mm away when the stall ended: nothing moves, however long it stays there, until it comes back."""
+    robot = Robot()
+    now_ns = robot.now_ns + 10 * NS_PER_MS
+    assert robot.servo(0.0, now_ns, now_ns) == ""
+    now_ns += 450 * NS_PER_MS
+    for number in range(200):  # two seconds, 90 mm from the set point
+        now_ns += 10 * NS_PER_MS
+        if number % 5 == 0:
+            robot.now_ns = now_ns - 5 * NS_PER_MS
+            robot.measure()
+        assert robot.servo(0.09, now_ns, now_ns) in _MOTION
+    for x in (0.06, 0.03, 0.0055):  # on its way back
+        now_ns += 10 * NS_PER_MS
+        assert robot.servo(x, now_ns, now_ns) in _MOTION, x
+    for x in (0.004, 0.002, 0.0, -0.002):
+        now_ns += 10 * NS_PER_MS
+        assert robot.servo(x, now_ns, now_ns) == "", x
+
+
+def test_a_pause_counts_as_a_tenth_of_a_second() -> None:
+    for pause_ms, x, code in (
+        (100, 0.0249, ""),
+        (100, 0.0251, "command_speed"),
+        (300, 0.0249, ""),
+        (499, 0.0251, "command_speed"),
+    ):
+        robot = Robot()
+        now_ns = robot.now_ns + 10 * NS_PER_MS
+        assert robot.servo(0.0, now_ns, now_ns) == ""
+        now_ns += pause_ms * NS_PER_MS
+        assert robot.servo(x, now_ns, now_ns) == code, (pause_ms, x)
+
+
+@pytest.mark.parametrize("stamps_ms", [10, 1, 200])
+@pytest.mark.parametrize("arrivals_ms", [10, 1, 200])
+def test_of_two_clocks_the_shorter_time_counts(stamps_ms: int, arrivals_ms: int) -> None:
+    most_mm = min(stamps_ms, arrivals_ms, 100) * 0.25
+    for off, code in ((-0.01, ""), (0.01, "command_speed")):
+        robot = Robot(max_age_s=20.0)
+        now_ns = robot.now_ns + 10 * NS_PER_MS
+        assert robot.servo(0.0, now_ns, now_ns) == ""
+        x = (most_mm + off) / 1000
+        assert robot.servo(x, now_ns + arrivals_ms * NS_PER_MS, now_ns + stamps_ms * NS_PER_MS) == code
+
+
+def test_a_command_begins_where_the_arm_is_and_at_its_speed_from_the_last_command() -> None:
+    robot = Robot()
+    now_ns = robot.now_ns + 10 * NS_PER_MS
+    assert robot.servo(0.0, now_ns, now_ns) == ""
+    robot.now_ns = now_ns + 600 * NS_PER_MS
+    robot.measure(0.3)  # moved by another program, 300 mm
+    for pause_ms, x, code in (
+        (700, 0.0, "command_speed"),  # where the arm is not
+        (710, 0.3, "command_speed"),  # where the arm is, but faster than the limit since the last command
+        (1199, 0.3, "command_speed"),
+        (1201, 0.3, ""),
+    ):
+        assert robot.servo(x, now_ns + pause_ms * NS_PER_MS, now_ns + pause_ms * NS_PER_MS) == code, (pause_ms, x)
+
+
+def test_a_state_from_before_the_last_command_is_not_the_place_of_the_arm() -> None:
+    robot = Robot()
+    now_ns = robot.now_ns + 10 * NS_PER_MS
+    assert robot.servo(0.0, now_ns, now_ns) == ""
+    now_ns += 510 * NS_PER_MS
+    assert robot.servo(0.0, now_ns, now_ns) == "command_unknown_state"
+    robot.measure()
+    now_ns += 20 * NS_PER_MS
+    assert robot.servo(0.0, now_ns, now_ns) == ""
+
+
+# -- several streams --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("other", ["servo_jp", "servo_jr", "move_cp", "move_jp", "local/servo_cp", "state_command"])
+def test_another_command_to_the_arm_takes_over_after_a_pause_only(other: str) -> None:
+    """The set point of servo_cp does not show an arm that servo_jp has moved."""
+    robot = Robot()
+    now_ns = robot.now_ns + 10 * NS_PER_MS
+    robot.ros("/PSM1/local/measured_cp", PoseStamped(Header(now_ns), (0.0,) * 6 + (1.0,)))
+    assert robot.servo(0.0, robot.now_ns + NS_PER_MS, now_ns) == ""
+    now_ns = robot.now_ns + 600 * NS_PER_MS
+    robot.now_ns = now_ns - 5 * NS_PER_MS
+    robot.measure()
+    robot.ros("/PSM1/local/measured_cp", PoseStamped(Header(now_ns), (0.0,) * 6 + (1.0,)))
+    if other == "state_command":
+        robot.igtl(Message("STRING", "PSM1/state_command", String.of("home"), ns_to_ticks(now_ns)))
+    else:
+        assert robot.servo(0.0, now_ns, now_ns, other) == ""
+    assert robot.servo(0.0, now_ns + 300 * NS_PER_MS, now_ns + 300 * NS_PER_MS) == "command_unknown_state"
+    robot.now_ns = now_ns + 600 * NS_PER_MS
+    robot.measure(0.1)
+    later_ns = now_ns + 700 * NS_PER_MS
+    assert robot.servo(0.0, later_ns, later_ns) == "command_speed", "not where the arm is"
+    assert robot.servo(0.1, later_ns + 1, later_ns + NS_PER_MS) == ""
+
+
+def test_a_jaw_and_another_arm_move_at_the_same_time() -> None:
+    robot = Robot()
+    robot.ros("/PSM1/jaw/measured_js", JointState(Header(robot.now_ns), ("a", "b"), np.array([0.0, 0.0])))
+    robot.ros("/PSM2/measured_cp", PoseStamped(Header(robot.now_ns), (0.0,) * 6 + (1.0,)))
+    for number in range(1, 50):
+        now_ns = T0_NS + 100 * NS_PER_MS + 2 * number * NS_PER_MS
+        assert robot.servo(0.0002 * number, now_ns, now_ns) == ""
+        assert robot.servo(0.001 * number, now_ns + 1, now_ns, "jaw/servo_jp") == ""
+        robot.now_ns = now_ns + 2 - NS_PER_MS
+        assert "ros /PSM2/servo_cp" in robot.igtl(Message("TRANSFORM", "PSM2/servo_cp", _at(0.0), ns_to_ticks(now_ns)))
+
+
+def test_two_peers_share_one_limit() -> None:
+    robot = Robot()
+    robot.up(2)
+    now_ns = robot.now_ns + 10 * NS_PER_MS
+    assert robot.servo(0.0, now_ns, now_ns) == ""
+    assert robot.servo(0.0024, now_ns + 10 * NS_PER_MS, now_ns + 10 * NS_PER_MS, link=2) == ""
+    assert robot.servo(0.0, now_ns + 10 * NS_PER_MS + 9, now_ns + 10 * NS_PER_MS + 9, link=1) == "command_speed"
+
+
+def test_a_command_that_no_robot_received_is_no_set_point() -> None:
+    """Without a subscriber the set point could walk away, and the arm that subscribes then would jump to it."""
+    robot = Robot()
+    subscribed: set[str] = set()
+    robot.gateway.has_subscriber = lambda topic, type_name: topic in subscribed
+    now_ns = robot.now_ns
+    for _ in range(100):
+        now_ns += 10 * NS_PER_MS
+        robot.now_ns = now_ns - NS_PER_MS
+        robot.igtl(Message("TRANSFORM", "PSM1/servo_cp", _at(0.002), ns_to_ticks(now_ns)))
+        assert not [entry for entry in robot.last if entry.kind is Kind.ROS_OUT and "servo" in entry.channel]
+    robot.now_ns = now_ns
+    robot.measure()
+    subscribed.add("/PSM1/servo_cp")
+    assert robot.servo(0.0051, now_ns + 20 * NS_PER_MS, now_ns + 20 * NS_PER_MS) == "command_speed"
+    assert robot.servo(0.0049, now_ns + 30 * NS_PER_MS, now_ns + 30 * NS_PER_MS) == ""
+
+
+# -- relative commands ------------------------------------------------------------------------------------------------
+
+
+def test_steps_that_the_state_does_not_show_yet_do_not_pass_the_range() -> None:
+    """servo_jr at 1 rad/s for 0.8 s, while the state stays at that of the beginning."""
+    robot = Robot(joint_min=(-0.3, -1.0), joint_max=(0.3, 1.0))
+    now_ns = robot.now_ns
+    total, codes = 0.0, []
+    for _ in range(80):
+        now_ns += 10 * NS_PER_MS
+        codes.append(robot.servo(0.0099, now_ns, now_ns, "servo_jr"))
+        total += 0.0099 * (not codes[-1])
+    assert 0.25 < total <= 0.3, f"{total:.3f} rad"
+    assert codes[0] == "" and codes[-1] == "command_joint_range"
+
+
+# -- jitter -----------------------------------------------------------------------------------------------------------
+
+
+def test_an_honest_stream_at_half_the_limit_keeps_moving_with_jitter() -> None:
+    """1 kHz with 5 ms of jitter: some set points are left out, and the robot is never far behind."""
+    rng = np.random.default_rng(29)
+    robot = Robot()
+    start_ns = robot.now_ns
+    arrivals = np.maximum.accumulate(np.arange(1, 1001) * NS_PER_MS + rng.integers(0, 5 * NS_PER_MS, 1000))
+    behind = []
+    for number, arrival_ns in enumerate(arrivals.tolist(), 1):
+        robot.servo(0.000125 * number, start_ns + arrival_ns + number, start_ns + number * NS_PER_MS)
+        behind.append(0.000125 * number - robot.place)
+    assert max(behind) < 0.0025, f"{1000 * max(behind):.2f} mm"
+    assert len(robot.at) > 300
+
+
+# -- worlds -----------------------------------------------------------------------------------------------------------
+
+
+def test_in_random_worlds_no_window_is_faster_than_the_limit() -> None:
+    """Stalls, bursts, reordering, repetition, lies of stamps and of states, several streams; 10,000 worlds pass."""
+    sent = passed = pauses = 0
+    for seed in range(WORLDS):
+        world = World(seed)
+        world.run()
+        assert world.fastest() <= 1 + 1e-9, f"world {seed}: {world.fastest():.4f} times the limit"
+        for ms, fresh in world.beginnings():
+            pauses += 1
+            assert ms <= 20 + 1e-6 and fresh, f"world {seed}: begins {ms:.3f} ms from the arm"
+        assert min(world.takeovers(), default=NS_PER_S) >= 500 * NS_PER_MS, f"world {seed}"
+        sent += world.sent
+        passed += sum(len(log.at_ns) for log in world.topics.values())
+    assert passed > sent / 20 and pauses > WORLDS / 4, f"{passed} of {sent} commands, {pauses} beginnings"
