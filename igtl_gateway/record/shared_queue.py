@@ -545,10 +545,13 @@ class QueueReader(_QueueEnd):
         )
 
     def rows(self) -> tuple[memoryview, int, int]:
-        """The records that wait, up to a mark: the room, and their begin and end in it."""
+        """The records that wait: the room, their begin, and the last place at which they can end.
+
+        The first mark ends them.  What waits behind it lies elsewhere, so the end of the room limits that place, too.
+        """
         if self._position == self._head:
             self._poll()
-        return self._room, self._place, self._place + self._head - self._position
+        return self._room, self._place, min(self._place + self._head - self._position, self._size)
 
     def take_rows(self, end: int, entries: int, size: int) -> None:
         """Go on behind rows of :meth:`rows` that were written, with these numbers of entries and payload bytes."""

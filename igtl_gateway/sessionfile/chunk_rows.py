@@ -46,9 +46,10 @@ def index_messages(chunk: bytearray) -> ChunkIndex:
 
 #: Adds rows (records of the recorder's queue, see ``record/_queue.h``) to a chunk.
 #:
-#: Arguments: the chunk; the room of the queue; begin and end of the rows in it; for each number of a stream a RowStream
-#: or None; the size above which the chunk takes no more.  Result: the end of the last row that it took, the number of
-#: these rows, the bytes of their payloads, and the first and the last stamp.  It stops before a row that it cannot add.
+#: Arguments: the chunk; the room of the queue; begin of the rows in it, and the last place at which they can end;
+#: for each number of a stream a RowStream or None; the size above which the chunk takes no more.  Result: the end of
+#: the last row that it took, the number of these rows, the bytes of their payloads, and the first and the last stamp.
+#: It stops before a row that it cannot add, and before a mark.
 AddRows = Callable[[bytearray, memoryview, int, int, list[RowStream | None], int], tuple[int, int, int, int, int]]
 
 add_rows: AddRows | None = None

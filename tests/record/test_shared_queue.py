@@ -8,13 +8,9 @@ import mmap
 import os
 import random
 import re
-import shlex
-import subprocess
-import sysconfig
 from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -26,6 +22,7 @@ from igtl_gateway.record import shared_queue
 from igtl_gateway.record.shared_queue import ENTRY_BYTES, QueueReader, QueueSlot, QueueWriter, copy_parts, shared_memory
 from igtl_gateway.session.entry import Entry, Kind
 from tests.record import samples
+from tests.record.native_queue import HEADER, native_library
 
 
 class Pair:
@@ -334,23 +331,6 @@ def test_what_the_putter_did_not_copy_before_its_end_is_lost() -> None:
 
 # --- the native writer -----------------------------------------------------------------------------------------
 
-HEADER = Path(shared_queue.__file__).with_name("_queue.h")
-
-SHIM = """
-#include "_queue.h"
-int put(void *memory, uint64_t stream, uint64_t number, uint64_t stamp_ns, uint64_t source_ns, const void *payload,
-        uint64_t size)
-{
-    struct queue queue = queue_open(memory);
-    return queue_put(&queue, stream, number, stamp_ns, source_ns, payload, size);
-}
-int fits(void *memory, uint64_t entries, uint64_t payload_bytes)
-{
-    struct queue queue = queue_open(memory);
-    return queue_fits(&queue, entries, payload_bytes);
-}
-"""
-
 
 class Native:
     """The native writer of a pair."""
@@ -374,16 +354,7 @@ class Native:
 
 @pytest.fixture(scope="module")
 def library(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
-    folder = tmp_path_factory.mktemp("native")
-    source, target = folder / "shim.c", folder / "shim.so"
-    source.write_text(SHIM)
-    compiler = shlex.split(sysconfig.get_config_var("CC") or "cc")[0]
-    words = [compiler, "-O2", "-Wall", "-Wextra", "-Werror", "-std=gnu11", "-shared", "-fPIC", f"-I{HEADER.parent}"]
-    try:
-        subprocess.run([*words, "-o", target, source], check=True)
-    except FileNotFoundError:
-        pytest.skip("no C compiler")
-    return ctypes.CDLL(str(target))
+    return native_library(tmp_path_factory.mktemp("native"))
 
 
 @pytest.fixture

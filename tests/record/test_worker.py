@@ -16,12 +16,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 
 from igtl_gateway.clock import Clock, ManualClock, SystemClock
-from igtl_gateway.record import shared_queue
+from igtl_gateway.record import host, shared_queue
 from igtl_gateway.record.host import WorkerHost, in_process, in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.shared_queue import QueueReader, QueueWriter, memory
 from igtl_gateway.record.worker import WorkerSettings, run_worker
+from igtl_gateway.seal.keys import SigningKey
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.sessionfile import stream
 from igtl_gateway.sessionfile.chunk_rows import add_rows
@@ -194,6 +195,42 @@ def test_a_file_of_many_chunks_with_rows_is_equal(tmp_path: Path, monkeypatch: p
     assert sum(taken) > len(entries) // 3
     with SessionFile.open(tmp_path / "a") as file:
         assert list(file.entries()) == [samples.flat(entry) for entry in entries]
+
+
+@pytest.mark.parametrize("sealed", [False, True])
+def test_pictures_around_the_end_of_the_ring(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, sealed: bool) -> None:
+    """A backlog of large and small entries, again and again, in a ring that some of them fill."""
+    monkeypatch.setattr(host, "LARGEST_BYTES", 200_000)
+    monkeypatch.setattr(shared_queue, "_SLACK_BYTES", 100_000)
+    monkeypatch.setattr(shared_queue, "_ENOUGH_BYTES", 100_000)
+    monkeypatch.setattr(shared_queue, "_FREE_BYTES", 10_000)
+    options = RecordOptions(queue_bytes=800_000, chunk_bytes=600_000)
+    if sealed:
+        pytest.importorskip("cryptography")
+        (tmp_path / "key").touch(0o600)
+        (tmp_path / "key").write_bytes(SigningKey.generate().private_pem())
+        options = replace(options, seal=tmp_path / "key")
+    chance, put = random.Random(5), list[Entry]()
+    recorder = Recorder(
+        tmp_path / "a.mcap",
+        samples.SESSION,
+        qos_of=lambda *_: None,
+        on_note=lambda note: None,
+        clock=ManualClock(),
+        options=options,
+        host=in_thread,
+    )
+    for seq in range(1, 1500):
+        size = chance.choice((0, 48, 1000, 70_000, 150_000))
+        entry = samples.igtl(seq, device=f"device {chance.randrange(5)}", body=chance.randbytes(8) * (size // 8))
+        dropped = recorder.counters()["dropped_entries"]
+        recorder(entry)
+        if recorder.counters()["dropped_entries"] == dropped:
+            put.append(samples.flat(entry))
+    summary = recorder.close({})
+    assert (summary.failure, summary.entries) == ("", len(put))
+    with SessionFile.open(tmp_path / "a.mcap") as file:
+        assert list(file.entries()) == put
 
 
 def test_a_queue_in_which_nothing_comes_is_polled_once_in_a_flush_interval(tmp_path: Path) -> None:
