@@ -25,6 +25,8 @@ replay and verification use the settings of the recorded session.
     max_age_s = 0.0                # default of the rows: messages that are older on arrival are withheld; 0: no limit
     kinds = []                     # default of the rows of [[to_ros]], see there
     watch = true                   # report jumps of units, decreasing stamps …; by default in live sessions only
+    cautious = true                # send peers that are not recognised only what every program can skip; by default
+                                   # in live sessions only
 
     [[to_igtl]]                    # ROS topic → OpenIGTLink; the first matching row applies
     topic = "/camera/image_raw"    # * matches within one level, ** across levels
@@ -104,6 +106,8 @@ from igtl_gateway.settings import (
 from igtl_gateway.untrusted.files import read_bytes
 from igtl_gateway.untrusted.text import parse_toml
 
+#: Settings that are None in recordings that are older than they are, and true in a live session, unless they are set.
+LIVE = ("watch", "cautious")
 #: Former names of the policies, in the configurations of old recordings.
 _STAMP_ALIASES = {"now": RECEIVE}
 OUT_PREFIX = "/igtl/out/"
@@ -182,7 +186,7 @@ class Config:
     """The configuration of a session; see the module for the meaning of each setting.
 
     ``watch`` adds notes.  None, as in recordings that are older than this setting, means no such notes.  Live sessions
-    set it; see ``watched``.
+    set it; see ``watched``.  ``cautious`` is None in older recordings, too: there, peers are treated as they were then.
     """
 
     base_frame: str = "igtl"
@@ -204,6 +208,7 @@ class Config:
     max_age_s: float = 0.0
     kinds: tuple[str, ...] = ()
     watch: bool | None = None
+    cautious: bool | None = None
     to_igtl: tuple[ToIgtlRow, ...] = ()
     to_ros: tuple[ToRosRow, ...] = ()
     tf_out: tuple[TfOutRow, ...] = ()
@@ -213,8 +218,9 @@ class Config:
     def __post_init__(self) -> None:
         values = {name: getattr(self, name) for name in of_table(GATEWAY)}
         values["stamp"] = _STAMP_ALIASES.get(self.stamp, self.stamp)
-        if self.watch is None:
-            del values["watch"]
+        for name in LIVE:
+            if values[name] is None:
+                del values[name]
         check_values(GATEWAY, GATEWAY, values)
         for place, glob in self._globs():
             if len(glob) > MAX_LENGTH:
@@ -344,9 +350,26 @@ class Config:
         """Return the selection of ROS messages of a row; empty: the default ones."""
         return row.kinds or self.kinds
 
+    def as_live_as(self, recorded: Config) -> Config:
+        """Return the configuration with the settings in ``LIVE`` of a recording, where it does not set them."""
+        return self._with_live({name: getattr(recorded, name) for name in LIVE})
+
     def watched(self, unless_set: bool | None = True) -> Config:
-        """Return the configuration with ``watch`` set to ``unless_set`` if it is None; true for a live session."""
-        return dataclasses.replace(self, watch=unless_set) if self.watch is None else self
+        """Return the configuration with the settings in ``LIVE`` set to ``unless_set`` if they are None."""
+        return self._with_live(dict.fromkeys(LIVE, unless_set))
+
+    def _with_live(self, values: dict[str, Any]) -> Config:
+        return dataclasses.replace(
+            self, **{name: value for name, value in values.items() if getattr(self, name) is None}
+        )
+
+    @property
+    def knows_peers(self) -> bool:
+        """Whether the session recognises peers by all their signs, and holds back what they cannot read.
+
+        False in recordings that are older than ``cautious``, so that they give the same outputs.
+        """
+        return self.cautious is not None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the settings as JSON values, as stored in a recording.
@@ -357,6 +380,8 @@ class Config:
         for name in ("max_age_s", "kinds", "allow_in", "allow_out", "crtk"):
             if not values[name]:
                 del values[name]
+        if self.cautious is None:
+            del values["cautious"]
         for table in ("to_igtl", "to_ros", "tf_out"):
             for row in values[table]:
                 if row["max_age_s"] is None:
@@ -519,7 +544,7 @@ def _checked(place: str, name: str, kind: type, value: Any) -> Any:
         return float(value)
     if kind is not tuple and kind in TYPE_NAMES and type(value) is not kind:
         raise ConfigError(f"{place}: found {value!r}, expected {TYPE_NAMES[kind]}")
-    if name == "watch" and not (value is None or type(value) is bool):
+    if name in LIVE and not (value is None or type(value) is bool):
         raise ConfigError(f"{place}: found {value!r}, expected true or false")
     if name in _TEXT_LISTS:
         if not (isinstance(value, list | tuple) and all(isinstance(item, str) for item in value)):

@@ -741,6 +741,14 @@ SETTINGS: tuple[Setting, ...] = (
     Setting("diagnostics", True, "publish on /diagnostics", option="--no-diagnostics"),
     Setting("watch", True, "report jumps and implausible stamps", GATEWAY, "--no-watch"),
     Setting(
+        "cautious",
+        True,
+        "send peers that are not recognised, and show header version 1 only, no type at which common programs lose the "
+        "stream",
+        GATEWAY,
+        "--no-cautious",
+    ),
+    Setting(
         "metrics",
         "",
         "serve counts, rates and queue lengths over HTTP: /metrics for Prometheus, /status as JSON",

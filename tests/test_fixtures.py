@@ -170,7 +170,7 @@ def test_every_kind_of_peer_is_there_and_gets_nothing_that_it_must_not_have(ever
             for link in entry.links:
                 profile = BY_NAME[seen.get(link, "default")]
                 assert profile.may_send(entry.type) and version <= profile.max_version, (entry.seq, profile.name)
-    assert set(seen.values()) == set(BY_NAME)
+    assert set(seen.values()) == set(BY_NAME) - {"plus-v1"}  # younger than the recording
 
 
 def test_ticks_give_up_commands_and_ping(every_type: list[Entry]) -> None:

@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from igtl_gateway.config import Config
+from igtl_gateway.config import LIVE, Config
 from igtl_gateway.edges.tcp import PeerLimits
 from igtl_gateway.edges.video import CODECS, VideoOptions
 from igtl_gateway.errors import ConfigError
@@ -19,7 +19,7 @@ from igtl_gateway.settings import BY_SETTING, GATEWAY, ROWS, SETTINGS, VIDEO_COD
 def test_the_table_has_the_fields_of_the_configuration_with_their_defaults() -> None:
     fields = {field.name: field.default for field in dataclasses.fields(Config)}
     assert {*of_table(GATEWAY), *of_table(ROWS)} == set(fields)
-    assert fields.pop("watch") is None  # sessions that are not live have no watchers
+    assert [fields.pop(name) for name in LIVE] == [None, None]  # of sessions that are not live
     assert {name: BY_SETTING[name].default for name in fields} == fields
 
 

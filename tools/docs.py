@@ -31,7 +31,7 @@ from igtl_gateway.cli.verbs import Verb, available
 from igtl_gateway.config import Config
 from igtl_gateway.convert.commands import ERROR_MESSAGE, STATUS
 from igtl_gateway.convert.names import MAX_TOKEN, frames_of, short_device_name, topic_token
-from igtl_gateway.convert.profiles import CPP_FACTORY, PROFILES, PeerProfile
+from igtl_gateway.convert.profiles import CPP_FACTORY, PLUS_1, PROFILES, UNRECOGNISED, PeerProfile
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS, ConversionToIgtl, ConversionToRos, Role
 from igtl_gateway.doctor import checks, host_checks, host_probe
 from igtl_gateway.doctor.observer import MAX_STREAMS
@@ -418,13 +418,31 @@ def _profiles() -> str:
         prose(
             """What the gateway knows about OpenIGTLink programs.  The profile of a peer is set by option (`profile`,
             `[[peers]]` in [the configuration](../igtl_gateway/config.py)) or detected from its messages; until then
-            it is `default`.  *header version*: the initial version; it rises to the version that the peer has sent.
+            it is `unrecognised`.  *header version*: the initial version; it rises to that which the peer has sent.
             *types*, *queries* and `RTS_`: what the gateway may send to it.  *empty bodies*: whether it accepts a
             version 1 message without content as the reply to a query that cannot be answered.  *ping*: after this
             time without a message to it, the gateway sends a GET_STATUS.  In the sources, § is a section of the
             project's notes on the protocol; *reproduced* was tested with the program or its library."""
         ),
         table(heads, rows),
+        "### Peers that are not recognised",
+        prose(
+            """A program that was not built for a type should skip it by its length.  PLUS and other
+            programs on the factory of the C++ library do not: after a type that the factory does not
+            know they lose the stream, or crash.  So a peer that is not recognised, and has shown header
+            version 1 only, gets the types of the factory, and each type that it has sent, asked for
+            (GET_, STT_) or listed (CAPABILITY).  What is held back is in the loss ledger
+            (`not_for_unrecognised`), and a note (`not_for_peer`) names it once.  The profile `default`
+            for a peer (`--peer HOST:PORT=default`), or `--no-cautious` for all, sends all types.
+            Recordings that are older than this rule are verified and replayed without it.
+
+            PLUS sends version 1 until it has received version 2.  It is recognised from CLIENTINFO,
+            from the reply to a command (`<CommandReply …>`) and from TDATA named `TDATA_<n>Elem`.
+            TRANSFORM and IMAGE of one stamp and in one order, with names such as `ProbeToTracker`, give
+            it the profile `plus-v1`: other programs could send these, too, and might not read version
+            2."""
+        ),
+        table(("fact", "source"), UNRECOGNISED.facts),
         *map(_profile, PROFILES),
     ).rstrip()
 
@@ -441,9 +459,11 @@ def _profile(profile: PeerProfile) -> str:
     default = PeerProfile.__dataclass_fields__["shows"].default
     parts = [
         f"### Profile {profile.name}",
-        "Detected from its messages." if profile.shows is not default else "",
+        "Detected from its messages." if profile.shows is not default or profile is PLUS_1 else "",
         table(("fact", "source"), profile.facts),
     ]
+    if profile.expects:
+        parts.append(f"Gets the metadata that it expects with {code(sorted(map(_sections_of, profile.expects)))}.")
     if profile.adapt:
         parts.append("\n".join(f"- {_sections_of(kind)}: {paragraphs(how)[0]}" for kind, how in profile.adapt.items()))
     if profile.reads is not None and profile.reads >= CPP_FACTORY:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.app.rows import rows_of
-from igtl_gateway.config import Config, read_toml
+from igtl_gateway.config import LIVE, Config, read_toml
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.settings import (
     GATEWAY,
@@ -58,8 +58,9 @@ def _check_rows(values: Mapping[str, Any]) -> None:
 def of_file(path: Path) -> dict[str, Any]:
     """Return the settings of a configuration file, with files as seen from its folder.  Raises ConfigError."""
     values = Config.from_toml(path).to_dict()
-    if values["watch"] is None:
-        del values["watch"]
+    for name in LIVE:
+        if values.get(name) is None:
+            values.pop(name, None)
     document = read_toml(path)
     try:
         for name, spelled in ((IGTL, _spelled_igtl), (HOST, dict), (RECORD, dict)):

@@ -94,7 +94,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("security")
     add_settings(group, "allow")
     admission.add_tls(group)
-    add_settings(group, "deny_in", "deny_out", "allow_in", "allow_out")
+    add_settings(group, "deny_in", "deny_out", "allow_in", "allow_out", "cautious")
     group = parser.add_argument_group("limits of a peer")
     add_settings(group, "max_clients", "queue_mib", "queue_messages", "max_body_mib", "max_body", "max_messages")
     add_settings(group, "stall_s", "min_rate_kib", "idle_s")

@@ -1,8 +1,8 @@
 """COMMAND ⇄ igtl_msgs/Command, RTS_COMMAND ⇄ igtl_msgs/CommandReply.
 
 The protocol defines no field for the success of a command.  OpenIGTLinkIO writes it to the metadata (``Status``,
-``ErrorMessage``), PLUS to the metadata or to its XML (``<CommandReply Name= Status= Message= />``).  The gateway reads
-both forms and writes the metadata.
+``ErrorMessage``), PLUS to the metadata and to its XML (``<CommandReply Name= Status= Error= Message= />``), in header
+version 1 to the XML only.  The gateway reads both forms and writes the metadata.
 """
 
 from __future__ import annotations
@@ -37,6 +37,8 @@ _STATUS_OF = {
 _PLUS_REPLY = re.compile(r"""\s*(?:<\?xml[^>]*>\s*)?<CommandReply((?:\s+[\w:.-]+\s*=\s*(?:"[^"]*"|'[^']*'))*)\s*/?>""")
 #: Number of characters that are searched, in 0.2 s: sixteen times as many as PLUS's library can write.
 _MAX_XML = 1 << 20
+#: End of a reply as PLUS writes it.
+_UNESCAPED_END = '"></CommandReply>'
 _ATTRIBUTE = re.compile(r"""([\w:.-]+)\s*=\s*(?:"([^"]*)"|'([^']*)')""")
 
 #: Encodings that the gateway writes; not "UTF-16" without a byte order, which depends on the machine.
@@ -92,7 +94,8 @@ def reply_result(text: str, metadata: Items) -> tuple[int, str, str]:
     status = _STATUS_OF.get(word, CommandReply.FAIL if word else CommandReply.SUCCESS)
     reason = ""
     if status != CommandReply.SUCCESS:
-        reason = _first(metadata, _MESSAGE_KEYS) or attributes.get("Message", "")
+        reasons = (attributes[key] for key in _MESSAGE_KEYS if attributes.get(key))
+        reason = _first(metadata, _MESSAGE_KEYS) or next(reasons, "")
     return status, reason, found if word and word not in _STATUS_OF else ""
 
 
@@ -140,8 +143,25 @@ def _plus_reply_attributes(text: str) -> dict[str, str]:
     """Return the attributes if the text is ``<CommandReply …>``, else none."""
     match = _PLUS_REPLY.match(text, 0, _MAX_XML)
     if not match:
-        return {}
+        return _unescaped_attributes(text)
     return {name: _unescaped(one or other) for name, one, other in _ATTRIBUTE.findall(match[1])}
+
+
+def _unescaped_attributes(text: str) -> dict[str, str]:
+    """Return the attributes of a reply whose values contain quotation marks, which PLUS does not escape.
+
+    It writes the attributes in one order: Name, Status, for a failure Error, Message.
+    """
+    if not text.startswith("<CommandReply ") or not text.rstrip().endswith(_UNESCAPED_END):
+        return {}
+    status, _, rest = text.rstrip().removesuffix(_UNESCAPED_END).partition(' Status="')[2].partition('"')
+    found = {STATUS: status}
+    if rest.startswith(' Error="'):
+        found["Error"], separator, message = rest.removeprefix(' Error="').partition('" Message="')
+        rest = f' Message="{message}' if separator else ""
+    if rest.startswith(' Message="'):
+        found["Message"] = rest.removeprefix(' Message="')
+    return found
 
 
 #: The five entities of XML; & must be last, because its replacement could form another entity.

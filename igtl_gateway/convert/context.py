@@ -26,6 +26,7 @@ class ToRosContext:
         message_id: the sender's id of the message (header version 2).
         link: number of the link from which the message came.
         warnings: (code, sentence) pairs; the conversion appends one for each change of the data.
+        reads_status: whether a pose that its sender marks as not valid is left out of /tf.
         made: ROS messages that earlier rows of the table built from the same message, by ROS type.
     """
 
@@ -40,6 +41,7 @@ class ToRosContext:
     link: int = 0
     warnings: list[tuple[str, str]] = field(default_factory=list)
     made: dict[str, Any] = field(default_factory=dict)
+    reads_status: bool = False
 
 
 @value(frozen=True, slots=True)

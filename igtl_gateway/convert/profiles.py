@@ -13,12 +13,35 @@ from typing import Any
 import numpy as np
 
 from igtl_gateway.convert.geometry import flip_lps_ras
+from igtl_gateway.convert.plus_signs import is_any_plus, is_recent_plus
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire import Message
+from igtl_gateway.wire.fields import decode_text
 from igtl_gateway.wire.image import LPS, RAS, Image
 from igtl_gateway.wire.polydata import NORMAL, Attribute, PolyData
 from igtl_gateway.wire.query import split_query
 from igtl_gateway.wire.text import Status
+from igtl_gateway.wire.tracking import TrackingData
+from igtl_gateway.wire.transform import Position, Transform
+
+#: Metadata that a peer expects with a message: content → (key, value).
+Expected = Callable[[Any], tuple[tuple[str, str], ...]]
+
+
+def _pose_status(_content: Any) -> tuple[tuple[str, str], ...]:
+    """PLUS reads the status of a pose from this key, without it with a warning."""
+    return (("TransformStatus", "OK"),)
+
+
+def _position_status(_content: Any) -> tuple[tuple[str, str], ...]:
+    """PLUS writes ``TransformStatus``, and reads ``Status``."""
+    return (("Status", "OK"), ("TransformStatus", "OK"))
+
+
+def _tool_status(content: TrackingData) -> tuple[tuple[str, str], ...]:
+    """PLUS has a status for each tool."""
+    return tuple((f"{decode_text(name)}Status", "OK") for name in content.elements["name"].tolist())
+
 
 #: Types that the factory of the C++ library 3.x knows; PLUS loses the stream at any other type.
 CPP_FACTORY = frozenset(
@@ -76,6 +99,7 @@ class PeerProfile:
         takes_empty: whether the peer accepts a version 1 message without content of a type that has content.
         ping_ns: time without a message after which a GET_STATUS is sent; 0 = never.
         adapt: class of a content → function that adapts it to the peer.
+        expects: class of a content → function that returns the metadata which the peer expects with it.
         shows: returns whether only such a peer can send a message; None if no message shows that.
     """
 
@@ -89,6 +113,7 @@ class PeerProfile:
     takes_empty: bool = False
     ping_ns: int = 0
     adapt: Mapping[type, Callable[[Any], Adapted]] = field(default_factory=dict)
+    expects: Mapping[type, Expected] = field(default_factory=dict)
     shows: Callable[[Message], bool] | None = None
 
     def may_send(self, igtl_type: str) -> bool:
@@ -119,6 +144,26 @@ def _is_slicer(message: Message) -> bool:
 def _is_plus(message: Message) -> bool:
     return message.type in ("TRACKEDFRAME", "USMESSAGE") or "TransformValid" in _metadata(message)
 
+
+#: PLUS of an unknown release that has sent header version 1 only, or must be sent no other.
+PLUS_1 = PeerProfile(
+    "plus-v1",
+    facts=(
+        ("loses the stream at a type that its factory does not know; as a client it crashes", "§10.4; PlusLib 112a7f3"),
+        ("sends header version 1 until it has received version 2", "§10.4; PlusLib 112a7f3"),
+        ("version 1 does not have TransformStatus: invalid poses look like valid ones", "PlusLib 112a7f3"),
+        ("reads nine components for most POLYDATA attributes", "§6.15, reproduced"),
+    ),
+    reads=CPP_FACTORY | {"CLIENTINFO"},
+    adapt={PolyData: _nine_components},
+)
+
+#: A peer that no message has shown yet.  It cannot be set: with ``default`` a peer gets all types.
+UNRECOGNISED = PeerProfile(
+    "unrecognised",
+    facts=(("programs on the C++ library lose the stream at a type that its factory does not know", "§10.4, §6.14"),),
+    reads=CPP_FACTORY,
+)
 
 DEFAULT = PeerProfile(
     "default",
@@ -153,14 +198,17 @@ PROFILES: tuple[PeerProfile, ...] = (
             ("disconnects a silent client; answers GET_STATUS immediately", "§10.4; PLUS documents"),
             ("answers in the highest header version received", "§10.4; PlusLib#374"),
             ("sends TRANSFORM with the metadata TransformValid, custom types TRACKEDFRAME, USMESSAGE", "§10.4"),
+            ("takes a pose without the metadata TransformStatus as valid, with a warning", "PlusLib 112a7f3"),
             ("reads nine components for most POLYDATA attributes", "§6.15, reproduced"),
         ),
         first_version=2,
         reads=CPP_FACTORY | {"CLIENTINFO"},
         ping_ns=NS_PER_S // 4,
         adapt={PolyData: _nine_components},
+        expects={Transform: _pose_status, Position: _position_status, TrackingData: _tool_status},
         shows=_is_plus,
     ),
+    PLUS_1,
     PeerProfile(
         "brainlab",
         facts=(
@@ -201,6 +249,16 @@ AUTO = "auto"
 _SHOWING = tuple((profile, profile.shows) for profile in PROFILES if profile.shows)
 
 
-def profile_shown_by(message: Message) -> PeerProfile | None:
-    """Return the profile of the only kind of peer that can send such a message; None if several can."""
-    return next((profile for profile, shows in _SHOWING if shows(message)), None)
+def profile_shown_by(message: Message, *, all_signs: bool = False) -> PeerProfile | None:
+    """Return the profile of the only kind of peer that can send such a message; None if several can.
+
+    Args:
+        all_signs: also look for the signs of PLUS in header version 1, see ``plus_signs``.
+    """
+    if found := next((profile for profile, shows in _SHOWING if shows(message)), None):
+        return found
+    if not all_signs:
+        return None
+    if is_recent_plus(message):
+        return BY_NAME["plus"]
+    return PLUS_1 if is_any_plus(message) else None

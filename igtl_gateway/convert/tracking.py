@@ -67,7 +67,7 @@ def tracking_to_tf(content: Tracking, to: ToRosContext) -> TFMessage:
     """
     frames = []
     for index, (name, pose) in enumerate(_tools(content, to)):
-        if pose is None:
+        if pose is None or _is_marked(name, to):
             continue
         if name:
             parent, child = frames_of(topic_token(name), to.frame_id)
@@ -88,7 +88,19 @@ def position_to_tf(content: Position, to: ToRosContext) -> TFMessage:
 
 
 def _one_tf(message: TransformStamped, to: ToRosContext) -> TFMessage:
-    return _tf([(to.frame_id, to.child_frame_id, (*message.translation, *message.rotation))], to)
+    frames = [] if _is_marked("Transform", to) else [(message.translation, message.rotation)]
+    return _tf([(to.frame_id, to.child_frame_id, (*place, *turn)) for place, turn in frames], to)
+
+
+def _is_marked(name: str, to: ToRosContext) -> bool:
+    """Return whether the sender marks a pose as not valid, as PLUS does: /tf has no field for that."""
+    if not to.reads_status or not to.metadata:
+        return False
+    status = next((item.value for item in to.metadata if item.key == f"{name}Status"), "")
+    if status.strip().upper() in ("", "OK"):
+        return False
+    to.warnings.append(("not_valid", f"{to.device_name}: a pose with the {name}Status {status} is left out of /tf"))
+    return True
 
 
 def _tf(frames: Iterable[tuple[str, str, Pose]], to: ToRosContext) -> TFMessage:

@@ -8,13 +8,26 @@ from typing import Any
 
 from igtl_gateway.config import Config
 from igtl_gateway.convert.igtl_msgs import LinkStatus
-from igtl_gateway.convert.profiles import AUTO, BY_NAME, DEFAULT, PeerProfile, profile_shown_by
+from igtl_gateway.convert.plus_signs import TrackedFrames, may_show_plus
+from igtl_gateway.convert.profiles import (
+    AUTO,
+    BY_NAME,
+    DEFAULT,
+    PLUS_1,
+    UNRECOGNISED,
+    PeerProfile,
+    profile_shown_by,
+)
 from igtl_gateway.globs import matches
 from igtl_gateway.stamp import NS_PER_MS
 from igtl_gateway.wire import Message
+from igtl_gateway.wire.capability import Capability
+from igtl_gateway.wire.query import split_query
 
 #: Maximum number of streams that one peer may request, in case it invents names.
 MAX_STREAM_REQUESTS = 256
+#: Maximum number of types that one peer may show that it knows, likewise.
+MAX_KNOWN = 256
 
 
 @dataclass(slots=True)
@@ -42,8 +55,11 @@ class Peer:
         link: number of the link.
         address, role: from the note of the link.
         profile: profile of the peer.
-        chosen: whether the configuration sets the profile.
+        chosen: whether the configuration sets the profile, or a message has shown it without doubt.
+        frames: the search for the frames of PLUS; None: they are not searched.
+        knows: types that the peer has shown that it knows, beside those of its profile.
         shown: highest received header version.
+        recent: whether all signs of a profile count, and messages have the metadata that a profile expects.
         said_ns: gateway time of the last message to the peer.
         sent: number of messages to the peer.
         stream_requests: requests by (type, requested device name).
@@ -54,7 +70,10 @@ class Peer:
     role: str
     profile: PeerProfile
     chosen: bool
+    frames: TrackedFrames | None = None
+    knows: set[str] = field(default_factory=set)
     shown: int = 0
+    recent: bool = False
     said_ns: int = 0
     sent: int = 0
     stream_requests: dict[tuple[str, str], StreamRequest] = field(default_factory=dict)
@@ -64,13 +83,34 @@ class Peer:
         """Header version of messages to the peer: the highest version received, within the limits of its profile."""
         return min(max(self.profile.first_version, self.shown), self.profile.max_version)
 
+    def may_send(self, igtl_type: str) -> bool:
+        """Return whether messages of this type may be sent to the peer."""
+        if self.profile.may_send(igtl_type):
+            return True
+        return not self.chosen and (igtl_type in self.knows or (self.profile is UNRECOGNISED and self.shown > 1))
+
     def learn_from(self, message: Message) -> bool:
-        """Learn version and profile from a message; return whether the profile changed."""
-        before = (self.profile, self.shown)
+        """Learn version, profile and types from a message; return whether one of them changed."""
+        before = (self.profile, self.shown, len(self.knows))
         self.shown = max(self.shown, message.header_version)
-        if not self.chosen and (profile := profile_shown_by(message)):
-            self.profile, self.chosen = profile, True
-        return (self.profile, self.shown) != before
+        if not self.chosen:
+            self._recognise(message)
+        return (self.profile, self.shown, len(self.knows)) != before
+
+    def _recognise(self, message: Message) -> None:
+        if profile := profile_shown_by(message, all_signs=self.recent):
+            self.profile, self.chosen, self.frames = profile, profile is not PLUS_1, None
+        elif self.frames:
+            news = [name for name in _known_types(message) if not self.profile.may_send(name)]
+            self.knows.update(news[: MAX_KNOWN - len(self.knows)])
+            if self.frames.follow(message):
+                self.profile, self.frames = PLUS_1, None
+
+    def must_see(self, message: Message) -> bool:
+        """Return whether the next messages of a stream may show what the peer is, so that each must be seen."""
+        if self.chosen or not self.recent:
+            return False
+        return (self.frames is not None and not self.frames.is_over) or may_show_plus(message)
 
     def stream_request(self, igtl_type: str, device: str) -> StreamRequest | None:
         """Return the request of the peer for a stream: for this device, or for any device."""
@@ -140,7 +180,11 @@ class Peers:
         place = str(facts.get("local", "")) if role == "server" else address
         rows = (row.profile for row in self._config.peers if matches(row.at, place) or matches(row.at, address))
         name = next(rows, self._config.peer_profile)
-        peer = Peer(link, address, role, BY_NAME.get(name, DEFAULT), name != AUTO, said_ns=now_ns)
+        profile = BY_NAME.get(name, UNRECOGNISED if self._config.cautious else DEFAULT)
+        peer = Peer(link, address, role, profile, name != AUTO, said_ns=now_ns)
+        peer.recent = self._config.knows_peers
+        if name == AUTO and peer.recent:
+            peer.frames = TrackedFrames(streams=role == "client")
         self._peers[link] = peer
         return peer
 
@@ -151,6 +195,16 @@ class Peers:
     def all(self) -> Iterable[Peer]:
         """Return all peers in the order in which they connected."""
         return self._peers.values()
+
+
+def _known_types(message: Message) -> tuple[str, ...]:
+    """Return the types that the sender of a message knows: its own, that which it asks for, those that it lists."""
+    if isinstance(message.content, Capability):
+        return message.content.types
+    query = split_query(message.type)
+    if query is None:
+        return (message.type,)
+    return (query[1],) if query[0] in ("GET", "STT") else ()
 
 
 def interval_ns(resolution_ms: int) -> int:

@@ -18,8 +18,8 @@ def config_to_run(session: Mapping[str, str], path: Path | None = None) -> Confi
     given = Config.from_toml(path) if path else None
     try:
         recorded = Config.from_dict(facts.configuration(session))
-        # without a setting for the watchers in the file, the recorded setting applies
-        return given.watched(recorded.watch) if given else recorded
+        # without a setting in the file for what is older than a recording, the recorded setting applies
+        return given.as_live_as(recorded) if given else recorded
     except (ConfigError, DamagedRecording) as error:
         if given:
             return given

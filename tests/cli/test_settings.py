@@ -112,7 +112,7 @@ def test_a_changed_setting_of_a_recording_is_refused_wherever_it_is(path: Path) 
 
 def test_without_anything_it_is_the_default() -> None:
     assert values() == {row.name: row.default for row in SETTINGS}
-    assert config_of(values()) == Config(watch=True)
+    assert config_of(values()) == Config(watch=True, cautious=True)
     assert bridge_options.limits(values()) == PeerLimits()
 
 

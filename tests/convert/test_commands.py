@@ -203,3 +203,18 @@ def test_what_is_no_success_is_a_failure_with_its_reason(status: int) -> None:
     assert outgoing.metadata == (*items(Result="42"), *ours)
     back = commands.reply_to_ros(sent(outgoing), replace(to_ros(), metadata=outgoing.metadata))
     assert (back.status, back.error_message) == (FAIL, "no file")
+
+
+@pytest.mark.parametrize(
+    "text, reason",
+    [
+        ('<CommandReply Name="A" Status="FAIL" Error="No ChannelId." Message=""></CommandReply>', "No ChannelId."),
+        ('<CommandReply Name="A" Status="FAIL" Error="No "x" <y>" Message=""></CommandReply>', 'No "x" <y>'),
+        ('<CommandReply Name="A" Status="FAIL" Error="" Message="not "x""></CommandReply>', 'not "x"'),
+        ('<CommandReply Status="FAIL" Message="busy" />', "busy"),
+    ],
+)
+def test_a_reply_of_plus_with_quotation_marks_is_read(text: str, reason: str) -> None:
+    assert commands.reply_result(text, ()) == (CommandReply.FAIL, reason, "")
+    success = '<CommandReply Name="A" Status="SUCCESS" Message="file "x""></CommandReply>'
+    assert commands.reply_result(success, ()) == (CommandReply.SUCCESS, "", "")

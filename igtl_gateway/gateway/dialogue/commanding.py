@@ -144,7 +144,7 @@ class Commands:
             timeout_s = self._config.command_timeout_s
         deadline_ns = entry.stamp_ns + int(timeout_s * NS_PER_S)
         pending = PendingCommand(0, command.command_id, out.full_name, visible(command.name), deadline_ns)
-        readers = (peer for peer in self._peers.all() if peer.profile.may_send(out.igtl_type))
+        readers = (peer for peer in self._peers.all() if peer.may_send(out.igtl_type))
         peers = [peer for peer in readers if outgoing.link in (0, peer.link)]
         asked = [one for one in peers if self._to_peers.add(replace(pending, link=one.link))]
         if not asked:

@@ -71,7 +71,7 @@ class Queries:
         outs = answers.answer(igtl_type, device, entry.stamp_ns, lambda *key: self._latest.of(entry, *key))
         items = self._delivery.deliver_each(entry, outs, lambda out: self._delivery.to(entry, [peer], [out]))
         sent = any(isinstance(item, Output) and item.kind is Kind.IGTL_OUT for item in items)
-        if outs and (sent or not peer.profile.may_send(igtl_type)):
+        if outs and (sent or not peer.may_send(igtl_type)):
             return items
         text = f"{message.type} of {device or 'any device'} not answered: no such message received yet"
         refusal = answers.empty_reply(igtl_type, device, entry.stamp_ns, peer)

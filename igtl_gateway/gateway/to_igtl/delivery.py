@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 from igtl_gateway.convert.frames import FrameTree
+from igtl_gateway.convert.profiles import UNRECOGNISED
 from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.errors import ConversionError, WireError
 from igtl_gateway.gateway.denials import Denials
@@ -101,21 +102,26 @@ class Delivery:
 def _profile_findings(entry: Entry, sent: SendResult) -> list[Item]:
     """Return findings for peers that get an adapted message, or none."""
     items = warning_findings(sent.warnings, entry)
-    for peer, igtl_type in sent.refused:
-        profile = peer.profile.name
-        text = (
-            f"{igtl_type} is not sent to {peer.address or 'the peer'}: its profile {profile} cannot receive this type"
+    return items + [held_back(entry, peer, igtl_type) for peer, igtl_type in sent.refused]
+
+
+def held_back(entry: Entry, peer: Peer, igtl_type: str) -> Finding:
+    """Return the finding about a message that a peer is not sent because of its profile."""
+    address, profile = peer.address or "the peer", peer.profile.name
+    unknown = peer.profile is UNRECOGNISED
+    why = f"its profile {profile} cannot receive this type"
+    if unknown:
+        why = (
+            "it is not recognised, and programs such as PLUS lose the stream at this type; a profile "
+            f"(--peer {peer.address or 'ADDRESS'}=default: all types) or --no-cautious sends it"
         )
-        items.append(
-            Finding(
-                Level.INFO,
-                "not_for_peer",
-                text,
-                entry.channel,
-                entry.links,
-                subject=igtl_type,
-                by=peer.link,
-                loss=(igtl_type, f"not_for_{profile}"),
-            )
-        )
-    return items
+    return Finding(
+        Level.WARN if unknown else Level.INFO,
+        "not_for_peer",
+        f"{igtl_type} is not sent to {address}: {why}",
+        entry.channel,
+        entry.links,
+        subject=igtl_type,
+        by=peer.link,
+        loss=(igtl_type, f"not_for_{profile}"),
+    )

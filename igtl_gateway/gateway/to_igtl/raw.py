@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.convert.igtl_msgs import RawMessage
+from igtl_gateway.convert.profiles import UNRECOGNISED
 from igtl_gateway.convert.raw import message_of
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.gateway.denials import Denials
@@ -12,6 +13,7 @@ from igtl_gateway.gateway.outcome import CONVERTED, Finding, Item, Outcome, conv
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peers
 from igtl_gateway.gateway.streams import Streams
+from igtl_gateway.gateway.to_igtl.delivery import held_back
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level
 from igtl_gateway.stamp import ticks_to_ns
@@ -55,7 +57,9 @@ class RawMessages:
                 return Outcome(found, STALE)
         wanted = {int(link) for link in raw.links}
         peers = [peer for peer in self._peers.all() if not wanted or peer.link in wanted]
-        links = [peer.link for peer in peers if header.version <= peer.version and peer.profile.may_send(igtl_type)]
+        links = [peer.link for peer in peers if header.version <= peer.version and peer.may_send(igtl_type)]
+        refused = [peer for peer in peers if peer.profile is UNRECOGNISED and not peer.may_send(igtl_type)]
+        found += [held_back(entry, peer, igtl_type) for peer in refused]
         if not links:
             return Outcome(found, "not_for_peer" if peers else "no_peer")
         channel = f"{igtl_type}/{visible(header.device_name)}"

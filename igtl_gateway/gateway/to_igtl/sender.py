@@ -80,10 +80,10 @@ def send(out: OutboundMessage, peers: Iterable[Peer], now_ns: int, *, asked: boo
         MalformedBody: a content that cannot be encoded.
     """
     sent = SendResult([], [], [])
-    forms: dict[tuple[int, str], tuple[Body, list[int]]] = {}
+    forms: dict[tuple[int, str, tuple[tuple[str, str], ...]], tuple[Body, list[int]]] = {}
     adapted: dict[Adapt, Body] = {}
     for peer in peers:
-        if not peer.profile.may_send(out.igtl_type):
+        if not peer.may_send(out.igtl_type):
             sent.refused.append((peer, out.igtl_type))
         elif asked or peer.claim_due(out.igtl_type, out.device, now_ns):
             content, name = out.content, ""
@@ -93,15 +93,23 @@ def send(out: OutboundMessage, peers: Iterable[Peer], now_ns: int, *, asked: boo
                     sent.warnings += [("adapted", warning)] if warning else []
                 if adapted[adapt] is not content:
                     content, name = adapted[adapt], adapt.__name__
-            forms.setdefault((peer.version, name), (content, []))[1].append(peer.link)
+            forms.setdefault((peer.version, name, _expected(peer, content)), (content, []))[1].append(peer.link)
             peer.said_ns = now_ns
-    for (version, _), (content, links) in sorted(forms.items(), key=lambda form: form[0]):
+    for (version, _, expected), (content, links) in sorted(forms.items(), key=lambda form: form[0]):
         message = Message(out.igtl_type, out.device, content, ns_to_ticks(out.stamp_ns))
         if version > 1:
             names = (out.device, out.full_name or out.device)
-            items = compose_metadata(*names, out.ros_stamp_ns, out.frame_id, out.child_frame_id, out.metadata)
+            given = {item.key for item in out.metadata}
+            added = tuple(MetadataItem(key, 0, value) for key, value in expected if key not in given)
+            items = compose_metadata(*names, out.ros_stamp_ns, out.frame_id, out.child_frame_id, out.metadata + added)
             message = Message(out.igtl_type, out.device, content, message.ticks, version, 0, items)
         sent.outputs.append(
             Output(Kind.IGTL_OUT, out.channel, out.igtl_type, encode(message), tuple(links), out.stamp_ns)
         )
     return sent
+
+
+def _expected(peer: Peer, content: Body) -> tuple[tuple[str, str], ...]:
+    """Return the metadata that a peer expects with a content; none in header version 1, which has no metadata."""
+    expects = peer.profile.expects.get(type(content)) if peer.recent and peer.version > 1 else None
+    return expects(content) if expects else ()

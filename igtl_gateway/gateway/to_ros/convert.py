@@ -81,6 +81,8 @@ class Converter:
                 continue
             full = full or row.role is Role.FULL
             for message in messages:
+                if to.reads_status and isinstance(message, TFMessage) and not message.transforms:
+                    continue
                 items.append(ros_output(topic, message, to.stamp_ns))
                 if self._frames and isinstance(message, TFMessage):
                     frames += self._frames.update(entry, message, static=False)

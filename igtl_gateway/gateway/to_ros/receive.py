@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from igtl_gateway.config import Config
+from igtl_gateway.convert.profiles import PLUS_1
 from igtl_gateway.errors import WireError
 from igtl_gateway.gateway.activity import INACTIVE, Activity
 from igtl_gateway.gateway.denials import Denials
@@ -75,6 +76,7 @@ class IgtlReceiver:
             return outcome
         if news:
             outcome.items[:0] = news
+        if news or peer.must_see(message):
             outcome.origin = None
         if isinstance(message.content, Command):
             self._commands.on_reply(peer, message)
@@ -90,8 +92,7 @@ class IgtlReceiver:
         self._peers.changed()
         items: list[Item] = [self._links.status(entry.stamp_ns)]
         if peer.profile is not before:
-            text = f"{peer.address or 'peer'}: profile {peer.profile.name}, detected from its messages"
-            items.append(Finding(Level.INFO, "peer_profile", text, entry.channel, (peer.link,)))
+            items.append(_profile_detected(entry, peer))
         return items
 
     def _deny(self, entry: Entry, peer: Peer | None, message: Message, denied: str) -> list[Item]:
@@ -112,3 +113,16 @@ class IgtlReceiver:
         if query := split_query(message.type):
             return [finding, *self._queries.deny(entry, peer, message, *query, why)]
         return [finding]
+
+
+def _profile_detected(entry: Entry, peer: Peer) -> Finding:
+    """Return the finding about a profile that messages have shown."""
+    text = f"{peer.address or 'peer'}: profile {peer.profile.name}, detected from its messages"
+    if peer.profile is not PLUS_1:
+        return Finding(Level.INFO, "peer_profile", text, entry.channel, (peer.link,))
+    text += (
+        ": it looks like PLUS and sends header version 1, which does not mark invalid poses: they are published as"
+        f" valid ones, also on /tf. --peer {peer.address or 'ADDRESS'}=plus, or "
+        'ClientHeaderVersion="2" in <DefaultClientInfo> of PLUS, makes it send version 2'
+    )
+    return Finding(Level.WARN, "peer_profile", text, entry.channel, (peer.link,))

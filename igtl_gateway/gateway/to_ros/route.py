@@ -93,6 +93,7 @@ class Router:
             restored.items,
             message.message_id,
             link,
+            reads_status=self._config.knows_peers,
         )
         found: list[Item] = []
         name = (
