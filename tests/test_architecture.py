@@ -155,7 +155,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     ),  # a measurement has a peer that costs nothing, and a port for any bridge
     "socketserver": (),
     "ssl": ("edges.tcp.tls",),
-    "http": ("app.metrics", "keeping.s3"),
+    "http": ("edges.tcp.http_server", "keeping.s3"),
     "rclpy": ("edges.ros.middleware",),
     # Time and chance: the core is a pure function of its inputs
     "time": ("clock",),

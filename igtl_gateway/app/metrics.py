@@ -1,27 +1,18 @@
 """The status of a bridge over HTTP: ``/metrics`` for Prometheus, ``/status`` as JSON.
 
-The server is read-only and runs in a thread of its own, which answers one request at a time, within a few seconds.
-It returns the last sample (``app.status``), so neither the server nor the bridge waits for the other.
+The server (``edges.tcp.http_server``) is read-only.  It returns the last sample (``app.status``), so neither the server
+nor the bridge waits for the other.
 """
 
 from __future__ import annotations
 
 import json
-import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
-from http.server import BaseHTTPRequestHandler, HTTPServer
 from typing import Any
 
 from igtl_gateway.app.status import BridgeStatus
-from igtl_gateway.edges.tcp.sockets import AllowList, address_text, listening_socket
-
-#: Longest time from the first byte of a request to the last byte of its answer: other requests wait for it.
-DEADLINE_S = 5.0
-
-#: Longest time until the server's thread detects `MetricsServer.close`.
-_POLL_S = 0.1
+from igtl_gateway.edges.tcp.http_server import DEADLINE_S, Handler, LocalServer
 
 Facts = Mapping[str, Any]
 #: Labels and value of one line of the text format.
@@ -226,76 +217,24 @@ class MetricsServer:
     def __init__(
         self, host: str, port: int, status: BridgeStatus, allow: Sequence[str] = (), deadline_s: float = DEADLINE_S
     ) -> None:
-        self._server = _Server(host, port, status, AllowList(allow), deadline_s)
-        self.url = f"http://{address_text(self._server.server_address)}/metrics"
-        serve = partial(self._server.serve_forever, _POLL_S)
-        self._thread = threading.Thread(target=serve, name="igtl-metrics", daemon=True)
-        self._thread.start()
+        handler = type("_StatusHandler", (_Handler,), {"status": status})
+        self._server = LocalServer(host, port, handler, name="igtl-metrics", allow=allow, deadline_s=deadline_s)
+        self.url = f"http://{self._server.address}/metrics"
 
     def close(self) -> None:
         """Stop the server and close its socket."""
-        self._server.shutdown()
-        self._thread.join()
-        self._server.server_close()
+        self._server.close()
 
 
-class _Server(HTTPServer):
-    def __init__(self, host: str, port: int, status: BridgeStatus, allow: AllowList, deadline_s: float) -> None:
-        listener = listening_socket(host, port, allow)
-        super().__init__(listener.getsockname()[:2], _Handler, bind_and_activate=False)
-        self.socket.close()  # the library's socket: errors of `listening_socket` name the address and the cause
-        self.socket = listener
-        self.status = status
-        self.deadline_s = deadline_s
-        self._allow = allow
+class _Handler(Handler):
+    status: BridgeStatus
 
-    def verify_request(self, request: Any, client_address: Any) -> bool:
-        return client_address[0] in self._allow
-
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """Ignore errors of a request: the client has disconnected, or the deadline has passed."""
-
-
-class _Handler(BaseHTTPRequestHandler):
-    server: _Server
-
-    def setup(self) -> None:
-        super().setup()
-        self._deadline = threading.Timer(self.server.deadline_s, self._cut_off)
-        self._deadline.daemon = True
-        self._deadline.start()
-
-    def finish(self) -> None:
-        self._deadline.cancel()
-        super().finish()
-
-    def _cut_off(self) -> None:
-        try:
-            self.connection.shutdown(2)  # both directions: ends a blocked read or write
-        except OSError:  # already disconnected
-            return
-
-    def do_GET(self) -> None:
-        facts = self.server.status.facts
-        match self.path.partition("?")[0]:
+    def get(self, path: str) -> None:
+        facts = self.status.facts
+        match path:
             case "/metrics":
-                self._answer(200, "text/plain; version=0.0.4; charset=utf-8", prometheus(facts))
+                self.answer(200, "text/plain; version=0.0.4; charset=utf-8", prometheus(facts))
             case "/status":
-                self._answer(200, "application/json", json.dumps(facts, ensure_ascii=False, default=str))
+                self.answer(200, "application/json", json.dumps(facts, ensure_ascii=False, default=str))
             case _:
-                self._answer(404, "text/plain; charset=utf-8", "not found; available: /metrics and /status\n")
-
-    def do_HEAD(self) -> None:
-        self.do_GET()
-
-    def _answer(self, code: int, kind: str, text: str) -> None:
-        data = text.encode("utf-8", "backslashreplace")
-        self.send_response(code)
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(len(data)))
-        self.end_headers()
-        if self.command != "HEAD":
-            self.wfile.write(data)
-
-    def log_message(self, format: str, *args: Any) -> None:
-        """Do not log requests: they are not part of the session."""
+                self.answer(404, "text/plain; charset=utf-8", "not found; available: /metrics and /status\n")

@@ -6,8 +6,9 @@ import json
 import re
 import socket
 import threading
+import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from igtl_gateway.app.status import BridgeStatus
 from igtl_gateway.buffers import join
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.config import Config
+from igtl_gateway.edges.tcp.http_server import MAX_CONNECTIONS, KnownHosts
 from igtl_gateway.errors import ConfigError, Unavailable
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.wire import Message, encode
@@ -51,10 +53,13 @@ def bridge(tmp_path: Path, refused: threading.Event) -> Iterator[tuple[Bridge, B
         one.stop()
 
 
-def ask(server: MetricsServer, path: str, method: str = "GET") -> tuple[int, str]:
-    port = int(server.url.rpartition(":")[2].partition("/")[0])
-    with closing(HTTPConnection("127.0.0.1", port, timeout=DEADLINE_S)) as connection:
-        connection.request(method, path)
+def port_of(server: MetricsServer) -> int:
+    return int(server.url.rpartition(":")[2].partition("/")[0])
+
+
+def ask(server: MetricsServer, path: str, method: str = "GET", **headers: str) -> tuple[int, str]:
+    with closing(HTTPConnection("127.0.0.1", port_of(server), timeout=DEADLINE_S)) as connection:
+        connection.request(method, path, headers=headers)
         answer = connection.getresponse()
         return answer.status, answer.read().decode()
 
@@ -141,11 +146,51 @@ def test_other_questions_are_refused() -> None:
 
 def test_whoever_asks_slowly_is_cut_off_and_the_next_is_answered() -> None:
     with closing(MetricsServer("127.0.0.1", 0, Nothing(), deadline_s=0.05)) as server:
-        port = int(server.url.rpartition(":")[2].partition("/")[0])
-        with socket.create_connection(("127.0.0.1", port), DEADLINE_S) as slow:
+        with socket.create_connection(("127.0.0.1", port_of(server)), DEADLINE_S) as slow:
             slow.sendall(b"GET /metr")
             assert slow.recv(1) == b""
         assert ask(server, "/status")[0] == 200
+
+
+def test_silent_clients_and_slow_readers_do_not_delay_a_scrape() -> None:
+    """More of them than connections are served at a time, each until a deadline that does not come."""
+    status = Nothing()
+    status.facts = {"version": "x" * (8 << 20)}  # more than the socket takes
+    with closing(MetricsServer("127.0.0.1", 0, status, deadline_s=600.0)) as server, ExitStack() as clients:
+        for number in range(2 * MAX_CONNECTIONS + 6):
+            client = clients.enter_context(socket.create_connection(("127.0.0.1", port_of(server)), DEADLINE_S))
+            client.sendall((b"", b"GET /metr", b"GET /status HTTP/1.0\r\n\r\n")[number % 3])
+        assert ask(server, "/status")[0] == 200
+        until = time.monotonic() + DEADLINE_S
+        while len([one for one in threading.enumerate() if one.name == "igtl-http"]) > MAX_CONNECTIONS:
+            assert time.monotonic() < until, "connections that were cut off keep their threads"
+            time.sleep(0.01)
+
+
+def test_a_request_through_the_name_of_a_foreign_site_is_refused() -> None:
+    with closing(MetricsServer("127.0.0.1", 0, Nothing())) as server:
+        port = port_of(server)
+        for host in ("localhost", f"LOCALHOST.:{port}", f"127.0.0.1:{port}", "127.0.0.1", "[::1]:1", "127.9.9.9"):
+            assert ask(server, "/status", Host=host)[0] == 200, host
+        for host in ("rebind.example", f"rebind.example:{port}", "localhost.rebind.example", "10.0.0.1", "[", ""):
+            code, text = ask(server, "/status", Host=host)
+            assert code == 403 and "version" not in text, host
+        with socket.create_connection(("127.0.0.1", port), DEADLINE_S) as two:
+            two.sendall(b"GET /status HTTP/1.1\r\nHost: localhost\r\nHost: rebind.example\r\n\r\n")
+            assert two.recv(100).startswith(b"HTTP/1.0 403 ")
+        with socket.create_connection(("127.0.0.1", port), DEADLINE_S) as old:
+            old.sendall(b"GET /status HTTP/1.0\r\n\r\n")  # a program, not a browser
+            assert old.recv(100).startswith(b"HTTP/1.0 200 ")
+
+
+def test_on_all_networks_addresses_and_the_own_name_are_known() -> None:
+    own = socket.gethostname().lower()
+    known = KnownHosts("0.0.0.0", "0.0.0.0")
+    for host in ("192.168.1.7:9464", "[fe80::1%eth0]:9464", "localhost", own, f"{own.partition('.')[0]}.local:9464"):
+        assert host in known, host
+    assert "rebind.example" not in known
+    assert "bridge.lan:9464" in KnownHosts("Bridge.lan", "192.168.1.7")
+    assert "192.168.1.8" not in KnownHosts("192.168.1.7", "192.168.1.7")
 
 
 def test_other_hosts_need_an_allowance_and_a_taken_port_is_named() -> None:

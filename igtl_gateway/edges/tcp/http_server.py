@@ -1,0 +1,194 @@
+"""A small HTTP server that no client can hold up: for counts of a bridge and the page of the viewer.
+
+Each connection has a thread and a deadline.  There is a bound of connections; if it is reached, the oldest one is cut
+off, so a new client is served at once, however many silent ones there are.  A request must name this machine as its
+host: otherwise the page of a foreign site, whose name an attacker lets point here, could read the answers in the
+browser of a user (DNS rebinding).
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import socket
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+from functools import partial
+from http.server import BaseHTTPRequestHandler, HTTPServer
+from typing import Any
+
+from igtl_gateway.edges.tcp.sockets import AllowList, address_text, listening_socket
+
+#: Longest time from the first byte of a request to the last byte of its answer.
+DEADLINE_S = 5.0
+#: Maximum number of connections that are served at the same time.
+MAX_CONNECTIONS = 32
+
+#: Longest time until the server's thread detects `LocalServer.close`.
+_POLL_S = 0.1
+_LOOPBACK_NAMES = frozenset({"localhost", "localhost.localdomain", "ip6-localhost"})
+
+
+class KnownHosts:
+    """The names of this machine that a request may have as its host.
+
+    Args:
+        given: the name or address that the user listens on.
+        bound: the address of the socket; if it is that of all networks, each IP address is accepted, and the name of
+            this machine.
+    """
+
+    def __init__(self, given: str, bound: str) -> None:
+        self._every = ipaddress.ip_address(bound.partition("%")[0]).is_unspecified
+        self._names = {_name(given), _name(bound), *_LOOPBACK_NAMES}
+        if self._every:
+            own = _name(socket.gethostname())
+            self._names |= {own, own.partition(".")[0], own.partition(".")[0] + ".local"}
+        self.expected = "an IP address or the name of this machine" if self._every else f"localhost or {given}"
+
+    def __contains__(self, host: str) -> bool:
+        """Return whether a ``Host`` of a request, with or without a port, is this machine."""
+        name = _name(host.partition("]")[0].removeprefix("[") if host.startswith("[") else host.partition(":")[0])
+        if name in self._names:
+            return True
+        try:
+            address = ipaddress.ip_address(name.partition("%")[0])
+        except ValueError:
+            return False
+        return self._every or address.is_loopback
+
+
+def _name(host: str) -> str:
+    return host.strip().lower().removesuffix(".")
+
+
+class LocalServer:
+    """Serves requests with ``handler`` until closed.
+
+    Attributes:
+        address: ``host:port`` that it listens on.
+
+    Args:
+        host, port: address to listen on; port 0 chooses a free port.
+        handler: class of the requests; it inherits ``Handler``.
+        allow: networks (CIDR) whose clients may connect in addition to those of this host.
+        deadline_s: longest duration of a request, in seconds; see ``DEADLINE_S``.
+
+    Raises ConfigError and Unavailable as ``TcpEdge.listen`` does.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        handler: type[Handler],
+        *,
+        name: str,
+        allow: Sequence[str] = (),
+        deadline_s: float = DEADLINE_S,
+    ) -> None:
+        self._server = _Server(host, port, handler, AllowList(allow), deadline_s)
+        self.address = address_text(self._server.server_address)
+        serve = partial(self._server.serve_forever, _POLL_S)
+        self._thread = threading.Thread(target=serve, name=name, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop the server, cut off its connections, and close its socket."""
+        self._server.shutdown()
+        self._thread.join()
+        self._server.server_close()
+        self._server.cut_off_all()
+
+
+class _Server(HTTPServer):
+    def __init__(self, host: str, port: int, handler: type[Handler], allow: AllowList, deadline_s: float) -> None:
+        listener = listening_socket(host, port, allow)
+        super().__init__(listener.getsockname()[:2], handler, bind_and_activate=False)
+        self.socket.close()  # the library's socket: errors of `listening_socket` name the address and the cause
+        self.socket = listener
+        self.hosts = KnownHosts(host, listener.getsockname()[0])
+        self._allow = allow
+        self._deadline_s = deadline_s
+        self._lock = threading.Lock()
+        self._open: dict[socket.socket, threading.Timer] = {}  # the oldest first
+
+    def verify_request(self, request: Any, client_address: Any) -> bool:
+        return client_address[0] in self._allow
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Serve a connection in a thread of its own; cut off the oldest one if there are too many."""
+        deadline = threading.Timer(self._deadline_s, _cut_off, (request,))
+        deadline.daemon = True
+        with self._lock:
+            oldest = next(iter(self._open)) if len(self._open) >= MAX_CONNECTIONS else None
+            if oldest is not None:
+                self._open.pop(oldest).cancel()
+                _cut_off(oldest)
+            self._open[request] = deadline
+        deadline.start()
+        serve = partial(self._serve, request, client_address)
+        threading.Thread(target=serve, name="igtl-http", daemon=True).start()
+
+    def _serve(self, request: socket.socket, client_address: Any) -> None:
+        try:
+            # the client has disconnected, was cut off, or the deadline has passed
+            with suppress(OSError, ValueError):
+                self.finish_request(request, client_address)
+        finally:
+            with self._lock:
+                deadline = self._open.pop(request, None)
+            if deadline:
+                deadline.cancel()
+            self.shutdown_request(request)
+
+    def cut_off_all(self) -> None:
+        with self._lock:
+            for request, deadline in self._open.items():
+                deadline.cancel()
+                _cut_off(request)
+
+
+def _cut_off(request: socket.socket) -> None:
+    """End a connection: a blocked read or write of its thread returns."""
+    with suppress(OSError):  # already disconnected
+        request.shutdown(socket.SHUT_RDWR)
+
+
+class Handler(BaseHTTPRequestHandler):
+    """A request: ``get`` answers it."""
+
+    server: _Server
+
+    def get(self, path: str) -> None:
+        """Answer a GET or HEAD of a path, without its query."""
+        raise NotImplementedError
+
+    def do_GET(self) -> None:
+        hosts = self.headers.get_all("Host") or []
+        strange = [host for host in hosts if host not in self.server.hosts]
+        if strange:
+            text = f"Host: found {strange[0][:100]!r}, expected {self.server.hosts.expected}\n"
+            self.answer(403, "text/plain; charset=utf-8", text)
+            return
+        self.get(self.path.partition("?")[0])
+
+    def do_HEAD(self) -> None:
+        self.do_GET()
+
+    def answer(self, code: int, kind: str, text: str) -> None:
+        """Send text as the answer."""
+        data = text.encode("utf-8", "backslashreplace")
+        self.begin(code, kind, len(data))
+        if self.command != "HEAD":
+            self.wfile.write(data)
+
+    def begin(self, code: int, kind: str, size: int, **more: str) -> None:
+        """Send the head of an answer; ``more`` are further fields, with ``_`` for ``-``."""
+        self.send_response(code)
+        for name, value in {"Content-Type": kind, "Content-Length": str(size), **more}.items():
+            self.send_header(name.replace("_", "-"), value)
+        self.end_headers()
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Do not log requests: they are not part of the session."""
