@@ -177,7 +177,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "nibabel": ("exchange.nifti", "lab.simulate.volume"),
     "matplotlib": ("lab.bench.plot", "sync.plot"),
     "pandas": ("api",),
-    "pyarrow": ("api", "exchange.arrow_tables", "exchange.arrow_out", "lerobot", "cohort"),
+    "pyarrow": ("api", "exchange.arrow_tables", "exchange.arrow_out", "exchange.parquet_in", "lerobot", "cohort"),
     "pcapng": ("exchange.pcap_file",),
     "numpy": (
         "wire",

@@ -22,7 +22,8 @@ import pyarrow.parquet as pq
 from igtl_gateway.cohort.columns import SCHEMA_VERSION, TABLES, Row
 from igtl_gateway.cohort.parts import MANIFEST, PARTS, Parts, files_of, parts_of, unreadable
 from igtl_gateway.cohort.tables import PROVENANCE, arrow_table, joined, schema
-from igtl_gateway.errors import ConfigError, GatewayError
+from igtl_gateway.errors import ConfigError, DamagedRecording, GatewayError
+from igtl_gateway.exchange.parquet_in import read_parquet, read_parquet_schema
 from igtl_gateway.sessionfile.new_file import make_folder, open_new, open_text
 from igtl_gateway.systems.files import lock
 from igtl_gateway.untrusted import files
@@ -161,15 +162,13 @@ def _latest(tasks: pa.Table, results: Results) -> pa.Table:
 
 def _read(path: Path) -> pa.Table:
     try:
-        with files.open_file(path) as file:
-            return pq.ParquetFile(file).read().cast(schema(path.stem))
-    except (pa.ArrowException, ValueError) as error:
+        return read_parquet(path).cast(schema(path.stem))
+    except (pa.ArrowException, ValueError, DamagedRecording) as error:
         raise unreadable(path, str(error).partition("\n")[0]) from None
 
 
 def _provenance(path: Path) -> list[Mapping[str, Any]]:
-    with files.open_file(path) as file:  # pyarrow opens no name that is not UTF-8
-        metadata = pq.read_schema(file).metadata or {}
+    metadata = read_parquet_schema(path).metadata or {}
     facts = parse_json(metadata.get(PROVENANCE, b"{}").decode("utf-8", "replace"), str(path))
     runs = facts.get("runs") if isinstance(facts, dict) else None
     return [run for run in runs if isinstance(run, dict)] if isinstance(runs, list) else []
