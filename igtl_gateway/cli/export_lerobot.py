@@ -16,6 +16,8 @@ from igtl_gateway.sessionfile.new_file import write_text
 LEROBOT = "lerobot"
 LEROBOT_TEXT = "a training set by a recipe: streams at one rate, video, Parquet"
 
+#: Notes of one kind that are printed.
+_MOST_NOTES = 10
 _OPTIONS = {"recipe": "--recipe", "write_recipe": "--write-recipe", "check": "--check"}
 
 
@@ -89,6 +91,7 @@ def _check(options: argparse.Namespace) -> int:
 
 def _export(options: argparse.Namespace) -> int:
     from igtl_gateway.lerobot.export import export_lerobot
+    from igtl_gateway.lerobot.splits import divided
 
     try:
         done = export_lerobot(options.file, options.recipe, options.out)
@@ -117,7 +120,8 @@ def _export(options: argparse.Namespace) -> int:
             {
                 "file": str(options.file), "to": LEROBOT, "out": str(options.out), "format": plan.recipe.format,
                 "clock": plan.clock, "episodes": len(plan.episodes), "frames": plan.frame_count, "files": done.files,
-                "cuts": plan.cuts, "left_out": plan.left_out, "streams": facts,
+                "demonstrations": plan.demonstrations, "cuts": plan.cuts, "splits": plan.splits,
+                "left_out": plan.left_out, "streams": facts,
             }
         )  # fmt: skip
         return 0
@@ -126,8 +130,14 @@ def _export(options: argparse.Namespace) -> int:
     print_line(*aligned(rows, left=3))
     for why, number in plan.left_out.items():
         print_line(f"note: {count_text(number, 'frame')} left out: {why}")
-    if plan.cuts:
-        print_line(f"note: {count_text(plan.cuts, 'more episode')}, because streams have gaps above their tolerance")
+    parts = divided(plan.owners)
+    for owner, episodes in list(parts.items())[:_MOST_NOTES]:
+        numbers = f"episodes {episodes[0]} to {episodes[-1]}"
+        print_line(f"note: demonstration {owner} has a gap above a tolerance, or is too long: {numbers}")
+    if len(parts) > _MOST_NOTES:
+        print_line(f"note: {len(parts) - _MOST_NOTES:,} more demonstrations that are several episodes")
+    if plan.recipe.splits:
+        print_line("splits: " + ", ".join(f"{name} has the episodes {text}" for name, text in plan.splits.items()))
     print_line(
         f"{options.out}: LeRobot {plan.recipe.format}, {count_text(plan.frame_count, 'frame')} in "
         f"{count_text(len(plan.episodes), 'episode')}, clock: {plan.clock}"

@@ -16,7 +16,7 @@ from typing import Any, BinaryIO
 from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.untrusted.limits import Deadline, check_limit, check_unpacked, current_limits
 from igtl_gateway.untrusted.text import printable
-from igtl_gateway.untrusted.thrift import Fields, Incomplete, ThriftReader
+from igtl_gateway.untrusted.thrift import Fields, Incomplete, ThriftReader, Value
 
 _MAGIC = b"PAR1"
 #: Bytes of memory for a byte of the footer: measured with columns of 3 bytes each.
@@ -191,7 +191,7 @@ def _column(element: Fields, path: str, lists: int, place: str) -> _Column:
     width = element.get(2) if kind == _FIXED_BYTES else _WIDTHS.get(kind) if isinstance(kind, int) else None
     if not isinstance(kind, int) or not isinstance(width, int) or not 0 <= width < 1 << 31:
         raise DamagedRecording(
-            f"{place}: {_shown(path)}: found type {kind} with the width {width}, expected one of Parquet"
+            f"{place}: {_shown(path)}: found type {_name(kind)} with the width {_name(width)}, expected one of Parquet"
         )
     return _Column(path, kind, width, lists)
 
@@ -209,7 +209,9 @@ def _pages(facts: Fields, most: int, stream: BinaryIO, size: int, place: str) ->
         header, length = _header(stream, at, place)
         kind, unpacked, packed = (header.get(number) for number in (1, 2, 3))
         if not isinstance(unpacked, int) or not isinstance(packed, int) or packed < 0 or unpacked < 0:
-            raise DamagedRecording(f"{place}: byte {at}: found a page of {packed} bytes for {unpacked}, expected sizes")
+            raise DamagedRecording(
+                f"{place}: byte {at}: found a page of {_name(packed)} bytes for {_name(unpacked)}, expected sizes"
+            )
         at += length + packed
         if at > end:
             raise DamagedRecording(f"{place}: found a page of {packed} bytes up to {at}, expected its end by {end}")
@@ -222,7 +224,7 @@ def _pages(facts: Fields, most: int, stream: BinaryIO, size: int, place: str) ->
         count, encoding = inner.get(1), inner.get(encoding_field)
         allowed = unpacked if kind == _DICTIONARY_PAGE else most - values
         if not isinstance(count, int) or not isinstance(encoding, int) or not 0 <= count <= allowed:
-            raise DamagedRecording(f"{place}: found a page with {count} values, expected at most {allowed}")
+            raise DamagedRecording(f"{place}: found a page with {_name(count)} values, expected at most {allowed}")
         values += count if kind != _DICTIONARY_PAGE else 0
         yield _Page(unpacked, count, encoding, kind == _DICTIONARY_PAGE)
 
@@ -250,8 +252,13 @@ def _structures(fields: Fields, number: int, place: str) -> list[Any]:
     return found
 
 
+def _name(value: Value) -> str:
+    """An integer, or the type of another value."""
+    return str(value) if isinstance(value, int) else type(value).__name__
+
+
 def _integer(fields: Fields, number: int, place: str) -> int:
     found = fields.get(number)
     if not isinstance(found, int) or not 0 <= found < 1 << 62:
-        raise DamagedRecording(f"{place}: found {found!r} in field {number}, expected an integer of 0 or more")
+        raise DamagedRecording(f"{place}: found {_name(found)} in field {number}, expected an integer of 0 or more")
     return found

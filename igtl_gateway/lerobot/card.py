@@ -7,6 +7,7 @@ from pathlib import Path
 
 from igtl_gateway import __version__
 from igtl_gateway.lerobot.frames import Plan
+from igtl_gateway.lerobot.splits import divided
 from igtl_gateway.lerobot.streams import Facts
 from igtl_gateway.sessionfile.new_file import write_text
 from igtl_gateway.sync.lag import Lag, Verdict
@@ -189,7 +190,11 @@ def _synchronization(plan: Plan, streams: list[Facts]) -> Iterator[str]:
     yield "over the frames, of the time between frame and sample (the one before, for interpolate). Cuts are times"
     yield "without a value by the rule, between the first and the last sample; missing is their sum."
     yield ""
-    yield f"* episodes that were divided at a gap: {plan.cuts:,} more episodes"
+    yield f"* demonstrations: {len(set(plan.owners)):,} with frames, of {plan.demonstrations:,}"
+    yield f"* episodes beyond one for each demonstration: {plan.cuts:,}"
+    for owner, episodes in divided(plan.owners).items():
+        yield f"* demonstration {owner} has a gap, or is too long: episodes {episodes[0]} to {episodes[-1]}"
+    yield from (f"* split {_cell(name)}: episodes {text}" for name, text in plan.splits.items())
     yield from (f"* left out: {number:,} frames: {why}" for why, number in plan.left_out.items())
     yield from ("", "## Lags", "")
     first = streams[0].samples.row.stream

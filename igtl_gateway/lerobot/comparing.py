@@ -1,4 +1,4 @@
-"""Compares a data set with the recording that it was made of, frame by frame."""
+"""Compares a data set with the recording that it was made of: every value, statistic, provenance row and frame."""
 
 from __future__ import annotations
 
@@ -11,21 +11,20 @@ import numpy.typing as npt
 
 from igtl_gateway.api import recording as recordings
 from igtl_gateway.errors import GatewayError
-from igtl_gateway.lerobot.checking import Tables, check_rules, matrix_of, pictures_of
+from igtl_gateway.lerobot.checking import check_rules
+from igtl_gateway.lerobot.checking_stats import numbers_of
+from igtl_gateway.lerobot.columns import Tables, is_numeric, matrix_of
+from igtl_gateway.lerobot.comparing_pictures import PictureCheck
 from igtl_gateway.lerobot.frames import Episode, Plan, build
-from igtl_gateway.lerobot.reading import FoundDataSet, read_table
+from igtl_gateway.lerobot.reading import FoundDataSet, read_table, read_total_stats
 from igtl_gateway.lerobot.recipe_file import read_recipe
-from igtl_gateway.lerobot.writing import PROVENANCE, RECIPE, facts_of, trace_of
+from igtl_gateway.lerobot.stats import QUANTILES, Stats, number_stats
+from igtl_gateway.lerobot.writing import PROVENANCE, RECIPE, facts_of, own_columns, trace_of
 
 Array = npt.NDArray[Any]
 
-#: A frame shows another picture if the mean squared difference to that one is below this part of its own.
-_CLEARLY_LESS = 0.5
-#: Mean squared difference that an encoder may cause, and beyond which a frame is no picture near it.
-_CODING, _UNLIKE = 4.0, 2500.0
-_NEIGHBOURS = 3
-#: Findings of one video that are listed.
-_MOST = 5
+#: Difference of a statistic to the one computed again, as a part of the largest number: that of other machines.
+_STATISTIC = 1e-9
 
 
 def check(root: Path, path: Path) -> tuple[FoundDataSet | None, list[str]]:
@@ -45,7 +44,12 @@ def check(root: Path, path: Path) -> tuple[FoundDataSet | None, list[str]]:
             plan = build(recording, read_recipe(root / "meta" / RECIPE))
         except GatewayError as error:
             return found, [*findings, f"cannot be compared with {path}: {error}"]
-        return found, [*findings, *_compare(found, plan)]
+        known = {_place(each) for each in findings}  # a value that a rule has found already
+        return found, [*findings, *(each for each in _compare(found, plan) if _place(each) not in known)]
+
+
+def _place(finding: str) -> str:
+    return finding.partition(": found ")[0]
 
 
 def _compare(found: FoundDataSet, plan: Plan) -> Iterator[str]:
@@ -54,6 +58,9 @@ def _compare(found: FoundDataSet, plan: Plan) -> Iterator[str]:
         one, two = found.info["features"].get(name), expected.features.get(name)
         if one != two:
             yield f"meta/info.json: features.{name}: found {_short(one)}, expected {_short(two)}"
+    for key, wanted in (("fps", expected.fps), ("splits", expected.splits), ("robot_type", expected.robot_type)):
+        if found.info.get(key) != wanted:
+            yield f"meta/info.json: {key}: found {_short(found.info.get(key))}, expected {_short(wanted)}"
     lengths = [each.length for each in found.episodes], [each.count for each in plan.episodes]
     if lengths[0] != lengths[1]:
         yield f"episodes: found {_short(lengths[0])} frames, expected {_short(lengths[1])} from the recording"
@@ -68,9 +75,54 @@ def _compare(found: FoundDataSet, plan: Plan) -> Iterator[str]:
             continue  # the rules have it
         yield from (f"episode {two.index}: {each}" for each in _columns(plan, two, table))
     yield from _provenance(found, plan)
-    for name in plan.recipe.names:
-        if plan.kind(name) == "picture" and name in found.videos:
-            yield from _pictures(found, plan, name)
+    yield from _statistics(found, plan)
+
+
+def _statistics(found: FoundDataSet, plan: Plan) -> Iterator[str]:
+    """Frames of the videos, and all statistics, as the export computes them."""
+    everything: dict[str, list[Array]] = {}
+    pictures = {
+        name: PictureCheck(found, plan, name)
+        for name in plan.recipe.names
+        if plan.kind(name) == "picture" and name in found.videos
+    }
+    for each in pictures.values():
+        yield from each.frames()
+    first = 0
+    for one, two in zip(found.episodes, plan.episodes, strict=True):
+        columns = {name: plan.values(two, name) for name in plan.recipe.names if plan.kind(name) == "numbers"}
+        expected: dict[str, Stats] = {}
+        for name, values in (columns | own_columns(plan, two, first)).items():
+            matrix = values.reshape(len(values), -1)
+            everything.setdefault(name, []).append(matrix)
+            expected[name] = number_stats(matrix)
+        expected |= {name: each.stats(two.index) for name, each in pictures.items()}
+        try:
+            yield from _differences(f"episode {two.index}: stats of ", one.read_stats(), expected, found.version)
+        except GatewayError:
+            return  # the rules have it
+        first += two.count
+    if found.version == "v3.0":
+        total = {name: number_stats(np.concatenate(each)) for name, each in everything.items()}
+        total |= {name: each.total() for name, each in pictures.items()}
+        try:
+            yield from _differences("meta/stats.json: ", read_total_stats(found.root), total, found.version)
+        except GatewayError:
+            return
+
+
+def _differences(place: str, stats: Any, expected: dict[str, Stats], version: str) -> Iterator[str]:
+    for name, each in expected.items():
+        scale = max(1e-12, *(abs(value) for key in ("min", "max") for value in np.ravel(each[key]).tolist()))
+        own, wrong = stats.get(name), list[str]()
+        for key, value in each.items():
+            if (version == "v2.1" and key in QUANTILES) or not isinstance(own, dict):
+                continue
+            one, two = numbers_of(own.get(key)), np.asarray(value, np.float64)
+            if one is None or one.shape != two.shape or not (np.abs(one - two) <= _STATISTIC * scale).all():
+                wrong.append(f"{key}: found {_short(own.get(key))}, expected {_short(value)}")
+        if wrong:
+            yield f"{place}{name}: {'; '.join(wrong)}"
 
 
 def _short(value: Any) -> str:
@@ -87,9 +139,8 @@ def _columns(plan: Plan, episode: Episode, table: Any) -> Iterator[str]:
         if kind == "text":
             wrong = np.array([one != two for one, two in zip(table[name].to_pylist(), expected, strict=True)])
         else:
-            values = matrix_of(table, name)
-            if values.shape != expected.shape:
-                continue
+            if not is_numeric(table, name) or (values := matrix_of(table, name)).shape != expected.shape:
+                continue  # the rules have it
             wrong = (values != expected).any(axis=1)
         if wrong.any():
             row = int(np.argmax(wrong))
@@ -120,42 +171,10 @@ def _provenance(found: FoundDataSet, plan: Plan) -> Iterator[str]:
         yield f"meta/{PROVENANCE}: found other columns or rows, expected those of the recipe"
         return
     for name in table.schema.names:
+        if not is_numeric(table, name):
+            yield f"meta/{PROVENANCE}: {name}: found missing values or no numbers, expected numbers"
+            continue
         one, two = matrix_of(table, name)[:, 0], matrix_of(expected, name)[:, 0]
         if not np.array_equal(one, two):
             row = int(np.argmax(one != two))
             yield f"meta/{PROVENANCE}: {name}: row {row}: found {one[row]}, expected {two[row]}"
-
-
-def _pictures(found: FoundDataSet, plan: Plan, name: str) -> Iterator[str]:
-    """Frames that show another picture of the stream than the one of their time."""
-    samples, listed = plan.of(name)[0], 0
-    if samples.pictures is None:
-        return
-    near: dict[int, Array] = {}
-    try:
-        for owner, frame, picture in pictures_of(found, name):
-            rows = plan.episodes[owner.index].picks[plan.recipe.rows(name)[0]]
-            if rows is None or listed >= _MOST:
-                return
-            own = int(rows.before[frame])
-            others = range(max(own - _NEIGHBOURS, 0), min(own + _NEIGHBOURS + 1, len(samples.times)))
-            for each in others:
-                if each not in near:
-                    near[each] = samples.pictures.rgb(int(samples.values[each]))[::2, ::2].astype(np.float32)
-            near = {each: near[each] for each in others}
-            if picture.shape[:2] != samples.pictures.padded:
-                return
-            seen = picture[::2, ::2].astype(np.float32)
-            errors = {each: float(np.mean((seen - near[each]) ** 2)) for each in others}
-            best = min(errors, key=lambda each: errors[each])
-            if best != own and errors[own] > _CODING and errors[best] < _CLEARLY_LESS * errors[own]:
-                away_ms = (samples.times[best] - samples.times[own]) / 1e6
-                text = f"found the picture of entry {samples.entries[best]} ({away_ms:+.1f} ms)"
-            elif errors[own] > _UNLIKE:
-                text = "found another picture"
-            else:
-                continue
-            listed += 1
-            yield f"episode {owner.index}: {name}: frame {frame}: {text}, expected that of entry {samples.entries[own]}"
-    except GatewayError as error:
-        yield f"{name}: {error}"

@@ -14,13 +14,14 @@ from igtl_gateway.lerobot.episodes import Span, longest, parts_of, spans_of
 from igtl_gateway.lerobot.recipe import Feature, Recipe
 from igtl_gateway.lerobot.resampling import Picks, common, coverage, frame_count, moments, pick
 from igtl_gateway.lerobot.samples import Samples, clock_of, read_samples, stream_of
+from igtl_gateway.lerobot.splits import splits_of
 from igtl_gateway.untrusted.limits import check_limit
 
 Array = npt.NDArray[Any]
 Times = npt.NDArray[np.int64]
 
 #: Frames of a data set; a day at 100 Hz has fewer.
-_MAX_FRAMES = 10_000_000
+MAX_FRAMES = 10_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,6 +30,7 @@ class Episode:
 
     Attributes:
         index: number in the data set.
+        demonstration: number of the part of the recording that it is from.
         task: what is done.
         count: number of frames.
         times: (count,) int64, ns on the clock of the data set.
@@ -37,6 +39,7 @@ class Episode:
     """
 
     index: int
+    demonstration: int
     task: str
     count: int
     times: Times
@@ -54,7 +57,8 @@ class Plan:
         samples: for each row of the recipe; None for the next value of another feature.
         episodes: the episodes.
         left_out: reason → frames that are in no episode.
-        cuts: episodes that end because a stream has a gap.
+        demonstrations: parts of the recording that ``[episodes]`` describes, with and without frames.
+        splits: name → range of episodes.
     """
 
     recipe: Recipe
@@ -63,12 +67,23 @@ class Plan:
     samples: list[Samples | None]
     episodes: list[Episode] = field(default_factory=list)
     left_out: dict[str, int] = field(default_factory=dict)
-    cuts: int = 0
+    demonstrations: int = 0
+    splits: dict[str, str] = field(default_factory=dict)
 
     @property
     def frame_count(self) -> int:
         """Number of frames."""
         return sum(each.count for each in self.episodes)
+
+    @property
+    def owners(self) -> list[int]:
+        """The demonstration of each episode."""
+        return [each.demonstration for each in self.episodes]
+
+    @property
+    def cuts(self) -> int:
+        """Number of episodes beyond one for each demonstration: those with a gap, and those that are too long."""
+        return len(self.episodes) - len(set(self.owners))
 
     @property
     def tasks(self) -> list[str]:
@@ -158,13 +173,15 @@ def build(recording: Recording, recipe: Recipe) -> Plan:
     covered = [(start, min(end, last)) for start, end in covered if start <= last]
     for span in spans_of(recording, recipe, clock, offset_ns):
         _add(plan, span, covered)
+        plan.demonstrations += 1
     if not plan.episodes:
         reasons = "; ".join(f"{number:,} frames: {why}" for why, number in plan.left_out.items())
         raise GatewayError(
             f"found no frame that has all streams{f' ({reasons})' if reasons else ''}, expected one or more; "
             "see tolerance_ms, clock and [episodes] of the recipe"
         )
-    _check_splits(plan)
+    check_limit("count", len(plan.episodes), "episodes of the data set")
+    plan.splits = splits_of(recipe.splits, plan.demonstrations, plan.owners)
     return plan
 
 
@@ -182,17 +199,15 @@ def _check_kinds(plan: Plan) -> None:
 def _add(plan: Plan, span: Span, covered: list[tuple[int, int]]) -> None:
     """Add the episodes of a span: one for each time without a gap."""
     recipe, extra = plan.recipe, int(plan.recipe.has_next)
-    pieces = 0
     for start_ns, end_ns in common([(span.start_ns, span.end_ns)], covered):
         count = frame_count(start_ns, end_ns, recipe.fps) - extra
-        if count + plan.frame_count > _MAX_FRAMES:
+        if count + plan.frame_count > MAX_FRAMES:
             raise GatewayError(
-                f"found more than {_MAX_FRAMES:,} frames, expected fewer; see tolerance_ms and [episodes]"
+                f"found more than {MAX_FRAMES:,} frames, expected fewer; see tolerance_ms and [episodes]"
             )
         if count < recipe.min_frames:
             _count(plan, f"fewer than {recipe.min_frames} frames without a gap", max(count, 0))
             continue
-        pieces += 1
         most = longest(recipe.fps)
         if count > most and not recipe.split_long:
             raise ConfigError(
@@ -205,20 +220,12 @@ def _add(plan: Plan, span: Span, covered: list[tuple[int, int]]) -> None:
         for length in parts_of(count, most):
             times = grid[first : first + length + extra]
             picks = tuple(None if each is None else pick(each, times) for each in plan.samples)
-            plan.episodes.append(Episode(len(plan.episodes), span.task, length, times[:length], picks))
+            plan.episodes.append(
+                Episode(len(plan.episodes), plan.demonstrations, span.task, length, times[:length], picks)
+            )
             first += length
-    plan.cuts += max(pieces - 1, 0)
 
 
 def _count(plan: Plan, why: str, number: int) -> None:
     if number:
         plan.left_out[why] = plan.left_out.get(why, 0) + number
-
-
-def _check_splits(plan: Plan) -> None:
-    total = len(plan.episodes)
-    check_limit("count", total, "episodes of the data set")
-    for name, text in (plan.recipe.splits or {}).items():
-        start, _, end = text.partition(":")
-        if not int(start) < int(end) <= total:
-            raise ConfigError(f"splits.{name}: found {text!r}, expected a range within 0:{total}, the episodes found")

@@ -96,7 +96,7 @@ def _info(version: str, facts: Facts, episodes: int, frames: int, more: Mapping[
         **more,
         "chunks_size": CHUNK,
         "fps": facts.fps,
-        "splits": dict(facts.splits) or {"train": f"0:{episodes}"},
+        "splits": dict(facts.splits),
         **PATHS[version],
         "features": dict(facts.features),
     }

@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-from pyarrow import parquet
 
+from igtl_gateway.edges.video.worker import MAX_PIXELS
 from igtl_gateway.errors import DamagedRecording
+from igtl_gateway.exchange.parquet_in import read_parquet
+from igtl_gateway.lerobot.frames import MAX_FRAMES
 from igtl_gateway.lerobot.layout import CHUNK, PATHS
+from igtl_gateway.lerobot.recipe_file import MAX_FPS
 from igtl_gateway.untrusted import shape
-from igtl_gateway.untrusted.files import read_bytes, size_of
+from igtl_gateway.untrusted.files import read_bytes
+from igtl_gateway.untrusted.limits import check_limit
 from igtl_gateway.untrusted.text import parse_json
+
+#: Numbers of a feature in a frame: none of a robot has more.
+_MAX_NUMBERS = 1 << 20
 
 _INFO = shape.fields(
     {
@@ -38,6 +47,7 @@ _EPISODE = shape.fields(
     ("episode_index", "tasks", "length"),
 )
 _TASK = shape.fields({"task_index": shape.number, "task": shape.text}, ("task_index", "task"))
+_VIDEO = ("chunk_index", "file_index", "from_timestamp", "to_timestamp")
 _STATS = shape.fields({"episode_index": shape.number, "stats": shape.map_of(shape.map_of(shape.anything))})
 
 
@@ -59,7 +69,7 @@ class FoundEpisode:
         data: Parquet file, and first and last row (half-open), of which None is the whole file.
         rows: see ``data``.
         videos: feature → its part of a video.
-        stats: feature → statistics; None if there are none.
+        read_stats: returns feature → statistics; nothing if there are none.
     """
 
     index: int
@@ -68,7 +78,7 @@ class FoundEpisode:
     data: Path
     rows: tuple[int, int] | None
     videos: Mapping[str, VideoPart]
-    stats: Mapping[str, Any] | None
+    read_stats: Callable[[], Mapping[str, Any]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,23 +117,38 @@ def read_data_set(root: Path) -> FoundDataSet:
     for key, template in PATHS[version].items():
         if info.get(key, template) != template:
             raise shape.wrong(f"{root}/meta/info.json: {key}", info[key], template)
-    for name in info["features"]:
-        if "/" in name or "\\" in name or name in ("", ".", ".."):
-            raise shape.wrong(f"{root}/meta/info.json: features", name, "a name without slash")
-    if not info["fps"]:
-        raise shape.wrong(f"{root}/meta/info.json: fps", info["fps"], "1 or more")
+    if not 1 <= info["fps"] <= MAX_FPS:
+        raise shape.wrong(f"{root}/meta/info.json: fps", info["fps"], f"1 to {MAX_FPS}")
+    for name, each in info["features"].items():
+        _check_feature(name, each, f"{root}/meta/info.json: features")
     read = _version21 if version == "v2.1" else _version30
     tasks, episodes = read(root, [name for name, each in info["features"].items() if each["dtype"] == "video"])
+    frames = sum(each.length for each in episodes)
+    if frames > MAX_FRAMES:
+        raise shape.wrong(f"{root}/meta: frames of all episodes", frames, f"at most {MAX_FRAMES:,}")
     return FoundDataSet(root, info, tasks, episodes)
 
 
+def _check_feature(name: str, feature: Mapping[str, Any], place: str) -> None:
+    if "/" in name or "\\" in name or name in ("", ".", ".."):
+        raise shape.wrong(place, name, "a name without slash")
+    sizes = feature["shape"]
+    if feature["dtype"] == "video":
+        if len(sizes) != 3 or not 0 < math.prod(sizes[:2]) <= MAX_PIXELS:
+            raise shape.wrong(
+                f"{place}.{name}.shape", sizes, f"rows, columns and channels, of at most {MAX_PIXELS:,} pixels"
+            )
+    elif not sizes or not 0 < math.prod(sizes) <= _MAX_NUMBERS:
+        raise shape.wrong(f"{place}.{name}.shape", sizes, f"sizes of 1 or more, with at most {_MAX_NUMBERS:,} numbers")
+
+
 def read_table(path: Path) -> pa.Table:
-    """Read a Parquet file.  Raises GatewayError."""
-    size_of(path)
-    try:
-        return parquet.read_table(path, partitioning=None)
-    except (pa.ArrowException, OSError) as error:
-        raise DamagedRecording(f"{path}: is not valid Parquet: {str(error).splitlines()[0]}") from None
+    """Read a Parquet file whose columns have different names.  Raises GatewayError."""
+    table = read_parquet(path)
+    names = table.schema.names
+    if len(set(names)) < len(names):
+        raise DamagedRecording(f"{path}: found {len(names) - len(set(names))} columns with the name of another one")
+    return table
 
 
 def read_total_stats(root: Path) -> Mapping[str, Mapping[str, Any]]:
@@ -148,6 +173,7 @@ def _lines(path: Path, expected: shape.Shape) -> list[Any]:
             value = parse_json(line, f"{path}:{number}")
             expected(value, f"{path}:{number}")
             found.append(value)
+            check_limit("count", len(found), str(path))
     return found
 
 
@@ -164,35 +190,81 @@ def _version21(root: Path, videos: list[str]) -> tuple[dict[int, str], list[Foun
             name: VideoPart(root / paths["video_path"].format(**place, video_key=name), 0.0, None) for name in videos
         }
         data = root / paths["data_path"].format(**place)
-        found.append(FoundEpisode(index, each["length"], each["tasks"], data, None, parts, stats.get(index)))
+        own = stats.get(index, {})
+        found.append(FoundEpisode(index, each["length"], each["tasks"], data, None, parts, partial(dict, own)))
     return tasks, found
 
 
 def _version30(root: Path, videos: list[str]) -> tuple[dict[int, str], list[FoundEpisode]]:
-    rows = read_table(root / "meta" / "tasks.parquet").to_pylist()
+    rows = _rows(root / "meta" / "tasks.parquet", ["task_index", "task"])
     for number, row in enumerate(rows):
         _TASK(row, f"{root}/meta/tasks.parquet: row {number}")
-    folder = root / "meta" / "episodes"
-    episodes = [row for path in sorted(folder.glob("chunk-*/file-*.parquet")) for row in read_table(path).to_pylist()]
-    paths, found = PATHS["v3.0"], []
+    found: list[FoundEpisode] = []
     begins: dict[tuple[int, int], int] = {}  # first frame of each data file
-    for number, row in enumerate(episodes):
-        place = f"{folder}: row {number}"
+    for path in sorted((root / "meta" / "episodes").glob("chunk-*/file-*.parquet")):
+        table = read_table(path)
+        check_limit("count", len(found) + table.num_rows, f"{path}: episodes")
+        found += _episodes(root, path, table, videos, begins)
+    return {row["task_index"]: row["task"] for row in rows}, found
+
+
+def _rows(path: Path, names: list[str], table: pa.Table | None = None) -> list[dict[str, Any]]:
+    """The rows of a small table, with these columns alone."""
+    table = read_table(path) if table is None else table
+    check_limit("count", table.num_rows, f"{path}: rows")
+    for name in names:
+        if name not in table.schema.names:
+            raise DamagedRecording(f"{path}: found no column {name}, expected one")
+        if _leaves(table[name]) > max(16 * table.num_rows, 1 << 16):
+            raise DamagedRecording(f"{path}: {name}: found {_leaves(table[name]):,} values, expected one for each row")
+    found: list[dict[str, Any]] = table.select(names).to_pylist()
+    return found
+
+
+def _episodes(
+    root: Path, path: Path, table: pa.Table, videos: list[str], begins: dict[tuple[int, int], int]
+) -> Iterator[FoundEpisode]:
+    indices = ["data/chunk_index", "data/file_index", "dataset_from_index", "dataset_to_index"]
+    names = ["episode_index", "tasks", "length", *indices]
+    names += [f"videos/{name}/{each}" for name in videos for each in _VIDEO]
+    for number, row in enumerate(_rows(path, names, table)):
+        place = f"{path}: row {number}"
         _EPISODE(row, place)
-        for name in ("data/chunk_index", "data/file_index", "dataset_from_index", "dataset_to_index"):
-            shape.number(row.get(name), f"{place}: {name}")
+        for name in indices:
+            shape.number(row[name], f"{place}: {name}")
         file = row["data/chunk_index"], row["data/file_index"]
         begin = begins.setdefault(file, row["dataset_from_index"])
-        parts = dict(_parts(root, row, videos, place))
-        stats: dict[str, dict[str, Any]] = {}
-        for key, value in row.items():
-            if key.startswith("stats/"):
-                name, _, statistic = key.removeprefix("stats/").rpartition("/")
-                stats.setdefault(name, {})[statistic] = value
-        data = root / paths["data_path"].format(chunk_index=file[0], file_index=file[1])
         span = row["dataset_from_index"] - begin, row["dataset_to_index"] - begin
-        found.append(FoundEpisode(row["episode_index"], row["length"], row["tasks"], data, span, parts, stats or None))
-    return {row["task_index"]: row["task"] for row in rows}, found
+        if not 0 <= span[0] <= span[1]:
+            raise shape.wrong(f"{place}: dataset_from_index, dataset_to_index", span, "increasing frame numbers")
+        parts = dict(_parts(root, row, videos, place))
+        data = root / PATHS["v3.0"]["data_path"].format(chunk_index=file[0], file_index=file[1])
+        yield FoundEpisode(
+            row["episode_index"], row["length"], row["tasks"], data, span, parts,
+            partial(_stats_of, table, number),
+        )  # fmt: skip
+
+
+def _stats_of(table: pa.Table, row: int) -> dict[str, dict[str, Any]]:
+    """The statistics in the columns ``stats/FEATURE/STATISTIC`` of a row."""
+    found: dict[str, dict[str, Any]] = {}
+    for key in table.schema.names:
+        if key.startswith("stats/"):
+            name, _, statistic = key.removeprefix("stats/").rpartition("/")
+            cell = table[key].slice(row, 1)
+            found.setdefault(name, {})[statistic] = cell[0].as_py() if _leaves(cell) <= _MAX_NUMBERS else None
+    return found
+
+
+def _leaves(column: pa.ChunkedArray) -> int:
+    """The values in all lists of a column."""
+    while column.num_chunks and _is_list(column.type):
+        column = pa.chunked_array([chunk.flatten() for chunk in column.chunks])
+    return len(column)
+
+
+def _is_list(kind: pa.DataType) -> bool:
+    return bool(pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind))
 
 
 def _parts(root: Path, row: Mapping[str, Any], videos: list[str], place: str) -> Iterator[tuple[str, VideoPart]]:

@@ -108,7 +108,7 @@ class Recipe:
         measure_lags: measure the lags between the streams for the card.
         features: the rows of ``[[feature]]``.
         episodes: the table ``[episodes]``.
-        splits: name → half-open range ``"0:8"`` of episode numbers.
+        splits: name → half-open range ``"0:8"`` of demonstrations.
         card: heading of the card → text, of what the recording does not know.
     """
 

@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, fields
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -29,7 +30,7 @@ from igtl_gateway.lerobot.recipe import (
 )
 
 _FEATURE = re.compile(r"(action|observation)(\.[A-Za-z0-9_-]+)*")
-_MAX_FPS, _MAX_MS, _MAX_TEXT = 1000, 3_600_000, 2000
+MAX_FPS, _MAX_MS, _MAX_TEXT = 1000, 3_600_000, 2000
 
 
 def read_recipe(path: Path) -> Recipe:
@@ -89,7 +90,7 @@ def _window(value: Any) -> bool:
 
 _TRUTH: Check = (lambda value: type(value) is bool, "true or false")
 _DATASET: dict[str, Check] = {
-    "fps": _whole(1, _MAX_FPS),
+    "fps": _whole(1, MAX_FPS),
     "task": _text(least=1),
     "format": _choice(FORMATS),
     "robot_type": _text(200, 1),
@@ -149,7 +150,7 @@ def _recipe(document: Mapping[str, Any]) -> Recipe:
     _check_cuts(episodes)
     for name, text in (recipe.splits or {}).items():
         if re.fullmatch(r"[0-9]{1,9}:[0-9]{1,9}", text) is None:
-            raise _wrong(f"splits.{name}", text, 'a half-open range of episode numbers, such as "0:8"')
+            raise _wrong(f"splits.{name}", text, 'a half-open range of demonstrations, such as "0:8"')
     return recipe
 
 
@@ -228,6 +229,10 @@ def _check_cuts(cuts: Cuts) -> None:
     for number, each in enumerate(cuts.range):
         if each.end <= each.start:
             raise _wrong(f"episodes.range[{number}].end", each.end, f"more than start, {each.start:g}")
+    for one, two in pairwise(sorted(cuts.range, key=lambda each: each.start)):
+        if two.start < one.end:
+            place = f"episodes.range[{cuts.range.index(two)}].start"
+            raise _wrong(place, two.start, f"{one.end:g} or more: no frame is in two demonstrations")
 
 
 def toml_value(value: Any) -> str:

@@ -16,9 +16,23 @@ QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 SAMPLED_PICTURES = 100
 
 
+#: Values whose statistics are computed at the same time.
+_BLOCK = 1 << 22
+
+
 def number_stats(values: Array) -> Stats:
     """Return the statistics of numbers (N, K), each as K values."""
-    exact = values.astype(np.float64)
+    found: Stats = {}
+    step = max(_BLOCK // max(len(values), 1), 1)
+    for first in range(0, values.shape[1], step):
+        with np.errstate(over="ignore", invalid="ignore"):  # the sum of doubles near the largest one
+            part = _number_stats(values[:, first : first + step].astype(np.float64))
+        for name, each in part.items():
+            found.setdefault(name, []).extend(each.tolist())
+    return found | {"count": [len(values)]}
+
+
+def _number_stats(exact: Array) -> dict[str, Array]:
     found = {
         "min": exact.min(axis=0),
         "max": exact.max(axis=0),
@@ -26,8 +40,22 @@ def number_stats(values: Array) -> Stats:
         "std": exact.std(axis=0),
     }
     quantiles = np.quantile(exact, list(QUANTILES.values()), axis=0)
-    found |= dict(zip(QUANTILES, quantiles, strict=True))
-    return {name: each.tolist() for name, each in found.items()} | {"count": [len(values)]}
+    return found | dict(zip(QUANTILES, quantiles, strict=True))
+
+
+def joined_stats(parts: list[Stats]) -> Stats:
+    """Return minimum, maximum, mean, standard deviation and count of parts together."""
+    low, high, means, stds = (np.array([each[name] for each in parts]) for name in ("min", "max", "mean", "std"))
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _joined(low, high, means, stds, parts)
+
+
+def _joined(low: Array, high: Array, means: Array, stds: Array, parts: list[Stats]) -> Stats:
+    counts = np.array([each["count"] for each in parts], np.float64)
+    mean = (counts * means).sum(axis=0) / counts.sum()
+    variance = (counts * (stds**2 + (means - mean) ** 2)).sum(axis=0) / counts.sum()
+    found = {"min": low.min(axis=0), "max": high.max(axis=0), "mean": mean, "std": np.sqrt(variance)}
+    return {name: each.tolist() for name, each in found.items()} | {"count": [int(counts.sum())]}
 
 
 @dataclass(slots=True)

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.edges.video.worker import THREADS, import_av
+from igtl_gateway.edges.video.worker import MAX_PIXELS, THREADS, import_av
 from igtl_gateway.errors import DamagedRecording, Unavailable
 from igtl_gateway.sessionfile.new_file import empty_file, make_folder
+from igtl_gateway.untrusted.files import open_file
 
 Pixels = npt.NDArray[np.uint8]
 
@@ -76,17 +78,53 @@ class VideoFile:
         self._file.close()
 
 
-def read_video(path: Path) -> Iterator[tuple[float, Pixels]]:
-    """Yield time (s) and picture (rows, columns, 3) of the frames of a file.  Raises DamagedRecording."""
+def read_video(path: Path, size: tuple[int, int] | None = None) -> Iterator[tuple[float, Pixels]]:
+    """Yield time (s) and picture (rows, columns, 3) of the frames of a file.
+
+    Args:
+        path: an mp4 file.  Nothing else is opened: other formats may name further files.
+        size: rows and columns of its pictures, if others are refused.
+
+    Raises:
+        UnsupportedRecording: it is missing, or not an ordinary file.
+        DamagedRecording: it is not a video of that size, or it cannot be decoded.
+    """
     av = import_av()
-    try:
-        with av.open(str(path)) as file:
-            if not file.streams.video:
-                raise DamagedRecording(f"{path}: found no video, expected one")
-            for frame in file.decode(video=0):
-                yield float(frame.time or 0.0), frame.to_ndarray(format="rgb24")
-    except (av.FFmpegError, OSError) as error:
-        raise DamagedRecording(f"{path}: cannot be decoded: {error}") from None
+    with open_file(path) as stream:
+        try:
+            with av.open(stream, format="mp4") as file:
+                if not file.streams.video:
+                    raise DamagedRecording(f"{path}: found no video, expected one")
+                codec = file.streams.video[0].codec_context
+                codec.options = {"max_pixels": str(MAX_PIXELS), "err_detect": "explode"}
+                _check_size(path, (codec.height, codec.width), size)
+                for frame in file.decode(video=0):
+                    _check_size(path, (frame.height, frame.width), size)
+                    if frame.is_corrupt:
+                        raise DamagedRecording(f"{path}: cannot be decoded: found a damaged frame")
+                    yield float(frame.time or 0.0), frame.to_ndarray(format="rgb24")
+        except (av.FFmpegError, OSError, ValueError, OverflowError, MemoryError) as error:
+            raise DamagedRecording(f"{path}: cannot be decoded: {_reason(error)}") from None
+
+
+def _check_size(path: Path, found: tuple[int, int], expected: tuple[int, int] | None) -> None:
+    if expected is not None and found != expected:
+        raise DamagedRecording(f"{path}: found {found[1]} × {found[0]} pixels, expected {expected[1]} × {expected[0]}")
+
+
+def _reason(error: BaseException) -> str:
+    """The reason of the system; messages of FFmpeg end with the name that it has for an open file."""
+    return (error.strerror if isinstance(error, OSError) else "") or str(error).partition("\n")[0]
+
+
+def coded(pictures: Iterable[Pixels], size: tuple[int, int], fps: int, codec: str) -> Iterator[Pixels]:
+    """Yield pictures as a video of a data set shows them, with the loss of its codec.  Raises as VideoFile."""
+    with TemporaryDirectory(prefix="igtl-gateway-") as folder:
+        video = VideoFile(Path(folder) / "coded.mp4", size, fps, codec)
+        for picture in pictures:
+            video.add(picture)
+        video.close()
+        yield from (picture for _, picture in read_video(video.path, size))
 
 
 def video_info(size: tuple[int, int], fps: int, codec: str) -> dict[str, Any]:

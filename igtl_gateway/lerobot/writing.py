@@ -15,6 +15,7 @@ from pyarrow import parquet
 
 from igtl_gateway.errors import GatewayError, UnsupportedRecording
 from igtl_gateway.lerobot.card import write_card
+from igtl_gateway.lerobot.checksums import write_checksums
 from igtl_gateway.lerobot.frames import Episode, Plan
 from igtl_gateway.lerobot.layout import Facts, Layout, layout_of
 from igtl_gateway.lerobot.stats import PictureStats, Stats, number_stats, sampled
@@ -50,6 +51,7 @@ def write_data_set(plan: Plan, out: Path, recipe: Path, streams: list[StreamFact
         _write_episodes(plan, layout, meta / PROVENANCE)
         write_bytes(meta / RECIPE, read_bytes(recipe))
         write_card(plan, meta, streams)
+        write_checksums(root)
         return sum(each.is_file() for each in root.rglob("*"))
 
 
@@ -105,7 +107,7 @@ def facts_of(plan: Plan) -> Facts:
     features["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
     for name in ("frame_index", "episode_index", "index", "task_index"):
         features[name] = {"dtype": "int64", "shape": [1], "names": None}
-    return Facts(recipe.fps, recipe.codec, sizes, features, plan.tasks, recipe.robot_type, recipe.splits or {})
+    return Facts(recipe.fps, recipe.codec, sizes, features, plan.tasks, recipe.robot_type, plan.splits)
 
 
 def own_columns(plan: Plan, episode: Episode, first: int) -> dict[str, Any]:

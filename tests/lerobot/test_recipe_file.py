@@ -70,6 +70,10 @@ def test_a_good_one(tmp_path: Path) -> None:
             "episodes.range[0].end: found 1, expected more",
         ),
         ({"episodes": 'by = "ranges"\nrange = [{start = 2}]'}, "episodes.range[0]: found no end, expected a number"),
+        (
+            {"episodes": 'by = "ranges"\nrange = [{start = 2, end = 4}, {start = 1, end = 2.5}]'},
+            "episodes.range[0].start: found 2, expected 2.5 or more: no frame is in two demonstrations",
+        ),
         ({"splits": 'train = "all"'}, "splits.train: found 'all', expected a half-open range"),
         ({"splits": "train = 3"}, "splits.train: found 3, expected a string"),
         ({"card": "license = []"}, "card.license: found [], expected a string"),
