@@ -42,6 +42,11 @@ class SystemClock:
             return time.monotonic_ns()
 
 
+def thread_ns() -> int:
+    """Return the CPU time of the calling thread: what it has really used, however many others the machine has."""
+    return time.thread_time_ns()
+
+
 class ManualClock:
     """A clock that advances only by calls, for tests and synthetic sessions."""
 

@@ -257,6 +257,7 @@ UNMIRRORED = (
     "record/test_node_reader.py",  # our files in a reader of another language
     "integration",
     "peers",
+    "passage/test_turns.py",  # turns of links in _passage.c
     "exchange/test_import_mutations.py",  # tools/import_mutations.py
     "cli/test_file_modes.py",  # outputs of every verb
     "cli/test_exit_codes.py",  # every verb's, docs/command-line.md

@@ -447,7 +447,7 @@ class Bridge:
     def _report(self) -> None:
         """Publish log and diagnostics.  Runs once a second in the timer's thread."""
         if self._log:
-            self._log.flush()
+            self._log.flush(self.hub.now_ns())
         self._publish_diagnostics()
 
     def _publish_diagnostics(self) -> None:

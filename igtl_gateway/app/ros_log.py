@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
+from igtl_gateway.app.note_rate import Event, NoteRate
 from igtl_gateway.gateway import FAULT, TICK
 from igtl_gateway.once import Once
 from igtl_gateway.session.entry import Entry, Kind
@@ -23,7 +24,8 @@ _MAX_CAUSES = 1000  # that are distinguished: a peer that invents device names m
 class RosLog:
     """Collects notes under the hub's lock, and passes them on later.
 
-    The log has the first warning and the first error of each cause; the recording has all.
+    The log has the first warning and the first error of each cause, and states as often as `NoteRate` lets them pass;
+    the recording has all.
 
     Args:
         log: takes one line.
@@ -32,7 +34,8 @@ class RosLog:
     def __init__(self, log: Log) -> None:
         self._log = log
         self._once = Once(_MAX_CAUSES)
-        self._waiting: deque[tuple[Level, str, int]] = deque(maxlen=_MAX_WAITING)
+        self._rate = NoteRate()
+        self._waiting: deque[Event] = deque(maxlen=_MAX_WAITING)
 
     def add(self, entry: Entry) -> None:
         """Take the note of an entry of the kinds ``NOTED``."""
@@ -40,12 +43,15 @@ class RosLog:
         if is_routine(note):
             return
         if (note.level is Level.INFO and note.code != FAULT) or self._once.first(note.code, note.stream):
-            self._waiting.append((note.level, note_text(note, entry.links), entry.stamp_ns))
+            event = self._rate.take(Event(entry.stamp_ns, entry.kind, note, entry.links))
+            if event:
+                self._waiting.append(event)
 
-    def flush(self) -> None:
-        """Pass on what has been collected; not under a lock that delays messages."""
-        while self._waiting:
-            self._log(*self._waiting.popleft())
+    def flush(self, now_ns: int | None = None) -> None:
+        """Pass on what has been collected until now (UTC), or all of it; not under a lock that delays messages."""
+        waiting = [self._waiting.popleft() for _ in range(len(self._waiting))]
+        for event in waiting + self._rate.due(now_ns):
+            self._log(event.note.level, note_text(event.note, event.links), event.stamp_ns)
 
 
 def is_routine(note: Note) -> bool:

@@ -307,7 +307,7 @@ class _Show:
                 self._out.waiting(self._node_name())
             return
         bridge, watch = session.bridge, session.watch
-        self._out.events(watch.take())
+        self._out.events(watch.take(bridge.hub.now_ns()))
         bridge.collect()
         self._out.status(bridge, watch, (self._clock.monotonic_ns() - self._started_ns) / NS_PER_S)
         session.sample()

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 from igtl_gateway import __version__
 from igtl_gateway.app.bridge import Bridge
-from igtl_gateway.app.entry_watch import EntryWatch, Event
+from igtl_gateway.app.entry_watch import EntryWatch
+from igtl_gateway.app.note_rate import Event
 from igtl_gateway.app.ros_log import is_routine, note_text
 from igtl_gateway.cli import admission
 from igtl_gateway.cli.common import count_text, size_text
@@ -110,11 +111,13 @@ class TextOutput:
             cause = (note.code, note.stream)
             if cause not in self._repeats and len(self._repeats) >= _MAX_CAUSES:
                 cause = (note.code, "(other streams)")
-            self._repeats[cause] += 1
+            is_first = cause not in self._repeats
+            self._repeats[cause] += 1 + event.more
             # the recording has all notes; the terminal has the first of each cause
-            is_shown = (note.level is Level.INFO and note.code != FAULT) or self._repeats[cause] == 1
+            is_shown = (note.level is Level.INFO and note.code != FAULT) or is_first
             if is_shown and self._logs(note.level):
-                self._print(f"{self._MARKS[note.level]} {note_text(note, links)}")
+                more = f" ({event.more:,} more like it)" if event.more else ""
+                self._print(f"{self._MARKS[note.level]} {note_text(note, links)}{more}")
 
     def status(self, bridge: Bridge, watch: EntryWatch, seconds: float) -> None:
         if not self._terminal:
@@ -212,6 +215,7 @@ class JsonOutput:
                 stream=note.stream,
                 links=event.links,
                 data=note.data,
+                **({"more": event.more} if event.more else {}),
             )
 
     def status(self, bridge: Bridge, watch: EntryWatch, seconds: float) -> None:

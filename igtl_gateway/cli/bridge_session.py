@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from igtl_gateway.app.bridge import Bridge, BridgeOptions
 from igtl_gateway.app.entry_watch import EntryWatch
+from igtl_gateway.app.note_rate import NoteRate
 from igtl_gateway.app.status import BridgeStatus
 from igtl_gateway.clock import Clock
 from igtl_gateway.config import Config
@@ -44,7 +45,7 @@ class BridgeSession:
         metrics_at: tuple[str, int] | None = None,
         host: NodeHost | None = None,
     ) -> None:
-        self.watch = EntryWatch()
+        self.watch = EntryWatch(NoteRate())
         self.bridge = Bridge(config, options, clock, self.watch, window, self.watch.add, host)
         self.metrics: MetricsServer | None = None
         self._metrics_at = metrics_at

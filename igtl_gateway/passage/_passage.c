@@ -31,6 +31,7 @@
 #define MAX_OUTPUTS 8
 #define MAX_LINKS 64
 #define CHUNK_BYTES (64 * 1024)
+#define LARGEST_RECEIPT (1024 * 1024) /* of a turn */
 #define LARGEST_OUTPUT (64 * 1024)
 #define LARGEST_INPUT (32 * 1024) /* what is larger takes too long for a thread of the middleware */
 #define MAX_PLACES 70             /* of a sample, see express.py */
@@ -41,6 +42,8 @@
 #define MAX_LARGE_STREAMS 64
 #define MAX_LARGE_WAITING 3 /* messages; then TCP makes the peer wait */
 #define LOCK_NS 2000000 /* the longest wait of a thread of the middleware */
+#define PART 4 /* of its time that a turn costs which leaves nothing */
+#define QUANTUM_NS 100000 /* a turn of a link ends after the message with which it has lasted this long */
 
 /* As in guarded_stream.py and timing.py. */
 #define LOOK_NS (100 * 1000000LL)
@@ -180,9 +183,14 @@ typedef struct Passage {
     pthread_cond_t taken_over;
     int epoll, wake;
     Link *noted;            /* list of links with events */
+    Link *closed_links;     /* list of links that the reading thread may still know; it owns a reference to each */
     Subscription *ready;    /* list of subscriptions that Python owns and that have messages */
     Subscription **ready_end;
     int woken_links, woken_subscriptions;
+    /* of the reading thread alone */
+    Link *waiting;   /* list of links that wait for a turn */
+    int64_t turn_ns; /* where the turns are, see turns.py */
+    int64_t used_ns; /* CPU time of the thread after the last turn */
 } Passage;
 
 static pid_t this_thread(void)
@@ -199,6 +207,13 @@ static int lock_sequence(Passage *self)
         return 0;
     atomic_store_explicit(&self->owner, this_thread(), memory_order_relaxed);
     return 1;
+}
+
+/* For the thread that reads the links, which has no locks of the middleware then. */
+static void wait_for_sequence(Passage *self)
+{
+    pthread_mutex_lock(&self->sequence);
+    atomic_store_explicit(&self->owner, this_thread(), memory_order_relaxed);
 }
 
 static void unlock_sequence(Passage *self)
@@ -540,7 +555,7 @@ struct Link {
     int reader;
     int failure; /* errno of the last reading; 0: none, or the peer has ended */
     uint8_t *chunk;
-    ssize_t filled;
+    ssize_t start, filled; /* of what was received and not passed on */
     uint8_t *body; /* a large message that is being read; NULL: the chunk is filled */
     ssize_t body_size, body_filled;
     struct {
@@ -551,7 +566,9 @@ struct Link {
     struct large *large, **large_end; /* guarded by the passage's events */
     int large_waiting;                /* read, and not handled by Python yet; atomic */
     int is_paused;                    /* too many of them; atomic */
-    int64_t room; /* messages that may arrive until Python must check the rate */
+    double room; /* messages that may arrive at once */
+    double rate; /* by which it grows, per second, up to that of one second */
+    int64_t rated_ns;
     long long received_messages, received_bytes, heard_ns;
     /* sending; guarded by the lock of the sender */
     Lock *sending;
@@ -559,8 +576,12 @@ struct Link {
     struct unsent unsent;
     long long sent_messages, sent_bytes;
     /* events; guarded by the passage */
-    Link *next_noted;
-    char is_noted;
+    Link *next_noted, *next_closed;
+    char is_noted, is_closed;
+    /* turns, as in turns.py; of the reading thread alone */
+    Link *next_waiting;
+    int64_t turn_ns;
+    char waits;
 };
 
 static unsigned bucket_of(const uint8_t *names)
@@ -600,13 +621,9 @@ static void note_link(Link *self)
     wake_links(passage);
 }
 
-/* Give the link to Python, with what is left in the chunk from `start` on; the caller has `reading`. */
-static void give_to_python(Link *self, ssize_t start, int failure)
+/* Give the link to Python, with what is left in the chunk; the caller has `reading`. */
+static void give_to_python(Link *self, int failure)
 {
-    if (!self->body) {
-        self->filled -= start;
-        memmove(self->chunk, self->chunk + start, self->filled);
-    }
     self->failure = failure;
     self->reader = PYTHON;
     epoll_ctl(self->passage->epoll, EPOLL_CTL_DEL, self->fd, NULL);
@@ -628,7 +645,7 @@ static void end_large(Link *self)
     struct large *large = calloc(1, sizeof *large);
     Passage *passage = self->passage;
     if (!large) { /* Python reads it from the beginning */
-        give_to_python(self, 0, 0);
+        give_to_python(self, 0);
         return;
     }
     large->message.buffer = self->body;
@@ -648,75 +665,144 @@ static void end_large(Link *self)
 }
 
 /* Begin to read a large message, whose beginning is in the chunk; 0: Python has to read it. */
-static int begin_large(Link *self, ssize_t start, uint64_t total)
+static int begin_large(Link *self, uint64_t total)
 {
-    if (!lock_sequence(self->passage))
-        return 0;
-    ssize_t most = most_of_large(self, self->chunk + start);
+    wait_for_sequence(self->passage);
+    ssize_t most = most_of_large(self, self->chunk + self->start);
     unlock_sequence(self->passage);
-    if (total > (uint64_t)most || self->room <= 0 || !(self->body = malloc(total)))
+    if (total > (uint64_t)most || self->room < 1 || !(self->body = malloc(total)))
         return 0;
     self->body_size = (ssize_t)total;
-    self->body_filled = self->filled - start;
-    memcpy(self->body, self->chunk + start, self->body_filled);
-    self->filled = 0;
+    self->body_filled = self->filled - self->start;
+    memcpy(self->body, self->chunk + self->start, self->body_filled);
+    self->start = self->filled = 0;
     return 1;
 }
 
-/* Read once, and pass on what is whole. */
-static void read_link(Link *self)
+/* Whether what was received is a whole small message, or the beginning of a large one: something to be passed on. */
+static int has_message(const Link *self)
 {
-    Passage *passage = self->passage;
-    pthread_mutex_lock(&self->reading);
-    if (self->reader != NATIVE)
-        goto done;
+    ssize_t left = self->filled - self->start;
+    if (left < HEADER_SIZE)
+        return 0;
+    uint64_t body = get_u64(self->chunk + self->start + BODY_SIZE_AT);
+    return body > CHUNK_BYTES - HEADER_SIZE || left >= HEADER_SIZE + (ssize_t)body;
+}
+
+/* Receive once; 0: there is nothing to be passed on.  The caller has `reading`. */
+static int receive(Link *self)
+{
+    if (self->start) {
+        self->filled -= self->start;
+        memmove(self->chunk, self->chunk + self->start, self->filled);
+        self->start = 0;
+    }
     uint8_t *place = self->body ? self->body + self->body_filled : self->chunk + self->filled;
     ssize_t room = self->body ? self->body_size - self->body_filled : CHUNK_BYTES - self->filled;
-    ssize_t count = recv(self->fd, place, room, MSG_DONTWAIT);
+    ssize_t count = recv(self->fd, place, room < LARGEST_RECEIPT ? room : LARGEST_RECEIPT, MSG_DONTWAIT);
     if (count < 0 && (errno == EAGAIN || errno == EINTR))
-        goto done;
+        return 0;
     if (count <= 0) {
-        give_to_python(self, 0, count ? errno : 0);
-        goto done;
+        give_to_python(self, count ? errno : 0);
+        return 0;
     }
     self->heard_ns = clock_ns(CLOCK_MONOTONIC);
     self->received_bytes += count;
-    if (self->body) {
-        self->body_filled += count;
-        if (self->body_filled == self->body_size)
-            end_large(self);
-        goto done;
+    self->room += (self->heard_ns - self->rated_ns) * self->rate / NS_PER_S;
+    if (self->room > self->rate)
+        self->room = self->rate;
+    self->rated_ns = self->heard_ns;
+    if (!self->body) {
+        self->filled += count;
+        return has_message(self);
     }
-    self->filled += count;
-    ssize_t start = 0;
-    while (self->filled - start >= HEADER_SIZE) {
-        const uint8_t *message = self->chunk + start;
+    self->body_filled += count;
+    if (self->body_filled == self->body_size)
+        end_large(self);
+    return 0;
+}
+
+/* Take a turn: pass on what is whole, or receive once before; whether more is left for the next turn. */
+static int read_link(Link *self, int64_t begun_ns)
+{
+    Passage *passage = self->passage;
+    int64_t now_ns = begun_ns;
+    int left = 0;
+    pthread_mutex_lock(&self->reading);
+    if (self->reader != NATIVE || self->is_paused)
+        goto done;
+    left = has_message(self) || receive(self);
+    while (left && now_ns - begun_ns < QUANTUM_NS) {
+        const uint8_t *message = self->chunk + self->start;
         uint64_t body = get_u64(message + BODY_SIZE_AT);
-        if (body <= CHUNK_BYTES - HEADER_SIZE && self->filled - start < HEADER_SIZE + (ssize_t)body)
-            break;
         int passed = 0;
-        int64_t begun_ns = clock_ns(CLOCK_MONOTONIC);
-        if (body <= CHUNK_BYTES - HEADER_SIZE && self->room > 0 && lock_sequence(passage)) {
+        if (body <= CHUNK_BYTES - HEADER_SIZE && self->room >= 1) {
+            wait_for_sequence(passage);
             Stream *stream = stream_of(self, message);
             int waits = self->large_waiting && most_of_large(self, message); /* for one of its stream */
-            passed = stream && !waits && pass_to_ros(passage, stream, message, HEADER_SIZE + (ssize_t)body, begun_ns);
+            passed = stream && !waits && pass_to_ros(passage, stream, message, HEADER_SIZE + (ssize_t)body, now_ns);
             unlock_sequence(passage);
-        } else if (body > CHUNK_BYTES - HEADER_SIZE && begin_large(self, start, HEADER_SIZE + body)) {
-            goto done;
+        } else if (body > CHUNK_BYTES - HEADER_SIZE && begin_large(self, HEADER_SIZE + body)) {
+            left = 0;
+            break;
         }
         if (!passed) {
-            give_to_python(self, start, 0);
-            goto done;
+            give_to_python(self, 0);
+            left = 0;
+            break;
         }
         self->received_messages++;
         self->room--;
-        start += HEADER_SIZE + (ssize_t)body;
+        self->start += HEADER_SIZE + (ssize_t)body;
+        left = has_message(self);
+        now_ns = clock_ns(CLOCK_MONOTONIC);
     }
-    self->filled -= start;
-    if (start && self->filled)
-        memmove(self->chunk, self->chunk + start, self->filled);
 done:
     pthread_mutex_unlock(&self->reading);
+    return left;
+}
+
+/* Have a turn; of the reading thread alone, as the two that follow. */
+static void ask_for_turn(Passage *passage, Link *self)
+{
+    if (self->waits)
+        return;
+    self->waits = 1;
+    if (self->turn_ns < passage->turn_ns)
+        self->turn_ns = passage->turn_ns;
+    self->next_waiting = NULL;
+    Link **at = &passage->waiting; /* behind those that are not later */
+    while (*at && (*at)->turn_ns <= self->turn_ns)
+        at = &(*at)->next_waiting;
+    self->next_waiting = *at;
+    *at = self;
+}
+
+static void leave_turns(Passage *passage, Link *self)
+{
+    for (Link **at = &passage->waiting; *at; at = &(*at)->next_waiting)
+        if (*at == self) {
+            *at = self->next_waiting;
+            break;
+        }
+    self->waits = 0;
+}
+
+/* Let the link have its turn that has used the least time. */
+static void take_turn(Passage *passage)
+{
+    Link *link = passage->waiting;
+    if (!link)
+        return;
+    passage->waiting = link->next_waiting;
+    passage->turn_ns = link->turn_ns;
+    link->waits = 0;
+    int more = read_link(link, clock_ns(CLOCK_MONOTONIC));
+    int64_t before_ns = passage->used_ns;
+    passage->used_ns = clock_ns(CLOCK_THREAD_CPUTIME_ID);
+    link->turn_ns += (passage->used_ns - before_ns) / (more || link->body ? 1 : PART);
+    if (more)
+        ask_for_turn(passage, link);
 }
 
 static void unlock_links(Stream *stream, int outputs, int links)
@@ -1463,13 +1549,13 @@ static void link_dealloc(Link *self)
 
 static PyObject *link_read_natively(Link *self, PyObject *args)
 {
-    long long room;
-    if (!PyArg_ParseTuple(args, "L", &room))
+    double room, rate;
+    if (!PyArg_ParseTuple(args, "dd", &room, &rate))
         return NULL;
     struct epoll_event event = {.events = EPOLLIN, .data.ptr = self};
     lock_from_python(&self->reading);
-    self->filled = 0;
-    self->room = room;
+    self->start = self->filled = 0;
+    self->room = room, self->rate = rate, self->rated_ns = clock_ns(CLOCK_MONOTONIC);
     self->reader = NATIVE;
     int failed = epoll_ctl(self->passage->epoll, EPOLL_CTL_ADD, self->fd, &event);
     if (failed)
@@ -1489,11 +1575,12 @@ static PyObject *link_read_by_python(Link *self, PyObject *nothing)
         self->failure = 0;
     }
     self->is_paused = 0;
-    PyObject *rest = Py_BuildValue("y#i", (const char *)(self->body ? self->body : self->chunk),
-                                   (Py_ssize_t)(self->body ? self->body_filled : self->filled), self->failure);
+    PyObject *rest = Py_BuildValue("y#i", (const char *)(self->body ? self->body : self->chunk + self->start),
+                                   (Py_ssize_t)(self->body ? self->body_filled : self->filled - self->start),
+                                   self->failure);
     free(self->body);
     self->body = NULL;
-    self->filled = 0;
+    self->start = self->filled = 0;
     pthread_mutex_unlock(&self->reading);
     return rest;
 }
@@ -1564,7 +1651,7 @@ static PyObject *link_large_done(Link *self, PyObject *nothing)
 
 static PyObject *link_get_pending(Link *self, void *closure)
 {
-    return (void)closure, PyLong_FromSsize_t(self->body ? self->body_filled : self->filled);
+    return (void)closure, PyLong_FromSsize_t(self->body ? self->body_filled : self->filled - self->start);
 }
 
 /* No thread looks at the link any more: to be called before its socket is closed. */
@@ -1578,8 +1665,14 @@ static PyObject *link_close(Link *self, PyObject *nothing)
             *at = self->next_noted;
             break;
         }
-    self->is_noted = 1; /* from now on */
+    if (!self->is_closed) { /* the reading thread may know it from the events that it has just got */
+        self->is_closed = self->is_noted = 1; /* from now on */
+        self->next_closed = passage->closed_links;
+        passage->closed_links = (Link *)Py_NewRef((PyObject *)self);
+    }
+    passage->woken_links = 1;
     pthread_mutex_unlock(&passage->events);
+    wake_links(passage);
     Py_RETURN_NONE;
 }
 
@@ -1595,7 +1688,8 @@ static int link_set_clear(Link *self, PyObject *value, void *closure)
 }
 
 static PyMethodDef link_methods[] = {
-    {"read_natively", (PyCFunction)link_read_natively, METH_VARARGS, "Read in the native thread, at most this number of messages."},
+    {"read_natively", (PyCFunction)link_read_natively, METH_VARARGS,
+     "Read in the native thread: this number of messages at once, and this number per second, which is the most at once."},
     {"read_by_python", (PyCFunction)link_read_by_python, METH_NOARGS, "Return what was read of an unfinished message, and errno."},
     {"take_unsent", (PyCFunction)link_take_unsent, METH_NOARGS, "Return a message, the bytes sent of it, its stream, and whether it is to be kept; or None."},
     {"close", (PyCFunction)link_close, METH_NOARGS, "Report nothing more."},
@@ -1610,6 +1704,8 @@ static PyMemberDef link_members[] = {
     {"stream_count", T_INT, offsetof(Link, stream_count), READONLY, "Compiled streams from this link."},
     {"received_messages", T_LONGLONG, offsetof(Link, received_messages), READONLY, NULL},
     {"received_bytes", T_LONGLONG, offsetof(Link, received_bytes), READONLY, NULL},
+    {"room", T_DOUBLE, offsetof(Link, room), READONLY, "Messages that might have arrived at once."},
+    {"waits", T_BOOL, offsetof(Link, waits), READONLY, "The link waits for its turn in the native thread."},
     {"heard_ns", T_LONGLONG, offsetof(Link, heard_ns), READONLY, "When the last bytes came (monotonic)."},
     {"large_waiting", T_INT, offsetof(Link, large_waiting), READONLY, "Large messages that were not handled yet."},
     {"sent_messages", T_LONGLONG, offsetof(Link, sent_messages), READONLY, NULL},
@@ -1809,14 +1905,15 @@ static PyObject *passage_wait_links(Passage *self, PyObject *nothing)
     Py_BEGIN_ALLOW_THREADS
     while (!noted && !woken) {
         struct epoll_event events[EVENTS];
-        int count = epoll_wait(self->epoll, events, EVENTS, -1);
+        int count = epoll_wait(self->epoll, events, EVENTS, self->waiting ? 0 : -1);
         for (int i = 0; i < count; i++) {
             uint64_t number;
             if (events[i].data.ptr)
-                read_link(events[i].data.ptr);
+                ask_for_turn(self, events[i].data.ptr);
             else if (read(self->wake, &number, sizeof number) < 0)
                 continue;
         }
+        take_turn(self);
         pthread_mutex_lock(&self->events);
         noted = self->noted;
         woken = self->woken_links;
@@ -1826,6 +1923,8 @@ static PyObject *passage_wait_links(Passage *self, PyObject *nothing)
     PyObject *found = PyList_New(0);
     pthread_mutex_lock(&self->events);
     self->woken_links = 0;
+    Link *closed = self->closed_links;
+    self->closed_links = NULL;
     while (found && self->noted) {
         Link *link = self->noted;
         self->noted = link->next_noted;
@@ -1834,6 +1933,12 @@ static PyObject *passage_wait_links(Passage *self, PyObject *nothing)
             Py_CLEAR(found);
     }
     pthread_mutex_unlock(&self->events);
+    while (closed) {
+        Link *next = closed->next_closed;
+        leave_turns(self, closed);
+        Py_DECREF(closed);
+        closed = next;
+    }
     return found;
 }
 

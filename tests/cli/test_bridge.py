@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from igtl_gateway.app.entry_watch import Event
+from igtl_gateway.app.note_rate import Event
 from igtl_gateway.cli.bridge_output import TextOutput
 from igtl_gateway.gateway import TICK
 from igtl_gateway.session.entry import Kind

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from igtl_gateway.app.entry_watch import Event
+from igtl_gateway.app.note_rate import Event
 from igtl_gateway.cli import main, verbs
 from igtl_gateway.cli.bridge_output import TextOutput
 from igtl_gateway.config import Config

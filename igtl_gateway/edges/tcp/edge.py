@@ -84,7 +84,7 @@ class TcpEdge:
         self._reporter = Reporter(self._loop, on_note)
         self._refusals = Refusals(self._reporter)
         self._faults: Counter[str] = Counter()
-        native_reader = NativeReader(passage, self._attend, self._on_large) if passage else None
+        native_reader = NativeReader(passage, self._attend, self._on_large, self._failed) if passage else None
         context = LinkContext(
             self._loop,
             self._reporter,

@@ -15,6 +15,7 @@ from igtl_gateway.edges.tcp.reporter import error_note
 from igtl_gateway.edges.tcp.sender import Sender
 from igtl_gateway.edges.tcp.sockets import address_text, unconfirmed_bytes
 from igtl_gateway.edges.tcp.tls import TlsSocket
+from igtl_gateway.edges.tcp.turns import Turn
 from igtl_gateway.passage import Link as NativeLink
 from igtl_gateway.passage import Lock
 from igtl_gateway.session.note import Level, Note
@@ -46,6 +47,7 @@ class Link:
         announced: the edge has reported the link as up.
         partner: the other link of a relay, whose messages the I/O thread sends.
         native: the link in the native passage; None: all its messages are Python's.
+        turn: its turns in the I/O thread.
     """
 
     def __init__(
@@ -68,6 +70,7 @@ class Link:
         self._context = context
         self._closed = closed
         self._loop = context.loop
+        self.turn = Turn(self._take_turn, self.failed)
         self.native = self._make_native()
         self.sender = self._make_sender()
         self.receiver = self._make_receiver()
@@ -111,9 +114,11 @@ class Link:
         """Wait for the socket events that the sender and the receiver need."""
         events = (READ if self.receiver.is_reading else 0) | (WRITE if self.sender.awaits_room else 0)
         if events:
-            self._loop.watch(self._sock, events, self._ready, self.failed)
+            self._loop.watch_in_turn(self._sock, events, self.turn)
         else:
             self._loop.unwatch(self._sock)
+        if self.receiver.has_waiting:
+            self._loop.ask(self.turn)
 
     def pair_with(self, partner: Link) -> None:
         """Read from now on no faster than the partner takes what arrives here: then TCP makes the peer wait."""
@@ -129,6 +134,7 @@ class Link:
     def read_by_python(self) -> None:
         """The edge stops: the native passage reads no more."""
         self.receiver.take_over(at_end=True)
+        self.receiver.handle_all()
         self.watch()
 
     def finish(self, reason: str) -> None:
@@ -164,6 +170,8 @@ class Link:
         lost_place = self.sender.is_inside_message or self.receiver.is_inside_message
         if self.is_open and (lost_place or self._errors >= _ERRORS_MAX):
             self.close("internal_error")
+        elif self.is_open:
+            self.watch()  # what waits has not had its turn
 
     def broken(self, cause: str) -> None:
         """The connection broke: close for the reason that is already known, or for this one."""
@@ -180,6 +188,7 @@ class Link:
         reason = reason or sender.reason
         self.is_open = False
         self._loop.run(partial(self.receiver.take_over, at_end=True))
+        self._loop.run(self.receiver.handle_all)
         sender.take_unsent()
         with sender.lock:
             sender.is_muted = True
@@ -214,10 +223,10 @@ class Link:
             text += f"; {unconfirmed:,} bytes of what it was sent may not have arrived"
         self._closed(self, Note(Level.INFO, "link_down", text, data=data))
 
-    def _ready(self, mask: int) -> None:
+    def _take_turn(self, mask: int) -> None:
         if self.is_open and mask & WRITE:
             self._drain()
-        if self.is_open and mask & READ:
+        if self.is_open and (mask & READ or self.receiver.has_waiting):
             self.receiver.read()
 
     def _drain(self) -> None:

@@ -12,6 +12,7 @@ from igtl_gateway.edges.tcp.link_info import PeerLimits
 from igtl_gateway.edges.tcp.loop import Loop
 from igtl_gateway.edges.tcp.refusals import Refusals
 from igtl_gateway.edges.tcp.reporter import Reporter
+from igtl_gateway.edges.tcp.turns import Turn
 from igtl_gateway.passage import Link as NativeLink
 from igtl_gateway.passage import Lock, Passage
 from igtl_gateway.session.note import Level
@@ -60,11 +61,13 @@ class LinkLife(Protocol):
         number: the link number.
         peer: ``host:port`` of the peer.
         is_open: whether the socket is open.
+        turn: its turns in the I/O thread.
     """
 
     number: int
     peer: str
     is_open: bool
+    turn: Turn
 
     def watch(self) -> None:
         """Wait for the socket events that the sender and the receiver need."""

@@ -1,16 +1,21 @@
 """The threads in which the native passage reads links, and Python handles large messages; see `igtl_gateway.passage`.
 
 A picture takes milliseconds: it is handled in a thread of its own, while the passage reads and passes what follows it.
+There the links take turns, each with one message (``turns``).
 """
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from queue import SimpleQueue
 
+from igtl_gateway.clock import thread_ns
 from igtl_gateway.edges.tcp.outbox import Part
+from igtl_gateway.edges.tcp.turns import Turn, Turns
 from igtl_gateway.passage import Link, Passage
+
+#: Links whose turns are remembered; more are only as many as connect and leave.
+_MOST_TURNS = 128
 
 
 class NativeReader:
@@ -19,15 +24,24 @@ class NativeReader:
     Args:
         attend: called with the number of a link that needs Python.
         on_large: called with the number of a link and a large message, in the second thread.
+        on_error: called with an exception of ``on_large``.
     """
 
-    def __init__(self, passage: Passage, attend: Callable[[int], None], on_large: Callable[[int, Part], None]) -> None:
+    def __init__(
+        self,
+        passage: Passage,
+        attend: Callable[[int], None],
+        on_large: Callable[[int, Part], None],
+        on_error: Callable[[Exception], None],
+    ) -> None:
         self._passage = passage
         self._attend = attend
         self._on_large = on_large
+        self._on_error = on_error
         self._is_stopping = False
-        self._large: SimpleQueue[tuple[Link, Part] | None] = SimpleQueue()
-        self._handled = threading.Condition()
+        self._changed = threading.Condition()  # guards the turns; notified of a large message that waits or is handled
+        self._turns = Turns()
+        self._turn_of: dict[int, Turn] = {}
         self._threads = (
             threading.Thread(target=self._read, name="igtl-passage", daemon=True),
             threading.Thread(target=self._handle_large, name="igtl-large", daemon=True),
@@ -39,32 +53,65 @@ class NativeReader:
 
     def stop(self) -> None:
         """End the threads; for any thread but these."""
-        self._is_stopping = True
+        with self._changed:
+            self._is_stopping = True
+            self._changed.notify_all()
         self._passage.wake()
-        self._large.put(None)
         for thread in self._threads:
             if thread.ident is not None:
                 thread.join()
 
     def wait_large(self, link: Link) -> None:
         """Wait until the large messages of a link are handled: what Python handles next came after them."""
-        with self._handled:
-            self._handled.wait_for(lambda: not link.large_waiting or self._is_stopping)
+        with self._changed:
+            self._changed.wait_for(lambda: not link.large_waiting or self._is_stopping)
 
     def _read(self) -> None:
         while not self._is_stopping:
             for link in self._passage.wait_links():
-                while (message := link.take_large()) is not None:
-                    self._large.put((link, message))
+                if link.large_waiting:
+                    self._ask(link)
                 if not (link.is_native and link.clear):
                     self._attend(link.number)
 
+    def _ask(self, link: Link) -> None:
+        """Have a turn of this link in the second thread."""
+        with self._changed:
+            turn = self._turn_of.get(link.number)
+            if turn is None:
+                if len(self._turn_of) >= _MOST_TURNS:
+                    self._turn_of = {number: one for number, one in self._turn_of.items() if one.waits}
+                turn = self._turn_of[link.number] = Turn(lambda _: self._handle(link), self._on_error)
+            self._turns.ask(turn)
+            self._changed.notify_all()
+
     def _handle_large(self) -> None:
-        while (one := self._large.get()) is not None:
-            link, message = one
+        while True:
+            with self._changed:
+                self._changed.wait_for(lambda: self._turns or self._is_stopping)
+                turn = self._turns.next()
+            if turn is None:  # all is handled before the end
+                return
+            begun_ns = thread_ns()
             try:
-                self._on_large(link.number, message)
-            finally:
-                link.large_done()
-                with self._handled:
-                    self._handled.notify_all()
+                turn.action(0)
+            except Exception as error:
+                turn.rescue(error)
+            with self._changed:
+                self._turns.used(turn, thread_ns() - begun_ns)
+
+    def _handle(self, link: Link) -> None:
+        """Handle one large message, and have another turn if there are more."""
+        message = link.take_large()
+        if message is None:
+            return
+        try:
+            self._on_large(link.number, message)
+        finally:
+            link.large_done()
+            with self._changed:
+                self._changed.notify_all()
+            if link.large_waiting:
+                self._ask(link)
+            if not link.is_native:  # what Python handles next has waited for it
+                self._attend(link.number)

@@ -25,16 +25,20 @@ class RateLimit:
         self._pauses = 0
         self._noted_ns = 0
 
-    @property
-    def room(self) -> int:
-        """Messages that may arrive before `pause_s` has to be asked: at least one."""
+    def room(self, now_ns: int) -> int:
+        """Return the number of messages that may arrive at once: at least one."""
+        self._refill(now_ns)
         return max(1, int(self._tokens))
+
+    def take_over(self, room: float, now_ns: int) -> None:
+        """The native passage has read, by the same rule, and leaves room for this number of messages."""
+        self._tokens, self._counted_ns = room, now_ns
 
     def pause_s(self, messages: int, now_ns: int) -> float:
         """Count messages; how long (s) to read no more from the link, 0.0 for no pause.  A pause is noted."""
         rate = self._context.limits.messages_per_s
-        self._tokens = min(rate * _BURST_S, self._tokens + (now_ns - self._counted_ns) * rate / NS_PER_S) - messages
-        self._counted_ns = now_ns
+        self._refill(now_ns)
+        self._tokens -= messages
         if self._tokens >= 0 or not self._link.is_open:
             return 0.0
         self.is_pausing = True
@@ -45,3 +49,8 @@ class RateLimit:
             data = {"peer": self._link.peer, "limit": rate, "rests": self._pauses}
             self._context.reporter.note(self._link.number, Note(Level.WARN, "rate_limited", text, data=data))
         return -self._tokens / rate
+
+    def _refill(self, now_ns: int) -> None:
+        rate = self._context.limits.messages_per_s
+        self._tokens = min(rate * _BURST_S, self._tokens + (now_ns - self._counted_ns) * rate / NS_PER_S)
+        self._counted_ns = now_ns

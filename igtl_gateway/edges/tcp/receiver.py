@@ -1,10 +1,15 @@
-"""The incoming half of a link: the I/O thread reads from the socket, frames, and calls back."""
+"""The incoming half of a link: the I/O thread reads from the socket, frames, and calls back.
+
+It reads once in a turn, and calls back until the turn is over (``turns``).  While messages wait for the next turn, the
+socket is not read, and TCP makes the peer wait.
+"""
 
 from __future__ import annotations
 
 import os
 import socket
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -12,6 +17,7 @@ from igtl_gateway.edges.tcp.link_parts import LinkContext, LinkLife, NativeEnds
 from igtl_gateway.edges.tcp.outbox import Part
 from igtl_gateway.edges.tcp.rate import RateLimit
 from igtl_gateway.edges.tcp.tls import TLS_TO_PLAIN, TlsError, TlsSocket
+from igtl_gateway.edges.tcp.turns import QUANTUM_NS
 from igtl_gateway.errors import MessageTooLarge
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.wire.framer import Framer
@@ -41,7 +47,8 @@ class Receiver:
         self._heard_ns = context.loop.now()
         self._native = native.link if native else None
         self._is_native = False  # the native passage reads
-        self._rated = 0  # messages that the native passage received, as far as they count for the rate
+        self._waiting: deque[Part] = deque()  # whole messages that wait for a turn
+        self._was_full = False  # the socket may have more than was received at once
         self.is_foreign = False
         self.is_inside_message = False
         self.after_read: Callable[[], None] | None = None
@@ -73,14 +80,21 @@ class Receiver:
         return max(self._heard_ns, self._native.heard_ns if self._native else 0)
 
     @property
+    def has_waiting(self) -> bool:
+        """Whether messages, or something else that was received, wait for a turn."""
+        return bool(self._waiting) and not self._is_stopped
+
+    @property
     def is_reading(self) -> bool:
         """Whether the I/O thread reads the link now."""
         return not (self._is_stopped or self._rate.is_pausing or self._is_native)
 
     @property
     def is_read(self) -> bool:
-        """Whether the link is read now, by the I/O thread or by the native passage."""
-        return self.is_reading or self._is_native
+        """Whether the link is read now, by the I/O thread or by the native passage, and does not wait for a turn."""
+        if self._native and self._is_native:
+            return self._native.is_native and not self._native.waits
+        return self.is_reading and not (self._waiting or self._link.turn.waits)
 
     @property
     def pending(self) -> int:
@@ -88,25 +102,33 @@ class Receiver:
         return self._native.pending if self._is_native and self._native else self._framer.pending
 
     def read(self) -> None:
-        """Take what the socket has, once."""
+        """Take a turn: handle messages that wait, or what the socket has, once."""
+        if self._waiting or self._receive():
+            self._handle(self._loop.now() + QUANTUM_NS)
+            self._link.turn.has_more = bool(self._waiting) or self._was_full
+            if self.after_read and self._link.is_open:
+                self.after_read()
+
+    def _receive(self) -> bool:
+        """Take what the socket has, once; whether there is something to be handled."""
         try:
             count = self._sock.recv_into(self._room)
         except (BlockingIOError, InterruptedError):
-            return
+            return False
         except TlsError as exc:
             self._link.fault(Level.WARN, "tls_failed", f"{self._link.peer} sent invalid TLS records: {exc}")
-            return
+            return False
         except OSError as exc:
             self._link.broken(f"receiving failed: {exc.strerror or exc}")
-            return
+            return False
         if not count:
             self._link.peer_ended()
-            return
+            return False
+        self._was_full = count == len(self._room)
         self._heard_ns = self._loop.looked_ns
         self._bytes += count
-        self._pass_on(partial(self._framer.received, count))
-        if self.after_read and self._link.is_open:
-            self.after_read()
+        self._frame(partial(self._framer.received, count))
+        return True
 
     def take_over(self, *, at_end: bool = False) -> None:
         """Read in the I/O thread, where the native passage has stopped.
@@ -115,51 +137,75 @@ class Receiver:
         """
         if self._native is None or not self._is_native or (self._native.is_native and not at_end):
             return
+        if at_end:
+            self._context.wait_large(self._native)
+        elif self._native.large_waiting:  # what Python handles next came after them: this is called again
+            return
         rest, failure = self._native.read_by_python()
-        self._context.wait_large(self._native)
+        self._rate.take_over(self._native.room, self._loop.now())
         self._is_native = False
+        if rest:  # else the peer has ended, which the next reading finds
+            self._frame(partial(self._framer.feed, rest))
+            if not self._waiting:
+                self._prepare()
         if not at_end:
             self._link.watch()
-        if rest:  # else the peer has ended, which the next reading finds
-            self._pass_on(partial(self._framer.feed, rest))
         if failure and not at_end and self._link.is_open:
             self._link.broken(f"receiving failed: {os.strerror(failure)}")
 
-    def _pass_on(self, received: Callable[[], list[Part]]) -> None:
-        """Call back with the messages that are whole now."""
+    def handle_all(self) -> None:
+        """The link closes: handle all messages that were received whole."""
+        self._handle(0)
+
+    def _frame(self, received: Callable[[], Sequence[Part]]) -> None:
+        """Let messages that are whole now wait for their turn."""
         self.is_inside_message = True
         try:
             messages = received()
-            for message in messages:
-                self._messages += 1
-                self._reporter.call("on_frame", self._on_frame, self._link.number, message)
-            self._room = self._framer.buffer()
-            if pause_s := self._rate.pause_s(len(messages) + self._natively_received(), self._heard_ns):
+            self._waiting.extend(messages)
+            if pause_s := self._rate.pause_s(len(messages), self._loop.now()):
                 self._link.watch()
                 self._loop.call_later(pause_s, self._end_rate_pause, self._link.failed)
         except MessageTooLarge as exc:
             self._refuse(exc)
         except MemoryError:
-            self._link.fault(Level.ERROR, "out_of_memory", "not enough memory for the announced message")
+            self._out_of_memory()
         self.is_inside_message = False
-        self._let_passage_read()
 
-    def _natively_received(self) -> int:
-        """Messages that the native passage received since the last call."""
-        if self._native is None:
-            return 0
-        before, self._rated = self._rated, self._native.received_messages
-        return self._rated - before
+    def _handle(self, until_ns: int) -> None:
+        """Call back with messages that wait, until the turn is over (monotonic); 0: with all of them."""
+        waiting, call, number = self._waiting, self._reporter.call, self._link.number
+        while waiting and not (self._is_stopped and until_ns):
+            self._messages += 1
+            call("on_frame", self._on_frame, number, waiting.popleft())
+            if until_ns and waiting and self._loop.now() >= until_ns:
+                break
+        if not self._link.is_open:
+            return
+        if waiting:
+            self._loop.ask(self._link.turn)
+        elif self._prepare():
+            self._let_passage_read()
+
+    def _prepare(self) -> bool:
+        """Make room for what comes next; False if nothing may come any more."""
+        try:
+            self._room = self._framer.buffer()
+        except MessageTooLarge as exc:
+            self._refuse(exc)
+        except MemoryError:
+            self._out_of_memory()
+        return self._link.is_open
 
     def _let_passage_read(self) -> None:
         """Leave the reading to the native passage, if it has a stream of the link, and between two messages."""
         native = self._native
-        if native is None or not native.stream_count or self._framer.pending:
+        if native is None or not native.stream_count or self._framer.pending or self._waiting:
             return
         if self.is_reading and self._link.is_open and not self._loop.stopping:
             self._is_native = True
             self._link.watch()
-            native.read_natively(self._rate.room)
+            native.read_natively(self._rate.room(self._loop.now()), self._context.limits.messages_per_s)
 
     def stop(self) -> None:
         """Read no more, until `resume`."""
@@ -211,6 +257,9 @@ class Receiver:
             self._link.fault(Level.WARN, "refused", f"connection of {self._link.peer} refused: {TLS_TO_PLAIN}")
         else:
             self._link.fault(Level.ERROR, "too_large", f"message too large: {exc}")
+
+    def _out_of_memory(self) -> None:
+        self._link.fault(Level.ERROR, "out_of_memory", "not enough memory for the announced message")
 
     def _restart_body_timer(self) -> None:
         """The link was not read for a while: that does not count for the message on its way."""

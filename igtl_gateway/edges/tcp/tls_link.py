@@ -56,17 +56,16 @@ class TlsReceiver(Receiver):
         """Whether the link is read, and decrypted bytes wait for that."""
         return self._link.is_open and self.is_reading and self._tls.more
 
+    @property
+    def has_waiting(self) -> bool:
+        return super().has_waiting or self.has_decrypted
+
     def read(self) -> None:
         super().read()
-        while self.has_decrypted:
-            super().read()
+        if self.has_decrypted:
+            self._loop.ask(self._link.turn)
         with self._sender.lock:
             self._sender.flush_soon()
-
-    def read_decrypted(self) -> None:
-        """Read what is decrypted already, if the link is still read."""
-        if self.has_decrypted:
-            self.read()
 
 
 class TlsLink(Link):
@@ -98,8 +97,3 @@ class TlsLink(Link):
     @property
     def facts(self) -> dict[str, str]:
         return self._tls.facts()
-
-    def watch(self) -> None:
-        super().watch()
-        if self._tls_receiver.has_decrypted:
-            self._loop.call_soon(self._tls_receiver.read_decrypted, self.failed)

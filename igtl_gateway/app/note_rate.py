@@ -1,0 +1,136 @@
+"""How often notes are reported on the terminal, in the log and on ``/rosout``: the recording has all of them.
+
+A peer can cause a note with each of its messages.  So the same note is reported at once, and while it repeats once a
+second, with the number of those in between; and all notes of one code together are limited: what is above the limit is
+reported once a second, too, by the latest of them.  The counts of the messages are in the ledger and stay exact.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from dataclasses import dataclass, field, replace
+
+from igtl_gateway.session.entry import Kind
+from igtl_gateway.session.note import Note
+from igtl_gateway.stamp import NS_PER_S
+
+#: The same note again after this time.
+EVERY_NS = NS_PER_S
+
+#: Notes of one code that are reported at once, as at the start of a site with many streams, and those in a second.
+_BURST, _PER_S = 100, 2.0
+
+#: Notes of one code that are told apart.
+_MOST_CAUSES = 200
+
+_Cause = tuple[str, str, tuple[int, ...]]
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """A note in the log.
+
+    Attributes:
+        more: notes like this one since the last that was reported; they are not reported themselves.
+    """
+
+    stamp_ns: int
+    kind: Kind
+    note: Note
+    links: tuple[int, ...]
+    more: int = 0
+
+
+@dataclass(slots=True)
+class _Episode:
+    """A note that may repeat: when it was reported, and what has been held back since."""
+
+    reported_ns: int
+    held: int = 0
+    last: Event | None = None
+
+    def hold(self, event: Event) -> None:
+        self.held += 1
+        self.last = event
+
+    def report(self, now_ns: int) -> Event | None:
+        """Return the last one that was held back, with the number of the others."""
+        event, more = self.last, self.held - 1
+        self.reported_ns, self.held, self.last = now_ns, 0, None
+        return replace(event, more=more) if event else None
+
+
+@dataclass(slots=True)
+class _Code:
+    """The notes of one code."""
+
+    left: float
+    counted_ns: int
+    episodes: OrderedDict[_Cause, _Episode] = field(default_factory=OrderedDict)
+    others: _Episode = field(default_factory=lambda: _Episode(-EVERY_NS))  # above the limit
+
+    def takes(self, now_ns: int) -> bool:
+        """Count a note that is to be reported now; whether it is within the limit."""
+        passed_ns = max(0, now_ns - self.counted_ns)
+        self.left = min(_BURST, self.left + passed_ns * _PER_S / NS_PER_S)
+        self.counted_ns = now_ns
+        if self.left < 1:
+            return False
+        self.left -= 1
+        return True
+
+
+class NoteRate:
+    """Which notes are reported, and when.  Any thread may call it."""
+
+    def __init__(self) -> None:
+        self._codes: dict[str, _Code] = {}
+        self._lock = threading.Lock()
+
+    def take(self, event: Event) -> Event | None:
+        """Return what is to be reported now; None: it is held back."""
+        now_ns = event.stamp_ns
+        with self._lock:
+            code = self._codes.setdefault(event.note.code, _Code(_BURST, now_ns))
+            cause = (event.note.stream, event.note.text, event.links)
+            episode = code.episodes.get(cause)
+            if episode and (episode.held or now_ns - episode.reported_ns < EVERY_NS):
+                episode.hold(event)
+                return None
+            if not code.takes(now_ns):
+                code.others.hold(event)
+                return None
+            code.episodes[cause] = _Episode(now_ns)
+            code.episodes.move_to_end(cause)
+            if len(code.episodes) > _MOST_CAUSES:
+                _, oldest = code.episodes.popitem(last=False)
+                if oldest.last:
+                    code.others.held += oldest.held
+                    code.others.last = oldest.last
+            return event
+
+    def due(self, now_ns: int | None) -> list[Event]:
+        """Return what was held back and is to be reported now; None: all of it, at the end."""
+        found: list[Event] = []
+        with self._lock:
+            for code in self._codes.values():
+                for episode in (*code.episodes.values(), code.others):
+                    if not episode.last:
+                        continue
+                    if now_ns is None:
+                        found.append(_reported(episode, episode.last.stamp_ns))
+                    elif now_ns - episode.reported_ns >= EVERY_NS:
+                        if episode is code.others or code.takes(now_ns):
+                            found.append(_reported(episode, now_ns))
+                        else:
+                            code.others.held += episode.held
+                            code.others.last = episode.last
+                            episode.report(now_ns)
+        return sorted(found, key=lambda event: event.stamp_ns)
+
+
+def _reported(episode: _Episode, now_ns: int) -> Event:
+    event = episode.report(now_ns)
+    assert event  # it was held back
+    return event

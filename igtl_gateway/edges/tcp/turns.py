@@ -1,0 +1,88 @@
+"""Whose turn it is in a thread: fair shares of its time, however much each one has to do.
+
+Strategy: start-time fair queueing.  Each taker (a link, a listener, a handshake) has a place in a time that advances
+with the turns.  A turn moves its taker's place on by the CPU time that it used, and the next turn is that of the taker
+whose place is the first.  One that had nothing to do begins at the present: it saves nothing up, and it comes before
+all that are busy.  So a peer that asks for little waits for one turn at most, however many others flood the gateway,
+and those that flood share what is left.
+
+A turn is limited by whoever takes it, see ``QUANTUM_NS``; what is left waits for the next one, behind it in the socket
+of the peer.  Who leaves nothing pays a part: beside twenty that flood, a peer that waits for each answer would
+otherwise use more than one of them, and wait for all of them each time.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable
+
+#: A turn ends after the message with which it has lasted this long.
+QUANTUM_NS = 100_000
+
+#: The part of its time that a turn costs which leaves nothing to be done.
+_PART = 4
+
+
+class Turn:
+    """One taker, and what it does when its turn comes.
+
+    Attributes:
+        action: called with the events of the socket since the last turn; 0: it asked itself.
+        rescue: called with an exception of the action.
+        mask: those events.
+        waits: it has asked for a turn.
+        has_more: set by the action: something is left that the turn had no time for.
+    """
+
+    __slots__ = ("_at_ns", "_serial", "action", "has_more", "mask", "rescue", "waits")
+
+    def __init__(self, action: Callable[[int], None], rescue: Callable[[Exception], None]) -> None:
+        self.action = action
+        self.rescue = rescue
+        self.mask = 0
+        self.waits = False
+        self.has_more = False
+        self._at_ns = 0
+        self._serial = 0
+
+    def give_up(self) -> None:
+        """Ask for a turn no longer."""
+        self.waits = False
+        self.mask = 0
+
+
+class Turns:
+    """The takers that wait for their turn; of one thread."""
+
+    def __init__(self) -> None:
+        self._waiting: list[tuple[int, int, Turn]] = []
+        self._now_ns = 0
+        self._serial = 0
+
+    def __bool__(self) -> bool:
+        return bool(self._waiting)
+
+    def ask(self, turn: Turn) -> None:
+        """Have a turn; nothing changes if it waits for one."""
+        if not turn.waits:
+            turn.waits = True
+            turn._at_ns = max(turn._at_ns, self._now_ns)
+            self._serial = turn._serial = self._serial + 1
+            heapq.heappush(self._waiting, (turn._at_ns, turn._serial, turn))
+
+    def next(self) -> Turn | None:
+        """Return whose turn it is; None: nobody waits.  ``used`` must follow."""
+        while self._waiting:
+            at_ns, serial, turn = heapq.heappop(self._waiting)
+            if turn.waits and turn._serial == serial:
+                turn.waits = False
+                self._now_ns = at_ns
+                return turn
+        return None
+
+    def used(self, turn: Turn, time_ns: int) -> None:
+        """A turn has ended: it used this CPU time.  It may have asked for another one already."""
+        turn._at_ns += max(0, time_ns if turn.has_more else time_ns // _PART)
+        if turn.waits:
+            turn.waits = False
+            self.ask(turn)

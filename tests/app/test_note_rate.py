@@ -1,0 +1,98 @@
+"""How often notes are reported: a peer can cause one with each of its messages."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import pytest
+
+from igtl_gateway.app.entry_watch import EntryWatch
+from igtl_gateway.app.note_rate import Event, NoteRate
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Level, Note
+from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
+from tools.note_codes import NOTES
+
+
+def event(ms: int, code: str = "bad_crc", text: str = "refused", links: tuple[int, ...] = (1,)) -> Event:
+    return Event(ms * NS_PER_MS, Kind.NOTE, Note(Level.ERROR, code, text, "TRANSFORM/Tool"), links)
+
+
+def reported(rate: NoteRate, events: list[Event], every_ms: int = 100) -> list[Event]:
+    """What is reported of these events, by a program that looks ten times a second, and at its end."""
+    found: list[Event] = []
+    look_ns = 0
+    for one in events:
+        while look_ns < one.stamp_ns:
+            look_ns += every_ms * NS_PER_MS
+            found += rate.due(look_ns)
+        if shown := rate.take(one):
+            found.append(shown)
+    return found + rate.due(None)
+
+
+def test_the_same_note_is_reported_once_and_then_counted() -> None:
+    found = reported(NoteRate(), [event(number) for number in range(3_500)])
+    assert [one.stamp_ns // NS_PER_S for one in found] == [0, 0, 1, 2, 3]
+    assert sum(1 + one.more for one in found) == 3_500
+
+
+def test_a_note_that_is_rare_is_reported_each_time() -> None:
+    events = [event(1_000 * number) for number in range(500)]
+    assert reported(NoteRate(), events) == events
+
+
+def test_the_notes_of_another_peer_and_of_another_stream_are_their_own() -> None:
+    events = [event(number % 3, links=(number,)) for number in range(50)]
+    assert reported(NoteRate(), sorted(events, key=lambda one: one.stamp_ns)) == sorted(
+        events, key=lambda one: one.stamp_ns
+    )
+
+
+def test_a_note_that_came_once_more_is_reported_when_all_is_quiet() -> None:
+    rate = NoteRate()
+    assert rate.take(event(0)) and not rate.take(event(10)) and not rate.take(event(20))
+    assert rate.due(900 * NS_PER_MS) == []
+    (late,) = rate.due(1_000 * NS_PER_MS)
+    assert (late.stamp_ns, late.more) == (20 * NS_PER_MS, 1)
+    assert rate.due(None) == []
+
+
+FLOODS = {
+    "the same text": lambda number: ("refused", (1,)),
+    "a text of its own each": lambda number: (f"found {number}", (1,)),
+    "a link of its own each": lambda number: ("refused", (number,)),
+    "150 texts": lambda number: (f"found {number % 150}", (1,)),
+    "300 texts": lambda number: (f"found {number % 300}", (number % 7,)),
+}
+
+
+@pytest.mark.parametrize("flood", FLOODS)
+def test_no_code_floods_the_log(flood: str) -> None:
+    """Ten seconds of 2,000 notes a second, of each kind: one burst and a few in a second, and all are counted."""
+    rate = NoteRate()
+    events = [event(number // 2, "bad_crc", *FLOODS[flood](number)) for number in range(20_000)]
+    found = reported(rate, events)
+    assert len(found) <= 100 + 3 * 11 + 200  # at the end, what was held back of each that is told apart
+    assert sum(1 + one.more for one in found) == 20_000
+    in_a_second = Counter(one.stamp_ns // NS_PER_S for one in found if one.stamp_ns < 9 * NS_PER_S)
+    assert max(number for second, number in in_a_second.items() if second) <= 5
+
+
+def test_every_code_is_limited_by_itself() -> None:
+    rate = NoteRate()
+    names = sorted({code for group in NOTES.values() for code in group})
+    events = [event(number, name, f"text {number}") for number in range(300) for name in names]
+    found = Counter(one.note.code for one in reported(rate, events))
+    assert set(found) == set(names)
+    assert max(found.values()) <= 102
+
+
+def test_what_a_bridge_counts_is_exact_while_it_reports_little() -> None:
+    watch = EntryWatch(NoteRate())
+    note = Note(Level.ERROR, "bad_crc", "refused", "TRANSFORM/Tool")
+    for number in range(5_000):
+        watch(Entry(number + 1, number, Kind.NOTE, "", "", (note.pack(),), (1,)))
+    events = watch.take(5_000) + watch.take()
+    assert watch.refused == watch.counts[Kind.NOTE] == 5_000
+    assert [one.more for one in events] == [0, 4_998]

@@ -1,0 +1,78 @@
+"""Fair shares of the native passage: links take turns, and a steady rate is not a flood."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+
+from igtl_gateway.edges.tcp import PeerLimits
+from igtl_gateway.passage import is_compiled
+from igtl_gateway.session.entry import Kind
+from igtl_gateway.session.note import Note
+from tests.passage.test_streams import Peer, Scene, check_recording, entries_of, scene, transform, wait_for
+
+pytestmark = pytest.mark.skipif(not is_compiled(), reason="without the native passage")
+
+
+def make_native(here: Scene, peer: Peer, device: str) -> None:
+    """Send until the stream of the device passes natively."""
+    before = here.native
+    for number in range(200):
+        peer.send(transform(number, device=device))
+        time.sleep(0.002)
+        if here.native > before:
+            break
+    number = len([link for link in here.bridge.tcp.links() if link.connected])
+    wait_for(lambda: (link := here.bridge.tcp.native_link(number)) is not None and link.is_native)
+
+
+def test_a_message_does_not_wait_for_all_that_another_peer_has_sent(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    path = tmp_path / "session.mcap"
+    with scene(monkeypatch, path=path) as here:
+        flood = here.connect()
+        make_native(here, flood, "FloodToBase")
+        good = here.connect()
+        make_native(here, good, "GoodToBase")
+        received = here.received("igtl_in")
+        with here.bridge.hub.sequence:  # the passage has the first message, and waits for the lock
+            flood.send(b"".join(transform(1000.0, device="FloodToBase") for _ in range(500)))
+            time.sleep(0.2)
+            good.send(transform(2000.0, device="GoodToBase"))
+            time.sleep(0.2)
+        wait_for(lambda: here.received("igtl_in") == received + 501)
+        assert here.native == 2
+    check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+    last = [entry.channel for entry in entries_of(path) if entry.kind is Kind.IGTL_IN][-501:]
+    assert last.index("TRANSFORM/GoodToBase") <= 5
+
+
+def test_a_steady_rate_below_the_limit_is_never_limited(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Also not where the whole of it is counted at once, when Python takes over."""
+    path = tmp_path / "session.mcap"
+    with scene(monkeypatch, path=path, limits=PeerLimits(messages_per_s=1_000)) as here:
+        peer = here.connect()
+        due = time.monotonic()
+        for number in range(1_300):
+            peer.send(transform(number))
+            due = max(due + 1 / 800, time.monotonic())
+            time.sleep(max(0.0, due - time.monotonic()))
+        wait_for(lambda: here.received("igtl_in") == 1_300)
+        link = here.bridge.tcp.native_link(1)
+        assert link and link.received_messages > 1_000
+    codes = {Note.of(entry.data()).code for entry in entries_of(path) if entry.kind is Kind.EDGE_NOTE}
+    assert "rate_limited" not in codes
+
+
+def test_a_flood_is_limited_natively(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = tmp_path / "session.mcap"
+    with scene(monkeypatch, path=path, limits=PeerLimits(messages_per_s=500)) as here:
+        peer = here.connect()
+        for _ in range(4):
+            peer.send(b"".join(transform(number) for number in range(500)))
+        wait_for(lambda: here.received("igtl_in") == 2_000)
+    codes = {Note.of(entry.data()).code for entry in entries_of(path) if entry.kind is Kind.EDGE_NOTE}
+    assert "rate_limited" in codes

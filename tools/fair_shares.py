@@ -1,0 +1,314 @@
+"""What a good peer gets beside attackers: its round trips, a newcomer's first answer, and a pose from ROS.
+
+    python tools/fair_shares.py                         every attack, one attacker and 20, without ROS
+    python tools/fair_shares.py --ros --record          the same with a ROS stream of 1 kHz, recorded
+    python tools/fair_shares.py --attack GET_STATUS --attack COMMAND --rate 12500
+
+Every program is a process of its own (``attacks`` for the attackers).  The good peer sends a GET_STATUS, waits for the
+answer, does the same at a server that only echoes, and rests for some ms: the echo shows what the machine itself costs
+at that moment.  Each row is measured against an idle phase directly before it.  The last line says whether the bound
+held: p99 below 3 × idle + 5 ms, a newcomer below 1 s, ROS below 2 × idle + what the echo lost.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import select
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+
+from tests import domains  # noqa: E402 (of this checkout)
+from tools import attacks  # noqa: E402
+
+_REST_S = 0.002
+_LOST_S = 10.0
+_NEW_EVERY_S = 0.2
+_MANY = 20
+_TOPIC, _DEVICE = "/igtl/out/fair", "Fair"
+_EPOCH_FRACTION = 1 << 32
+_QUERY = attacks.message("GET_STATUS", b"", device="Good")
+_HEADER = 58
+
+Figures = dict[str, list[float]]
+
+
+# ── the programs ──────────────────────────────────────────────────────────────────────────────────────────────────
+
+
+def echo() -> None:
+    """A server that sends back what it gets."""
+    server = socket.create_server(("127.0.0.1", 0))
+    _say(server.getsockname()[1])
+    sock, _ = server.accept()
+    sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    while data := sock.recv(1 << 16):
+        sock.sendall(data)
+
+
+def good(port: int, echo_port: int) -> None:
+    """Round trips without end; each line of input ends a phase, whose times (ms) are printed."""
+    bridge, mirror = (socket.create_connection(("127.0.0.1", each), _LOST_S) for each in (port, echo_port))
+    for sock in (bridge, mirror):
+        sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    figures: Figures = {"trip": [], "echo": []}
+    for phase in _phases(figures):
+        del phase
+        for name, sock in (("echo", mirror), ("trip", bridge)):
+            begun = time.perf_counter()
+            sock.sendall(_QUERY)
+            if name == "echo":
+                _exactly(sock, len(_QUERY))
+            else:
+                while _next_type(sock)[0] != "STATUS":
+                    pass
+            figures[name].append(1000 * (time.perf_counter() - begun))
+        time.sleep(_REST_S)
+
+
+def newcomer(port: int) -> None:
+    """A new peer again and again: the time until its first answer."""
+    figures: Figures = {"new": []}
+    for phase in _phases(figures):
+        del phase
+        begun = time.perf_counter()
+        with suppress(OSError), socket.create_connection(("127.0.0.1", port), _LOST_S) as sock:
+            sock.sendall(_QUERY)
+            while _next_type(sock)[0] != "STATUS":
+                pass
+        figures["new"].append(1000 * (time.perf_counter() - begun))
+        time.sleep(_NEW_EVERY_S)
+
+
+def listener(port: int) -> None:
+    """A peer that receives the poses of ROS: their age (ms)."""
+    sock = socket.create_connection(("127.0.0.1", port))
+    figures: Figures = {"ros": []}
+    for phase in _phases(figures):
+        del phase
+        if not select.select([sock], [], [], 0.05)[0]:
+            continue
+        igtl_type, ticks = _next_type(sock)
+        if igtl_type == "TRANSFORM":
+            figures["ros"].append(1000 * (time.time() - ticks / _EPOCH_FRACTION))
+
+
+def source() -> None:
+    """A ROS node that publishes a pose at 1 kHz."""
+    import rclpy
+    from geometry_msgs.msg import PoseStamped
+
+    rclpy.init()
+    node = rclpy.create_node("fair_source")
+    publisher = node.create_publisher(PoseStamped, _TOPIC, 10)
+    pose = PoseStamped()
+    pose.header.frame_id = "base"
+    _say("ready")
+    due = time.monotonic()
+    while True:
+        now_ns = time.time_ns()
+        pose.header.stamp.sec, pose.header.stamp.nanosec = divmod(now_ns, 1_000_000_000)
+        publisher.publish(pose)
+        due = max(due + 0.001, time.monotonic() - 0.02)
+        time.sleep(max(0.0, due - time.monotonic()))
+
+
+def _phases(figures: Figures) -> Iterator[None]:
+    """One step after the other; at each line of input, the figures are printed and begin again."""
+    _say("ready")
+    while True:
+        if select.select([sys.stdin], [], [], 0)[0]:
+            if not sys.stdin.readline():
+                return
+            _say(figures)
+            for row in figures.values():
+                row.clear()
+        yield
+
+
+def _exactly(sock: socket.socket, size: int) -> bytes:
+    data = bytearray()
+    while len(data) < size:
+        part = sock.recv(size - len(data))
+        if not part:
+            raise ConnectionError
+        data += part
+    return bytes(data)
+
+
+def _next_type(sock: socket.socket) -> tuple[str, int]:
+    """Type and time stamp of the next message."""
+    head = _exactly(sock, _HEADER)
+    _exactly(sock, int.from_bytes(head[42:50], "big"))
+    return head[2:14].rstrip(b"\0").decode("ascii", "replace"), int.from_bytes(head[34:42], "big")
+
+
+def _say(value: object) -> None:
+    print(json.dumps(value), flush=True)
+
+
+# ── the measurement ───────────────────────────────────────────────────────────────────────────────────────────────
+
+
+class _Role:
+    """One of the programs above."""
+
+    def __init__(self, name: str, *arguments: object) -> None:
+        command = [sys.executable, __file__, "--role", name, *map(str, arguments)]
+        self.process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+        self.first = self._line()
+
+    def ask(self) -> Any:
+        """End a phase; return its figures."""
+        assert self.process.stdin
+        self.process.stdin.write("\n")
+        self.process.stdin.flush()
+        return self._line()
+
+    def _line(self) -> Any:
+        assert self.process.stdout
+        return json.loads(self.process.stdout.readline())
+
+    def __enter__(self) -> _Role:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.process.kill()
+        self.process.wait()
+
+
+@contextmanager
+def _bridge(words: Sequence[str], log: Path) -> Iterator[tuple[int, subprocess.Popen[bytes]]]:
+    """The bridge, with its output in a file; yields the port."""
+    command = [sys.executable, "-m", "igtl_gateway", "bridge", "--json", "--listen", "127.0.0.1:0", *words]
+    with log.open("wb") as out, subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT, cwd=ROOT) as process:
+        try:
+            end = time.monotonic() + 120
+            while not (line := next((one for one in log.read_text().splitlines() if '"started"' in one), "")):
+                if time.monotonic() > end or process.poll() is not None:
+                    raise SystemExit(f"the bridge did not start: {log.read_text()[-2000:]}")
+                time.sleep(0.05)
+            yield json.loads(line)["listen"][0]["port"], process
+        finally:
+            process.kill()
+
+
+def _p(times: Sequence[float], share: float) -> float:
+    return sorted(times)[min(len(times) - 1, int(share * len(times)))] if times else float("nan")
+
+
+def _phase(roles: dict[str, _Role], seconds: float) -> Figures:
+    for role in roles.values():
+        role.ask()
+    time.sleep(seconds)
+    found: Figures = {}
+    for role in roles.values():
+        found |= role.ask()
+    return found
+
+
+def _row(name: str, links: int, idle: Figures, beside: Figures, sent: float, log_mb: float) -> tuple[str, bool]:
+    cells = [f"{name:26}", f"{links:3}", f"{sent:9,.0f}"]
+    for what in ("trip", "echo"):
+        cells += [f"{_p(figures[what], share):7.2f}" for figures in (idle, beside) for share in (0.5, 0.99)]
+    cells.append(f"{max(beside['new'], default=float('nan')):8.1f}")
+    machine = max(0.0, _p(beside["echo"], 0.99) - _p(idle["echo"], 0.99))
+    held = _p(beside["trip"], 0.99) < 3 * _p(idle["trip"], 0.99) + 5 + machine and max(beside["new"], default=0) < 1000
+    if "ros" in beside:
+        cells += [f"{_p(figures['ros'], share):7.2f}" for figures in (idle, beside) for share in (0.5, 0.99)]
+        held &= _p(beside["ros"], 0.99) < 2 * _p(idle["ros"], 0.99) + machine
+    cells += [f"{log_mb:6.2f}", "" if held else "<<<"]
+    return " ".join(cells), held
+
+
+def _titles(ros: bool) -> str:
+    four = "   idle50   idle99    p50     p99"
+    return (
+        f"{'attacker':26} {'n':>3} {'msgs/s':>9} trip:{four} echo:{four} new max"
+        + (f" ros:{four}" if ros else "")
+        + "  log MB"
+    )
+
+
+def measure(options: argparse.Namespace, folder: Path) -> bool:
+    """Print a row for each attack; return whether the bound held for all."""
+    words = ["--deny-in", "DENIED"]
+    words += ["--send", f"{_TOPIC}={_DEVICE}:TRANSFORM"] if options.ros else ["--no-ros"]
+    words += ["--record", str(folder / "fair.mcap")] if options.record else []
+    words += options.bridge
+    log, held = folder / "bridge.log", []
+    print(_titles(options.ros), flush=True)
+    for name in options.attack or attacks.names():
+        for links in options.links:
+            with _bridge(words, log) as (port, _), ExitStack() as stack:
+                mirror = stack.enter_context(_Role("echo"))
+                roles = {"new": _Role("newcomer", port), "good": _Role("good", port, mirror.first)}
+                if options.ros:
+                    stack.enter_context(_Role("source"))
+                    roles["ros"] = _Role("listener", port)
+                for role in roles.values():
+                    stack.enter_context(role)
+                time.sleep(1.0)
+                idle, before = _phase(roles, options.seconds), log.stat().st_size
+                rate = options.rate * (links if options.each else 1)
+                command = [
+                    sys.executable,
+                    str(ROOT / "tools/attacks.py"),
+                    name,
+                    port,
+                    links,
+                    rate,
+                    options.seconds + 0.5,
+                ]
+                with subprocess.Popen(list(map(str, command)), stdout=subprocess.PIPE, text=True) as attacker:
+                    assert attacker.stdout
+                    attacker.stdout.readline()
+                    time.sleep(0.4)
+                    beside = _phase(roles, options.seconds)
+                    sent = float(attacker.stdout.readline() or 0) / (options.seconds + 0.5)
+                row, fine = _row(name, links, idle, beside, sent, (log.stat().st_size - before) / 1e6)
+                held.append(fine)
+                print(row, flush=True)
+            for path in folder.glob("fair*.mcap*"):
+                path.unlink()
+    print(f"the bound held in {sum(held)} of {len(held)} rows")
+    return all(held)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--role", nargs="+", help=argparse.SUPPRESS)
+    parser.add_argument("--attack", action="append", help="one of: " + ", ".join(attacks.names()))
+    parser.add_argument("--links", type=int, action="append", help="number of attackers (default: 1 and 20)")
+    parser.add_argument("--rate", type=float, default=0, help="messages per second of all; 0: as fast as they can")
+    parser.add_argument("--each", action="store_true", help="the rate is that of each attacker")
+    parser.add_argument("--seconds", type=float, default=4.0, help="of each phase")
+    parser.add_argument("--ros", action="store_true", help="with ROS, and a pose at 1 kHz to the peers")
+    parser.add_argument("--record", action="store_true")
+    parser.add_argument("--bridge", action="append", default=[], help="a further word for the bridge")
+    options = parser.parse_args()
+    if options.role:
+        name, *arguments = options.role
+        {"echo": echo, "good": good, "newcomer": newcomer, "listener": listener, "source": source}[name](
+            *map(int, arguments)
+        )
+        return 0
+    options.links = options.links or [1, _MANY]
+    os.environ["ROS_DOMAIN_ID"] = str(domains.reserve())
+    with tempfile.TemporaryDirectory() as folder:
+        return 0 if measure(options, Path(folder)) else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
