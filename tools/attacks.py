@@ -27,8 +27,10 @@ _CHUNK_BYTES = 64 << 10
 _TICK_S = 0.002
 _PICTURE = (480, 480)  # 225 kB of 8 bits: more than a chunk, as a camera sends it
 #: One query of each kind: with and without an answer, with and without a body.
-_QUERIES = ("GET_STATUS", "GET_CAPABIL", "GET_TDATA", "GET_IMAGE", "GET_BIND", "STT_TDATA", "STT_IMAGE", "STP_TDATA")
-_QUERIES += ("RTS_TDATA", "RTS_STATUS")
+_QUERIES = (
+    *("GET_STATUS", "GET_CAPABIL", "GET_TDATA", "GET_IMAGE", "GET_BIND", "STT_TDATA", "STT_IMAGE", "STP_TDATA"),
+    *("RTS_TDATA", "RTS_STATUS"),
+)
 #: Device names of the attack that invents them.
 _NAMES = 20_000
 

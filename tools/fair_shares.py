@@ -21,7 +21,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -300,9 +300,14 @@ def main() -> int:
     options = parser.parse_args()
     if options.role:
         name, *arguments = options.role
-        {"echo": echo, "good": good, "newcomer": newcomer, "listener": listener, "source": source}[name](
-            *map(int, arguments)
-        )
+        roles: dict[str, Callable[..., None]] = {
+            "echo": echo,
+            "good": good,
+            "newcomer": newcomer,
+            "listener": listener,
+            "source": source,
+        }
+        roles[name](*map(int, arguments))
         return 0
     options.links = options.links or [1, _MANY]
     os.environ["ROS_DOMAIN_ID"] = str(domains.reserve())

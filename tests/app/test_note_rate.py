@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 
 import pytest
 
@@ -58,7 +59,7 @@ def test_a_note_that_came_once_more_is_reported_when_all_is_quiet() -> None:
     assert rate.due(None) == []
 
 
-FLOODS = {
+FLOODS: dict[str, Callable[[int], tuple[str, tuple[int, ...]]]] = {
     "the same text": lambda number: ("refused", (1,)),
     "a text of its own each": lambda number: (f"found {number}", (1,)),
     "a link of its own each": lambda number: ("refused", (number,)),
