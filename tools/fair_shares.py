@@ -5,8 +5,8 @@
     python tools/fair_shares.py --attack GET_STATUS --attack COMMAND --rate 12500
 
 Every program is a process of its own (``attacks`` for the attackers).  The good peer sends a GET_STATUS, waits for the
-answer, does the same at a server that only echoes, and rests for some ms: the echo shows what the machine itself costs
-at that moment.  Each row is measured against an idle phase directly before it.  The last line says whether the bound
+answer, does the same at a server that only echoes, and pauses for some ms: the echo shows what the machine itself costs
+at that moment.  Each row is measured against an idle phase directly before it.  The last line states whether the bound
 held: p99 below 3 × idle + 5 ms, a newcomer below 1 s, ROS below 2 × idle + what the echo lost.
 """
 

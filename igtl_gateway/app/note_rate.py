@@ -21,7 +21,7 @@ EVERY_NS = NS_PER_S
 #: Notes of one code that are reported at once, as at the start of a site with many streams, and those in a second.
 _BURST, _PER_S = 100, 2.0
 
-#: Notes of one code that are told apart.
+#: Notes of one code that are distinguished.
 _MOST_CAUSES = 200
 
 _Cause = tuple[str, str, tuple[int, ...]]

@@ -61,10 +61,10 @@ def test_a_note_that_came_once_more_is_reported_when_all_is_quiet() -> None:
 
 FLOODS: dict[str, Callable[[int], tuple[str, tuple[int, ...]]]] = {
     "the same text": lambda number: ("refused", (1,)),
-    "a text of its own each": lambda number: (f"found {number}", (1,)),
-    "a link of its own each": lambda number: ("refused", (number,)),
-    "150 texts": lambda number: (f"found {number % 150}", (1,)),
-    "300 texts": lambda number: (f"found {number % 300}", (number % 7,)),
+    "another string each time": lambda number: (f"found {number}", (1,)),
+    "another link each time": lambda number: ("refused", (number,)),
+    "150 strings": lambda number: (f"found {number % 150}", (1,)),
+    "300 strings": lambda number: (f"found {number % 300}", (number % 7,)),
 }
 
 
@@ -74,7 +74,7 @@ def test_no_code_floods_the_log(flood: str) -> None:
     rate = NoteRate()
     events = [event(number // 2, "bad_crc", *FLOODS[flood](number)) for number in range(20_000)]
     found = reported(rate, events)
-    assert len(found) <= 100 + 3 * 11 + 200  # at the end, what was held back of each that is told apart
+    assert len(found) <= 100 + 3 * 11 + 200  # at the end, what was held back of each that is distinguished
     assert sum(1 + one.more for one in found) == 20_000
     in_a_second = Counter(one.stamp_ns // NS_PER_S for one in found if one.stamp_ns < 9 * NS_PER_S)
     assert max(number for second, number in in_a_second.items() if second) <= 5

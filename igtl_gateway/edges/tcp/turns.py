@@ -6,7 +6,7 @@ whose place is the first.  One that had nothing to do begins at the present: it 
 all that are busy.  So a peer that asks for little waits for one turn at most, however many others flood the gateway,
 and those that flood share what is left.
 
-A turn is limited by whoever takes it, see ``QUANTUM_NS``; what is left waits for the next one, behind it in the socket
+Its taker limits a turn, see ``QUANTUM_NS``; what is left waits for the next one, behind it in the socket
 of the peer.  Who leaves nothing pays a part: beside twenty that flood, a peer that waits for each answer would
 otherwise use more than one of them, and wait for all of them each time.
 """
@@ -71,7 +71,7 @@ class Turns:
             heapq.heappush(self._waiting, (turn._at_ns, turn._serial, turn))
 
     def next(self) -> Turn | None:
-        """Return whose turn it is; None: nobody waits.  ``used`` must follow."""
+        """Return whose turn it is; None: no taker waits.  ``used`` must follow."""
         while self._waiting:
             at_ns, serial, turn = heapq.heappop(self._waiting)
             if turn.waits and turn._serial == serial:
