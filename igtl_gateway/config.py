@@ -532,6 +532,7 @@ def from_values(place: str, kind: type[T], settings: Mapping[str, Any]) -> T:
     for name, value in settings.items():
         if name not in fields:
             raise ConfigError(f"{place}.{name}: unknown setting, expected one of {', '.join(fields)}")
+        _check_text(f"{place}.{name}", value)
         arguments[name] = _checked(f"{place}.{name}", name, type(fields[name].default), value)
     return kind(**arguments)
 
@@ -551,7 +552,7 @@ def _checked(place: str, name: str, kind: type, value: Any) -> Any:
             raise ConfigError(f'{place}: found {value!r}, expected strings such as ["a", "b"]')
         return tuple(value)
     if name in _NUMBER_LISTS:
-        if not (isinstance(value, list | tuple) and all(type(item) in (int, float) for item in value)):
+        if not (isinstance(value, list | tuple) and all(map(_is_number, value))):
             raise ConfigError(f"{place}: found {value!r}, expected numbers such as [0.1, 0.2]")
         return tuple(map(float, value))
     if name == "metadata":
@@ -559,6 +560,22 @@ def _checked(place: str, name: str, kind: type, value: Any) -> Any:
     if name == "qos" and not (value is None or isinstance(value, Qos)):
         raise ConfigError(f"{place}: found {value!r}, expected a table such as {{ depth = 10 }}")
     return value
+
+
+def _is_number(value: object) -> bool:
+    return type(value) is float or (type(value) is int and abs(value) < 1 << 63)
+
+
+def _check_text(place: str, value: object) -> None:
+    """Raise ConfigError for half a character, which only JSON can state: no name of a peer or of ROS has one."""
+    if isinstance(value, list | tuple):
+        for item in value:
+            _check_text(place, item)
+    elif isinstance(value, str):
+        try:
+            value.encode("utf-8", "surrogateescape")
+        except UnicodeEncodeError:
+            raise ConfigError(f"{place}: found {value!r}, expected text that UTF-8 can encode") from None
 
 
 def _pairs(place: str, value: Any) -> tuple[tuple[str, str], ...]:

@@ -85,8 +85,8 @@ OVERTAKEN_WITHIN_NS = NS_PER_S
 MAX_HELD_BYTES = 256 * 2**20
 
 _NS = {"ns": 1, "us": 1_000, "ms": 1_000_000, "s": NS_PER_S, "min": 60 * NS_PER_S, "h": 3600 * NS_PER_S}
-_TIME = re.compile(r"([+-]?)(\d+(?:\.\d+)?)(ns|us|ms|s|min|h)", re.ASCII)
-_SHARE = re.compile(r"(\d+(?:\.\d+)?)%", re.ASCII)
+_TIME = re.compile(r"([+-]?)(\d{1,18}(?:\.\d{1,18})?)(ns|us|ms|s|min|h)", re.ASCII)
+_SHARE = re.compile(r"(\d{1,18}(?:\.\d{1,18})?)%", re.ASCII)
 
 
 @dataclass(frozen=True, slots=True)

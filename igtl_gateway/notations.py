@@ -10,6 +10,7 @@ import re
 from dataclasses import dataclass
 
 from igtl_gateway.errors import ConfigError
+from igtl_gateway.untrusted.numbers import whole_number
 
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 18944
 
@@ -94,10 +95,11 @@ def address(text: str) -> tuple[str, int]:
     if text.startswith("[") and text.endswith("]"):
         host, colon, port = text, "", ""
     elif not colon:
-        host, port = ("", text) if text.isdigit() else (text, "")
-    if port and not (port.isdigit() and int(port) < 1 << 16):
+        host, port = ("", text) if whole_number(text) is not None else (text, "")
+    number = whole_number(port, (1 << 16) - 1) if port else DEFAULT_PORT
+    if number is None:
         raise ConfigError(f"found {text!r}, expected HOST:PORT with a port from 0 to 65535")
-    return host.strip("[]") or DEFAULT_HOST, int(port) if port else DEFAULT_PORT
+    return host.strip("[]") or DEFAULT_HOST, number
 
 
 def peer_address(text: str) -> PeerAddress:
@@ -228,9 +230,9 @@ def cpus(text: str) -> frozenset[int]:
     found: set[int] = set()
     for part in text.split(","):
         first, dash, last = part.strip().partition("-")
-        if not (first.isdecimal() and first.isascii() and (not dash or (last.isdecimal() and last.isascii()))):
+        begin, end = whole_number(first), whole_number(last if dash else first)
+        if begin is None or end is None:
             raise ConfigError(f"found {text!r}, expected CPUs such as 2,4-6")
-        begin, end = int(first), int(last or first)
         if end < begin or end > _LAST_CPU:
             raise ConfigError(f"found {part.strip()!r}, expected CPUs in ascending order, up to {_LAST_CPU}")
         found.update(range(begin, end + 1))

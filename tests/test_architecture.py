@@ -108,6 +108,7 @@ SIBLINGS: dict[str, str | tuple[str, ...]] = {
     "seal": "untrusted",
     "session": "untrusted",
     "faults": "wire.header",
+    "notations": "untrusted",
     "wire": "wire.header",
     "doctor": "realtime",  # which permissions a process has
     "edges.zenoh": ("edges.ros", "sessionfile", "ros_interfaces"),  # reports and graph; definitions, as in recordings

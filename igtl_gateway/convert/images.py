@@ -41,7 +41,7 @@ _ENCODINGS = {name: (*key, False) for key, name in _NAMES.items()} | {
        ((8, 3), (16, 5))},
 }  # fmt: skip
 _SCALAR_OF_OPENCV = {name: scalar for scalar, name in _OPENCV.items()}
-_OPENCV_NAME = re.compile(r"(8U|8S|16U|16S|32S|32F|64F)C([1-9][0-9]*)")
+_OPENCV_NAME = re.compile(r"(8U|8S|16U|16S|32S|32F|64F)C([1-9][0-9]{0,4})")
 _MAX_COMPONENTS = 254  # the reference library's limit
 _MAX_SIZE = 65_535
 

@@ -22,7 +22,10 @@ MIN_KEY_BYTES = 16
 _BLOCK_BYTES = 64
 #: Characters of a pseudonym behind its first letter: 35 bits.  ``AToB`` of two of them fits into a device name.
 _LENGTH = 7
-_A_TO_B = re.compile(r"([A-Za-z0-9_]+?)To([A-Z][A-Za-z0-9_]*)")
+_WORD = re.compile(r"[A-Za-z0-9_]+")
+_TO = re.compile(r"To(?=[A-Z])")
+#: A longer name is replaced as a whole: no frame is named so, and each ``To`` in it would cost a look at all of it.
+_LONGEST_A_TO_B = 255
 _DAY_S = 86_400
 _MAX_SHIFT_S = 3_650 * _DAY_S
 #: Before 1990: no date, but a time since the start of a machine or of a simulation.
@@ -87,16 +90,24 @@ class Pseudonyms:
         return -(_DAY_S + number % (_MAX_SHIFT_S - _DAY_S)) * NS_PER_S
 
     def _name(self, name: str) -> str:
+        parts = []
+        while (new := self._known(name)) is None and (at := _end_of_first(name)):
+            first = name[:at]
+            parts.append(self._own(self._pseudonym(first), first) if (part := self._known(first)) is None else part)
+            name = name[at + len("To") :]
+        parts.append(self._own(self._pseudonym(name), name) if new is None else new)
+        return "To".join([parts[0], *(part[:1].upper() + part[1:] for part in parts[1:])])
+
+    def _known(self, name: str) -> str | None:
+        """Return the new name of a name that stays or that the profile has; None for any other."""
         if not name or name in self.words:
             return name
         if name in self.given:
             return self._own(self.given[name], name)
-        if any(matches(glob, name) for glob in self.kept):
-            return self._own(name, name)
-        if found := _A_TO_B.fullmatch(name):
-            target = self._name(found[2])
-            return f"{self._name(found[1])}To{target[:1].upper()}{target[1:]}"
-        return self._own(f"N{self._hash('name', name)}", name)
+        return self._own(name, name) if any(matches(glob, name) for glob in self.kept) else None
+
+    def _pseudonym(self, name: str) -> str:
+        return f"N{self._hash('name', name)}"
 
     def _own(self, new: str, name: str) -> str:
         owner = self._owners.setdefault(new, name)
@@ -105,9 +116,25 @@ class Pseudonyms:
         return new
 
     def _hash(self, purpose: str, text: str) -> str:
-        data = f"{purpose}\0{text}".encode("utf-8", "surrogateescape")
+        data = f"{purpose}\0".encode() + _encoded(text)
         digest = hmac.digest(self.key, data, hashlib.sha256)
         return base64.b32encode(digest).decode().lower()[:_LENGTH]
+
+
+def _end_of_first(name: str) -> int:
+    """Return the length of ``A`` if the name is ``AToB``; 0 for any other name."""
+    if len(name) > _LONGEST_A_TO_B or not _WORD.fullmatch(name):
+        return 0
+    found = _TO.search(name, 1)
+    return found.start() if found else 0
+
+
+def _encoded(text: str) -> bytes:
+    """Return any text as bytes, also halves of characters that JSON can have (``\\ud800``)."""
+    try:
+        return text.encode("utf-8", "surrogateescape")
+    except UnicodeEncodeError:
+        return text.encode("utf-8", "surrogatepass")
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ from typing import TypeVar
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.notations import cpus
 from igtl_gateway.realtime import CAP_IPC_LOCK, CAP_SYS_NICE, has_capability
+from igtl_gateway.untrusted.numbers import whole_number
 
 ROOT = Path("/")
 
@@ -231,7 +232,7 @@ def _kib(text: str) -> int | None:
 def _limit(proc: Path, name: str) -> int | None:
     """Return a soft limit of this process; None: unlimited."""
     soft = _field(proc / "self/limits", name).partition(" ")[0]
-    return int(soft) if soft.isdecimal() else None
+    return whole_number(soft)
 
 
 def _chosen(text: str) -> str | None:

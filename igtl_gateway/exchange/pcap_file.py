@@ -16,6 +16,7 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -192,12 +193,8 @@ def _packet_blocks(
         place = f"{path}: block {number}"
         start = stream.tell()
         deadline.check(path)
-        try:
+        with _library_errors(place):
             kind, block = next(blocks, (None, None))
-        except DamagedRecording as error:
-            raise DamagedRecording(f"{place}: {error}") from None
-        except Exception as error:  # the library raises many types of errors
-            raise DamagedRecording(f"{place}: {type(error).__name__}: {error}") from error
         if kind is None:
             if stream.tell() != start:  # the library treats a truncated block as the end of the file
                 raise DamagedRecording(f"{place}: cut off")
@@ -207,7 +204,7 @@ def _packet_blocks(
         elif kind == _INTERFACE:
             if len(interfaces) >= MAX_INTERFACES:
                 raise DamagedRecording(f"{place}: found another interface, expected at most {MAX_INTERFACES}")
-            interfaces.append(_interface(block))
+            interfaces.append(_interface(block, place))
         elif block is not None:
             if block.interface_id >= len(interfaces):
                 raise DamagedRecording(
@@ -216,6 +213,17 @@ def _packet_blocks(
             has_time = kind != _SIMPLE_PACKET
             ticks = (block.timestamp_high << 32 | block.timestamp_low) if has_time else None
             yield place, interfaces[block.interface_id], ticks, block
+
+
+@contextmanager
+def _library_errors(place: str) -> Iterator[None]:
+    """Raise DamagedRecording with the place of a block; python-pcapng raises many types of errors."""
+    try:
+        yield
+    except DamagedRecording as error:
+        raise DamagedRecording(f"{place}: {error}") from None
+    except Exception as error:
+        raise DamagedRecording(f"{place}: {type(error).__name__}: {error}") from error
 
 
 def _blocks(stream: _BoundedStream) -> Iterator[tuple[int, Any]]:
@@ -240,10 +248,13 @@ def _blocks(stream: _BoundedStream) -> Iterator[tuple[int, Any]]:
         return
 
 
-def _interface(block: Any) -> _Interface:
-    resolution = block.options["if_tsresol"] if "if_tsresol" in block.options else bytes([_MICROSECONDS])
-    offset_s = block.options["if_tsoffset"] if "if_tsoffset" in block.options else 0
-    (exponent,) = resolution
+def _interface(block: Any, place: str) -> _Interface:
+    with _library_errors(place):  # an option is decoded when it is read
+        resolution = block.options["if_tsresol"] if "if_tsresol" in block.options else bytes([_MICROSECONDS])
+        offset_s = block.options["if_tsoffset"] if "if_tsoffset" in block.options else 0
+    if len(resolution) != 1:
+        raise DamagedRecording(f"{place}: found an if_tsresol of {len(resolution)} bytes, expected 1 byte")
+    exponent = resolution[0]
     units: int = 2 ** (exponent & 0x7F) if exponent & 0x80 else 10**exponent
     return _Interface(block.link_type, units, offset_s)
 

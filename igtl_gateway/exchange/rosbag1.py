@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from rosbags.convert.converter import is_same_wireformat, migrate_bytes
+from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores
 from rosbags.typesys.base import TypesysError
 from rosbags.typesys.store import Typestore
@@ -35,6 +36,20 @@ from igtl_gateway.untrusted.elements import ElementCounter
 RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 
 _HEADER = "std_msgs/msg/Header"
+_NUMBER = (Nodetype.BASE, ("uint32", 0))
+#: Types that every ROS 1 program knows, as their bytes are: definitions do not contain ``time`` and ``duration``.
+_ROS1_TYPES: Types = {
+    "builtin_interfaces/msg/Time": ([], [("sec", _NUMBER), ("nanosec", _NUMBER)]),
+    "builtin_interfaces/msg/Duration": ([], [("sec", _NUMBER), ("nanosec", _NUMBER)]),
+    _HEADER: (
+        [],
+        [
+            ("seq", _NUMBER),
+            ("stamp", (Nodetype.NAME, "builtin_interfaces/msg/Time")),
+            ("frame_id", (Nodetype.BASE, ("string", 0))),
+        ],
+    ),
+}
 _Convert = Callable[[bytes], memoryview]
 
 
@@ -91,13 +106,14 @@ class Rosbag1(NonRosSource):
                 # types that ROS 2 has, such as Header, keep the definition of ROS 2
                 self._register(self._target, {key: fields for key, fields in own.items() if key not in self._known})
             if is_same_wireformat(source, self._target, name, ros_type):
-                return partial(self._target.ros1_to_cdr, typename=ros_type), ""
+                elements = ElementCounter({**types, **_ROS1_TYPES}, name, ros1=True)
+                return partial(_rewritten, self._target, ros_type, elements), ""
             source = new_store()
             self._register(source, types)
+            elements = ElementCounter({**_ROS1_TYPES, **types}, name, ros1=True)
             lost = sorted(lost_fields(source, self._target, name, ros_type))
             if lost:
                 self.notes.append(f"{ros_type}: ROS 2 has no counterpart of {', '.join(lost)}")
-            elements = ElementCounter(types, name, ros1=True)
             return partial(_migrated, source, self._target, name, ros_type, {}, elements), ""
         except (DamagedRecording, TypesysError, KeyError, AssertionError) as error:
             return None, f"its definition cannot be used: {error}"
@@ -173,6 +189,11 @@ def _name_in(kind: Any) -> str:
     """Return the message type of a field, of a single message or an array; ``""`` for basic types."""
     kind = kind[1][0] if isinstance(kind[1], tuple) and isinstance(kind[1][0], tuple) else kind
     return kind[1] if isinstance(kind[1], str) else ""
+
+
+def _rewritten(target: Typestore, ros_type: str, elements: ElementCounter, data: bytes) -> memoryview:
+    elements.check(data)
+    return target.ros1_to_cdr(data, typename=ros_type)
 
 
 def _migrated(

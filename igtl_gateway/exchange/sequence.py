@@ -40,6 +40,7 @@ from igtl_gateway.exchange.source import (
 )
 from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.untrusted import files, limits
+from igtl_gateway.untrusted.numbers import whole_number
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.fields import cut_text
 from igtl_gateway.wire.image import BIG_ENDIAN, LITTLE_ENDIAN, SCALARS, Image
@@ -113,8 +114,8 @@ class Sequence(NonRosSource):
 
     def _epoch(self, fields: dict[str, str]) -> int:
         declared = fields.get(EPOCH_FIELD, "")
-        good = declared.isascii() and declared.isdigit() and len(declared) < 20 and int(declared) < _STAMPS_END
-        return int(declared) if good else DEFAULT_EPOCH_NS
+        epoch_ns = whole_number(declared, _STAMPS_END - 1)
+        return DEFAULT_EPOCH_NS if epoch_ns is None else epoch_ns
 
     def _rows_of_transforms(self) -> dict[str, ImportedStream]:
         rows: dict[str, ImportedStream] = {}

@@ -24,6 +24,7 @@ from igtl_gateway.exchange.sequence import EPOCH_FIELD
 from igtl_gateway.exchange.sequence_frames import IDENTITY, SequenceFrame, SequenceFrames
 from igtl_gateway.sessionfile.new_file import open_new
 from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.untrusted.numbers import whole_number
 from igtl_gateway.wire.image import BIG_ENDIAN, SCALARS, Image
 
 #: Name of the transform from pixels to RAS millimetres, used if images move.
@@ -39,7 +40,7 @@ def export_sequence(recording: Recording, out: Path, globs: Sequence[str]) -> Ex
     if not survey.frames:
         raise UnsupportedRecording("found neither a complete IMAGE nor a readable TRANSFORM, expected at least one")
     given = recording.session.get("sequence_epoch_ns", "")
-    epoch_ns = int(given) if given.isascii() and given.isdigit() and len(given) < 20 else 0
+    epoch_ns = whole_number(given) or 0
     account = sequence.account
     account.files = 1
     first, moving = sequence.first, len(survey.matrices) > 1

@@ -9,6 +9,7 @@ from collections.abc import Iterable
 
 from igtl_gateway.convert.igtl_msgs import MetadataItem
 from igtl_gateway.convert.names import short_device_name
+from igtl_gateway.untrusted.numbers import whole_number
 from igtl_gateway.values import value
 from igtl_gateway.wire import Item, Message
 from igtl_gateway.wire.fields import visible
@@ -71,7 +72,7 @@ def _is_valid(item: Item, device_name: str) -> bool:
     if item.key == FULL_NAME:
         return short_device_name(item.text) == device_name
     if item.key == STAMP:
-        return item.text.isascii() and item.text.isdigit() and len(item.text) < 20 and int(item.text) < _MAX_STAMP_NS
+        return whole_number(item.text, _MAX_STAMP_NS - 1) is not None
     return bool(item.text)
 
 

@@ -12,6 +12,7 @@ from collections.abc import Callable
 from igtl_gateway.errors import GatewayError
 from igtl_gateway.gateway.metadata import STAMP
 from igtl_gateway.stamp import ns_to_ticks, ticks_to_ns
+from igtl_gateway.untrusted.numbers import whole_number
 from igtl_gateway.wire import decode, encode
 from igtl_gateway.wire.header import BODY_SIZE_AT, HEADER_SIZE, TICKS_AT, U64
 from igtl_gateway.wire.message import Item
@@ -45,6 +46,5 @@ def _restamped_metadata(data: bytes, new: Callable[[int], int]) -> bytes | None:
 
 
 def _item(item: Item, new: Callable[[int], int]) -> Item:
-    if item.key != STAMP or not (item.text.isascii() and item.text.isdigit()):
-        return item
-    return Item.of(STAMP, str(new(int(item.text))))
+    stamp_ns = whole_number(item.text) if item.key == STAMP else None
+    return item if stamp_ns is None else Item.of(STAMP, str(new(stamp_ns)))

@@ -31,12 +31,15 @@ from igtl_gateway.errors import ConfigError, UnsupportedRecording
 from igtl_gateway.notations import UploadPlace
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.untrusted.files import open_file
+from igtl_gateway.untrusted.numbers import whole_number
 from igtl_gateway.untrusted.text import printable
 
 #: Longest wait for a step of a connection, seconds.
 TIMEOUT_S = 30.0
 #: Longest answer that is read, bytes: that to a list of 1,000 parts has 300 kB.
 _MOST_ANSWER = 4 << 20
+#: Largest number of a part that S3 has.
+_MOST_PARTS = 10_000
 #: Bytes that are sent at once.
 _BLOCK = 32 << 10
 _EMPTY: Final = hashlib.sha256(b"").hexdigest()
@@ -154,9 +157,9 @@ class S3Store:
             if error.status == 404 and error.code in ("", "NoSuchKey", "NotFound"):
                 return None
             raise
-        size = answer.headers.get("content-length", "")
+        size = whole_number(answer.headers.get("content-length"))
         return StoredObject(
-            int(size) if size.isascii() and size.isdigit() and len(size) < 20 else -1,
+            -1 if size is None else size,
             answer.headers.get("etag", "").strip('"'),
             answer.headers.get("x-amz-meta-sha256", ""),
             answer.headers.get("x-amz-checksum-sha256", ""),
@@ -177,16 +180,16 @@ class S3Store:
     def parts(self, key: str, upload: str) -> dict[int, tuple[str, int]]:
         """Return number → (tag, bytes) of the parts that the store has.  Raises StoreError."""
         found: dict[int, tuple[str, int]] = {}
-        marker = "0"
+        marker = 0
         while True:
-            answer = self._ask("GET", key, {"uploadId": upload, "part-number-marker": marker})
+            answer = self._ask("GET", key, {"uploadId": upload, "part-number-marker": str(marker)})
             for part in re.findall(rb"<Part>(.{1,4096}?)</Part>", answer.body, re.DOTALL):
                 row = _Answer(200, {}, part)
-                number, size = row.word("PartNumber"), row.word("Size")
-                if number.isdigit() and size.isdigit() and len(number) < 6 and len(size) < 20:
-                    found[int(number)] = row.word("ETag").strip('"'), int(size)
-            after = answer.word("NextPartNumberMarker")
-            if answer.word("IsTruncated") != "true" or not after.isdigit() or int(after) <= int(marker):
+                number, size = whole_number(row.word("PartNumber"), _MOST_PARTS), whole_number(row.word("Size"))
+                if number is not None and size is not None:
+                    found[number] = row.word("ETag").strip('"'), size
+            after = whole_number(answer.word("NextPartNumberMarker"), _MOST_PARTS)
+            if answer.word("IsTruncated") != "true" or after is None or after <= marker:
                 return found
             marker = after
 

@@ -29,7 +29,7 @@ def _approach(path: FramePath, points: Array, number: int, reach_mm: float) -> E
     positions, point = path.positions, points[number]
     off = positions - point
     nearest = int(np.argmin((off**2).sum(axis=1)))
-    at, stamp_ns = positions[nearest], float(path.stamps_ns[nearest])
+    at, stamp_ns = positions[nearest], int(path.stamps_ns[nearest])
     best = float(((at - point) ** 2).sum())
     for first in (nearest - 1, nearest):
         if 0 <= first < len(positions) - 1:
@@ -45,7 +45,7 @@ def _approach(path: FramePath, points: Array, number: int, reach_mm: float) -> E
     distance_mm = float(np.sqrt(best)) * MM
     owner = int(np.argmin(((points - at) ** 2).sum(axis=1)))
     x, y, z = (float(value) for value in at)
-    return Executed(distance_mm, int(stamp_ns), (x, y, z), distance_mm <= reach_mm and owner == number)
+    return Executed(distance_mm, stamp_ns, (x, y, z), distance_mm <= reach_mm and owner == number)
 
 
 def driven_depth_mm(path: FramePath, entry: Executed, leave: Executed, surface: TissueSurface) -> float | None:

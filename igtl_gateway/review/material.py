@@ -23,11 +23,15 @@ from igtl_gateway.review.frames import FramePoses
 from igtl_gateway.review.messages import PLANS, POSES, DrawnPlan, cloud_of, is_large_cloud, plan_of, poses_of
 from igtl_gateway.review.scene import DepthCloud, DepthScene
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.stamp import NS_PER_S
 
 Array = npt.NDArray[Any]
 
 #: Default for the maximum number of clouds that a review uses.
 CLOUDS = 24
+#: Last time that a stamp of OpenIGTLink can state, in 2106.  Later ones count as this one, so that the difference of
+#: any two times of a session, also of those in ROS messages (1901 to 2038), is an integer of 64 bits.
+_LAST_NS = (1 << 32) * NS_PER_S - 1
 _MAX_VERSIONS = 200  # of one stream
 _NEAR_M = 0.03  # largest distance of a plan's points from the observed depth
 _HIT_RADIUS = 0.01  # as x / z: radius around a point in which the depth is observed
@@ -94,6 +98,8 @@ class Material:
         """Read an entry; only ROS messages are used."""
         if entry.kind is not Kind.ROS_IN and entry.kind is not Kind.ROS_OUT:
             return
+        if entry.stamp_ns > _LAST_NS:
+            entry = replace(entry, stamp_ns=_LAST_NS)
         try:
             self._read(entry)
         except ConversionError as error:

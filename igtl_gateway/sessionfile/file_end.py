@@ -71,7 +71,8 @@ class FileEnd:
         if self.groups is None:
             return self
         groups = [
-            (opcode, _counted(group, 1) if opcode == records.STATISTICS else group) for opcode, group in self.groups
+            (opcode, counted(group, attachments=1) if opcode == records.STATISTICS else group)
+            for opcode, group in self.groups
         ]
         place = next((at for at, (opcode, _) in enumerate(groups) if opcode == records.ATTACHMENT_INDEX), len(groups))
         before = groups[place][1] if place < len(groups) else b""
@@ -85,7 +86,7 @@ class FileEnd:
             return
         last = pack(index)
         groups = tuple(
-            (opcode, _counted(group, -1) if opcode == records.STATISTICS else
+            (opcode, counted(group, attachments=-1) if opcode == records.STATISTICS else
              group.removesuffix(last) if opcode == records.ATTACHMENT_INDEX else group)
             for opcode, group in self.groups
         )  # fmt: skip
@@ -94,10 +95,10 @@ class FileEnd:
                 yield before
 
 
-def _counted(group: bytes, more: int) -> bytes:
-    """Return statistics with another number of attachments.  Raises Malformed."""
+def counted(group: bytes, *, attachments: int = 0, metadata: int = 0) -> bytes:
+    """Return statistics with more (or less) attachments and metadata records.  Raises Malformed."""
     found = records.parse_statistics(group[HEAD.size :])
-    count = found.attachment_count + more
-    if not 0 <= count < 1 << 32:
-        raise Malformed("end: found another number of attachments")
-    return pack(replace(found, attachment_count=count))
+    counts = found.attachment_count + attachments, found.metadata_count + metadata
+    if not all(0 <= count < 1 << 32 for count in counts):
+        raise Malformed("end: found another number of attachments or metadata records")
+    return pack(replace(found, attachment_count=counts[0], metadata_count=counts[1]))

@@ -22,6 +22,7 @@ from igtl_gateway.convert.names import topic_token
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.sessionfile.records import crc32
+from igtl_gateway.untrusted.numbers import whole_number
 
 #: Version of ``docs/session-log.md``; a reader refuses a file with a newer one.
 FORMAT_VERSION = 1
@@ -208,6 +209,10 @@ def qos_yaml(qos: Qos) -> str:
     )
 
 
+#: Largest depth that DDS has; a larger one in a file counts as none.
+_MOST_DEPTH = (1 << 31) - 1
+
+
 def parse_qos_yaml(text: str) -> Qos | None:
     """First profile in what rosbag2 wrote: names (Jazzy and later) or rmw's numbers (before); None if there is none."""
     fields: dict[str, str] = {}
@@ -215,9 +220,8 @@ def parse_qos_yaml(text: str) -> Qos | None:
         fields.setdefault(name, value)
     if len(fields) != 3:
         return None
-    depth = int(fields["depth"]) if fields["depth"].isascii() and fields["depth"].isdigit() else 0
     return Qos(
-        depth=depth or Qos().depth,
+        depth=whole_number(fields["depth"], _MOST_DEPTH) or Qos().depth,
         reliable=fields["reliability"] not in ("best_effort", "2"),
         latched=fields["durability"] in ("transient_local", "1"),
     )

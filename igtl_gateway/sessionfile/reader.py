@@ -43,6 +43,7 @@ from igtl_gateway.sessionfile.merged import MERGE_METADATA, Merge, extract_part,
 from igtl_gateway.sessionfile.order import message_rows
 from igtl_gateway.sessionfile.records import Malformed
 from igtl_gateway.untrusted import files, limits
+from igtl_gateway.untrusted.numbers import whole_number
 
 _ALL_KINDS = frozenset(Kind)
 #: What stands for inputs that are not wanted.
@@ -457,14 +458,14 @@ class SessionParts(SessionFile):
         self.entry_count = self.start_ns = self.end_ns = 0
         for path in sorted(folder.glob("*.mcap")):
             with SessionFile.open(path) as part:
-                number = part.session.get(layout.PART_KEY, "")
-                if not (number.isascii() and number.isdigit()):
+                number = whole_number(part.session.get(layout.PART_KEY))
+                if number is None:
                     raise UnsupportedRecording(
                         f"{folder}: found a directory with {path.name}, expected parts of a split recording; "
                         "name the .mcap file in it"
                     )
                 size = path.stat().st_size
-                found[int(number)] = PartSummary(path, size, part.entry_count, part.start_ns, part.end_ns)
+                found[number] = PartSummary(path, size, part.entry_count, part.start_ns, part.end_ns)
                 for channel in part.channels:
                     key = (channel.topic, channel.type, channel.kind, channel.stream)
                     count = channels[key].count if key in channels else 0

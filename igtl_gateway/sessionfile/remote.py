@@ -9,6 +9,7 @@ import urllib.request
 from typing import Any
 
 from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
+from igtl_gateway.untrusted.numbers import whole_number
 
 #: Seconds without an answer after which a request fails.
 _TIMEOUT_S = 30
@@ -80,8 +81,8 @@ class RemoteFile(io.RawIOBase):
         try:
             with urllib.request.urlopen(request, timeout=_TIMEOUT_S) as answer:
                 found = answer.headers.get("Content-Range", "")
-                total = found.rpartition("/")[2]
-                if answer.status != 206 or not (total.isascii() and total.isdigit()):
+                total = whole_number(found.rpartition("/")[2])
+                if answer.status != 206 or total is None:
                     raise UnsupportedRecording(
                         f"{self._url}: found an answer without ranges (status {answer.status}), expected a server that "
                         "sends ranges of a file; download the file and open it"
@@ -95,4 +96,4 @@ class RemoteFile(io.RawIOBase):
             raise UnsupportedRecording(f"{self._url}: {getattr(error, 'reason', error)}") from None
         self.requests += 1
         self.bytes_read += len(data)
-        return bytes(data), int(total)
+        return bytes(data), total

@@ -7,7 +7,6 @@ the seals in its statistics and its metadata index.
 from __future__ import annotations
 
 import os
-from dataclasses import replace
 from io import BufferedWriter
 from pathlib import Path
 from typing import IO
@@ -19,7 +18,7 @@ from igtl_gateway.seal.statement import UnitRow
 from igtl_gateway.sessionfile import records
 from igtl_gateway.sessionfile.chunks import batches, packed_chunk
 from igtl_gateway.sessionfile.contents import ChunkEntry
-from igtl_gateway.sessionfile.file_end import pack_summary
+from igtl_gateway.sessionfile.file_end import counted, pack_summary
 from igtl_gateway.sessionfile.index import recover_hint
 from igtl_gateway.sessionfile.layout import SEAL_METADATA
 from igtl_gateway.sessionfile.new_file import create_file, os_error_text
@@ -31,6 +30,8 @@ from igtl_gateway.untrusted import files, limits
 
 #: One seal has all records of the file.
 _MOST_UNITS = 300_000
+#: Seals of a copy: of its records, and of the end of the file.
+_SEALS = 2
 _PIECE = 1 << 20
 
 
@@ -59,7 +60,10 @@ def seal_copy(source: Path, output: Path, sealer: Sealer, *, overwrite: bool = F
 
 
 def _end_of_file(path: Path, stream: IO[bytes], size: int) -> tuple[int, dict[int, bytes]]:
-    """Return the end of the data section, and the records of the summary by opcode.  Raises UnsupportedRecording."""
+    """Return the end of the data section, and the records of the summary by opcode, as the copy has them.
+
+    The index of the metadata lacks the two seals: their places are not known yet.  Raises UnsupportedRecording.
+    """
     stream.seek(max(0, size - FOOTER_RECORD.size))
     footer = stream.read()
     end = data_end(stream, len(MAGIC), size)
@@ -81,10 +85,13 @@ def _end_of_file(path: Path, stream: IO[bytes], size: int) -> tuple[int, dict[in
     try:
         for opcode, begin, after in records.records(data, "summary"):
             groups.setdefault(opcode, bytearray()).extend(data[begin - HEAD.size : after])
+        groups.pop(records.SUMMARY_OFFSET, None)
+        found = {opcode: bytes(group) for opcode, group in groups.items()}
+        if statistics := found.get(records.STATISTICS):
+            found[records.STATISTICS] = counted(statistics, metadata=_SEALS)
     except Malformed as error:
         raise UnsupportedRecording(f"{path}: {error}{recover_hint(path)}") from None
-    groups.pop(records.SUMMARY_OFFSET, None)
-    return end, {opcode: bytes(group) for opcode, group in groups.items()}
+    return end, found
 
 
 def _row(path: Path, stream: IO[bytes], unit: FoundUnit) -> UnitRow:
@@ -133,10 +140,7 @@ def _summary(start: int, groups: dict[int, bytes], indexes: bytes) -> bytes:
     rows = []
     for opcode in (*groups, *(() if records.METADATA_INDEX in groups else (records.METADATA_INDEX,))):
         group = groups.get(opcode, b"")
-        if opcode == records.STATISTICS:
-            statistics = records.parse_statistics(group[HEAD.size :])
-            group = pack(replace(statistics, metadata_count=statistics.metadata_count + 2))
-        elif opcode == records.METADATA_INDEX:
+        if opcode == records.METADATA_INDEX:
             group += indexes
         rows.append((opcode, group))
     return pack_summary(start, rows)

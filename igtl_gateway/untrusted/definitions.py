@@ -19,12 +19,12 @@ from rosbags.typesys.msg import MSGParser
 from rosbags.typesys.store import Typestore
 
 from igtl_gateway.errors import DamagedRecording
-from igtl_gateway.untrusted import limits
+from igtl_gateway.untrusted import elements, limits
 from igtl_gateway.untrusted.definition_checks import LONGEST_NAME, TYPE, Types, check_types
 
 MSG, IDL = "ros2msg", "ros2idl"
 #: The field that rosidl adds to a type without fields.
-PLACEHOLDER = ("structure_needs_at_least_one_member", (Nodetype.BASE, ("uint8", 0)))
+PLACEHOLDER = (elements.PLACEHOLDER, (Nodetype.BASE, ("uint8", 0)))
 
 _EMPTY_LINES = re.compile(r"^[ \t]*(#[^\n]*)?\n", re.MULTILINE)
 _SEPARATOR = "=" * 80 + "\n"

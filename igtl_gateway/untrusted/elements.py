@@ -1,7 +1,8 @@
 """Counts the objects that decoding a message would create, by a walk over its bytes before it is decoded.
 
 An array of messages of one byte creates an object of about hundred bytes per byte.  Messages that are too short for
-more elements than the limit ``count`` are not walked.
+more elements than the limit ``count`` are not walked.  In ROS 1 a message without fields has no bytes at all, so an
+array of such messages is as long as its count states.
 """
 
 from __future__ import annotations
@@ -18,6 +19,8 @@ _SIZES = {"bool": 1, "byte": 1, "char": 1, "octet": 1, "float32": 4, "float64": 
     f"{sign}int{bits}": bits // 8 for sign in ("", "u") for bits in (8, 16, 32, 64)
 }
 _ENCAPSULATION = 4
+#: The field that rosidl adds to a type without fields; ROS 1 has no such byte.
+PLACEHOLDER = "structure_needs_at_least_one_member"
 
 
 class ElementCounter:
@@ -38,6 +41,9 @@ class ElementCounter:
             for _, fields in types.values()
             for _, (kind, inner) in fields
         )
+        self._empty = frozenset(
+            name for name, (_, fields) in types.items() if ros1 and [field for field, _ in fields] == [PLACEHOLDER]
+        )
         self._number = struct.Struct("<I")
         self._data = b""
         self._at = self._found = self._most = 0
@@ -45,7 +51,7 @@ class ElementCounter:
     def check(self, data: bytes) -> None:
         """Raise LimitExceeded for a message with too many elements."""
         self._most = limits.current_limits().count
-        if not self._several or len(data) <= self._most:
+        if not self._several or (len(data) <= self._most and not self._empty):
             return
         self._data, self._at, self._found = data, 0 if self._ros1 else _ENCAPSULATION, 0
         self._number = struct.Struct("<I" if self._ros1 or data[1] & 1 else ">I")
@@ -60,6 +66,8 @@ class ElementCounter:
         self._found += 1
         if self._found > self._most:
             raise limits.exceeded("count", f"more than {self._most} elements", f"a message of {self._root}", self._most)
+        if name in self._empty:
+            return
         for _, (kind, inner) in self._types[name][1]:
             if kind == Nodetype.ARRAY:
                 self._each(inner[0], inner[1])

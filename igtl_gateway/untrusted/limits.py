@@ -14,6 +14,7 @@ from dataclasses import dataclass, fields, replace
 
 from igtl_gateway.clock import Clock, SystemClock
 from igtl_gateway.errors import ConfigError, LimitExceeded
+from igtl_gateway.untrusted.numbers import whole_number
 
 _MIB = 1 << 20
 _NS_PER_S = 1_000_000_000
@@ -93,9 +94,10 @@ def parse_limits(words: list[str]) -> FileLimits:
     limits, names = current_limits(), [field.name for field in fields(FileLimits)]
     for word in words:
         name, _, value = word.partition("=")
-        if name not in names or not value.isascii() or not value.isdigit() or not 0 < int(value) < 1 << 62:
+        number = whole_number(value, (1 << 62) - 1)
+        if name not in names or not number:
             raise ConfigError(f"--limit: found {word!r}, expected NAME=NUMBER with one of {', '.join(names)}")
-        limits = replace(limits, **{name: int(value)})
+        limits = replace(limits, **{name: number})
     return limits
 
 

@@ -11,6 +11,7 @@ from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 from igtl_gateway.errors import DamagedRecording
+from igtl_gateway.untrusted.numbers import whole_number
 
 Shape = Callable[[Any, str], None]
 
@@ -51,8 +52,7 @@ def number(value: Any, place: str) -> None:
 
 def digits(value: Any, place: str) -> None:
     """A string of decimal digits for an integer of at most 64 bits."""
-    is_number = isinstance(value, str) and value.isascii() and value.isdigit() and len(value) <= 20
-    if not is_number or int(value) >= 1 << 64:
+    if whole_number(value) is None:
         raise wrong(place, value, "a number of at most 64 bits")
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.untrusted import limits
+from igtl_gateway.untrusted.numbers import bounded_integer, check_numbers
 
 #: Unicode categories that move the cursor, reorder or break lines: control, format, surrogate, line, paragraph.
 _UNSAFE = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})
@@ -45,7 +46,7 @@ def parse_json(text: str, place: str) -> Any:
     limits.check_limit("free", len(text), place)
     check_nesting(text, place)
     try:
-        return json.loads(text)
+        return json.loads(text, parse_int=bounded_integer)
     except (ValueError, RecursionError) as error:
         raise DamagedRecording(f"{place}: found invalid JSON: {error}") from None
 
@@ -65,9 +66,11 @@ def parse_toml(data: bytes, place: str) -> dict[str, Any]:
             if line.count(".") > limits.current_limits().depth:
                 # parsing is quadratic in the dots of a key; dots in strings and numbers do not count
                 limits.check_limit("depth", _FREE_DOTS.sub("", line).count("."), place)
-        return tomllib.loads(text)
+        document = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
         raise DamagedRecording(f"{place}: is not valid TOML: {error}") from None
+    check_numbers(document, place)
+    return document
 
 
 #: A number with 1,000 digits or more: no setting has that, and Python prints at most 4,300 digits.

@@ -210,6 +210,16 @@ def test_a_damaged_block_is_named(tmp_path: Path, block: bytes, reason: str) -> 
     assert "block 3" in str(caught.value)
 
 
+@pytest.mark.parametrize("code", [9, 14])
+@pytest.mark.parametrize("size", [0, 2, 3, 7, 9])
+def test_an_option_of_an_interface_with_another_length_is_named(tmp_path: Path, code: int, size: int) -> None:
+    file = Pcapng()
+    file.interface(options=file.option(code, b"\6" * size))
+    file.packet(talk()[0], 1)
+    with pytest.raises(DamagedRecording, match="block 2: "):
+        items_of(tmp_path / "some.pcapng", file.data)
+
+
 def test_a_simple_packet_without_an_interface_is_damaged(tmp_path: Path) -> None:
     with pytest.raises(DamagedRecording, match="block 2"):
         items_of(tmp_path / "some.pcapng", Pcapng().simple_packet(b"abcd").data)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -15,12 +16,16 @@ from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.exchange.rosbag1 import Rosbag1
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Kind
+from tests.integration.hostile_files.bags import bag1
 
 ROS1 = get_typestore(Stores.ROS1_NOETIC)
 ROS2 = get_typestore(Stores.ROS2_JAZZY)
 PROBE = get_types_from_msg("Header header\ntime taken\nduration[] waits\nfloat32 depth\nstring name\n", "lab/msg/Probe")
 ROS1.register(PROBE)
 
+RULE = "=" * 80 + "\n"
+EMPTY = f"{RULE}MSG: std_msgs/Empty\n"
+HEADER_TEXT = f"{RULE}MSG: std_msgs/Header\nuint32 seq\ntime stamp\nstring frame_id\n"
 HEADER = "std_msgs/msg/Header"
 TIME = "builtin_interfaces/msg/Time"
 
@@ -143,3 +148,24 @@ def test_real_bags_come_whole(shared_dir: Path, name: str, counts: dict[str, int
         assert sum(1 for _ in source.items()) == sum(row.taken for row in source.rows)
     assert all(row.good and not row.left_out for row in source.rows)
     assert counts.items() <= {row.stream: row.taken for row in source.rows}.items()
+
+
+@pytest.mark.parametrize(
+    ("definition", "before"),
+    [
+        (f"std_msgs/Empty[] e\n{EMPTY}", b""),
+        (f"Header h\ntime t\nduration[] d\nstd_msgs/Empty[] e\n{HEADER_TEXT}{EMPTY}", bytes(28)),
+        # other fields than those of ROS 2: the message is built from objects
+        (f"lab/B b\n{RULE}MSG: lab/B\nHeader h\nstd_msgs/Empty[] e\n{HEADER_TEXT}{EMPTY}", bytes(16)),
+    ],
+)
+def test_an_array_of_messages_without_bytes_is_counted(tmp_path: Path, definition: str, before: bytes) -> None:
+    """4.8 kB state 2^32 - 1 elements: refused before the first is read, and the same bag with 3 of them is read."""
+    path = tmp_path / "empty.bag"
+    for count, taken in (((1 << 32) - 1, 0), (3, 1)):
+        path.write_bytes(bag1(kind="lab/Thing", definition=definition, message=before + struct.pack("<I", count)))
+        with closing(Rosbag1(path)) as source:
+            assert len(list(source.items())) == taken
+            (row,) = source.rows
+            assert (row.taken, row.declared) == (taken, 1)
+            assert ("LimitExceeded" in row.why) == (not taken)

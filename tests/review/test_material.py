@@ -168,3 +168,18 @@ def test_a_session_without_a_plan_is_an_error() -> None:
     named = _with_clouds(Material(plan="/none"))
     with pytest.raises(ConfigError, match="--plan /none"):
         named.versions(named.scene()[0])
+
+
+@pytest.mark.parametrize("arrival_ns", [(1 << 62) - 1, (1 << 63) - 1, 1 << 63, (1 << 64) - 1])
+@pytest.mark.parametrize("first_ns", [-(1 << 31) * SECOND, 1, SECOND])
+def test_times_may_be_centuries_apart(first_ns: int, arrival_ns: int) -> None:
+    """A pose between two others is between them, whatever their times are: no difference exceeds 64 bits."""
+    material = Material()
+    last_ns = ((1 << 31) - 1) * SECOND
+    for x, stamp_ns in ((0, first_ns), (4, last_ns), (8, 0)):  # a stamp of 0 is unset: the arrival counts
+        pose = pose_message("camera", "tool", (x, 0, 0), stamp_ns)
+        material.take(replace(entry("/tool", pose, 5), stamp_ns=arrival_ns))
+    assert len(material.frames.path("tool", "camera").stamps_ns) == 3
+    at = np.array([first_ns, first_ns // 2 + last_ns // 2, last_ns, (1 << 32) * SECOND])
+    found = material.frames.transformed(np.zeros((4, 3)), "tool", "camera", at)
+    np.testing.assert_allclose(found[:, 0], [0, 2, 4, 8], atol=1e-6)

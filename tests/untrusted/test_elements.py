@@ -49,3 +49,15 @@ def test_what_is_not_of_the_type_is_left_to_the_decoder() -> None:
     with limits.limits_in_force(limits.FileLimits(count=1)):
         ElementCounter(parse_definition("string[] x\n", "p/msg/A"), "p/msg/A").check(b"\0\1\0\0\1")
         ElementCounter(parse_definition("uint8[] x\n", "p/msg/A"), "p/msg/A").check(bytes(1000))
+
+
+def test_messages_of_ros_1_without_fields_have_no_bytes() -> None:
+    """2^32 - 1 of them are 4 bytes: the count is all that there is."""
+    types = parse_definition(f"uint8 a\np/E[] e\nstring s\n{RULE}MSG: p/E\n", "p/msg/A")
+    one = ElementCounter(types, "p/msg/A", ros1=True)
+    one.check(b"\1" + struct.pack("<II", 100, 2) + b"ab")
+    for count in (200_000, (1 << 32) - 1):
+        with pytest.raises(LimitExceeded, match="a message of p/msg/A"):
+            one.check(b"\1" + struct.pack("<II", count, 0))
+    # in ROS 2 each has a byte
+    ElementCounter(types, "p/msg/A").check(b"\0\1\0\0\1\0\0\0" + struct.pack("<I", (1 << 32) - 1))

@@ -16,6 +16,7 @@ from igtl_gateway.edges.zenoh.library import first_line, import_zenoh
 from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.notations import ZENOH_ENDPOINT
 from igtl_gateway.untrusted import files, limits
+from igtl_gateway.untrusted.numbers import whole_number
 from igtl_gateway.untrusted.text import check_nesting
 
 SESSION_FILE, OVERRIDE, DOMAIN = "ZENOH_SESSION_CONFIG_URI", "ZENOH_CONFIG_OVERRIDE", "ROS_DOMAIN_ID"
@@ -98,9 +99,9 @@ def endpoints_of(config: Any) -> tuple[str, ...]:
 def domain_of(environ: Mapping[str, str] = os.environ) -> int:
     """Return the number of the ROS domain.  Raises ConfigError."""
     text = environ.get(DOMAIN, "") or "0"
-    if not (text.isascii() and text.isdigit() and int(text) <= _MAX_DOMAIN):
+    if (domain := whole_number(text, _MAX_DOMAIN)) is None:
         raise ConfigError(f"{DOMAIN}: found {text!r}, expected a number from 0 to {_MAX_DOMAIN}")
-    return int(text)
+    return domain
 
 
 def _check_document(variable: str, path: Path) -> None:
