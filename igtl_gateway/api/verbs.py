@@ -19,12 +19,14 @@ from igtl_gateway.app.replay_sides import ReplayOptions, To
 from igtl_gateway.app.replaying import ReplayEvents, ReplayResult, run_replay
 from igtl_gateway.app.reviewing import ReviewSelection, checked_thresholds, review_recording
 from igtl_gateway.app.verification import Verification, verify_recording
+from igtl_gateway.convert.profiles import AUTO
 from igtl_gateway.edges.tcp import TlsFiles
 from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.replay.compare import Tolerance
 from igtl_gateway.replay.restamp import MODES, Mode
 from igtl_gateway.review import Review, Thresholds
 from igtl_gateway.review.material import CLOUDS
+from igtl_gateway.settings import PROFILE_NAMES
 
 Address = tuple[str, int]
 AnyPath = str | PathLike[str]
@@ -146,6 +148,8 @@ def replay(
     ros_args: Sequence[str] = (),
     stop: threading.Event | None = None,
     on_line: Callable[[str], None] | None = None,
+    profile: str = AUTO,
+    exact: bool = False,
 ) -> ReplayResult:
     """Send a recording to OpenIGTLink peers, to ROS, or to both, and wait until it is sent.
 
@@ -176,6 +180,9 @@ def replay(
         ros_args: arguments of ROS for the node, such as ``["-r", "__ns:=/or1"]``.
         stop: an event; the replay ends when it is set, also while it waits for peers.
         on_line: called with each line of text about what the replay does, from any of its threads.
+        profile: profile of all OpenIGTLink peers, such as ``"slicer"``: messages that it cannot read are adapted or
+            left out; ``"auto"``: detected from their messages.
+        exact: send the recorded bytes, also those at which a peer may lose the stream.
 
     Returns:
         What was sent, and what was not and why.
@@ -188,6 +195,7 @@ def replay(
     """
     one_of("to", to, get_args(To))
     one_of("restamp", restamp, MODES)
+    one_of("profile", profile, PROFILE_NAMES)
     numbers(optional=True, rate=rate, duration=duration, wait_peers=wait_peers, clock_hz=clock_hz)
     numbers(delay_s=delay_s, seed=seed)
     listening, connecting = addresses("listen", listen), addresses("connect", connect)
@@ -222,6 +230,8 @@ def replay(
         seed,
         digest,
         ros_arguments(ros_args, ros=to != "igtl", without="to='igtl'"),
+        profile,
+        exact,
     )
     events = ReplayEvents(on_line=on_line) if on_line else ReplayEvents()
     with of_a_replay():

@@ -45,6 +45,7 @@ class PlaybackCounts:
     without_peer: int = 0  #: messages without a connected peer; included in ``messages``
     by_stream: Counter[str] = field(default_factory=Counter)
     refused: Counter[tuple[str, str]] = field(default_factory=Counter)  #: messages not sent, by stream and reason
+    left_out: int = 0  #: messages that no connected peer can read; not in ``messages``
     _digest: Digest | None = field(default_factory=Digest)
 
     def add(self, entries: Sequence[Entry], delivered: bool) -> None:
@@ -61,7 +62,13 @@ class PlaybackCounts:
         """Return an independent copy."""
         digest = self._digest.copy() if self._digest else None
         return PlaybackCounts(
-            self.messages, self.bytes, self.without_peer, Counter(self.by_stream), Counter(self.refused), digest
+            self.messages,
+            self.bytes,
+            self.without_peer,
+            Counter(self.by_stream),
+            Counter(self.refused),
+            self.left_out,
+            digest,
         )
 
     @property
@@ -108,6 +115,7 @@ class Player:
         span: first and last recorded time of a seek, UTC ns.
         start_ns: recorded time of the start, and of each repetition, UTC ns; None: the first entry.
         restamp: computes new stamps; None: the stamps do not change.
+        admit: returns an entry as its receivers can read it; None if none of them can.
         on_jump: called at every jump, in the thread of `run`.
         send_all: sends several entries in order, as ``send`` does for one; used if there are no pauses between them.
         digest: whether to compute `PlaybackCounts.digest`, which takes longer than the rest of the player.
@@ -127,6 +135,7 @@ class Player:
         span: tuple[int, int] = (0, _ALL),
         start_ns: int | None = None,
         restamp: Restamper | None = None,
+        admit: Callable[[Entry], Entry | None] = lambda entry: entry,
         on_jump: Callable[[Jump], None] = lambda jump: None,
         send_all: Callable[[Sequence[Entry]], bool] | None = None,
         digest: bool = True,
@@ -143,6 +152,7 @@ class Player:
         self._span = span
         self._start_ns = start_ns
         self._restamp = restamp
+        self._admit = admit
         self._on_jump = on_jump
         self._send_all = send_all
         self._changed = threading.Condition()  # guards the attributes below
@@ -299,7 +309,10 @@ class Player:
             return
         if self._restamp:
             batch = [self._restamped(each, self._restamp) for each in batch]
-        self._count(batch, send_all(batch))
+        admitted = [each for each in map(self._admit, batch) if each]
+        self.played.left_out += len(batch) - len(admitted)
+        if admitted:
+            self._count(admitted, send_all(admitted))
         quick = self._clock.monotonic_ns() - begun_ns < _BATCH_NS
         self._batch_size = min(2 * self._batch_size, _BATCH) if quick else max(self._batch_size // 2, 1)
 
@@ -364,7 +377,14 @@ class Player:
         return self._playback.is_state(entry.stamp_ns - is_tick(entry))
 
     def _send_entry(self, entry: Entry) -> None:
-        sent = self._restamped(entry, self._restamp) if self._restamp else entry
+        stamped = self._restamped(entry, self._restamp) if self._restamp else entry
+        sent = self._admit(stamped)
+        if sent is None:
+            self.played.left_out += 1
+            with self._changed:
+                if not self._is_state(entry):
+                    self._playback.reached(entry.stamp_ns, self._clock.monotonic_ns())
+            return
         try:
             delivered = self._send(sent)
         except RosError as error:

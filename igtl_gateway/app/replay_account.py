@@ -14,11 +14,12 @@ from igtl_gateway.session.entry import Kind
 from igtl_gateway.sessionfile.layout import NOTE_KINDS
 from igtl_gateway.sessionfile.reader import SessionFile
 
-NOTES, UNREAD, LOST, NO_PEER, REFUSED, LEFT, OUTSIDE, NOT_REACHED = (
+NOTES, UNREAD, LOST, NO_PEER, NOT_FOR_PEER, REFUSED, LEFT, OUTSIDE, NOT_REACHED = (
     "notes",
     "unread",
     "lost",
     "no_peer",
+    "not_for_peer",
     "refused",
     "peer_left",
     "outside",
@@ -39,6 +40,7 @@ REASONS: Mapping[str, str] = {
     RECOMPUTED: "recorded outputs; the outputs of this version were sent instead",
     LOST: "lost by --fault",
     NO_PEER: "while no peer was connected",
+    NOT_FOR_PEER: "of types that no connected peer can read (--exact sends them)",
     LEFT: "still queued for a peer when it disconnected",
     REFUSED: "refused by ROS",
     OUTSIDE: "outside --start and --end",
@@ -102,6 +104,7 @@ class ReplayAccount:
         missed = self._fixed + self.passed_over
         missed[LOST] = lost
         missed[NO_PEER] = played.without_peer
+        missed[NOT_FOR_PEER] = played.left_out
         missed[LEFT] = left
         missed[REFUSED] = sum(played.refused.values()) + failed
         sent = played.messages - played.without_peer - failed - left

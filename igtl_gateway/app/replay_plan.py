@@ -6,8 +6,10 @@ import threading
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, groupby
+from operator import itemgetter
 
+from igtl_gateway.app.replay_listeners import Listeners
 from igtl_gateway.config import Config
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.tcp import TcpEdge
@@ -142,22 +144,29 @@ def planned_entries(
     return select_entries(part_of_session(entries, start_ns, end_ns, is_latched), how.kinds, streams, passed_over)
 
 
-def igtl_sender_of_many(edge: TcpEdge, stop: threading.Event) -> SendAll:
-    """Return a function that sends several entries to every peer, without lock-step.
+def connected(edge: TcpEdge) -> list[int]:
+    """Return the numbers of the connected links."""
+    return [link.number for link in edge.links() if link.connected]
+
+
+def igtl_sender_of_many(edge: TcpEdge, listeners: Listeners, stop: threading.Event) -> SendAll:
+    """Return a function that sends several entries to every peer that can read them, without lock-step.
 
     Once ``stop`` is set, it does not wait for full queues.
     """
 
     def send(entries: Sequence[Entry]) -> bool:
-        links = [link.number for link in edge.links() if link.connected]
-        edge.send_all(links, [(entry.payload, entry.channel) for entry in entries], stop.is_set)
+        links = connected(edge)
+        forms = ((payload, entry.channel, to) for entry in entries for payload, to in listeners.fit(entry, links))
+        for to, members in groupby(forms, key=itemgetter(2)):
+            edge.send_all(to, [(payload, channel) for payload, channel, _ in members], stop.is_set)
         return bool(links)
 
     return send
 
 
-def igtl_sender(edge: TcpEdge, stop: threading.Event | None = None) -> Send:
-    """Return a function that sends an entry to every connected peer.
+def igtl_sender(edge: TcpEdge, listeners: Listeners, stop: threading.Event | None = None) -> Send:
+    """Return a function that sends an entry to every connected peer that can read it.
 
     The edge should have ``when_full="block"``: with another setting, a full queue drops messages.
 
@@ -166,8 +175,9 @@ def igtl_sender(edge: TcpEdge, stop: threading.Event | None = None) -> Send:
     """
 
     def send(entry: Entry) -> bool:
-        links = [link.number for link in edge.links() if link.connected]
-        edge.send(links, entry.payload, entry.channel, True)
+        links = connected(edge)
+        for payload, members in listeners.fit(entry, links):
+            edge.send(members, payload, entry.channel, True)
         while stop and not stop.is_set() and not edge.flush(_POLL_S):
             pass
         return bool(links)

@@ -10,17 +10,20 @@ from threading import Event
 from typing import Literal
 
 from igtl_gateway.app.faulty import all_with_disconnects, disconnector, with_disconnects
+from igtl_gateway.app.replay_listeners import Listeners
 from igtl_gateway.app.replay_plan import (
     PLAYED_QOS,
     ReplayPlan,
     Send,
     SendAll,
     both_sender,
+    connected,
     igtl_sender,
     igtl_sender_of_many,
     ros_sender,
 )
 from igtl_gateway.clock import SystemClock
+from igtl_gateway.convert.profiles import AUTO
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.ros.env import prepare_environment
 from igtl_gateway.edges.ros.host import NodeHost
@@ -28,11 +31,15 @@ from igtl_gateway.edges.tcp import TcpEdge, TlsFiles
 from igtl_gateway.replay.restamp import Mode
 from igtl_gateway.replay.simclock import CLOCK_TOPIC, CLOCK_TYPE
 from igtl_gateway.replay.source import matches_any
+from igtl_gateway.session.entry import Entry
 from igtl_gateway.session.note import Note
 from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.stamp import NS_PER_MS
 
 _FLUSH_S = 30.0
 _LOOK_S = 0.2
+#: Longest wait for the first message of peers, which may show what they are; 3D Slicer sends one at once.
+_HELLO_NS, _HELLO_LOOK_S = 500 * NS_PER_MS, 0.01
 
 Tell = Callable[[str], None]
 Address = tuple[str, int]
@@ -66,6 +73,8 @@ class ReplayOptions:
         fault, seed: fault injection.
         digest: compute the SHA-256 of the sent bytes.
         ros_args: arguments of ROS for the node, from ``--ros-args`` on.
+        profile: profile of all OpenIGTLink peers; ``auto``: recognised from their messages.
+        exact: send the recorded bytes, whatever the peers can read.
     """
 
     to: To
@@ -94,6 +103,8 @@ class ReplayOptions:
     seed: int = 0
     digest: bool = True
     ros_args: tuple[str, ...] = ()
+    profile: str = AUTO
+    exact: bool = False
 
 
 @dataclass(slots=True)
@@ -105,6 +116,8 @@ class ReplaySides:
         finish: waits until all that was sent is on its way; False if that took too long.
         ros: the edge, where ROS is driven.
         send_all: sends several; None: they go one by one.
+        admit: returns an entry as the connected peers can read it; None if none of them can.
+        listeners: the OpenIGTLink peers; None: there is no such side.
         failed: topic → messages that ROS did not take, at the end.
         undelivered: messages that did not leave for their peer, once for each peer; and whether there was never more
             than one peer at a time, so that no peer received these messages.  Called when the edge is closed.
@@ -114,21 +127,33 @@ class ReplaySides:
     finish: Callable[[], bool]
     ros: RosEdge | None = None
     send_all: SendAll | None = None
+    admit: Callable[[Entry], Entry | None] = lambda entry: entry
+    listeners: Listeners | None = None
     failed: Callable[[], Mapping[str, int]] = dict
     undelivered: Callable[[], tuple[int, bool]] = lambda: (0, True)
 
 
 def open_sides(
-    options: ReplayOptions, file: SessionFile, how: ReplayPlan, stop: Event, stack: ExitStack, tell: Tell
+    options: ReplayOptions,
+    file: SessionFile,
+    how: ReplayPlan,
+    stop: Event,
+    stack: ExitStack,
+    tell: Tell,
+    *,
+    relay: bool = False,
 ) -> ReplaySides | None:
-    """The side or sides of ``--to``, once all that is waited for is there; None if ``stop`` came first."""
+    """The side or sides of ``--to``, once all that is waited for is there; None if ``stop`` came first.
+
+    ``relay``: whether the recording is of a relay.
+    """
     igtl = ros = None
     if options.to != "igtl":
         # before waiting for peers: a missing ROS is reported immediately
         prepare_environment(lock_step=options.lock_step)
         RosEdge.check()
     if options.to != "ros":
-        igtl = _open_igtl(options, stop, stack, tell)
+        igtl = _open_igtl(options, stop, stack, tell, relay=relay)
         if igtl is None:
             return None
     if options.to != "igtl":
@@ -141,20 +166,24 @@ def open_sides(
             both_sender(igtl.send, ros.send),
             lambda: all([finish() for finish in finishes]),
             ros.ros,
+            admit=igtl.admit,
+            listeners=igtl.listeners,
             failed=ros.failed,
             undelivered=igtl.undelivered,
         )
     return igtl or ros
 
 
-def _open_igtl(options: ReplayOptions, stop: Event, stack: ExitStack, tell: Tell) -> ReplaySides | None:
+def _open_igtl(options: ReplayOptions, stop: Event, stack: ExitStack, tell: Tell, *, relay: bool) -> ReplaySides | None:
     """A sender to OpenIGTLink peers, once they are there."""
-    peers = _Peers(tell)
+    listeners = Listeners(options.profile, options.exact, relay)
+    peers = _Peers(tell, listeners)
+    clock = SystemClock()
     edge = TcpEdge(
-        on_frame=lambda _link, _message: None,  # messages of peers are not part of a replay
+        on_frame=listeners.on_frame,  # no part of the replay, but they show what the peer is
         on_link=peers,
         on_note=lambda _link, note: tell(f"! {note.text}"),
-        clock=SystemClock(),
+        clock=clock,
         allow=options.allow,
         when_full="block",
         tls=options.tls,
@@ -172,8 +201,11 @@ def _open_igtl(options: ReplayOptions, stop: Event, stack: ExitStack, tell: Tell
     while not edge.wait_links(wanted, _LOOK_S):
         if stop.is_set():
             return None
-    send = igtl_sender(edge, stop if options.lock_step else None)
-    send_all = None if options.lock_step else igtl_sender_of_many(edge, stop)
+    until_ns = clock.monotonic_ns() + _HELLO_NS
+    while wanted and listeners.awaits_hello and clock.monotonic_ns() < until_ns and not stop.wait(_HELLO_LOOK_S):
+        pass
+    send = igtl_sender(edge, listeners, stop if options.lock_step else None)
+    send_all = None if options.lock_step else igtl_sender_of_many(edge, listeners, stop)
     if options.fault:
         disconnect = disconnector(edge, stop)
         send, send_all = with_disconnects(send, disconnect), send_all and all_with_disconnects(send_all, disconnect)
@@ -183,7 +215,12 @@ def _open_igtl(options: ReplayOptions, stop: Event, stack: ExitStack, tell: Tell
         return sum(gone.dropped.values()) + sum(gone.ignored.values()), peers.most <= 1
 
     return ReplaySides(
-        send, lambda: edge.flush(0.0 if stop.is_set() else _FLUSH_S), send_all=send_all, undelivered=undelivered
+        send,
+        lambda: edge.flush(0.0 if stop.is_set() else _FLUSH_S),
+        send_all=send_all,
+        admit=lambda entry: listeners.admit(entry, connected(edge)),
+        listeners=listeners,
+        undelivered=undelivered,
     )
 
 
@@ -192,11 +229,13 @@ class _Peers:
     """Reports links, and counts how many are up at a time."""
 
     tell: Tell
+    listeners: Listeners
     most: int = 0
     _up: set[int] = field(default_factory=set)
 
     def __call__(self, link: int, up: bool, note: Note) -> None:
         self.tell(f"= {note.text}")
+        self.listeners.on_link(link, up, note)
         (self._up.add if up else self._up.discard)(link)
         self.most = max(self.most, len(self._up))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -16,6 +16,7 @@ from igtl_gateway.app.replay_plan import check_streams, plan_replay, planned_ent
 from igtl_gateway.app.replay_sides import ReplayOptions, ReplaySides, open_sides
 from igtl_gateway.app.sends import with_sends
 from igtl_gateway.clock import SystemClock
+from igtl_gateway.convert.profiles import AUTO
 from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.faults import CLOCK_STEP, LOSS, Fate, Faults
 from igtl_gateway.replay.moment import moment
@@ -81,6 +82,8 @@ class ReplayResult:
         account: for each recorded message whether it was sent, or why not; None after a loop or a jump.
         sides: the same for OpenIGTLink (``"igtl"``) and ROS (``"ros"``) alone.
         faults: number of injected faults by name; None without fault injection.
+        left_out: (address, profile, type) → number of messages that a peer did not get, because it cannot read them.
+        adapted: (address, profile, type) → number of messages that a peer got in a form that it can read.
     """
 
     file: Path
@@ -95,6 +98,8 @@ class ReplayResult:
     account: dict[str, Any] | None
     sides: dict[str, SentMessages]
     faults: dict[str, int] | None
+    left_out: dict[tuple[str, str, str], int] = field(default_factory=dict)
+    adapted: dict[tuple[str, str, str], int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +145,7 @@ def run_replay(path: Path, options: ReplayOptions, stop: Event, events: ReplayEv
             events.on_line(f"! --streams {glob}: matches no recorded stream")
         events.on_line(f"{path}: {how.why}")
         pace = SessionTimeline(clock_steps_of(file))
-        side = open_sides(options, file, how, stop, stack, events.on_line)
+        side = open_sides(options, file, how, stop, stack, events.on_line, relay=config.relay)
         if side is None:
             events.on_line("stopped before the replay started")
             return None
@@ -169,6 +174,7 @@ def run_replay(path: Path, options: ReplayOptions, stop: Event, events: ReplayEv
             span=(start_ns or file.start_ns, file.end_ns if end_ns is None else end_ns),
             start_ns=start_ns,
             restamp=_restamper(options, file, events.on_line),
+            admit=side.admit,
             on_jump=lambda jump: events.jumped(jump, file.start_ns),
             send_all=side.send_all,
             digest=options.digest,
@@ -189,7 +195,7 @@ def run_replay(path: Path, options: ReplayOptions, stop: Event, events: ReplayEv
             player.run()
         finally:
             complete = side.finish() and not stop.is_set()
-    if complete and not player.played.messages:
+    if complete and not player.played.messages and not player.played.left_out:
         why = next(iter(player.played.refused), ("", "see `igtl-gateway info`, and --send"))[1]
         raise GatewayError(f"{path}: found no messages for {options.to}: {why}")
     return results[0]
@@ -215,6 +221,9 @@ def check_options(options: ReplayOptions) -> None:
         period_ns(options.clock_hz)
         if options.to == "igtl":
             raise ConfigError("--clock: found --to igtl, expected --to ros or --to both: /clock is a ROS topic")
+    for option, given in (("--profile", options.profile != AUTO), ("--exact", options.exact)):
+        if given and options.to == "ros":
+            raise ConfigError(f"{option}: found --to ros, expected --to igtl or --to both: it is of OpenIGTLink peers")
     faults = Faults.parse(options.fault)
     if faults and options.to == "ros":
         raise ConfigError("--fault: found --to ros, expected --to igtl or --to both: faults are of OpenIGTLink lines")
@@ -297,4 +306,6 @@ def _result(
         facts,
         {name: SentMessages(part.messages, part.bytes, part.digest) for name, part in sorted(player.sides.items())},
         dict(faulty.counts) if faulty else None,
+        dict(side.listeners.left_out) if side.listeners else {},
+        dict(side.listeners.adapted) if side.listeners else {},
     )

@@ -28,6 +28,7 @@ from igtl_gateway.cli.replay_report import print_report
 from igtl_gateway.cli.ros_arguments import add_ros_arguments
 from igtl_gateway.cli.settings import add_faults, add_settings
 from igtl_gateway.cli.terminal import print_json, print_line
+from igtl_gateway.convert.profiles import AUTO
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.faults import Fate
@@ -35,6 +36,7 @@ from igtl_gateway.replay.restamp import MODES
 from igtl_gateway.replay.simclock import DEFAULT_HZ
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.settings import PROFILE_NAMES
 
 EXAMPLES = """\
   # serve the session to the first client
@@ -63,6 +65,8 @@ EXAMPLES = """\
       --fault loss=1%,jitter=20ms,corrupt=0.1% --seed 7
   # send a topic of a rosbag2 MCAP file as a device
   igtl-gateway replay bag.mcap --to igtl --send /camera/image=Cam
+  # send the recorded bytes, whatever the peer can read
+  igtl-gateway replay out.mcap --to igtl --exact
   # select streams
   igtl-gateway replay out.mcap --to igtl --streams 'IMAGE/*'
 
@@ -100,11 +104,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("addresses and security")
     add_settings(group, "listen", "connect", "allow")
     admission.add_tls(group)
+    _add_forms(parser.add_argument_group("what the peers can read"))
     _add_selection(parser.add_argument_group("selection of messages"))
     _add_pace(parser.add_argument_group("pace"))
     add_ros_arguments(parser.add_argument_group("ROS"), "remapping, namespace, log level")
     add_faults(parser)
     parser.set_defaults(fault="", seed=0)
+
+
+def _add_forms(group: argparse._ArgumentGroup) -> None:
+    forms = group.add_mutually_exclusive_group()
+    forms.add_argument(
+        "--profile",
+        choices=PROFILE_NAMES,
+        default=AUTO,
+        help="profile of all OpenIGTLink peers: messages that it cannot read are adapted or left out "
+        + default(f"{AUTO}, detected from their messages"),
+    )
+    forms.add_argument(
+        "--exact", action="store_true", help="send the recorded bytes, also those at which a peer may lose the stream"
+    )
 
 
 def _add_selection(group: argparse._ArgumentGroup) -> None:
@@ -214,6 +233,8 @@ def _replay_options(options: argparse.Namespace) -> ReplayOptions:
         options.seed,
         not options.no_digest,
         tuple(options.ros_args),
+        options.profile,
+        options.exact,
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
+from collections.abc import Mapping
 from typing import Any
 
 from igtl_gateway.app.replay_account import account_lines
@@ -33,6 +34,8 @@ def print_report(options: argparse.Namespace, result: ReplayResult) -> None:
         print_line(f"  {cell(stream, 40)} {number:>8,}")
     for line in account_lines(result.account) if result.account else ():
         print_line(line)
+    for line in _what_peers_got(result):
+        print_line(line)
     for refused in result.refused:
         print_line(f"! not published: {count_text(refused.messages, 'message')} of {refused.stream}: {refused.reason}")
     if options.to == "both" and result.sha256:
@@ -57,6 +60,8 @@ def _facts(options: argparse.Namespace, result: ReplayResult) -> dict[str, Any]:
         "sha256": result.sha256,
         "streams": result.streams,
         "account": result.account,
+        "left_out": _by_peer(result.left_out),
+        "adapted": _by_peer(result.adapted),
     }
     if options.to == "both":
         facts["sides"] = {
@@ -66,3 +71,30 @@ def _facts(options: argparse.Namespace, result: ReplayResult) -> dict[str, Any]:
     if result.faults is not None:
         facts["faults"] = {"fault": options.fault, "seed": options.seed, "counts": result.faults}
     return facts
+
+
+def _what_peers_got(result: ReplayResult) -> list[str]:
+    """Return a line for each peer that did not get the recorded bytes of all messages."""
+    words = (
+        (result.left_out, "did not get what it cannot read", " (--exact sends it)"),
+        (result.adapted, "got in a form that it can read", ""),
+    )
+    return [
+        f"{address} ({profile}) {what}: {', '.join(f'{name} {number:,}' for name, number in types.items())}{end}"
+        for counts, what, end in words
+        for (address, profile), types in _of_peers(counts).items()
+    ]
+
+
+def _of_peers(counts: Mapping[tuple[str, str, str], int]) -> dict[tuple[str, str], dict[str, int]]:
+    found: dict[tuple[str, str], dict[str, int]] = {}
+    for (address, profile, igtl_type), number in sorted(counts.items()):
+        found.setdefault((address, profile), {})[igtl_type] = number
+    return found
+
+
+def _by_peer(counts: Mapping[tuple[str, str, str], int]) -> list[dict[str, Any]]:
+    """Return counts as JSON values."""
+    return [
+        {"peer": address, "profile": profile, "types": types} for (address, profile), types in _of_peers(counts).items()
+    ]

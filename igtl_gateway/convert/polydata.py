@@ -1,7 +1,7 @@
 """POLYDATA ⇄ igtl_msgs/PolyData: all points, cells and attributes, unchanged.
 
-The attributes include the bytes that the C++ library appends: readers that know this library can interpret them, and
-the conversion back needs them.
+The C++ library writes nine components for most attributes, of which the first are valid, in one row: the ROS message
+has these.  Peers on that library get nine again, by their profile.
 """
 
 from __future__ import annotations
@@ -81,13 +81,17 @@ def polydata_to_ros(content: PolyData, to: ToRosContext) -> igtl_msgs.PolyData:
         lines,
         polygons,
         strips,
-        tuple(
-            igtl_msgs.PolyDataAttribute(
-                visible(attribute.name), attribute.type, attribute.components, attribute.data.astype("<f4")
-            )
-            for attribute in content.attributes
-        ),
+        tuple(map(_attribute_to_ros, content.attributes)),
         to.metadata,
+    )
+
+
+def _attribute_to_ros(attribute: Attribute) -> igtl_msgs.PolyDataAttribute:
+    """Return the values that an attribute has, without the tail that the C++ library appends."""
+    values = attribute.values
+    components = values.shape[1]
+    return igtl_msgs.PolyDataAttribute(
+        visible(attribute.name), attribute.type, components, np.ascontiguousarray(values, "<f4").reshape(-1)
     )
 
 

@@ -93,6 +93,7 @@ class PeerProfile:
         facts: (fact, source); the reasons for the settings below.
         first_version: header version of the first message to the peer.
         max_version: highest header version of messages to the peer.
+        least_version: lowest header version that the peer reads.
         reads: types that may be sent, without queries and their replies; None for all.
         queries: queries (GET_, STT_, STP_ types) that may be sent; None for all types in ``reads``.
         replies: RTS_ types that may be sent; None for all types in ``reads``.
@@ -107,6 +108,7 @@ class PeerProfile:
     facts: tuple[tuple[str, str], ...]
     first_version: int = 1
     max_version: int = 2
+    least_version: int = 1
     reads: frozenset[str] | None = None
     queries: frozenset[str] | None = None
     replies: frozenset[str] | None = None
@@ -161,8 +163,12 @@ PLUS_1 = PeerProfile(
 #: A peer that no message has shown yet.  It cannot be set: with ``default`` a peer gets all types.
 UNRECOGNISED = PeerProfile(
     "unrecognised",
-    facts=(("programs on the C++ library lose the stream at a type that its factory does not know", "§10.4, §6.14"),),
+    facts=(
+        ("programs on the C++ library lose the stream at a type that its factory does not know", "§10.4, §6.14"),
+        ("they read nine components for most POLYDATA attributes", "§6.15, reproduced"),
+    ),
     reads=CPP_FACTORY,
+    adapt={PolyData: _nine_components},
 )
 
 DEFAULT = PeerProfile(
@@ -226,6 +232,7 @@ PROFILES: tuple[PeerProfile, ...] = (
             ("reads IMAGE only, skips other types", "holohub, openigtlink operator"),
         ),
         first_version=2,
+        least_version=2,
         reads=frozenset({"IMAGE", "STATUS"}),
         queries=frozenset(),
         replies=frozenset(),

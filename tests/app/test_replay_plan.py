@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from igtl_gateway.app.replay_listeners import Listeners
 from igtl_gateway.app.replay_plan import (
     both_sender,
     check_streams,
@@ -185,7 +186,7 @@ def test_in_lock_step_each_message_is_waited_for() -> None:
     for stop, waits in ((None, 0), (threading.Event(), 3)):
         edge: Any = Edge()
         with SessionFile.open(TYPES) as file:
-            send = both_sender(igtl_sender(edge, stop), ros_sender(edge, file, stop))
+            send = both_sender(igtl_sender(edge, Listeners(exact=True), stop), ros_sender(edge, file, stop))
         assert [send(igtl), send(ros)] == [False, True]
         assert edge.asked == ["send STRING/A", *["flush"] * waits, "publish /tf 100", *["acked /tf"] * waits]
 
@@ -193,7 +194,7 @@ def test_in_lock_step_each_message_is_waited_for() -> None:
 def test_a_stop_ends_the_wait_for_acknowledgements() -> None:
     stop, edge = threading.Event(), Edge()
     stop.set()
-    igtl_sender(edge, stop)(Entry(1, 1, Kind.IGTL_OUT, "STRING/A"))  # type: ignore[arg-type]
+    igtl_sender(edge, Listeners(exact=True), stop)(Entry(1, 1, Kind.IGTL_OUT, "STRING/A"))  # type: ignore[arg-type]
     assert edge.asked == ["send STRING/A"]
 
 

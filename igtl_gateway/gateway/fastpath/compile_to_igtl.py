@@ -35,6 +35,7 @@ from igtl_gateway.gateway.to_igtl.origin import IgtlOrigin
 from igtl_gateway.gateway.to_igtl.sender import send
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.settings import SOURCE
+from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.header import HEADER_SIZE
 from igtl_gateway.wire.image import HEAD_SIZE as IMAGE_HEAD
 from igtl_gateway.wire.message import EXTENDED_SIZE
@@ -83,7 +84,7 @@ def compile_to_igtl(
     fill: Fill | None = express.pose_to_igtl if size else express.bulk_to_igtl
     if not (size or form is not None) or fill is None or bytes(cdr[:2]) != _LITTLE_ENDIAN:
         return None
-    if any(peer.stream_requests or type(out.content) in peer.profile.adapt for peer in peers):
+    if any(peer.stream_requests or _is_adapted(out.content, peer) for peer in peers):
         return None
     if form in (MESH, TRIANGLES):  # the bytes around the content are those around any content
         out = replace(out, content=_SMALL)
@@ -139,6 +140,12 @@ def compile_to_igtl(
         watched,
         place_at,
     )
+
+
+def _is_adapted(content: Body, peer: Peer) -> bool:
+    """Return whether a peer may get other contents of a stream; the attributes of a surface are part of the sample."""
+    adapt = peer.profile.adapt.get(type(content))
+    return adapt is not None and not (isinstance(content, PolyData) and adapt(content)[0] is content)
 
 
 def _difference(one: bytes, other: bytes) -> int:

@@ -309,7 +309,18 @@ def _replayed(shop: WorkContext, path: Path, stream: BenchStream, count: int) ->
         peer = stack.enter_context(Program("peer", [sys.executable, "-m", "igtl_gateway_lab.bench", job.to_json()]))
         place = peer.wait_for("listening", _START_S)
         to = f"{place['host']}:{place['port']}"
-        words = ["replay", str(path), "--to", "igtl", "--connect", to, "--as-fast-as-possible", "--no-digest", "--json"]
+        words = [
+            "replay",
+            str(path),
+            "--to",
+            "igtl",
+            "--exact",
+            "--connect",
+            to,
+            "--as-fast-as-possible",
+            "--no-digest",
+            "--json",
+        ]
         player = stack.enter_context(Program("replay", ours(*words)))
         peer.wait_for("ready", _START_S)
         player.wait_ended(_PATIENCE_S)

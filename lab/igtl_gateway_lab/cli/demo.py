@@ -163,7 +163,9 @@ def _replayed(recording: Path, pace: tuple[str, ...]) -> tuple[str, int]:
     with _program("igtl_gateway_lab.demo.collector") as collector:
         target = f"127.0.0.1:{_event(collector, 'ready')['port']}"
         begun_ns = clock.monotonic_ns()
-        with _program("igtl_gateway", "replay", str(recording), "--to", "igtl", "--connect", target, "--json", *pace):
+        with _program(
+            "igtl_gateway", "replay", str(recording), "--to", "igtl", "--exact", "--connect", target, "--json", *pace
+        ):
             told = _event(collector, "summary")
         seconds = (clock.monotonic_ns() - begun_ns) / NS_PER_S
     print_line(f"replay {' '.join(pace):<24} {count_text(told['bytes'], 'byte')} in {seconds:.1f} s", flush=True)

@@ -1,0 +1,177 @@
+"""The OpenIGTLink programs that listen to a replay: what each can read, as in a bridge.
+
+A recording has what its peers read.  Another program may lose the stream at a type, or crash at a query, as 3D Slicer
+does.  So each message is adapted to the program that listens, or left out, by the profile of that program.  Without a
+profile it is recognised from its messages, and until then gets what every program can skip, see
+``docs/messages.md``: no type beyond the factory of the C++ library, no query, no reply to one, and header version 1.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+
+from igtl_gateway.buffers import Buffer, join
+from igtl_gateway.config import Config
+from igtl_gateway.convert.profiles import AUTO, DEFAULT, UNRECOGNISED, PeerProfile
+from igtl_gateway.errors import WireError
+from igtl_gateway.gateway.peers import Peer, Peers
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.session.note import Note
+from igtl_gateway.wire import Message, Raw, decode, encode
+from igtl_gateway.wire.query import split_query
+from igtl_gateway.wire.registry import BODIES
+
+#: A program that is not recognised.  A recorded query has no use, and 3D Slicer, which may be silent, crashes at it.
+_SILENT = replace(UNRECOGNISED, queries=frozenset(), replies=frozenset({"RTS_TDATA", "RTS_COMMAND"}))
+_IGTL = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT})
+
+#: The parts of a message, and the links that get them.
+Form = tuple[Sequence[Buffer], list[int]]
+
+
+@dataclass(slots=True)
+class Listeners:
+    """The listeners of a replay by link, and what was adapted to them or left out.
+
+    Callbacks of the edge and the player use it from different threads.
+
+    Args:
+        profile: profile of all listeners; ``AUTO``: recognised from their messages.
+        exact: send the recorded bytes to all.
+        relay: whether the recording is of a relay, which passes all bytes between two programs: only a listener
+            that is recognised gets less.
+
+    Attributes:
+        left_out: (address, profile, type) → number of messages that a listener did not get.
+        adapted: (address, profile, type) → number of messages that it got in another form.
+    """
+
+    profile: str = AUTO
+    exact: bool = False
+    relay: bool = False
+    left_out: Counter[tuple[str, str, str]] = field(default_factory=Counter)
+    adapted: Counter[tuple[str, str, str]] = field(default_factory=Counter)
+    _heard: set[int] = field(default_factory=set)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
+    _peers: Peers = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._peers = Peers(Config(profile=self.profile, cautious=True))
+
+    def on_link(self, link: int, up: bool, note: Note) -> None:
+        """A listener connected or disconnected."""
+        with self._lock:
+            if up:
+                self._peers.up(link, note.data, 0)
+            else:
+                self._peers.down(link)
+
+    def on_frame(self, link: int, data: Buffer) -> None:
+        """A listener sent a message, which may show what it is."""
+        with self._lock:
+            self._heard.add(link)
+            peer = self._peers.get(link)
+            if peer is None or self.exact:
+                return
+            try:
+                peer.learn_from(decode(data, check_crc=False))
+            except WireError:
+                return
+
+    @property
+    def awaits_hello(self) -> bool:
+        """Whether a listener that has sent nothing yet may be about to show what it is."""
+        if self.exact or self.profile != AUTO:
+            return False
+        with self._lock:
+            return any(peer.link not in self._heard for peer in self._peers.all())
+
+    def admit(self, entry: Entry, links: Sequence[int]) -> Entry | None:
+        """Return an entry with the bytes that the links get; None if none of them can read it.
+
+        If they get different bytes, it is the recorded entry.  Entries for ROS are always admitted.
+        """
+        if self.exact or entry.kind not in _IGTL or not links:
+            return entry
+        with self._lock:
+            forms, refused = self._forms(entry, links)
+            if not forms:
+                self._count(self.left_out, entry, refused)
+                return None
+            if len(forms) > 1 or forms[0][0] is entry.payload:
+                return entry
+            self._count(self.adapted, entry, forms[0][1])
+            return replace(entry, payload=forms[0][0])
+
+    def fit(self, entry: Entry, links: Sequence[int]) -> list[Form]:
+        """Return what each link gets for an entry that was admitted, and count what it does not get."""
+        if self.exact:
+            return [(entry.payload, list(links))]
+        with self._lock:
+            forms, refused = self._forms(entry, links)
+            self._count(self.left_out, entry, refused)
+            for payload, members in forms:
+                if payload is not entry.payload:
+                    self._count(self.adapted, entry, members)
+        return forms
+
+    def _forms(self, entry: Entry, links: Sequence[int]) -> tuple[list[Form], list[int]]:
+        """Return the forms of a message for the links, and the links that cannot read it; the caller has the lock."""
+        forms: dict[tuple[str, int], Form] = {}
+        refused: list[int] = []
+        for link in links:
+            peer = self._peers.get(link)
+            profile = self._profile_for(peer)
+            if peer and not _may_send(peer, profile, entry.type):
+                refused.append(link)
+                continue
+            version = _version_for(peer, profile, entry)
+            key = (profile.name if profile.adapt else "", version)
+            if key not in forms:
+                forms[key] = _adapted(entry, profile, version), []
+            forms[key][1].append(link)
+        return list(forms.values()), refused
+
+    def _profile_for(self, peer: Peer | None) -> PeerProfile:
+        if peer is None or (self.relay and peer.profile is UNRECOGNISED):
+            return DEFAULT
+        return _SILENT if peer.profile is UNRECOGNISED else peer.profile
+
+    def _count(self, counts: Counter[tuple[str, str, str]], entry: Entry, links: Iterable[int]) -> None:
+        for link in links:
+            if peer := self._peers.get(link):
+                counts[peer.address, peer.profile.name, entry.type] += 1
+
+
+def _may_send(peer: Peer, profile: PeerProfile, igtl_type: str) -> bool:
+    if profile.may_send(igtl_type):
+        return True
+    # a listener that is not recognised may have shown that it knows the type
+    return profile is _SILENT and split_query(igtl_type) is None and peer.may_send(igtl_type)
+
+
+def _version_for(peer: Peer | None, profile: PeerProfile, entry: Entry) -> int:
+    """Return the header version for a listener: the recorded one, unless it would lose the stream at that."""
+    recorded = entry.payload[0][1] if len(entry.payload[0]) > 1 else 1
+    most = 1 if profile is _SILENT and peer and peer.shown < recorded else profile.max_version
+    return max(min(recorded, most), profile.least_version)
+
+
+def _adapted(entry: Entry, profile: PeerProfile, version: int) -> Sequence[Buffer]:
+    """Return the bytes for a profile: the recorded ones, if nothing changes or they are damaged."""
+    adapt = profile.adapt.get(BODIES.get(entry.type, Raw))
+    if adapt is None and version == entry.payload[0][1]:
+        return entry.payload
+    try:
+        message = decode(recorded := join(entry.payload))
+        content = adapt(message.content)[0] if adapt and type(message.content) in profile.adapt else message.content
+        if content is message.content and version == message.header_version:
+            return entry.payload
+        items = message.metadata if version > 1 else ()
+        parts = encode(Message(message.type, message.device_name, content, message.ticks, version, 0, items))
+    except WireError:
+        return entry.payload
+    return entry.payload if join(parts) == recorded else parts
