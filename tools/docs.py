@@ -795,9 +795,10 @@ def doctor() -> str:
         ),
         "## Silence",
         prose(
-            """If a peer has sent nothing after half of the time, `doctor` sends one STATUS (code 1, `doctor`), which
-            every program accepts.  It ends with an empty line, so that a web server answers too.  `--speak 2` sends it
-            with header version 2, `--speak 0` disables it.  `doctor` sends nothing else, and never a query: some
+            """If a peer has sent nothing after half of the time, `doctor` sends one STATUS (code 1, device
+            `igtl_doctor`), which every program accepts.  A bridge of igtl-gateway replies to it with the STATUS
+            `igtl_gateway` (IGTL-I117), and forwards it neither to ROS nor to peers.  The STATUS ends with an empty line,
+            so that a web server answers too.  `--speak 2` sends it with header version 2, `--speak 0` disables it.  `doctor` sends nothing else, and never a query: some
             queries crash 3D Slicer.  In a recording, a silent peer is not a finding, because it might be a display."""
         ),
         "## Other protocols",
