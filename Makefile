@@ -34,7 +34,8 @@ help:
 	@echo "PYTHONS=... those of the compiled wheels and of make core."
 
 demo: $(READY)
-	@$(BIN)/igtl-gateway demo
+	@$(BIN)/igtl-gateway demo --keep out
+	@echo "(. $(BIN)/activate first, or write $(BIN)/igtl-gateway)"
 
 test: static peers
 	@$(call run_tests,)

@@ -59,6 +59,7 @@ _ATTRIBUTES = {
     "include": ({"file"}, {"if"}),
     "set_parameter": ({"name", "value"}, {"if"}),
     "set_parameters_from_file": ({"filename"}, {"if"}),
+    "set_remap": ({"from", "to"}, set()),
     "group": (set(), {"if"}),
 }
 _GIVEN = re.compile(r"\$\(not-equals x\$\(var (\w+)\) x\)")
@@ -208,6 +209,7 @@ _STAND_INS: dict[str, dict[str, Any]] = {
         "Node": _node,
         "SetParameter": _set_parameter,
         "SetParametersFromFile": _set_parameters_from_file,
+        "SetRemap": lambda old, new: ("set_remap", {"from": old, "to": new}),
     },
     "launch_ros.event_handlers": {"OnStateTransition": _on_transition},
     "launch_ros.events": {},

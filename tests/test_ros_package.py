@@ -144,6 +144,13 @@ def test_python_and_xml_declare_and_start_the_same(name: str) -> None:
     assert read(LAUNCH / f"{name}.launch.py") == FILES[name]
 
 
+def test_two_bridges_do_not_share_tf() -> None:
+    groups = every(FILES["two_bridges"].actions, "group")
+    remaps = [("set_remap", {"from": f"/{name}", "to": name}) for name in ("tf", "tf_static")]
+    assert [group["actions"][:2] for group in groups] == [remaps, remaps]
+    assert [len(every(group["actions"], "include")) for group in groups] == [1, 1]
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_every_argument_is_described_and_used(name: str) -> None:
     file = FILES[name]

@@ -797,9 +797,10 @@ def doctor() -> str:
         prose(
             """If a peer has sent nothing after half of the time, `doctor` sends one STATUS (code 1, device
             `igtl_doctor`), which every program accepts.  A bridge of igtl-gateway replies to it with the STATUS
-            `igtl_gateway` (IGTL-I117), and forwards it neither to ROS nor to peers.  The STATUS ends with an empty line,
-            so that a web server answers too.  `--speak 2` sends it with header version 2, `--speak 0` disables it.  `doctor` sends nothing else, and never a query: some
-            queries crash 3D Slicer.  In a recording, a silent peer is not a finding, because it might be a display."""
+            `igtl_gateway` (IGTL-I117), and forwards it neither to ROS nor to peers.  The STATUS ends with an empty
+            line, so that a web server answers too.  `--speak 2` sends it with header version 2, `--speak 0` disables
+            it.  `doctor` sends nothing else, and never a query: some queries crash 3D Slicer.  In a recording, a silent
+            peer is not a finding, because it might be a display."""
         ),
         "## Other protocols",
         prose(
@@ -1091,7 +1092,11 @@ ros2 param set /or1/gw deny_in "['COMMAND']" """
             published on `/or1/igtl/in/<device>/<kind>`, and messages on `/or1/igtl/out/<device>`
             are sent to the peers. So two bridges in two namespaces have separate topics. Absolute
             topics of other names, such as `/tf`, `/diagnostics` and those in rows of messages,
-            stay, as in all nodes; `-r /tf:=tf` moves them.
+            stay, as in all nodes; `-r /tf:=tf -r /tf_static:=tf_static` moves the poses into the
+            namespace. Two bridges whose peers have the same device names need that, because frames
+            are named after devices: the launch file `two_bridges` does it, and a bridge in a
+            namespace without it reports so at its start. The statuses on `/diagnostics` begin with
+            the name of the node and its namespace.
 
             **The configuration and the recording have the names before remapping**, such as
             `/igtl/in/<device>/<kind>`. A session then depends only on its configuration: `verify` and `replay` need

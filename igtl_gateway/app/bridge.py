@@ -182,7 +182,8 @@ class Bridge:
         self.video: VideoCodecs | None = None
         self.losses: dict[str, Any] = {}
         self.realtime = ""  # one line of text on the scheduling, after the start
-        self._diagnostics: Diagnostics | None = None
+        self._has_diagnostics = False
+        self._diagnostics: Diagnostics | None = None  # once the node has its name
         sinks: list[Sink] = [self._dispatch]
         if options.record:
             sinks.append(self._record)
@@ -220,7 +221,7 @@ class Bridge:
             if not self._all_built:
                 self.gateway.has_subscriber = self._has_subscriber
             if options.diagnostics:
-                self._diagnostics = Diagnostics(platform.node())
+                self._has_diagnostics = True
             if options.video:
                 self.video = VideoCodecs(options.video, config, self.hub, self.ros)
         self._passage: BridgePassage | None = None
@@ -325,7 +326,7 @@ class Bridge:
         ros.advertise(LINKS_TOPIC, LinkStatusList.TYPE, self.gateway.qos(LINKS_TOPIC) or _RECORDED)
         if self.gateway.config.publish_tf:
             ros.advertise("/tf", TFMessage.TYPE, TF_QOS["/tf"])
-        if self._diagnostics:
+        if self._has_diagnostics:
             ros.advertise(DIAGNOSTICS_TOPIC, DiagnosticArray.TYPE, _DIAGNOSTICS)
         if self.recorder:
             serve_recording(ros, self.recorder)
@@ -455,9 +456,11 @@ class Bridge:
 
         Runs in the timer's thread, without a lock that delays messages.
         """
-        diagnostics = self._diagnostics
-        if not diagnostics or not self.ros or not self.ros.has_subscriber(DIAGNOSTICS_TOPIC):
+        if not self._has_diagnostics or not self.ros or not self.ros.has_subscriber(DIAGNOSTICS_TOPIC):
             return
+        if self._diagnostics is None:
+            self._diagnostics = Diagnostics(platform.node(), self.ros.full_name.removeprefix("/"))
+        diagnostics = self._diagnostics
         self.collect()
         counters = self.tcp.counters()
         peers = [
@@ -491,7 +494,7 @@ class Bridge:
             )
             self.ros.publish(DIAGNOSTICS_TOPIC, DiagnosticArray.TYPE, statuses.pack(), _DIAGNOSTICS)
         except Exception as error:  # a defect here must not stop the ticks of this thread
-            self._diagnostics = None
+            self._has_diagnostics = False
             text = f"{DIAGNOSTICS_TOPIC} stops: {type(error).__name__}: {error}"
             self.hub.note(Note(Level.ERROR, "internal_error", text))
 

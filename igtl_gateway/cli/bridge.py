@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from importlib.util import find_spec
@@ -83,6 +83,10 @@ Messages of a device are published on /igtl/in/<device>/<kind>.  Messages that
 are published on /igtl/out/<device> are sent to the peers."""
 
 _STATUS_EVERY_S = 0.5
+_SHARED_TF = (
+    "poses go to /tf, which all namespaces share; if another bridge has the same device names, give both "
+    "--ros-args -r /tf:=tf -r /tf_static:=tf_static"
+)
 _NODE_NAME = "igtl_gateway"
 
 
@@ -176,7 +180,8 @@ def run(options: argparse.Namespace) -> int:
             runner = PlainRunner(make(None, 1))
             if options.log_format == "text":
                 out = TextOutput(is_terminal())
-        show = _Show(out, lambda: runner.host.full_name if isinstance(runner, ManagedBridge) else "", notes, clock)
+        host = runner.host if isinstance(runner, ManagedBridge) else None
+        show = _Show(out, host, notes, clock)
         viewer_problem = ""
         try:
             if isinstance(runner, ManagedBridge):
@@ -278,10 +283,10 @@ class _Show:
         has_failed: whether the recording of a session that has ended failed.
     """
 
-    def __init__(self, out: BridgeOutput, node_name: Callable[[], str], notes: list[str], clock: Clock) -> None:
+    def __init__(self, out: BridgeOutput, host: NodeHost | None, notes: list[str], clock: Clock) -> None:
         self.has_failed = False
         self._out = out
-        self._node_name = node_name
+        self._host = host
         self._notes = notes
         self._clock = clock
         self._session: BridgeSession | None = None
@@ -304,7 +309,7 @@ class _Show:
         if session is None:
             if not self._is_waiting:
                 self._is_waiting = True
-                self._out.waiting(self._node_name())
+                self._out.waiting(self._host.full_name if self._host else "")
             return
         bridge, watch = session.bridge, session.watch
         self._out.events(watch.take(bridge.hub.now_ns()))
@@ -317,7 +322,8 @@ class _Show:
         self._started_ns = self._clock.monotonic_ns()
         bridge = session.bridge
         keys = self._controls.enter_context(recording.recording_controls(bridge.recorder))
-        notes = [note for note in (*self._notes, bridge.realtime, keys) if note]
+        shared = _SHARED_TF if bridge.gateway.config.publish_tf and self._host and self._host.shares_tf else ""
+        notes = [note for note in (*self._notes, shared, bridge.realtime, keys) if note]
         self._out.started(bridge, bridge.gateway.config, notes, session.metrics)
 
     def release(self) -> None:

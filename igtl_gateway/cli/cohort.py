@@ -10,6 +10,7 @@ from typing import Any
 from igtl_gateway import extras
 from igtl_gateway.cli.cohort_progress import Progress
 from igtl_gateway.cli.common import count_text
+from igtl_gateway.cli.next_steps import command, print_next
 from igtl_gateway.cli.options import add_json, add_overwrite, default, output_file
 from igtl_gateway.cli.outputs import check_target, written
 from igtl_gateway.cli.terminal import aligned, print_json, print_line
@@ -39,6 +40,7 @@ What is done is not done again.  Exit code 0: every file has a result;
 errors.  Tables and columns: docs/cohort.md"""
 
 QUERY, REPORT = "query", "report"
+_FIRST_QUESTION = "SELECT status, count(*) n FROM tasks GROUP BY status"
 _ACTIONS = (*VERB_NAMES, QUERY, REPORT)
 
 
@@ -174,6 +176,10 @@ def _run_files(options: argparse.Namespace) -> int:
             print_line(f"  {number:>7,} {status.replace('_', ' ')}")
         if summary.different:
             print_line(f"  {summary.different:>7,} with {'differences' if work.verb == 'verify' else 'errors'}")
+        print_next(
+            (command("cohort", QUERY, _FIRST_QUESTION, "--out", options.out), "ask the tables"),
+            (command("cohort", REPORT, "--out", options.out, "--html", "report.html"), "write a page about them"),
+        )
     return int(bool(summary.failed or summary.different))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -83,6 +84,7 @@ def run(options: argparse.Namespace) -> int:
     else:
         _print(account, options)
         print_line(f"{options.out}: {count_text(written, 'message')} in {count_text(account.files, 'file')}")
+        print_line(f"next: {TARGETS[options.to].next_step.format(out=shlex.quote(str(options.out)))}")
     return 0 if good else 1
 
 

@@ -11,6 +11,7 @@ from igtl_gateway.app.content_summary import ContentSummary, StreamSummary
 from igtl_gateway.cli.common import count_text, size_text, utc_text
 from igtl_gateway.cli.losses import DIRECTIONS, losses
 from igtl_gateway.cli.merge_output import print_merge
+from igtl_gateway.cli.next_steps import info_steps, print_next
 from igtl_gateway.cli.options import add_file, add_json
 from igtl_gateway.cli.recover import print_losses
 from igtl_gateway.cli.terminal import cell, print_json, print_line, width
@@ -35,6 +36,7 @@ EXAMPLES = """\
   # a split recording as a whole, and its parts
   igtl-gateway info out"""
 
+_IGTL = frozenset({Kind.IGTL_IN.value, Kind.IGTL_OUT.value})
 _NOT_YET = "   unknown: the ledger is written when the recording ends"
 
 
@@ -64,6 +66,9 @@ def run(options: argparse.Namespace) -> int:
         print_json(summary)
     else:
         _print(summary, content.notes, file.start_ns)
+        types = [each["stream"] for each in summary["streams"] if each["direction"] in _IGTL]
+        problems = bool(summary["problems"])
+        print_next(*info_steps(str(options.file), is_foreign=summary["foreign"], has_problems=problems, types=types))
     return 0
 
 

@@ -6,6 +6,7 @@ import argparse
 from dataclasses import fields
 
 from igtl_gateway.app.reviewing import ReviewSelection, checked_thresholds, review_recording
+from igtl_gateway.cli.next_steps import command, print_next
 from igtl_gateway.cli.options import RECORDING_OR_BAG, add_file, add_json, add_overwrite, default, output_file
 from igtl_gateway.cli.review_output import print_review, review_facts, write_csv
 from igtl_gateway.cli.terminal import print_json
@@ -100,4 +101,8 @@ def run(options: argparse.Namespace) -> int:
         print_json(review_facts(options.file, review))
     else:
         print_review(options.file, review, start_ns)
+        print_next(
+            (command("view", options.file), "show the stitches and the cloud in rerun"),
+            (command("review", options.file, "--csv", "stitches.csv"), "write one row for each stitch"),
+        )
     return 1 if review.last.wrong else 0

@@ -21,10 +21,12 @@ class ExportFormat:
 
     Attributes:
         text: the exported content, for the help text.
+        next_step: what a user can do with the result ``{out}``.
         export: writes the files and returns the account.
     """
 
     text: str
+    next_step: str
     export: Callable[[Recording, Path, Sequence[str]], ExportAccount]
 
 
@@ -51,14 +53,38 @@ def _export_arrow(recording: Recording, out: Path, globs: Sequence[str]) -> Expo
 
 
 TARGETS = {
-    "rosbag2": ExportFormat("ROS topics, as a directory for `ros2 bag`", export_rosbag2),
-    "igs.mha": ExportFormat("an IMAGE and its TRANSFORMs, as one tracked sequence", export_sequence),
-    "csv": ExportFormat("poses, strings, numbers: a directory with one table per stream", export_csv),
-    "parquet": ExportFormat(
-        "all messages, units in the schema: a directory with one table per stream", _export_parquet
+    "rosbag2": ExportFormat("ROS topics, as a directory for `ros2 bag`", "ros2 bag play {out}", export_rosbag2),
+    "igs.mha": ExportFormat(
+        "an IMAGE and its TRANSFORMs, as one tracked sequence",
+        "open {out} in 3D Slicer (module Sequences) or PLUS",
+        export_sequence,
     ),
-    "arrow": ExportFormat("the same as files of Arrow IPC (Feather)", _export_arrow),
-    "ply": ExportFormat("surfaces and clouds: a directory with one file per message", export_ply),
-    "vtk": ExportFormat("surfaces and clouds with all attributes: a directory with one file per message", export_vtk),
-    "nrrd": ExportFormat("images and volumes: a directory with one file per message", export_nrrd),
+    "csv": ExportFormat(
+        "poses, strings, numbers: a directory with one table per stream",
+        "open the tables of {out} in a spreadsheet",
+        export_csv,
+    ),
+    "parquet": ExportFormat(
+        "all messages, units in the schema: a directory with one table per stream",
+        "duckdb -c \"SELECT count(*) FROM '{out}/*.parquet'\"",
+        _export_parquet,
+    ),
+    "arrow": ExportFormat(
+        "the same as files of Arrow IPC (Feather)", "pandas.read_feather reads each file of {out}", _export_arrow
+    ),
+    "ply": ExportFormat(
+        "surfaces and clouds: a directory with one file per message",
+        "open the files of {out} in MeshLab or CloudCompare",
+        export_ply,
+    ),
+    "vtk": ExportFormat(
+        "surfaces and clouds with all attributes: a directory with one file per message",
+        "open the files of {out} in ParaView or 3D Slicer",
+        export_vtk,
+    ),
+    "nrrd": ExportFormat(
+        "images and volumes: a directory with one file per message",
+        "open the files of {out} in 3D Slicer or MITK",
+        export_nrrd,
+    ),
 }

@@ -57,10 +57,17 @@ class _Baseline:
 
 
 class Diagnostics:
-    """Builds the statuses of a session; each call covers the time since the previous one."""
+    """Builds the statuses of a session; each call covers the time since the previous one.
 
-    def __init__(self, hardware_id: str) -> None:
+    Args:
+        hardware_id: of all statuses: the host.
+        node: begin of the name of each status: the node with its namespace, such as ``or1/igtl_gateway``.  Aggregators
+            identify a status by its name alone, so two bridges must not share names.
+    """
+
+    def __init__(self, hardware_id: str, node: str = "igtl_gateway") -> None:
         self._hardware_id = hardware_id
+        self._node = node
         self._seen: dict[tuple[str, str], _Baseline] = {}
         self._dropped: dict[str, int] = {}  # of peers and of the recorder, by name
         self._last_ns = 0
@@ -108,14 +115,14 @@ class Diagnostics:
         statuses += [self._frame(stream, ones) for stream, ones in rowless[:MAX_STREAMS]]
         if len(rows) > MAX_STREAMS:
             text = f"{len(rows) - MAX_STREAMS:,} more streams are not shown"
-            statuses.append(DiagnosticStatus(WARN, "igtl_gateway: further streams", text, self._hardware_id))
+            statuses.append(DiagnosticStatus(WARN, f"{self._node}: further streams", text, self._hardware_id))
         return DiagnosticArray(Header(utc_ns, ""), tuple(statuses))
 
     def _frame(self, stream: str, watched: list[GuardedStream]) -> DiagnosticStatus:
         """Build the status of a guarded stream that the ledger does not have: a tf frame, a child of a BIND."""
         stale = sum(one.stale for one in watched)
         level, text = (ERROR, f"stale: {stale:,} messages withheld so far (max_age_s)") if stale else (OK, "fresh")
-        return DiagnosticStatus(level, f"igtl_gateway: {stream}", text, self._hardware_id)
+        return DiagnosticStatus(level, f"{self._node}: {stream}", text, self._hardware_id)
 
     def _stream(
         self,
@@ -154,10 +161,10 @@ class Diagnostics:
             values.append(("last_age_ms", f"{age_ns / NS_PER_MS:.3f}"))
         values += [(fate, f"{number}") for fate, number in fates.items() if fate != "dropped"]
         values += [(f"dropped.{reason}", f"{number}") for reason, number in dropped.items()]
-        return DiagnosticStatus(level, f"igtl_gateway: {_SIDES[side]} {stream}", text, self._hardware_id, tuple(values))
+        return DiagnosticStatus(level, f"{self._node}: {_SIDES[side]} {stream}", text, self._hardware_id, tuple(values))
 
     def _peer(self, peer: PeerFacts, watched: list[GuardedStream]) -> DiagnosticStatus:
-        name = f"igtl_gateway: peer {peer.link} {peer.address}"
+        name = f"{self._node}: peer {peer.link} {peer.address}"
         lost = self._increase(name, peer.dropped)
         clock = best(one.timing for one in watched)
         level, text = (ERROR, f"reads too slowly: {lost:,} messages dropped") if lost else (OK, "connected")
@@ -169,7 +176,7 @@ class Diagnostics:
         return DiagnosticStatus(level, name, text, peer.address, tuple(values))
 
     def _recorder(self, counters: Mapping[str, Any] | None) -> DiagnosticStatus:
-        name = "igtl_gateway: recorder"
+        name = f"{self._node}: recorder"
         if counters is None:
             return DiagnosticStatus(OK, name, "not recording", self._hardware_id)
         lost = self._increase(name, counters["dropped_entries"])
@@ -184,10 +191,10 @@ class Diagnostics:
         waiting, problem = counters["waiting"], counters["problem"]
         level, text = (WARN, f"waits: {problem}") if problem else (OK, f"{waiting:,} files wait")
         values = tuple((key, f"{counters[key]}") for key in counters if key != "problem")
-        return DiagnosticStatus(level, "igtl_gateway: upload", text, self._hardware_id, values)
+        return DiagnosticStatus(level, f"{self._node}: upload", text, self._hardware_id, values)
 
     def _site(self, over_budget: int) -> DiagnosticStatus:
-        name = "igtl_gateway: site"
+        name = f"{self._node}: site"
         dropped = self._increase(name, over_budget)
         level, text = (WARN, f"budget exceeded: {dropped:,} messages dropped") if dropped else (OK, "within the budget")
         return DiagnosticStatus(level, name, text, self._hardware_id, (("over_budget", f"{over_budget}"),))

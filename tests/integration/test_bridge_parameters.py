@@ -9,6 +9,7 @@ import pytest
 
 import igtl_gateway
 from igtl_gateway import Bridge
+from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.errors import ConfigError
 from tests import domains
 from tests.integration.bridge import RosClient
@@ -84,3 +85,37 @@ def test_wrong_arguments_start_nothing(arguments: list[str], text: str) -> None:
         bridge.start()
     assert bridge.addresses == ()
     bridge.stop()
+
+
+def test_two_bridges_in_two_namespaces_share_no_status_name() -> None:
+    topic = "/diagnostics"
+    with (
+        RosClient("other", domain=domains.OWN) as other,
+        Bridge(listen=LOCAL, ros_args=["-r", "__ns:=/or1"]),
+        Bridge(listen=LOCAL, ros_args=["-r", "__ns:=/or2"]),
+    ):
+        other.subscribe(topic, "diagnostic_msgs/msg/DiagnosticArray")
+        names: dict[str, set[str]] = {}
+        while len(names) < 2:
+            for status in other.receive(topic)["status"]:
+                node, _, what = status["name"].partition(": ")
+                names.setdefault(node, set()).add(what)
+    assert names == {f"or{number}/igtl_gateway": {"recorder"} for number in (1, 2)}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "shares"),
+    [
+        ([], False),
+        (["-r", "__ns:=/or1"], True),
+        (["-r", "__ns:=/or1", "-r", "/tf:=tf"], False),
+        (["-r", "__ns:=/or1", "-r", "/tf:=/or1/tf"], False),
+    ],
+)
+def test_a_bridge_knows_whether_it_shares_tf(arguments: list[str], shares: bool) -> None:
+    host = NodeHost("igtl_gateway", arguments=arguments)
+    host.start(lambda error: None)
+    try:
+        assert host.shares_tf is shares
+    finally:
+        host.stop()

@@ -29,6 +29,9 @@ def test_the_demo_does_what_it_says(tmp_path: Path) -> None:
         "bytes were identical",
     ):
         assert sentence in told.stdout
-    assert told.stdout.rstrip().endswith("demo: all good")
+    recording = tmp_path / "demo.mcap"
+    assert f"demo: all good; the recording is {recording}" in told.stdout
+    commands = [line.split("  ")[1] for line in told.stdout.partition("try next\n")[2].splitlines()]
+    assert [words.split()[1] for words in commands] == ["view", "replay", "bridge"]
     with SessionFile.open(tmp_path / "demo.mcap") as file:
         assert file.ledger is not None and not file.ledger["recorder"]["dropped_entries"]

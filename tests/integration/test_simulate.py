@@ -66,7 +66,7 @@ def test_ctrl_c_ends_every_program_with_a_summary(tmp_path: Path) -> None:
     assert result.code == 1
     assert "planner      NOT DONE" in result.out and "robot        NOT DONE" in result.out
     assert "verified: all" in result.out
-    assert "acquisition: NOT GOOD (interrupted)" in result.out
+    assert "acquisition: FAILED (interrupted)" in result.out
     assert "Traceback" not in result.out + result.err
     assert programs_with(mark) == []
 
@@ -82,5 +82,5 @@ def test_one_side_alone_says_for_whom_it_waits(tmp_path: Path) -> None:
     finally:
         program.close()
     assert result.code == 1
-    assert "acquisition: NOT GOOD (interrupted), 0.0 s" in result.out
+    assert "acquisition: FAILED (interrupted), 0.0 s" in result.out
     assert programs_with(mark) == []

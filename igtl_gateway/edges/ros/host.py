@@ -111,6 +111,11 @@ class NodeHost:
         """The name of the node with its namespace; arguments may change both.  Only while it is in the graph."""
         return str(self.node.get_fully_qualified_name())
 
+    @property
+    def shares_tf(self) -> bool:
+        """Whether the node has a namespace, and its /tf is that of all namespaces.  Only while it is in the graph."""
+        return self.node.get_namespace() != "/" and self.node.resolve_topic_name("/tf") == "/tf"
+
     def overrides(self) -> dict[str, Any]:
         """Return name → value of the parameters that the arguments set."""
         return overrides(self.node)

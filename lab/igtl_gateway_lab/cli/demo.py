@@ -12,11 +12,11 @@ import importlib.util
 import os
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 from typing import Any
 
 from igtl_gateway.cli.common import count_text, size_text
+from igtl_gateway.cli.next_steps import command, print_next
 from igtl_gateway.cli.options import default
 from igtl_gateway.cli.terminal import print_line
 from igtl_gateway.clock import SystemClock
@@ -26,10 +26,12 @@ from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway_lab.programs import Event, EventProgram
 
 EXAMPLES = """\
-  # record to a temporary directory
+  # write the recording to igtl-gateway-demo/demo.mcap
   igtl-gateway demo
-  # write the recording to out/demo.mcap
+  # write it to out/demo.mcap
   igtl-gateway demo --keep out"""
+
+_FOLDER = Path("igtl-gateway-demo")
 
 _TIMEOUT_S = 60.0
 
@@ -42,7 +44,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seconds", type=float, default=8.0, metavar="SECONDS", help="duration of the traffic " + default("8.0")
     )
-    parser.add_argument("--keep", type=Path, metavar="DIR", help="write the recording to this directory")
+    parser.add_argument(
+        "--keep", type=Path, default=_FOLDER, metavar="DIR", help="directory of the recording " + default(_FOLDER)
+    )
 
 
 def run(options: argparse.Namespace) -> int:
@@ -54,11 +58,11 @@ def run(options: argparse.Namespace) -> int:
     # the demo must neither receive from other robots nor disturb them
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_DOMAIN_ID", str(os.getpid() % 100 + 1))
-    if options.keep:
+    try:
         options.keep.mkdir(parents=True, exist_ok=True)
-        return _demo(options.keep / "demo.mcap", options.seconds)
-    with tempfile.TemporaryDirectory(prefix="igtl-gateway-demo-") as folder:
-        return _demo(Path(folder) / "demo.mcap", options.seconds)
+    except OSError as error:
+        raise GatewayError(f"--keep {options.keep}: {error.strerror or error}, expected a writable directory") from None
+    return _demo(options.keep / "demo.mcap", options.seconds)
 
 
 def _demo(recording: Path, seconds: float) -> int:
@@ -81,7 +85,13 @@ def _demo(recording: Path, seconds: float) -> int:
         raise DemoError(f"the replays differ from the recording: {digests}, expected {wanted}")
     print_line(f"both replays delivered {count_text(wanted[1], 'byte')} with SHA-256 {wanted[0][:16]}…")
     print_line("the bytes were identical to those that the bridge sent to the client.")
-    print_line("", "demo: all good")
+    print_line("", f"demo: all good; the recording is {recording}", "")
+    print_next(
+        (command("view", recording), "show it in rerun"),
+        (command("replay", recording, "--to", "igtl"), "serve it to 3D Slicer or another client, port 18944"),
+        (command("bridge", "--record", "mine.mcap"), "record programs of your own"),
+        title="try next",
+    )
     return 0
 
 

@@ -146,7 +146,7 @@ def report_facts(done: bool, report: ActorReport) -> dict[str, Any]:
 
 def report_lines(name: str, what: str, done: bool, report: ActorReport) -> list[str]:
     """An actor's report for people."""
-    verdict = "good" if done and report.good else "NOT GOOD" if done else "NOT DONE"
+    verdict = "done" if done and report.good else "FAILED" if done else "NOT DONE"
     return [f"{name:<12} {verdict}{what}", *(f"             {line}" for line in report.lines)]
 
 
@@ -233,7 +233,7 @@ class _StageOutput:
             )
             print_line(f"recording    {where}{entries}, {size_text(outcome.recording['bytes'])}; {told}")
         why = "" if outcome.end is StageEnd.OVER else f" ({outcome.end.value})"
-        print_line(f"{self._name}: {'good' if good else 'NOT GOOD'}{why}, {outcome.seconds:.1f} s")
+        print_line(f"{self._name}: {'passed' if good else 'FAILED'}{why}, {outcome.seconds:.1f} s")
 
     def _line(self, name: str, text: str) -> None:
         self._clear()

@@ -110,7 +110,8 @@ class SutureRobot:
         executed = f"executed: {len(beside_mm)} of {STITCHES} stitches"
         lines = (
             f"plan: {STITCHES} stitches from the first cloud; planted at a wrong depth: {_lengths_text(first)}",
-            f"moved by the planner: {_lengths_text(moved)}; still wrong: {_lengths_text(last)}",
+            f"moved by the planner: {_lengths_text(moved)}",
+            f"still wrong, for `igtl-gateway review` to find: {_lengths_text(last)}",
             f"{executed}, at most {max(beside_mm):.2f} mm beside the plan" if beside_mm else executed,
             "the plan was approved" if facts["approved"] else "the plan was not approved, so the arm did not move",
         )

@@ -1,9 +1,13 @@
-"""Two bridges, each in a namespace and with a port of its own; two_bridges.launch.xml is the same in XML."""
+"""Two bridges, each in a namespace and with a port of its own; two_bridges.launch.xml is the same in XML.
+
+Each has the /tf of its namespace: the frames of two trackers with the same device names would mix.
+"""
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
+from launch.actions import DeclareLaunchArgument, GroupAction, IncludeLaunchDescription
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration, ThisLaunchFileDir
+from launch_ros.actions import SetRemap
 
 ARGUMENTS = (
     ("namespace_1", "or1", "namespace of the first bridge"),
@@ -24,14 +28,20 @@ def generate_launch_description():
                 for name, default, text in ARGUMENTS
             ),
             *(
-                IncludeLaunchDescription(
-                    PythonLaunchDescriptionSource([ThisLaunchFileDir(), "/bridge.launch.py"]),
-                    launch_arguments={
-                        "namespace": values[f"namespace_{number}"],
-                        "listen": values[f"listen_{number}"],
-                        "params_file": values["params_file"],
-                        "log_level": values["log_level"],
-                    }.items(),
+                GroupAction(
+                    [
+                        SetRemap("/tf", "tf"),
+                        SetRemap("/tf_static", "tf_static"),
+                        IncludeLaunchDescription(
+                            PythonLaunchDescriptionSource([ThisLaunchFileDir(), "/bridge.launch.py"]),
+                            launch_arguments={
+                                "namespace": values[f"namespace_{number}"],
+                                "listen": values[f"listen_{number}"],
+                                "params_file": values["params_file"],
+                                "log_level": values["log_level"],
+                            }.items(),
+                        ),
+                    ]
                 )
                 for number in (1, 2)
             ),

@@ -1,0 +1,43 @@
+"""The end of a verb's output for people: what the user can do next, with commands that run as printed."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+
+from igtl_gateway.cli.terminal import cell, print_line, width
+
+PROGRAM = "igtl-gateway"
+
+
+def command(*words: object) -> str:
+    """Return a command line of this program, quoted for a shell."""
+    return shlex.join([PROGRAM, *map(str, words)])
+
+
+def print_next(*steps: tuple[str, str], title: str = "next") -> None:
+    """Print commands and what they do, the commands in one column."""
+    columns = width(step for step, _ in steps)
+    print_line(title, *(f"  {cell(step, columns)}  {what}" for step, what in steps))
+
+
+def info_steps(file: str, *, is_foreign: bool, has_problems: bool, types: Sequence[str]) -> list[tuple[str, str]]:
+    """Return what follows ``info`` of a complete recording.
+
+    Args:
+        file: the recording.
+        is_foreign: whether another program wrote it.
+        has_problems: whether notes report problems.
+        types: OpenIGTLink types in it.
+    """
+    if is_foreign:
+        return [
+            (command("import", file, "-o", "session.mcap"), "make a session of it"),
+            (command("view", file), "show it in rerun"),
+        ]
+    steps = [(command("verify", file), "compute all outputs again and compare them")]
+    if has_problems:
+        steps.append((command("lint", file), "find the causes of the problems"))
+    if types:
+        steps.append((command("replay", file, "--to", "igtl"), "serve it to 3D Slicer and others"))
+    return [*steps, (command("view", file), "show it in rerun")]
