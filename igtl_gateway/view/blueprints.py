@@ -30,6 +30,8 @@ from igtl_gateway.view.contents import (
     REVIEW_LEGENDS,
     REVIEW_STITCHES,
     REVIEW_TABLE,
+    REVIEW_WRONG,
+    RULERS,
     EntityKind,
     SessionContents,
     ShownTopic,
@@ -51,6 +53,7 @@ _SUBJECTS = (
     EntityKind.MARKERS,
     EntityKind.POSE,
 )
+_LEGEND_ROOM = 0.45  #: room for the legend of a plot, as a fraction of the time of the session
 _CELLS = 6  #: maximum number of views in a grid
 _IN_PICTURE = (
     EntityKind.LINES,
@@ -134,8 +137,11 @@ NAMES = tuple(_BLUEPRINTS)
 def _spaces(seen: SessionContents) -> list[Part]:
     """Build a 3-D view for each frame tree, in the order of ``SessionContents.trees``."""
     views: list[Part] = []
-    for root, tree in seen.trees().items():
+    for number, (root, tree) in enumerate(seen.trees().items()):
         contents = [entity for shown in tree for entity in _solids(shown)]
+        contents += [f"+ /{ruler}" for ruler in seen.rulers if ruler == f"{RULERS}/{number}"]
+        if seen.reviewed and _of(tree, EntityKind.CLOUD):
+            contents.append(f"+ /{REVIEW_WRONG}/**")
         scales = [shown.scale for shown in tree if shown.scale]
         views.append(
             _space(
@@ -149,10 +155,7 @@ def _spaces(seen: SessionContents) -> list[Part]:
 
 
 def _space(seen: SessionContents, name: str, tree: list[ShownTopic], contents: list[str]) -> rrb.Spatial3DView:
-    """Build a 3-D view in the frame of its subject: that frame exists before any transform is known."""
-    subject = _subject(tree)
-    # in the frame of a moving probe its image would not move, but everything else would
-    frame = seen.root_of(subject.frame) if subject.what is EntityKind.PLANE else subject.frame
+    frame = target_frame(seen, tree)
     return rrb.Spatial3DView(
         name=name,
         origin="/",
@@ -243,15 +246,31 @@ def _words(seen: SessionContents) -> list[Part]:
 
 def _plots(seen: SessionContents) -> Part:
     """Plots of sensors, then plots of the gateway: rates and latencies."""
-    plots = [_plot(shown.topic, f"/{shown.path}") for shown in seen.of(EntityKind.PLOT)]
+    plots = [_plot(seen, shown.topic, f"/{shown.path}") for shown in seen.of(EntityKind.PLOT)]
     inputs = [f"+ $origin/{kind.value}/**" for kind in (Kind.ROS_IN, Kind.IGTL_IN)]  # outputs follow from the inputs
-    rates = [_plot("Rate (Hz)", f"/{RATES}", inputs)] if seen.seconds >= 1 else []  # a shorter session has no rate
-    lag = [_plot(seen.lag, f"/{LAG_CURVES}")] if seen.lag else []
-    return _tabs([*lag, *plots, *rates, _plot("Latency (ms)", f"/{LATENCIES}"), _plot("Drops and gaps", f"/{DROPS}")])
+    has_rates = seen.seconds >= 1  # a shorter session has none
+    rates = [_plot(seen, "Rate (Hz)", f"/{RATES}", inputs)] if has_rates else []
+    lag = [_plot(seen, seen.lag, f"/{LAG_CURVES}")] if seen.lag else []
+    gateway = [_plot(seen, "Latency (ms)", f"/{LATENCIES}"), _plot(seen, "Drops and gaps", f"/{DROPS}")]
+    return _tabs([*lag, *plots, *rates, *gateway])
 
 
-def _plot(name: str, origin: str, contents: list[str] | str = "$origin/**") -> rrb.TimeSeriesView:
-    return rrb.TimeSeriesView(name=name, origin=origin, contents=contents, plot_legend=rrb.Corner2D.LeftTop)
+def _plot(
+    seen: SessionContents, name: str, origin: str, contents: list[str] | str = "$origin/**"
+) -> rrb.TimeSeriesView:
+    """Build a plot with room for its legend before the first time: rerun draws legends over the curves."""
+    axis = None
+    if seen.last_ns > seen.first_ns:
+        room_ns = round(_LEGEND_ROOM * (seen.last_ns - seen.first_ns))
+        begin, end = (_boundary(time_ns) for time_ns in (max(seen.first_ns - room_ns, 1), seen.last_ns))
+        axis = rrb.TimeAxis(view_range=rrb.TimeRange(begin, end))
+    return rrb.TimeSeriesView(
+        name=name, origin=origin, contents=contents, plot_legend=rrb.Corner2D.LeftTop, axis_x=axis
+    )
+
+
+def _boundary(time_ns: int) -> rrb.TimeRangeBoundary:
+    return rrb.TimeRangeBoundary.absolute(nanos=time_ns)
 
 
 # Contents of views
@@ -278,9 +297,21 @@ def _subject(tree: list[ShownTopic]) -> ShownTopic:
     return min(tree, key=lambda shown: (_SUBJECTS.index(shown.what) if shown.what in _SUBJECTS else 99, -shown.count))
 
 
+def target_frame(seen: SessionContents, tree: list[ShownTopic]) -> str:
+    """Return the frame of a 3-D view: that of its subject, which exists before any transform is known."""
+    subject = _subject(tree)
+    # in the frame of a moving probe its image would not move, but everything else would
+    return seen.root_of(subject.frame) if subject.what is EntityKind.PLANE else subject.frame
+
+
+def is_camera(seen: SessionContents, frame: str) -> bool:
+    """Return whether a frame has the axes of a camera (REP 103: y down, z forward)."""
+    return frame in _cameras(seen) or "optical" in frame
+
+
 def _eye(seen: SessionContents, tree: list[ShownTopic], frame: str) -> rrb.EyeControls3D | None:
     """Return the eye of a 3-D view; None leaves the choice to the viewer."""
-    eye = eye_of(seen, tree, frame, camera=frame in _cameras(seen) or "optical" in frame)
+    eye = eye_of(seen, tree, frame, camera=is_camera(seen, frame))
     return eye and rrb.EyeControls3D(position=eye.place, look_target=eye.target, eye_up=eye.up)
 
 

@@ -20,9 +20,12 @@ LAG_TEXT, LAG_CURVES = f"{LAG}/text", f"{LAG}/curves"
 FRAMES = "frames"
 #: Frames of entities before their first row, see ``Pen.stand``.
 PLACES = "places"
+#: Rulers of the 3-D views, one for each view.
+RULERS = "session/rulers"
 REVIEW = "review"
 REVIEW_CLOUD, REVIEW_STITCHES, REVIEW_TABLE = f"{REVIEW}/cloud", f"{REVIEW}/stitches", f"{REVIEW}/table"
 REVIEW_DISTANCE = f"{REVIEW}/distance"
+REVIEW_WRONG = f"{REVIEW}/wrong"
 REVIEW_LEGENDS = {REVIEW_CLOUD: f"{REVIEW}/legends/noise", REVIEW_DISTANCE: f"{REVIEW}/legends/distance"}
 
 
@@ -137,6 +140,7 @@ class SessionContents:
         scales: cloud of the review → its colour scale.
         fields: names of fields of clouds, for ``--color-by``.
         frames: child frame → its entity, ``frames/<frame id>``.
+        rulers: entities of the rulers in the 3-D views.
     """
 
     base_frame: str = "world"
@@ -150,6 +154,7 @@ class SessionContents:
     scales: dict[str, str] = field(default_factory=dict)
     fields: set[str] = field(default_factory=set)
     frames: dict[str, str] = field(default_factory=dict)
+    rulers: list[str] = field(default_factory=list)
 
     def of(self, *kinds: EntityKind) -> list[ShownTopic]:
         """Return the topics of these kinds, in the order of appearance."""

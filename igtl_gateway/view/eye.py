@@ -16,8 +16,9 @@ Xyz = tuple[float, float, float]
 
 _TOOLS = (EntityKind.POSE, EntityKind.POSES)
 _BODIES = {EntityKind.CLOUD, EntityKind.MESH, EntityKind.VOLUME}
+_ARMS = {EntityKind.MARKERS, EntityKind.LINES}  # a robot that is drawn as lines is a subject too, wherever it stands
 _LINKS = 30  #: about the number of links that the eye regards: each is followed to the root
-_HALF_HEIGHT, _HALF_WIDTH = (
+HALF_HEIGHT, HALF_WIDTH = (
     math.radians(25),
     math.radians(30),
 )  #: half of the opening angle of a narrow 3-D view of rerun
@@ -58,7 +59,7 @@ def eye_of(seen: SessionContents, tree: list[ShownTopic], frame: str, *, camera:
     distance = 0.0
     for place in places:
         right, above, near = (abs(place[0] - middle[0]), abs(place[1] - middle[1]), place[2] - middle[2])
-        spread = max(right / math.tan(_HALF_WIDTH), above / math.tan(_HALF_HEIGHT))
+        spread = max(right / math.tan(HALF_WIDTH), above / math.tan(HALF_HEIGHT))
         distance = max(distance, room * (near + spread))
     if distance < _SPOT_M:
         distance = _FROM_SPOT_M
@@ -83,7 +84,9 @@ def _corners(seen: SessionContents, tree: list[ShownTopic], frame: str) -> list[
     boxed = [shown for shown in tree if shown.low is not None and shown.high is not None]
     bodies = {shown.frame for shown in boxed if shown.what in _BODIES}
     if bodies and not any(shown.what is EntityKind.PLANE for shown in boxed):
-        boxed = [shown for shown in boxed if shown.frame in bodies and shown.what not in _TOOLS]
+        boxed = [
+            shown for shown in boxed if (shown.frame in bodies or shown.what in _ARMS) and shown.what not in _TOOLS
+        ]
     corners = [
         _moved(seen, shown.frame, frame, corner)
         for shown in boxed

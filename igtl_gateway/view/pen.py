@@ -17,6 +17,7 @@ import rerun as rr
 
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.session.entry import Entry
+from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.view.colours import INFO
 from igtl_gateway.view.contents import PLACES
 
@@ -78,6 +79,7 @@ class Pen:
         recording.set_log_time_enabled(False)
         recording.set_log_tick_enabled(False)
         self.number = self.stamp_ns = self.source_ns = 0
+        self.begin_ns = 0  # gateway time of the first entry, UTC ns
         self.owners: dict[str, str] = {}  # frame → topic that publishes its pose
         self.link_axes: dict[str, float] = {}  # link of a robot → length of its axes in metres
         self.cameras: set[str] = set()  # frames with a pinhole
@@ -160,9 +162,13 @@ class Pen:
             self.recording.send_columns(path, times, rr.Scalars.columns(scalars=values[on]))
 
     def text(self, path: str, text: str, level: str, colour: int | None = None) -> None:
-        """Write a line to a log."""
+        """Write a line to a log, after the time since the first entry."""
+        # the log of rerun cuts a column of times after the date, so the line has the time of the session
+        self.begin_ns = self.begin_ns or self.stamp_ns
+        time = f"{(self.stamp_ns - self.begin_ns) / NS_PER_S:9.3f} s" if self.stamp_ns else ""
+        line = f"{time:11}  {text}"
         # rerun gives a line without a colour that of the previous line
-        self.log(path, rr.TextLog(self.displayable(text), level=level, color=INFO if colour is None else colour))
+        self.log(path, rr.TextLog(self.displayable(line), level=level, color=INFO if colour is None else colour))
 
     def displayable(self, text: str) -> str:
         """Return the text; a ``plain`` pen escapes the characters that a headless viewer cannot draw."""

@@ -9,7 +9,14 @@ import rerun as rr
 from igtl_gateway.review import Level, PlanReview, Review, StitchReview
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.view import colours
-from igtl_gateway.view.contents import REVIEW_CLOUD, REVIEW_DISTANCE, REVIEW_LEGENDS, REVIEW_STITCHES, REVIEW_TABLE
+from igtl_gateway.view.contents import (
+    REVIEW_CLOUD,
+    REVIEW_DISTANCE,
+    REVIEW_LEGENDS,
+    REVIEW_STITCHES,
+    REVIEW_TABLE,
+    REVIEW_WRONG,
+)
 from igtl_gateway.view.legend import scale_bar
 from igtl_gateway.view.pen import Pen
 
@@ -35,7 +42,7 @@ def draw_review(review: Review, pen: Pen) -> dict[str, str]:
         radii=[rr.Radius.ui_points(2.0)],
     )
     pen.static(REVIEW_CLOUD, rr.CoordinateFrame(cloud.frame_id), points)
-    for path in (REVIEW_STITCHES, REVIEW_DISTANCE, _NAMES):
+    for path in (REVIEW_STITCHES, REVIEW_DISTANCE, _NAMES, REVIEW_WRONG, f"{REVIEW_WRONG}/names"):
         pen.static(path, rr.CoordinateFrame(cloud.frame_id))
     scales = {
         REVIEW_CLOUD: ("Depth noise", 0.0, red_mm, "mm"),
@@ -47,6 +54,8 @@ def draw_review(review: Review, pen: Pen) -> dict[str, str]:
         pen.log(REVIEW_STITCHES, _stitches(plan))
         pen.log(REVIEW_DISTANCE, _by_distance(cloud.positions, plan))
         pen.log(_NAMES, _names(plan))
+        pen.log(REVIEW_WRONG, _wrong(plan))
+        pen.log(f"{REVIEW_WRONG}/names", _names(plan))
         pen.log(
             REVIEW_TABLE,
             rr.TextDocument(pen.displayable(_table(review, plan, number, red_mm)), media_type="text/markdown"),
@@ -86,6 +95,14 @@ def _stitches(plan: PlanReview) -> rr.LineStrips3D:
         radii=[_LINE_M],
         labels=[_label(stitch) for stitch in plan.stitches],
         show_labels=False,  # labels of all points would overlap: show one under the pointer
+    )
+
+
+def _wrong(plan: PlanReview) -> rr.LineStrips3D:
+    """Mark the wrong stitches by thick red lines, for the view of the tissue."""
+    strips = [(stitch.entry.position, stitch.exit.position) for stitch in plan.wrong]
+    return rr.LineStrips3D(
+        np.array(strips, np.float32).reshape(-1, 2, 3), colors=[_COLOURS[Level.WRONG]], radii=[2 * _LINE_M]
     )
 
 

@@ -23,6 +23,7 @@ from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.sync.lag import Lag
 from igtl_gateway.sync.signal import Signal
 from igtl_gateway.untrusted.files import read_bytes
+from igtl_gateway.view.blueprints import is_camera, target_frame
 from igtl_gateway.view.canvas import Canvas, Options
 from igtl_gateway.view.colours import ERROR, INFO, WARN
 from igtl_gateway.view.contents import (
@@ -40,10 +41,12 @@ from igtl_gateway.view.contents import (
     ShownTopic,
     path_of,
 )
+from igtl_gateway.view.eye import eye_of
 from igtl_gateway.view.lag_drawing import draw_lag
 from igtl_gateway.view.pen import GATEWAY_TIME, LAST_NS, SENDER_TIME, Pen, timeless
 from igtl_gateway.view.review_drawing import draw_review
 from igtl_gateway.view.robots import Robots
+from igtl_gateway.view.ruler import draw_ruler, ruler_of
 from igtl_gateway.view.table import PICTURES, Picture
 
 _ROS = frozenset((Kind.ROS_IN, Kind.ROS_OUT))
@@ -129,6 +132,7 @@ class SessionView:
     def take(self, entry: Entry) -> None:
         """Draw one entry; the caller passes entries in the order of the session."""
         self._pen.at(entry)
+        self._pen.begin_ns = self._pen.begin_ns or self._pen.stamp_ns
         if self._pen.stamp_ns:
             self.seen.first_ns = self.seen.first_ns or entry.stamp_ns
             self.seen.last_ns = max(self.seen.last_ns, entry.stamp_ns)
@@ -153,8 +157,14 @@ class SessionView:
 
     @ieee_754
     def finish(self) -> None:
-        """Send the collected rows.  The last, incomplete second gets no rate: it would look like a drop."""
+        """Send the collected rows and rulers.  The last, incomplete second gets no rate: it would look like a drop."""
         self._pen.flush()
+        for number, tree in enumerate(self.seen.trees().values()):
+            frame = target_frame(self.seen, tree)
+            eye = eye_of(self.seen, tree, frame, camera=is_camera(self.seen, frame))
+            if ruler := eye and ruler_of(eye, number):
+                draw_ruler(ruler, frame, self._pen)
+                self.seen.rulers.append(ruler.path)
 
     def end(self, why: str) -> None:
         """Log that the session ends here because the rest of it cannot be read."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,6 +14,13 @@ from igtl_gateway.session.entry import Entry, Kind
 
 START_NS = 1_767_225_600_000_000_000
 STEP_NS = 10_000_000
+
+
+def without_time(line: str) -> str:
+    """A line of the log without the column of times since the first entry."""
+    time, text = line[:13], line[13:]
+    assert re.fullmatch(r" *-?\d+\.\d{3} s  | {13}", time), line
+    return text
 
 
 @dataclass
@@ -45,7 +53,7 @@ class Drawn:
         return sum(batch.num_rows for batch in self.batches.get(path, []))
 
     def log(self) -> list[str]:
-        return [row["TextLog:text"][0] for row in self.rows("session/log")]
+        return [without_time(row["TextLog:text"][0]) for row in self.rows("session/log")]
 
 
 def _rows(batch: Any) -> list[dict[str, Any]]:

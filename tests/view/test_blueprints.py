@@ -153,3 +153,29 @@ def test_the_eye_is_that_of_a_camera_in_a_cameras_frame() -> None:
         (space,) = of_class("generic", seen(("/cloud", EntityKind.CLOUD, frame)), "3D")
         ups.append(tuple(space.properties["EyeControls3D"].eye_up.as_arrow_array()[0].as_py()))
     assert ups == [(0, -1, 0), (0, 0, 1)]
+
+
+def test_the_view_of_the_tissue_marks_the_wrong_stitches() -> None:
+    rows = (("/cloud", EntityKind.CLOUD, CAMERA), ("/plan", EntityKind.LINES, CAMERA))
+    for reviewed in (True, False):
+        space, *_ = of_class("star", seen(*rows, reviewed=reviewed), "3D")
+        assert ("+ /review/wrong/**" in space.contents) is reviewed
+
+
+def test_each_view_has_the_ruler_of_its_own() -> None:
+    both = seen(("/cloud", EntityKind.CLOUD, CAMERA), ("/plan", EntityKind.LINES, "elsewhere"), parents={CAMERA: BASE})
+    both.rulers = ["session/rulers/0", "session/rulers/1"]
+    spaces = of_class("generic", both, "3D")
+    assert [[each for each in space.contents if "ruler" in each] for space in spaces] == [
+        ["+ /session/rulers/0"],
+        ["+ /session/rulers/1"],
+    ]
+
+
+def test_a_legend_stands_before_the_curves() -> None:
+    first_ns, last_ns = 1_767_225_600_000_000_000, 1_767_225_610_000_000_000
+    session = seen(("/force", EntityKind.PLOT, ""), first_ns=first_ns, last_ns=last_ns)
+    for plot in of_class("generic", session, "TimeSeries"):
+        bounds = plot.properties["TimeAxis"].view_range.as_arrow_array()[0].as_py()
+        assert bounds["end"] == last_ns
+        assert first_ns - bounds["start"] == pytest.approx(0.45 * 10e9)

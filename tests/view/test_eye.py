@@ -88,3 +88,13 @@ def test_nothing_to_look_at() -> None:
         is None
     )
     assert eye_of(SessionContents(), [], "here", camera=True) is None
+
+
+def test_an_arm_of_lines_is_in_the_view_of_a_volume_in_another_frame() -> None:
+    seen = SessionContents(parents={"head": "base"})
+    seen.places = {"head": (0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)}
+    volume = shown(EntityKind.VOLUME, "head", (-0.1, -0.1, -0.1), (0.1, 0.1, 0.1))
+    arm = shown(EntityKind.LINES, "base", (0.0, 0.0, 0.0), (0.5, 0.0, 0.6))
+    eye = eye_of(seen, [volume, arm], "base", camera=False)
+    assert eye is not None
+    assert max(angle(eye, corner) for corner in ((0.0, 0.0, 0.0), (0.5, 0.0, 0.6), (0.6, 0.1, -0.1))) < 45
