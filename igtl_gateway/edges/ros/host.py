@@ -114,7 +114,7 @@ class NodeHost:
     @property
     def shares_tf(self) -> bool:
         """Whether the node has a namespace, and its /tf is that of all namespaces.  Only while it is in the graph."""
-        return self.node.get_namespace() != "/" and self.node.resolve_topic_name("/tf") == "/tf"
+        return str(self.node.get_namespace()) != "/" and str(self.node.resolve_topic_name("/tf")) == "/tf"
 
     def overrides(self) -> dict[str, Any]:
         """Return name → value of the parameters that the arguments set."""
