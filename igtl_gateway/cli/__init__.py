@@ -16,7 +16,7 @@ import importlib
 import sys
 from collections.abc import Sequence
 
-from igtl_gateway import notations
+from igtl_gateway import extras, notations
 from igtl_gateway.cli.early_port import early_ports
 from igtl_gateway.cli.options import HelpFormatter, add_file_mode, add_limits_of_files, shorten_usage
 from igtl_gateway.cli.ros_arguments import without_ros_arguments
@@ -70,6 +70,7 @@ def _run(given: Sequence[str], asked: str, **extra: object) -> int:
         return USAGE
     try:
         with (
+            extras.in_use(),
             limits.limits_in_force(limits.parse_limits(getattr(options, "limit", []))),
             files_with_mode(notations.file_mode(getattr(options, "file_mode", None) or "0600"), umask=True),
         ):

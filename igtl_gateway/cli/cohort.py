@@ -15,7 +15,7 @@ from igtl_gateway.cli.options import add_json, add_overwrite, default, output_fi
 from igtl_gateway.cli.outputs import check_target, written
 from igtl_gateway.cli.terminal import aligned, print_json, print_line
 from igtl_gateway.cohort.ends import VERB_NAMES
-from igtl_gateway.errors import ConfigError, Unavailable
+from igtl_gateway.errors import ConfigError
 from igtl_gateway.sessionfile.new_file import write_text
 from igtl_gateway.sync.defaults import MAX_LAG_S
 from igtl_gateway.systems.processes import usable_cpus
@@ -89,6 +89,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
+    with extras.in_use("cohort"):
+        return _run(options)
+
+
+def _run(options: argparse.Namespace) -> int:
     for name, action in (("csv", QUERY), ("parquet", QUERY), ("html", REPORT)):
         if getattr(options, name) and options.action != action:
             raise ConfigError(f"--{name}: found it with {options.action}, expected it with {action}")
@@ -148,10 +153,7 @@ def _run_report(options: argparse.Namespace) -> int:
 
 def _run_files(options: argparse.Namespace) -> int:
     _check(options)
-    try:
-        from igtl_gateway.cohort.results import Results
-    except ImportError as error:
-        raise Unavailable(extras.missing("pyarrow", error)) from None
+    from igtl_gateway.cohort.results import Results
     from igtl_gateway.cohort.running import Where, Work, run_cohort
     from igtl_gateway.cohort.sources import locate
 

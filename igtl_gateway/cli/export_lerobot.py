@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway import extras
 from igtl_gateway.api import recording as recordings
 from igtl_gateway.cli.common import count_text
 from igtl_gateway.cli.outputs import check_target, write_error, written
@@ -50,9 +51,10 @@ def run_lerobot(options: argparse.Namespace) -> int:
         raise ConfigError("-o: found it or --recipe alone, expected both")
     if options.streams:
         raise ConfigError(f"--streams: found it with --to {LEROBOT}, expected the streams in the recipe")
-    if options.write_recipe:
-        return _write_recipe(options)
-    return _check(options) if options.check else _export(options)
+    with extras.in_use(LEROBOT):
+        if options.write_recipe:
+            return _write_recipe(options)
+        return _check(options) if options.check else _export(options)
 
 
 def _write_recipe(options: argparse.Namespace) -> int:
