@@ -21,7 +21,9 @@
     ├── OutputError                 standard output or error cannot be written: the disk is full
     └── RecordingError              invalid or unwritable session file (fault of the file or disk)
         ├── DiskRefused             the disk is full, read-only or not accessible
+        ├── ClosedRecording         read after it was closed (a ValueError)
         ├── UnsupportedRecording    not a session log, or an unknown version
+        │   └── NoSuchRecording     there is no such file (a FileNotFoundError)
         └── DamagedRecording        a session log that cannot be read to its end
             ├── BeingRecorded       another process is still writing the file
             └── LimitExceeded       the file needs more memory, depth or time than the limits allow
@@ -138,6 +140,14 @@ class DiskRefused(RecordingError):
 
 class UnsupportedRecording(RecordingError):
     """The file is not a session log, or has a version that this release does not support."""
+
+
+class NoSuchRecording(UnsupportedRecording, FileNotFoundError):
+    """There is no file of this name."""
+
+
+class ClosedRecording(RecordingError, ValueError):
+    """A recording was read after it was closed."""
 
 
 class DamagedRecording(RecordingError):

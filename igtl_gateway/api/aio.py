@@ -29,6 +29,7 @@ from igtl_gateway.api.conversation import (
     PeerOptions,
     WhenFull,
 )
+from igtl_gateway.api.keywords import texts
 from igtl_gateway.api.peer import HOST, PORT, TIMEOUT_S, dialled, listening
 from igtl_gateway.api.received import ReceivedMessage
 from igtl_gateway.edges.tcp import LinkInfo, PeerLimits, TlsFiles
@@ -371,7 +372,7 @@ def serve(
     port: int = PORT,
     host: str = HOST,
     *,
-    allow: Sequence[str] = (),
+    allow: str | Sequence[str] = (),
     header_version: HeaderVersion | None = None,
     when_full: WhenFull = "block",
     queue_messages: int = QUEUE_MESSAGES,
@@ -384,7 +385,7 @@ def serve(
     Arguments and errors as of `igtl_gateway.serve`.
     """
     options = PeerOptions(
-        header_version, when_full, queue_messages, queue_bytes, limits or PeerLimits(), tls, tuple(allow)
+        header_version, when_full, queue_messages, queue_bytes, limits or PeerLimits(), tls, texts("allow", allow)
     )
 
     async def open_it() -> AsyncServer:

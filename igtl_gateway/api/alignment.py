@@ -43,6 +43,10 @@ class Match:
     poses: Poses | None
     interpolated: bool = False
 
+    def __repr__(self) -> str:
+        found = int((self.rows >= 0).sum())
+        return f"<Match: {found:,} of {len(self.rows):,} times have a message of {self.stream.key}>"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Aligned:
@@ -60,6 +64,10 @@ class Aligned:
 
     def __len__(self) -> int:
         return len(self.times)
+
+    def __repr__(self) -> str:
+        others = ", ".join(key for key in self.matches if key != self.on)
+        return f"<Aligned: {others} at {len(self):,} times of {self.on}>"
 
     def __getitem__(self, key: str) -> Match:
         if key not in self.matches:

@@ -9,6 +9,7 @@ from typing import Any, overload
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.api.display import as_array, html_line, shape_text
 from igtl_gateway.api.images import find_row
 from igtl_gateway.api.source import Source
 from igtl_gateway.convert.clouds import CloudColumns
@@ -28,7 +29,7 @@ Array = npt.NDArray[Any]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cloud:
-    """The points of one message.
+    """The points of one message; for numpy their ``xyz``.
 
     Attributes:
         xyz: (N, 3), float32 or float64 as recorded; holes of an organised cloud are NaN.
@@ -51,6 +52,17 @@ class Cloud:
     def __len__(self) -> int:
         return len(self.xyz)
 
+    def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> Array:
+        return as_array(self.xyz, dtype, copy)
+
+    def __repr__(self) -> str:
+        frame = f", {self.frame}" if self.frame else ""
+        fields = f", fields {', '.join(self.fields)}" if self.fields else ""
+        return f"<Cloud: {shape_text(self.xyz)}, {self.unit}{frame}{fields}>"
+
+    def _repr_html_(self) -> str:
+        return html_line(repr(self))
+
 
 _Parts = tuple[Array, str, tuple[str, ...], dict[str, Array]]
 
@@ -69,7 +81,14 @@ class Clouds(Sequence[Cloud]):
                 f"{channel.stream}: found type {channel.entry_type}, expected one of {', '.join((*_WIRE, *_ROS))}"
             )
         self._read, self._unit, self._blocks = read, unit, blocks
+        self._name = channel.stream or channel.topic
         self._ends = np.cumsum([len(block) for block in blocks], dtype=np.int64)
+
+    def __repr__(self) -> str:
+        return f"<Clouds: {len(self):,} of {self._name}>"
+
+    def _repr_html_(self) -> str:
+        return html_line(repr(self))
 
     def __len__(self) -> int:
         return int(self._ends[-1]) if len(self._ends) else 0

@@ -9,6 +9,7 @@ from typing import Any, overload
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.api.display import as_array, html_line, shape_text
 from igtl_gateway.api.source import Source
 from igtl_gateway.convert.igtl_msgs import Volume
 from igtl_gateway.convert.images import pixel_layout
@@ -27,7 +28,7 @@ Array = npt.NDArray[Any]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageView:
-    """An image or a volume.
+    """An image or a volume; for numpy its ``array``.
 
     Attributes:
         array: pixels, a view on the recorded bytes: (slices, rows, columns), and a fourth axis for several components.
@@ -49,6 +50,18 @@ class ImageView:
     source_time: int
     frame: str = ""
     encoding: str = ""
+
+    def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> Array:
+        return as_array(self.array, dtype, copy)
+
+    def __repr__(self) -> str:
+        spacing = f", {' × '.join(f'{each:.4g}' for each in self.spacing)} {self.unit}" if self.spacing else ""
+        frame = f", {self.frame}" if self.frame else ""
+        encoding = f", {self.encoding}" if self.encoding else ""
+        return f"<ImageView: {shape_text(self.array)}{encoding}{spacing}{frame}>"
+
+    def _repr_html_(self) -> str:
+        return html_line(repr(self))
 
     @property
     def plane(self) -> Array:
@@ -75,9 +88,15 @@ class Images(Sequence[ImageView]):
             raise ConfigError(
                 f"{channel.stream}: found type {channel.entry_type}, expected IMAGE, {RosImage.TYPE} or {Volume.TYPE}"
             )
-        self._type, self._unit = channel.entry_type, unit
+        self._type, self._unit, self._name = channel.entry_type, unit, channel.stream or channel.topic
         self._blocks = blocks
         self._ends = np.cumsum([len(block) for block in blocks], dtype=np.int64)
+
+    def __repr__(self) -> str:
+        return f"<Images: {len(self):,} of {self._name}>"
+
+    def _repr_html_(self) -> str:
+        return html_line(repr(self))
 
     def __len__(self) -> int:
         return int(self._ends[-1]) if len(self._ends) else 0

@@ -65,6 +65,16 @@ def addresses(name: str, given: object) -> tuple[tuple[str, int], ...]:
     return found
 
 
+def texts(name: str, given: object) -> tuple[str, ...]:
+    """Return strings as a tuple; one string is one of them, not its letters.  Raises ConfigError."""
+    if isinstance(given, str):
+        return (given,)
+    found = tuple(given) if isinstance(given, Iterable) else (given,)
+    if not all(isinstance(each, str) for each in found):
+        raise ConfigError(f"{name}: found {given!r}, expected a string or a list of strings")
+    return found
+
+
 def one_of(name: str, found: object, choices: Sequence[str]) -> None:
     """Raises ConfigError if a value is not one of the choices."""
     if found not in choices:

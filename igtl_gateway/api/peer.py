@@ -23,6 +23,7 @@ from igtl_gateway.api.conversation import (
     PeerOptions,
     WhenFull,
 )
+from igtl_gateway.api.keywords import texts
 from igtl_gateway.api.received import ReceivedMessage
 from igtl_gateway.edges.tcp import LinkInfo, PeerLimits, TlsFiles
 from igtl_gateway.errors import LinkClosed
@@ -457,7 +458,7 @@ def serve(
     port: int = PORT,
     host: str = HOST,
     *,
-    allow: Sequence[str] = (),
+    allow: str | Sequence[str] = (),
     header_version: HeaderVersion | None = None,
     when_full: WhenFull = "block",
     queue_messages: int = QUEUE_MESSAGES,
@@ -491,7 +492,7 @@ def serve(
         ()
     """
     options = PeerOptions(
-        header_version, when_full, queue_messages, queue_bytes, limits or PeerLimits(), tls, tuple(allow)
+        header_version, when_full, queue_messages, queue_bytes, limits or PeerLimits(), tls, texts("allow", allow)
     )
     return Server(*listening(host, port, options))
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.api.display import as_array, html_table
 from igtl_gateway.convert.units import UNITS
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.exchange.igtl_columns import quaternions_of, rotations
@@ -18,7 +20,7 @@ Times = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Poses:
-    """Poses of one frame in another one.
+    """Poses of one frame in another one; for numpy an array of ``matrices``.
 
     Attributes:
         matrices: (N, 4, 4) float64; each maps coordinates in ``child`` to coordinates in ``parent``.
@@ -43,8 +45,33 @@ class Poses:
     def __len__(self) -> int:
         return len(self.times)
 
-    def __getitem__(self, rows: slice | npt.NDArray[Any]) -> Poses:
-        """The poses of a slice, of a mask or of indices."""
+    def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> Array:
+        return as_array(self.matrices, dtype, copy)
+
+    def __repr__(self) -> str:
+        frames = f" of {self.child or '?'} in {self.parent or '?'}" if self.child or self.parent else ""
+        seconds = f", {(self.times[-1] - self.times[0]) / 1e9:.3f} s" if len(self) else ""
+        return f"<Poses: {len(self):,}{frames}, {self.unit}{seconds}>"
+
+    def _repr_html_(self) -> str:
+        rows = (
+            (number, *(f"{value:.6g}" for value in (*place, *turn)))
+            for number, (place, turn) in enumerate(zip(self.positions[:5], self[:5].quaternions, strict=True))
+        )
+        return html_table(repr(self), ("", *(f"{axis}, {self.unit}" for axis in "xyz"), "qx", "qy", "qz", "qw"), rows)
+
+    def __iter__(self) -> Iterator[Array]:
+        return iter(self.matrices)
+
+    @overload
+    def __getitem__(self, rows: int | np.integer[Any]) -> Array: ...
+    @overload
+    def __getitem__(self, rows: slice | npt.NDArray[Any] | list[int] | list[bool]) -> Poses: ...
+    def __getitem__(self, rows: Any) -> Poses | Array:
+        """The poses of a slice, of a mask or of indices; of one index its (4, 4) matrix."""
+        if isinstance(rows, int | np.integer):
+            matrix: Array = self.matrices[rows]
+            return matrix
         arrays = ("matrices", "times", "source_times", "stamps")
         return replace(self, **{name: getattr(self, name)[rows] for name in arrays})
 

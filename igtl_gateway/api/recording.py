@@ -7,16 +7,19 @@ import io
 import tempfile
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from os import PathLike
 from pathlib import Path
 from types import TracebackType
 from typing import IO, TYPE_CHECKING, Any
 
+from igtl_gateway.api.display import html_table
+from igtl_gateway.api.keywords import texts
 from igtl_gateway.api.moments import Moment
 from igtl_gateway.api.source import Source
-from igtl_gateway.api.stream import Stream, narrowed
+from igtl_gateway.api.stream import STREAM_HEAD, Stream, narrowed
 from igtl_gateway.api.transforms import TransformTree
 from igtl_gateway.config import Config
 from igtl_gateway.errors import BeingRecorded, ConfigError, DamagedRecording, GatewayError
@@ -73,20 +76,16 @@ class Recording(Mapping[str, Stream]):
 
     Attributes:
         path: the file, the folder of parts, or the URL.
-        start_time, end_time: gateway time of the first and the last entry, UTC ns; 0 in an empty recording.
-        entry_count: number of entries: messages, notes and links.
         warnings: facts about the file: what is missing, which channels cannot be read.
     """
 
     def __init__(self, source: Source, path: str, warnings: tuple[str, ...], resources: ExitStack) -> None:
-        file = source.file
         self.path, self.warnings = path, warnings
-        self.start_time, self.end_time = source.start_ns, source.end_ns
-        self.entry_count = file.entry_count
         self._source, self._resources = source, resources
         self._window = _ALWAYS
 
     def __enter__(self) -> Recording:
+        self._source.check_open()
         return self
 
     def __exit__(
@@ -95,15 +94,49 @@ class Recording(Mapping[str, Stream]):
         self.close()
 
     def close(self) -> None:
-        """Close the file.  Arrays that were read stay valid."""
+        """Close the file.  Arrays that were read stay valid; everything else raises ClosedRecording."""
+        self._source.state.closed = True
         self._resources.close()
 
     def __repr__(self) -> str:
-        return f"<Recording {self.path!r}: {self.entry_count:,} entries, {len(self.streams)} streams>"
+        if self._source.state.closed:
+            return f"<Recording {self.path!r}: closed>"
+        part = "" if self.is_whole else f" from {self._seconds(self.start_time)} s to {self._seconds(self.end_time)} s"
+        return f"<Recording {self.path!r}{part}: {self.entry_count:,} entries, {len(self.streams)} streams>"
+
+    def _repr_html_(self) -> str:
+        if self._source.state.closed:
+            return html_table(repr(self), (), ())
+        return html_table(repr(self), STREAM_HEAD, (stream.html_row() for stream in self.streams.values()))
+
+    def _seconds(self, time_ns: int) -> str:
+        return f"{(time_ns - self._source.start_ns) / 1e9:.3f}"
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether it is the whole recording, not a part that ``between`` returned."""
+        return self._window == _ALWAYS
+
+    @property
+    def start_time(self) -> int:
+        """Gateway time of the first entry, of a part that of its start; UTC ns, 0 in an empty recording."""
+        return min(max(self._source.start_ns, self._window[0]), self._source.end_ns)
+
+    @property
+    def end_time(self) -> int:
+        """Gateway time of the last entry, of a part that of its end; UTC ns, 0 in an empty recording."""
+        return max(min(self._source.end_ns, self._window[1]), self.start_time)
+
+    @cached_property
+    def entry_count(self) -> int:
+        """Number of entries: messages, notes and links; those of a part are counted when they are asked for."""
+        if self.is_whole:
+            return self._source.file.entry_count
+        return sum(stream.count for stream in self.streams.values()) + len(self.notes)
 
     @property
     def duration(self) -> float:
-        """Seconds from the first to the last entry."""
+        """Seconds from the first to the last entry, of a part from its start to its end."""
         return (self.end_time - self.start_time) / 1e9
 
     @cached_property
@@ -153,7 +186,7 @@ class Recording(Mapping[str, Stream]):
             end: likewise; None: to the end.
 
         Raises:
-            ConfigError: a moment cannot be read.
+            ConfigError: a moment cannot be read, or the end is before the start.
 
         Examples:
             >>> with igtl_gateway.open("session.mcap") as recording:
@@ -201,27 +234,32 @@ class Recording(Mapping[str, Stream]):
         """The session metadata: versions, host, scenario; empty for files of other programs."""
         return self._source.file.session
 
-    def to_arrow(self, streams: Iterable[str] | None = None) -> dict[str, pyarrow.Table]:
+    def to_arrow(self, streams: str | Iterable[str] | None = None) -> dict[str, pyarrow.Table]:
         """Return streams as Arrow tables by key; see ``Stream.to_arrow``.
 
         Args:
-            streams: keys; default: all.
+            streams: keys, or one key; default: all.
 
         Raises:
+            ConfigError: ``streams`` are no strings.
             Unavailable: pyarrow is not installed; the extra ``arrow`` installs it.
         """
-        return {key: self[key].to_arrow() for key in (self.streams if streams is None else streams)}
+        return {key: self[key].to_arrow() for key in self._keys(streams)}
 
-    def to_pandas(self, streams: Iterable[str] | None = None) -> dict[str, pandas.DataFrame]:
+    def to_pandas(self, streams: str | Iterable[str] | None = None) -> dict[str, pandas.DataFrame]:
         """Return streams as data frames by key; see ``Stream.to_pandas``.
 
         Args:
-            streams: keys; default: all.
+            streams: keys, or one key; default: all.
 
         Raises:
+            ConfigError: ``streams`` are no strings.
             Unavailable: pandas is not installed; the extra ``pandas`` installs it.
         """
-        return {key: self[key].to_pandas() for key in (self.streams if streams is None else streams)}
+        return {key: self[key].to_pandas() for key in self._keys(streams)}
+
+    def _keys(self, streams: str | Iterable[str] | None) -> Iterable[str]:
+        return self.streams if streams is None else texts("streams", streams)
 
     @cached_property
     def tf(self) -> TransformTree:
@@ -244,7 +282,8 @@ def open(path: str | Path, *, limits: FileLimits | Mapping[str, int] | None = No
         as it is whole, and ``warnings`` states what is missing.
 
     Raises:
-        UnsupportedRecording: there is no such file, or it is not MCAP.
+        NoSuchRecording: there is no such file; it is a FileNotFoundError, too.
+        UnsupportedRecording: it is not MCAP.
         DamagedRecording: the file is damaged; ``igtl-gateway recover`` repairs it.
         LimitExceeded: the file needs more than the limits allow.
         ConfigError: a limit is unknown.
@@ -273,6 +312,23 @@ def of_session(file: SessionFile) -> Recording:
     """Return the recording of an open session file, which the caller closes."""
     source = Source(file, file_limits.current_limits(), file.start_ns, file.end_ns)
     return Recording(source, str(file.path), (), ExitStack())
+
+
+@contextmanager
+def session_of(recording: Recording | str | PathLike[str]) -> Iterator[SessionFile]:
+    """Context manager: the session file of an open recording, or of a path, which is closed at the end.
+
+    Raises ClosedRecording, ConfigError for a part of a recording, and as ``SessionFile.open``.
+    """
+    if not isinstance(recording, Recording):
+        with SessionFile.open(Path(recording)) as file:
+            yield file
+        return
+    recording._source.check_open()
+    if not recording.is_whole:
+        raise ConfigError(f"{recording!r}: found a part of a recording, expected the whole one")
+    with file_limits.limits_in_force(recording._source.limits):
+        yield recording._source.file
 
 
 def _limits(given: FileLimits | Mapping[str, int] | None) -> FileLimits:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from igtl_gateway.config import Config
-from igtl_gateway.errors import ConfigError, DamagedRecording
+from igtl_gateway.errors import ClosedRecording, ConfigError, DamagedRecording
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.sessionfile import facts
 from igtl_gateway.sessionfile.bulk import MessageBlock
@@ -24,6 +24,13 @@ if TYPE_CHECKING:
 Item = TypeVar("Item")
 
 
+@dataclass(slots=True)
+class SourceState:
+    """Whether a recording was closed."""
+
+    closed: bool = False
+
+
 @dataclass(frozen=True)
 class Source:
     """An open recording.
@@ -32,12 +39,21 @@ class Source:
         file: the file, or the folder of parts.
         limits: bounds for everything that is read from it.
         start_ns, end_ns: UTC ns of the first and the last entry.
+        state: what changes.
     """
 
     file: SessionFile
     limits: FileLimits
     start_ns: int
     end_ns: int
+    state: SourceState = field(default_factory=SourceState)
+
+    def check_open(self) -> None:
+        """Raise ClosedRecording if the recording was closed."""
+        if self.state.closed:
+            raise ClosedRecording(
+                f"{self.file.path}: found a closed recording, expected an open one; read it in its `with` statement"
+            )
 
     @cached_property
     def config(self) -> Config | None:
@@ -56,9 +72,11 @@ class Source:
 
     def limited(self, items: Callable[[], Iterator[Item]]) -> Iterator[Item]:
         """Yield items that are read with the limits of the recording; between them the caller has its own."""
+        self.check_open()
         with limits_in_force(self.limits):
             each = items()
         while True:
+            self.check_open()
             with limits_in_force(self.limits):
                 item = next(each, None)
             if item is None:

@@ -11,16 +11,18 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.api.clouds import Clouds
+from igtl_gateway.api.display import html_table
 from igtl_gateway.api.images import Images
 from igtl_gateway.api.moments import Moment, to_ns
 from igtl_gateway.api.poses import Poses
 from igtl_gateway.api.posing import read_poses
 from igtl_gateway.api.source import Source
-from igtl_gateway.errors import Unavailable
+from igtl_gateway.errors import ConfigError, Unavailable
 from igtl_gateway.extras import missing
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.sessionfile.bulk import MessageBlock
 from igtl_gateway.sessionfile.channels import ChannelSummary
+from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire import decode
 
 if TYPE_CHECKING:
@@ -28,6 +30,9 @@ if TYPE_CHECKING:
     import pyarrow
 
 Times = npt.NDArray[np.int64]
+
+#: Head of the tables of streams in notebooks.
+STREAM_HEAD = ("stream", "type", "direction", "messages", "first, s", "last, s")
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +58,7 @@ class RecordedMessage:
 
 
 class Stream:
-    """One stream of a recording; get it from ``Recording``.
+    """One stream of a recording; get it from ``Recording``.  Its items are the decoded messages.
 
     Nothing is read before it is used, and arrays of times are kept.
 
@@ -77,8 +82,22 @@ class Stream:
     def __repr__(self) -> str:
         return f"<Stream {self.key!r}: {self.count:,} × {self.type}, {self.direction}>"
 
+    def _repr_html_(self) -> str:
+        return html_table("", STREAM_HEAD, [self.html_row()])
+
+    def html_row(self) -> tuple[object, ...]:
+        """The row of the stream in a table with ``STREAM_HEAD``."""
+        seconds = [f"{(time - self._source.start_ns) / NS_PER_S:.3f}" if time else "" for time in self._span]
+        return self.key, self.type, self.direction, f"{self.count:,}", *seconds
+
     def __len__(self) -> int:
         return self.count
+
+    def __iter__(self) -> Iterator[RecordedMessage]:
+        return self.messages()
+
+    def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> npt.NDArray[Any]:
+        raise TypeError(f"{self.key}: found a stream, expected its poses(), images(), points() or times for numpy")
 
     @property
     def _is_igtl(self) -> bool:
@@ -97,6 +116,7 @@ class Stream:
     @cached_property
     def _span(self) -> tuple[int, int]:
         if self._is_whole:
+            self._source.check_open()
             return self._source.file.span(self._channel)
         return (int(self.times[0]), int(self.times[-1])) if len(self.times) else (0, 0)
 
@@ -148,7 +168,7 @@ class Stream:
             end: likewise; None: to the end.
 
         Raises:
-            ConfigError: a moment cannot be read.
+            ConfigError: a moment cannot be read, or the end is before the start.
 
         Examples:
             >>> last_second = recording["TRANSFORM/ToolToBase"].between(-1.0)
@@ -272,6 +292,9 @@ def to_frame(table: pyarrow.Table) -> pandas.DataFrame:
 def narrowed(source: Source, window: tuple[int, int], start: Moment | None, end: Moment | None) -> tuple[int, int]:
     """Return the part of a window of time from ``start`` on and before ``end``; UTC ns.  Raises ConfigError."""
     span = source.start_ns, source.end_ns
-    first = window[0] if start is None else max(window[0], to_ns(start, *span, "start"))
-    last = window[1] if end is None else min(window[1], to_ns(end, *span, "end"))
-    return first, last
+    first_ns = window[0] if start is None else to_ns(start, *span, "start")
+    last_ns = window[1] if end is None else to_ns(end, *span, "end")
+    if start is not None and end is not None and last_ns < first_ns:
+        raise ConfigError(f"end: found {end!r}, which is before {start!r}, expected a moment after the start")
+    first_ns = max(window[0], first_ns)
+    return first_ns, max(min(window[1], last_ns), first_ns)

@@ -44,6 +44,10 @@ class Edge:
     static: bool
     stream: str
 
+    def __repr__(self) -> str:
+        static = ", static" if self.static else ""
+        return f"<Edge: {self.child} in {self.parent}, {len(self.times):,} poses of {self.stream}{static}>"
+
 
 class TransformTree:
     """Frames that are connected by poses; ``recording.tf`` returns it.
@@ -59,6 +63,9 @@ class TransformTree:
     def __init__(self, edges: Iterable[Edge]) -> None:
         self.unit = "m"
         self._edges = {(edge.parent, edge.child): edge for edge in edges}
+
+    def __repr__(self) -> str:
+        return f"<TransformTree: {len(self._edges)} pairs of {', '.join(self.frames) or 'no frames'}, {self.unit}>"
 
     @classmethod
     def of(cls, source: Source, streams: Iterable[Stream]) -> TransformTree:

@@ -12,13 +12,14 @@ from os import PathLike
 from pathlib import Path
 from typing import get_args
 
-from igtl_gateway.api.keywords import addresses, numbers, of_a_replay, one_of, ros_arguments
+from igtl_gateway.api.keywords import addresses, numbers, of_a_replay, one_of, ros_arguments, texts
 from igtl_gateway.api.peer import HOST, PORT
-from igtl_gateway.app.comparison import RecordingDiff, compare_recordings
+from igtl_gateway.api.recording import Recording, session_of
+from igtl_gateway.app.comparison import RecordingDiff, compare_sessions
 from igtl_gateway.app.replay_sides import ReplayOptions, To
 from igtl_gateway.app.replaying import ReplayEvents, ReplayResult, run_replay
-from igtl_gateway.app.reviewing import ReviewSelection, checked_thresholds, review_recording
-from igtl_gateway.app.verification import Verification, verify_recording
+from igtl_gateway.app.reviewing import ReviewSelection, checked_thresholds, review_session
+from igtl_gateway.app.verification import Verification, verify_session
 from igtl_gateway.convert.profiles import AUTO
 from igtl_gateway.edges.tcp import TlsFiles
 from igtl_gateway.errors import ConfigError, GatewayError
@@ -30,13 +31,15 @@ from igtl_gateway.settings import PROFILE_NAMES
 
 Address = tuple[str, int]
 AnyPath = str | PathLike[str]
+#: A recording as an argument: its path, or what ``igtl_gateway.open`` returned.
+AnyRecording = AnyPath | Recording
 
 
-def verify(path: AnyPath, *, config: AnyPath | None = None) -> Verification:
+def verify(path: AnyRecording, *, config: AnyPath | None = None) -> Verification:
     """Check that the recorded outputs of a session follow from its recorded inputs, with this version.
 
     Args:
-        path: the recording.
+        path: the recording: its path, or an open one.
         config: configuration file (TOML) to use instead of the recorded configuration.
 
     Returns:
@@ -51,16 +54,22 @@ def verify(path: AnyPath, *, config: AnyPath | None = None) -> Verification:
         >>> verify("fixtures/star.mcap").good
         True
     """
-    return verify_recording(Path(path), None if config is None else Path(config))
+    with session_of(path) as file:
+        return verify_session(file, None if config is None else Path(config))
 
 
 def diff(
-    one: AnyPath, other: AnyPath, *, streams: Sequence[str] = (), tolerance_mm: float = 0.0, tolerance_deg: float = 0.0
+    one: AnyRecording,
+    other: AnyRecording,
+    *,
+    streams: str | Sequence[str] = (),
+    tolerance_mm: float = 0.0,
+    tolerance_deg: float = 0.0,
 ) -> RecordingDiff:
     """Compare two recordings message by message.
 
     Args:
-        one: a recording, or a rosbag2 MCAP file.
+        one: a recording, or a rosbag2 MCAP file: its path, or an open one.
         other: the recording to compare with it.
         streams: globs of the streams to compare: topic, ``TYPE/device`` or device; empty: all.
         tolerance_mm: positions up to this distance apart are equal.
@@ -81,11 +90,12 @@ def diff(
     for name, value in (("tolerance_mm", tolerance_mm), ("tolerance_deg", tolerance_deg)):
         if not 0 <= value < float("inf"):
             raise ConfigError(f"{name}: found {value}, expected 0 or more")
-    return compare_recordings(Path(one), Path(other), tuple(streams), Tolerance(tolerance_mm, tolerance_deg))
+    with session_of(one) as first, session_of(other) as second:
+        return compare_sessions(first, second, texts("streams", streams), Tolerance(tolerance_mm, tolerance_deg))
 
 
 def review(
-    path: AnyPath,
+    path: AnyRecording,
     *,
     plan: str = "",
     cloud: str = "",
@@ -96,7 +106,7 @@ def review(
     """Review the suture plan of a recording: the distance of each point from the tissue, and the depth noise there.
 
     Args:
-        path: the recording, or a rosbag2 MCAP file.
+        path: the recording, or a rosbag2 MCAP file: its path, or an open one.
         plan: topic of the plan; "": pairs of points on the tissue.
         cloud: topic of the point cloud; "": the largest.
         tool: topic or frame of the tool; "": the one that comes nearest.
@@ -116,24 +126,24 @@ def review(
     """
     limits = thresholds or Thresholds()
     checked_thresholds({each.name: getattr(limits, each.name) for each in fields(Thresholds)}, clouds)
-    found, _ = review_recording(Path(path), ReviewSelection(plan, cloud, tool, clouds), limits)
-    return found
+    with session_of(path) as file:
+        return review_session(file, ReviewSelection(plan, cloud, tool, clouds), limits)
 
 
 def replay(
-    path: AnyPath,
+    path: AnyRecording,
     to: To = "igtl",
     *,
     rate: float | None = 1.0,
     listen: Sequence[Address] = (),
     connect: Sequence[Address] = (),
-    streams: Sequence[str] = (),
+    streams: str | Sequence[str] = (),
     start: str | float | None = None,
     end: str | float | None = None,
     duration: float | None = None,
     through_gateway: bool = False,
     config: AnyPath | None = None,
-    send: Sequence[str] = (),
+    send: str | Sequence[str] = (),
     restamp: Mode = "keep",
     loop: bool = False,
     delay_s: float = 0.0,
@@ -142,7 +152,7 @@ def replay(
     lock_step: bool = False,
     fault: str = "",
     seed: int = 0,
-    allow: Sequence[str] = (),
+    allow: str | Sequence[str] = (),
     tls: TlsFiles | None = None,
     digest: bool = True,
     ros_args: Sequence[str] = (),
@@ -154,7 +164,7 @@ def replay(
     """Send a recording to OpenIGTLink peers, to ROS, or to both, and wait until it is sent.
 
     Args:
-        path: the recording, or a rosbag2 MCAP file.
+        path: the recording, or a rosbag2 MCAP file: its path, or an open one, whose file is opened again.
         to: ``"igtl"``, ``"ros"`` or ``"both"``.
         rate: recorded seconds per second; None: without pauses.
         listen: addresses to listen on; without ``listen`` and ``connect``: 127.0.0.1:18944.
@@ -207,16 +217,16 @@ def replay(
         to,
         listening,
         connecting,
-        tuple(allow),
+        texts("allow", allow),
         tls or TlsFiles(),
         frozenset(listening if tls else ()),
         frozenset(connecting if tls else ()),
         None if config is None else Path(config),
-        tuple(send),
+        texts("send", send),
         None if start is None else str(start),
         None if end is None else str(end),
         duration,
-        tuple(streams),
+        texts("streams", streams),
         through_gateway,
         restamp,
         None if lock_step else rate,
@@ -233,6 +243,8 @@ def replay(
         profile,
         exact,
     )
+    if isinstance(path, Recording):
+        path = path.path
     events = ReplayEvents(on_line=on_line) if on_line else ReplayEvents()
     with of_a_replay():
         result = run_replay(Path(path), options, stop or threading.Event(), events)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import ExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -32,6 +31,11 @@ class RecordingDiff:
     streams: tuple[StreamDiff, ...]
     stamp_offset_ns: int
     offset_ns: float
+
+    def __repr__(self) -> str:
+        different = [stream.stream or stream.kind for stream in self.streams if not stream.equal]
+        found = f"different: {', '.join(different)}" if different else "all equal"
+        return f"<RecordingDiff {self.one} {self.other}: {len(self.streams)} streams, {found}>"
 
     @property
     def equal(self) -> bool:
@@ -62,11 +66,17 @@ def compare_recordings(one: Path, other: Path, streams: Sequence[str], tolerance
 
     Raises UnsupportedRecording or DamagedRecording.
     """
-    with ExitStack() as stack:
-        files = [stack.enter_context(SessionFile.open(path)) for path in (one, other)]
-        foreign = files[0].foreign is not files[1].foreign
-        report = diff(_side(files[0]), _side(files[1]), globs=streams, tolerance=tolerance, foreign=foreign)
-    return RecordingDiff(one, other, tuple(report.streams), report.stamp_offset_ns, report.offset_ns)
+    with SessionFile.open(one) as first, SessionFile.open(other) as second:
+        return compare_sessions(first, second, streams, tolerance)
+
+
+def compare_sessions(
+    one: SessionFile, other: SessionFile, streams: Sequence[str], tolerance: Tolerance
+) -> RecordingDiff:
+    """Compare two open recordings; see `compare_recordings`."""
+    foreign = one.foreign is not other.foreign
+    report = diff(_side(one), _side(other), globs=streams, tolerance=tolerance, foreign=foreign)
+    return RecordingDiff(one.path, other.path, tuple(report.streams), report.stamp_offset_ns, report.offset_ns)
 
 
 def _side(file: SessionFile) -> DiffInput:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from igtl_gateway.errors import UnsupportedRecording
+from igtl_gateway.errors import NoSuchRecording, UnsupportedRecording
 from igtl_gateway.exchange.capture import Capture, looks_like_igtl
 from igtl_gateway.exchange.nifti import looks_like_nifti, read_nifti
 from igtl_gateway.exchange.pcap import Pcap
@@ -76,7 +76,7 @@ def open_source(path: Path, epoch_ns: int | None = None) -> Source:
     Raises UnsupportedRecording (no such file, unknown or unsupported format) or DamagedRecording.
     """
     if not path.exists():
-        raise UnsupportedRecording(f"{path}: no such file")
+        raise NoSuchRecording(f"{path}: no such file")
     if path.is_dir():
         if (path / METADATA).exists() or any(path.glob("*.db3*")) or any(path.glob("*.mcap*")):
             return Rosbag2(path)

@@ -244,6 +244,10 @@ class Review:
     thresholds: Thresholds = field(default_factory=Thresholds)
     notes: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        wrong = ", ".join(stitch.label for stitch in self.last.wrong) or "none"
+        return f"<Review: {len(self.last.stitches)} stitches of plan {len(self.plans)}, wrong: {wrong}>"
+
     @property
     def first(self) -> PlanReview:
         """The plan as first drawn."""

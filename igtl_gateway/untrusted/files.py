@@ -8,7 +8,7 @@ import sys
 from pathlib import Path
 from typing import IO, BinaryIO
 
-from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
+from igtl_gateway.errors import DamagedRecording, NoSuchRecording, UnsupportedRecording
 from igtl_gateway.systems.files import lock, unlock
 from igtl_gateway.untrusted import limits
 
@@ -25,9 +25,11 @@ _KINDS = (
 
 
 def size_of(path: Path) -> int:
-    """Return the size of an ordinary file.  Raises UnsupportedRecording if it is missing or not an ordinary file."""
+    """Return the size of an ordinary file.  Raises NoSuchRecording if it is missing, else UnsupportedRecording."""
     try:
         found = path.stat()
+    except FileNotFoundError as error:
+        raise NoSuchRecording(f"{path}: {error.strerror}") from None
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise UnsupportedRecording(f"{path}: {reason}") from None
@@ -42,6 +44,8 @@ def open_file(path: Path) -> BinaryIO:
     size_of(path)
     try:
         return path.open("rb")
+    except FileNotFoundError as error:  # deleted since
+        raise NoSuchRecording(f"{path}: {error.strerror}") from None
     except OSError as error:
         raise UnsupportedRecording(f"{path}: {error.strerror or error}") from None
 

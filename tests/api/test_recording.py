@@ -10,6 +10,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +22,10 @@ from rosbags.typesys import Stores, get_typestore
 
 import igtl_gateway
 from igtl_gateway.cli import main
-from igtl_gateway.errors import ConfigError, DamagedRecording, LimitExceeded, UnsupportedRecording
+from igtl_gateway.errors import ClosedRecording, ConfigError, DamagedRecording, LimitExceeded, UnsupportedRecording
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile import layout
+from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.writer import SessionWriter
 from tests.files import BytesRead
 
@@ -368,3 +370,143 @@ def test_a_type_without_a_pose_is_an_error() -> None:
         for key in ("/lego/joint_states", "STRING/Planner"):
             with pytest.raises(ConfigError, match="pose"):
                 recording[key].poses()
+
+
+# -- in a notebook ----------------------------------------------------------------------------------------------------
+
+
+def test_numpy_takes_poses_images_and_clouds() -> None:
+    with igtl_gateway.open(STAR) as recording:
+        stream = recording[TOOL]
+        poses, image = stream.poses(), recording["IMAGE/Camera"].images()[0]
+        cloud = recording["POLYDATA/TissueCloud"].points()[0]
+        for view, array in ((poses, poses.matrices), (image, image.array), (cloud, cloud.xyz)):
+            got = np.asarray(view)
+            assert got.dtype == array.dtype and np.array_equal(got, array, equal_nan=True)
+            assert np.shares_memory(got, array), "no copy without need"
+            assert not np.shares_memory(np.array(view), array)
+            assert np.asarray(view, np.float16).dtype == np.float16
+            assert view.__array__(copy=True) is not array
+            assert np.shares_memory(view.__array__(copy=False), array)
+            with pytest.raises(ValueError, match="needs a copy"):
+                view.__array__(np.complex64, copy=False)
+        assert np.asarray(recording["IMAGE/Camera"].images()).shape == (12, *image.array.shape)
+        assert np.mean(image, axis=(0, 1, 2)).shape == (3,)
+        with pytest.raises(TypeError, match=r"TRANSFORM/ToolToBase: found a stream, expected its poses\(\)"):
+            np.asarray(stream)
+        assert poses[0].shape == poses[np.int64(-1)].shape == (4, 4)
+        assert np.array_equal(np.array(list(poses)), poses.matrices), "iteration gives matrices"
+        assert len(poses[:3]) == len(poses[[0, 5, 7]]) == 3 and poses[:3].unit == "mm"
+        assert [each.number for each in stream][:2] == [each.number for each in stream.messages()][:2]
+
+
+def test_a_missing_file_is_a_file_not_found_error_for_every_function(tmp_path: Path) -> None:
+    path = tmp_path / "nope.mcap"
+    for function in (igtl_gateway.open, igtl_gateway.verify, igtl_gateway.review, igtl_gateway.replay):
+        for kind in (FileNotFoundError, UnsupportedRecording):
+            with pytest.raises(kind, match=r"nope\.mcap: No such file"):
+                function(path)
+    with pytest.raises(FileNotFoundError):
+        igtl_gateway.diff(STAR, path)
+    (tmp_path / "text.mcap").write_text("no recording")
+    with pytest.raises(UnsupportedRecording) as found:
+        igtl_gateway.open(tmp_path / "text.mcap")
+    assert not isinstance(found.value, FileNotFoundError)
+
+
+def test_a_part_that_ends_before_it_starts_is_an_error() -> None:
+    with igtl_gateway.open(STAR) as recording:
+        for part in (recording, recording[TOOL]):
+            with pytest.raises(ConfigError, match=r"^end: found 2, which is before 5, expected a moment after the"):
+                part.between(5, 2)
+            with pytest.raises(ConfigError, match=r"^end: found -5, which is before -1"):
+                part.between(-1, -5)
+        assert recording.between(3, 3)[TOOL].count == 0
+        assert recording.between(1, 2).between(5, 6)[TOOL].count == 0, "no common part"
+        assert recording.between(100, 200).entry_count == 0, "after the end"
+
+
+def test_a_part_has_its_own_size() -> None:
+    with igtl_gateway.open(STAR) as recording:
+        whole, entries = recording.entry_count, list(recording._source.file.entries())
+        edges = [START_NS + step * 10**9 for step in (0, 1, 2, 5)] + [recording.end_time + 1]
+        parts = [recording.between(start, end) for start, end in pairwise(edges)]
+        for part, (start, end) in zip(parts, pairwise(edges), strict=True):
+            assert part.entry_count == sum(start <= entry.stamp_ns < end for entry in entries)
+            assert part.start_time == start and part.end_time == min(end, recording.end_time)
+        assert sum(part.entry_count for part in parts) == whole == len(entries)
+        assert [round(part.duration, 3) for part in parts[:3]] == [1.0, 1.0, 3.0]
+        assert f"from 1.000 s to 2.000 s: {parts[1].entry_count} entries" in repr(parts[1])
+        assert recording.between().entry_count == whole and recording.between().is_whole
+        assert recording.between(-1).duration == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("folder", [False, True])
+def test_reading_after_close_is_named(folder: bool, tmp_path: Path) -> None:
+    path = STAR
+    if folder:  # whose parts are opened when they are read
+        path = tmp_path / "parts"
+        path.mkdir()
+        with SessionFile.open(STAR) as whole:
+            writer = SessionWriter(path / "parts_0.mcap", {**whole.recorded_session, layout.PART_KEY: "0"})
+            for entry in whole.entries():
+                writer.write(entry)
+            writer.close(whole.ledger or {})
+    with igtl_gateway.open(path) as recording:
+        stream = recording[TOOL]
+        poses, images = stream.poses(), recording["IMAGE/Camera"].images()
+    assert len(poses) and images[0].array.size, "what was read stays valid"
+    for read in (
+        stream.poses,
+        recording["IMAGE/Camera"].images,
+        lambda: stream.times,
+        lambda: stream.first_time,
+        lambda: list(stream),
+        lambda: recording.notes,
+        lambda: recording.tf,
+        lambda: recording.to_arrow(TOOL),
+        lambda: recording.between(0, 0.5).entry_count,
+        lambda: igtl_gateway.verify(recording),
+        recording.__enter__,
+    ):
+        with pytest.raises(ClosedRecording, match=f"{path.name}: found a closed recording, expected an open one"):
+            read()
+    assert "closed" in repr(recording) and issubclass(ClosedRecording, ValueError)
+
+
+def test_one_name_is_not_its_letters() -> None:
+    with igtl_gateway.open(STAR) as recording:
+        assert list(recording.to_arrow(TOOL)) == list(recording.to_pandas(TOOL)) == [TOOL]
+        assert list(recording.to_arrow([TOOL, "/star/tool"])) == [TOOL, "/star/tool"]
+        with pytest.raises(ConfigError, match=r"^streams: found \[1\], expected a string or a list of strings$"):
+            recording.to_arrow([1])  # type: ignore[list-item]
+        only = igtl_gateway.diff(recording, STAR, streams="/star/tool")
+    assert [stream.stream for stream in only.streams] == ["/star/tool"]
+
+
+def test_results_are_one_line_in_a_console_and_escaped_in_a_notebook() -> None:
+    with igtl_gateway.open(STAR) as recording:
+        stream, images = recording[TOOL], recording["IMAGE/Camera"].images()
+        clouds, aligned = recording["/star/cloud"].points(), igtl_gateway.align([stream], on=recording["/star/cloud"])
+        shown: list[Any] = [recording, stream, stream.poses(), images, images[0], clouds, clouds[0]]
+        shown += [aligned, aligned[TOOL], recording.tf, recording.tf.edges[0], igtl_gateway.review(recording)]
+        shown += [stream.poses()[:0], igtl_gateway.diff(recording, recording)]
+        for each in shown:
+            assert len(repr(each)) < 200 and "\n" not in repr(each), repr(each)
+            if hasattr(each, "_repr_html_"):
+                assert each._repr_html_().startswith("<"), each
+        page = recording._repr_html_()
+        assert page.count("<tr>") == len(recording) + 1 and TOOL in page
+        stream.key = "<script>"
+        assert "<script>" not in stream._repr_html_() and "&lt;script&gt;" in stream._repr_html_()
+
+
+def test_the_verbs_take_an_open_recording(tmp_path: Path) -> None:
+    with igtl_gateway.open(STAR) as recording:
+        assert igtl_gateway.review(recording).last.wrong == igtl_gateway.review(STAR).last.wrong
+        assert igtl_gateway.verify(recording) == igtl_gateway.verify(STAR)
+        assert igtl_gateway.diff(recording, STAR).equal and igtl_gateway.diff(recording, recording).equal
+        assert recording[TOOL].count == 1200, "and it stays open"
+        for verb in (igtl_gateway.review, igtl_gateway.verify):
+            with pytest.raises(ConfigError, match="found a part of a recording, expected the whole one"):
+                verb(recording.between(1, 2))
