@@ -101,6 +101,7 @@ SIBLINGS: dict[str, str | tuple[str, ...]] = {
     TOP: "api",  # the public names, imported at their first use
     "cli": ("api", "cohort", "deidentify", "lerobot"),  # verbs that need a recording as arrays
     "clock": "systems",
+    "extras": "errors",  # what is missing is an error
     "cohort": "api",
     "lerobot": "api",
     "config": ("convert", "settings"),
