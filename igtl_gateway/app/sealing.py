@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.app.sealed_folder import side_file_state, strange_file
 from igtl_gateway.clock import SystemClock
 from igtl_gateway.errors import ConfigError, UnsupportedRecording
 from igtl_gateway.seal.keys import SigningKey, load_trusted
@@ -15,6 +16,7 @@ from igtl_gateway.seal.time_stamps import load_authorities
 from igtl_gateway.sessionfile.seal_check import CHANGED, CUT, SEALED, UNSEALED, UNTRUSTED, SealReport, check_seal
 from igtl_gateway.sessionfile.seal_copy import seal_copy
 from igtl_gateway.sessionfile.sealing import SealSeries
+from igtl_gateway.sessionfile.side_file import SIDE_FILE
 from igtl_gateway.sessionfile.stamped import stamped_copy
 from igtl_gateway.untrusted.files import is_same
 
@@ -31,14 +33,17 @@ class SealVerification:
     Attributes:
         file: the file, or the directory of a split recording.
         state: ``sealed``, ``cut``, ``changed``, ``unsealed``, ``untrusted`` or ``untimed``.
-        problem: what is wrong with the order of the parts or with the time stamp; "" if nothing is.
+        problem: what is wrong with the order of the parts, with other files of the directory, or with the time stamp;
+            "" if nothing is.
         parts: the result for each file, in order.
+        side_file: what is known of ``metadata.yaml`` of a split recording; "" otherwise.
     """
 
     file: Path
     state: str
     problem: str
     parts: tuple[SealReport, ...]
+    side_file: str = ""
 
     @property
     def good(self) -> bool:
@@ -49,8 +54,13 @@ class SealVerification:
         """Return the result as JSON values, as ``igtl-gateway verify --seal --json`` prints it."""
         parts = [asdict(part) | {"file": str(part.file)} for part in self.parts]
         return {
-            "file": str(self.file), "good": self.good, "state": self.state, "problem": self.problem, "parts": parts
-        }  # fmt: skip
+            "file": str(self.file),
+            "good": self.good,
+            "state": self.state,
+            "problem": self.problem,
+            "parts": parts,
+            "side_file": self.side_file,
+        }
 
 
 def verify_seal(path: Path, trusted: Sequence[Path] = (), tsa: Sequence[Path] = ()) -> SealVerification:
@@ -67,15 +77,24 @@ def verify_seal(path: Path, trusted: Sequence[Path] = (), tsa: Sequence[Path] = 
     keys = load_trusted(trusted) if trusted else None
     authorities = load_authorities(tsa) if tsa else None
     folder = path.is_dir()
-    reports = [check_seal(part, keys, authorities) for part in (_parts(path) if folder else [path])]
+    parts = _parts(path) if folder else [path]
+    reports = [check_seal(part, keys, authorities) for part in parts]
     state = next(each for each in _WORST if any(report.state == each for report in reports))
-    problem = ""
+    problem = side_file = ""
     if folder and state in (SEALED, CUT):
         found, problem = _order_of(reports)
         state = found if problem else state
+    if folder and state in (SEALED, CUT):
+        side_file, wrong = side_file_state(path, parts, cut=state == CUT)
+        if stranger := strange_file(path, parts):
+            state, problem = CHANGED, stranger
+        elif wrong and state == CUT:  # it may name parts that are missing
+            side_file = wrong
+        elif wrong:
+            state, problem = CHANGED, f"{SIDE_FILE}: {wrong}"
     if tsa and state == SEALED and (problem := _time_problem(reports)):
         state = UNTIMED
-    return SealVerification(path, state, problem, tuple(reports))
+    return SealVerification(path, state, problem, tuple(reports), side_file)
 
 
 def stamp_recording(source: Path, reply: Path, output: Path, *, overwrite: bool = False) -> tuple[str, int]:

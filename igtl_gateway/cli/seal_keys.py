@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import os
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from igtl_gateway.cli.outputs import write_error
@@ -42,8 +44,8 @@ def run(options: argparse.Namespace) -> int:
     key = SigningKey.load(files[0]).successor() if options.action == ROTATE else SigningKey.generate()
     path = files[-1]
     public = path.with_name(f"{path.name}.pub")
-    _create(path, key.private_pem())
-    _create(public, key.public_pem())
+    # a program that is killed between the two leaves no secret
+    _create_pair([(public, key.public_pem()), (path, key.private_pem())])
     print_line(f"{path}: private key {key.id}, readable by its owner only", f"{public}: public key")
     return 0
 
@@ -58,12 +60,27 @@ def _show(path: Path) -> None:
         print_line(f"{path}: private key {key.id}{after}")
 
 
-def _create(path: Path, data: bytes) -> None:
-    """Write a new file of mode 0600.  Raises ConfigError if it exists, GatewayError."""
+def _create_pair(files: Sequence[tuple[Path, bytes]]) -> None:
+    """Write new files of mode 0600, all or none.  Raises ConfigError if one exists, GatewayError."""
+    created: list[Path] = []
+    try:
+        for path, data in files:
+            _create(path, data, created)
+    except BaseException:
+        for path in created:
+            with suppress(OSError):
+                path.unlink()
+        raise
+
+
+def _create(path: Path, data: bytes, created: list[Path]) -> None:
     try:
         handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        created.append(path)
         with open(handle, "wb") as file:
             file.write(data)
+            file.flush()
+            os.fsync(handle)
     except FileExistsError:
         raise ConfigError(f"{path}: exists already, expected a new file: keys are not replaced") from None
     except (OSError, ValueError) as error:

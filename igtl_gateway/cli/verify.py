@@ -13,6 +13,7 @@ from igtl_gateway.cli.options import add_config, add_file, add_json
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.sessionfile.seal_check import CHANGED, CUT, SEALED, UNSEALED, UNTRUSTED, SealReport
+from igtl_gateway.sessionfile.side_file import SIDE_FILE
 
 EXAMPLES = """\
   # exit code 0: all outputs are equal; 1: print the first difference
@@ -114,6 +115,8 @@ def _print_seal(result: SealVerification) -> None:
         print_line(f"{result.file}: {count}: {_STATES[result.state]}")
         if result.problem:
             print_line(f"  {result.problem}")
+        if result.side_file:
+            print_line(f"  {SIDE_FILE}: {result.side_file}")
 
 
 def _seal_lines(report: SealReport) -> Iterator[str]:

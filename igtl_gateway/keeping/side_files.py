@@ -31,7 +31,7 @@ def update_side_file(folder: Path) -> None:
                 side.unlink()
             folder.rmdir()  # refused if anything else is in it
             return
-        parts = [_part(path) for path in paths]
+        parts = [closed_part(path) for path in paths]
         closed = [part for part in parts if part]
         if len(closed) == len(parts) and _is_ours(side):
             closed.sort(key=lambda part: (len(part.path.name), part.path.name))
@@ -47,8 +47,8 @@ def _is_ours(side: Path) -> bool:
         return False
 
 
-def _part(path: Path) -> RecordingPart | None:
-    """Return the row of a part; None if it is not closed."""
+def closed_part(path: Path) -> RecordingPart | None:
+    """Return the row of a part; None if it is not closed.  Raises GatewayError, OSError, ValueError."""
     with closing(open_unlinked(path)) as stream:
         size = os.fstat(stream.fileno()).st_size
         index = stated_index(path, stream, size, _MOST_SUMMARY)

@@ -76,7 +76,7 @@ def write_side_file(folder: Path, parts: Sequence[RecordingPart]) -> None:
     """Write ``metadata.yaml``; at any moment there is either the old one or the new one.  Raises OSError."""
     path, new = folder / SIDE_FILE, folder / f".{SIDE_FILE}"
     try:
-        write_text(new, _side_file(parts))
+        write_text(new, side_file_text(parts))
         os.replace(new, path)
     except OSError:
         with contextlib.suppress(OSError):
@@ -84,7 +84,7 @@ def write_side_file(folder: Path, parts: Sequence[RecordingPart]) -> None:
         raise
 
 
-def _side_file(parts: Sequence[RecordingPart]) -> str:
+def side_file_text(parts: Sequence[RecordingPart]) -> str:
     """``metadata.yaml`` as rosbag2 (Jazzy, version 9) writes it."""
     full = [part for part in parts if part.entries]
     start_ns = min((part.start_ns for part in full), default=0)

@@ -7,15 +7,18 @@ from pathlib import Path
 
 import pytest
 
+from igtl_gateway.app.sealed_folder import ABSENT, FOLLOWS
 from igtl_gateway.app.sealing import seal_recording, verify_seal
 from igtl_gateway.clock import ManualClock
 from igtl_gateway.errors import ConfigError, RecordingError, UnsupportedRecording
+from igtl_gateway.keeping.side_files import closed_part
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.seal.keys import SigningKey
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.seal_check import CHANGED, CUT, SEALED, UNSEALED, check_seal
+from igtl_gateway.sessionfile.side_file import write_side_file
 from tests.record import samples
 from tools.seal_kills import fault, killed
 
@@ -116,3 +119,52 @@ def test_a_recording_does_not_start_with_a_key_that_others_may_read(tmp_path: Pa
     with pytest.raises(RecordingError, match="found mode 0644, expected 0600"):
         _record(tmp_path / "out.mcap", key, 1)
     assert not (tmp_path / "out.mcap").exists()
+
+
+# -- beside the parts -------------------------------------------------------------------------------------------------
+
+
+def test_the_side_file_of_a_split_recording_follows_from_its_sealed_parts(split: Path) -> None:
+    side = split / "metadata.yaml"
+    text = side.read_text("utf-8")
+    assert verify_seal(split).good and verify_seal(split).side_file == FOLLOWS
+    one, two = ('    - "out_1.mcap"\n', '    - "out_2.mcap"\n')
+    changes = {
+        "relative_file_paths": (f"{one}{two}", f"{two}{one}"),
+        "files": ('    - path: "out_1.mcap"', '    - path: "other.mcap"'),
+        "message_count": ("  message_count: 40\n", "  message_count: 41\n"),
+        "starting_time": ("nanoseconds_since_epoch: ", "nanoseconds_since_epoch: 1"),
+        "topics_with_message_count": ('        name: "/', '        name: "/x/'),
+        "storage_identifier": ("storage_identifier: mcap", "storage_identifier: sqlite3"),
+        "custom_data": ("custom_data: ~", "custom_data: {a: b}"),
+    }
+    for key, (before, after) in changes.items():
+        assert before in text, key
+        side.write_text(text.replace(before, after, 1), "utf-8")
+        result = verify_seal(split)
+        assert (result.state, result.problem[: len(key) + 15]) == (CHANGED, f"metadata.yaml: {key}"), result.problem
+    for content in (b"", b"\xff", b"[1]", text.encode()[:-200]):
+        side.write_bytes(content)
+        assert verify_seal(split).problem.startswith("metadata.yaml: "), content
+    side.write_text(text.replace("ros_distro: jazzy", "ros_distro: kilted"), "utf-8")
+    assert verify_seal(split).good, "the distribution is that of the writer"
+    side.unlink()
+    assert verify_seal(split).good and verify_seal(split).side_file == ABSENT
+
+
+def test_a_file_that_a_reader_would_take_for_a_part_is_named(split: Path) -> None:
+    stranger = split / "zz.mcap"
+    stranger.write_bytes((split / "out_0.mcap").read_bytes())
+    result = verify_seal(split)
+    assert (result.state, result.problem) == (CHANGED, "zz.mcap: found a file beside the parts of the recording")
+
+
+def test_the_side_file_of_a_recording_that_was_cut_off_may_lack_its_last_part(split: Path) -> None:
+    parts = sorted(split.glob("out_*.mcap"), key=lambda path: int(path.stem.rpartition("_")[2]))
+    parts[-1].unlink()
+    assert (verify_seal(split).state, verify_seal(split).side_file[:17]) == (CUT, "duration: differs"), "a part is gone"
+    rows = [row for part in parts[:-1] if (row := closed_part(part))]
+    for count, follows in ((len(rows), True), (len(rows) - 1, True), (len(rows) - 2, False)):
+        write_side_file(split, rows[:count])
+        result = verify_seal(split)
+        assert result.state == CUT and (result.side_file == FOLLOWS) is follows, count

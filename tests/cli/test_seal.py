@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 from pathlib import Path
 
 import pytest
 
 from igtl_gateway.cli import main
+from igtl_gateway.clock import ManualClock
+from igtl_gateway.record.host import in_thread
+from igtl_gateway.record.options import RecordOptions
+from igtl_gateway.record.recorder import Recorder
+from tests.record import samples
 
 SOURCE = Path(__file__).parents[2] / "fixtures" / "every-type.mcap"
 
@@ -79,3 +86,50 @@ def test_keys_are_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert _run("keys", "new", path) == 2
     assert path.read_text() == "precious"
     assert "keys are not replaced" in capsys.readouterr().err
+    assert [each.name for each in tmp_path.iterdir()] == ["key"]
+
+
+def test_of_a_pair_of_keys_there_are_both_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    public = tmp_path / "key.pub"
+    public.write_text("precious")
+    assert _run("keys", "new", tmp_path / "key") == 2
+    assert [each.name for each in tmp_path.iterdir()] == ["key.pub"] and public.read_text() == "precious"
+    public.unlink()
+    written = 0
+
+    def sync(handle: int) -> None:
+        nonlocal written
+        written += 1
+        if written == 2:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", sync)
+    assert _run("keys", "new", tmp_path / "key") != 0
+    assert written == 2 and not list(tmp_path.iterdir())
+    assert _run("keys", "new", tmp_path / "key") == 0
+    assert {each.name for each in tmp_path.iterdir()} == {"key", "key.pub"}
+
+
+def test_a_split_recording_is_checked_with_its_side_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    key, folder = tmp_path / "key", tmp_path / "out"
+    assert _run("keys", "new", key) == 0
+    recorder = Recorder(
+        tmp_path / "out.mcap",
+        samples.SESSION,
+        qos_of=lambda _topic, _type: None,
+        on_note=lambda _note: None,
+        clock=ManualClock(),
+        host=in_thread,
+        options=RecordOptions(seal=key, split_bytes=1, chunk_bytes=100),
+    )
+    for number in range(1, 21):
+        recorder(samples.ros(number))
+    recorder.close({})
+    capsys.readouterr()
+    assert _run("verify", folder, "--seal") == 0
+    assert "  metadata.yaml: follows from the sealed parts" in capsys.readouterr().out
+    side = folder / "metadata.yaml"
+    side.write_text(side.read_text("utf-8").replace("out_0.mcap", "out_9.mcap"), "utf-8")
+    assert _run("verify", folder, "--seal") == 1
+    out = capsys.readouterr().out
+    assert "CHANGED" in out and "  metadata.yaml: relative_file_paths: differs from what the sealed parts state" in out
