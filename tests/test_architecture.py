@@ -204,7 +204,14 @@ HOMES: dict[str, tuple[str, ...]] = {
     "pytest": ("testing.plugin",),
     "rerun": ("view",),
     **dict.fromkeys(GENERATORS, ("ros_interfaces.build",)),
-    "rosbags": ("deidentify.ros", "exchange", "replay", "sessionfile.schemas", "untrusted"),
+    "rosbags": (
+        "deidentify.ros",
+        "exchange",
+        "replay",
+        "sessionfile.recovery",
+        "sessionfile.schemas",
+        "untrusted",
+    ),
     "ruamel": ("untrusted.yaml_text",),  # brought by rosbags, as zstandard is by mcap
     "xxhash": ("edges.zenoh.library",),
     "zenoh": ("edges.zenoh.library",),
@@ -272,6 +279,7 @@ UNMIRRORED = (
     "api/test_documents.py",  # docs/python-*.md
     "test_examples.py",  # examples/
     "test_private_files.py",  # who creates files
+    "test_written_files.py",  # every verb's, sessionfile/beside.py
     "test_package.py",  # igtl_gateway/__init__.py
     "test_packaging.py",  # pyproject.toml, lab/pyproject.toml
     "test_fixtures.py",  # what the recordings in fixtures/ promise

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from igtl_gateway import __version__
 from igtl_gateway.app.verification import IMPORTED, verify_recording
 from igtl_gateway.errors import GatewayError, UnsupportedRecording
 from igtl_gateway.qos import Qos
+from igtl_gateway.sessionfile.beside import written
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway.sync.correction import StampCorrection, corrected
@@ -23,22 +23,23 @@ def write_corrected(
     channel: str,
     type_name: str,
     check: Callable[[Path], None],
+    overwrite: bool = False,
 ) -> bool:
     """Write the session with the correction, and check it; return whether it was verified: an import has no outputs.
 
     Args:
         path: the session.
-        out: the file to write; an existing one is replaced.
+        out: the file to write.
         correction: the stream, and what is subtracted from its stamps.
         channel, type_name: of the entries of the stream.
         check: called with the written file before it gets its name; what it raises leaves no file.
+        overwrite: replace an existing file.
 
     Raises:
         UnsupportedRecording: the file is of another program.
         GatewayError: the outputs of the gateway depend on these stamps, or the file cannot be written.
     """
-    partial = out.with_name(f".igtl-gateway-{os.getpid()}.part.mcap")
-    try:
+    with written(out, overwrite=overwrite) as place:
         with SessionFile.open(path) as file:
             if file.foreign:
                 raise UnsupportedRecording(f"{path}: found an MCAP file of another program, expected a session")
@@ -48,15 +49,12 @@ def write_corrected(
                 return qos.get((topic, ros_type))
 
             facts = {**file.session, "corrected_by": __version__}
-            writer = SessionWriter(partial, facts, qos_of=qos_of, compression="zstd", overwrite=True)
+            writer = SessionWriter(place, facts, qos_of=qos_of, compression="zstd")
             for entry in corrected(file.entries(), correction, channel, type_name):
                 writer.write(entry)
             writer.close(dict(file.ledger or {}))
         has_outputs = IMPORTED not in facts
-        if has_outputs and not verify_recording(partial).good:
+        if has_outputs and not verify_recording(place).good:
             raise GatewayError(f"{correction.stream}: found outputs that depend on its source stamps, expected none")
-        check(partial)
-        os.replace(partial, out)
+        check(place)
         return has_outputs
-    finally:
-        partial.unlink(missing_ok=True)

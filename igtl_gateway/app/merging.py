@@ -15,6 +15,7 @@ from typing import Any
 from igtl_gateway.convert.names import topic_token
 from igtl_gateway.errors import ConfigError, DamagedRecording, GatewayError, UnsupportedRecording
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile.beside import written
 from igtl_gateway.sessionfile.merge_writer import MergedPart, write_merged
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.seals import stated_seals
@@ -131,7 +132,8 @@ def merge(
             )
             for each in recorders
         ]
-        count = write_merged(out, parts, facts, overwrite=overwrite)
+        with written(out, overwrite=overwrite) as path:
+            count = write_merged(path, parts, facts)
         return {
             "file": str(out),
             "messages": count,

@@ -13,6 +13,7 @@ from igtl_gateway.clock import SystemClock
 from igtl_gateway.errors import ConfigError, UnsupportedRecording
 from igtl_gateway.seal.keys import SigningKey, load_trusted
 from igtl_gateway.seal.time_stamps import load_authorities
+from igtl_gateway.sessionfile.beside import written
 from igtl_gateway.sessionfile.seal_check import CHANGED, CUT, SEALED, UNSEALED, UNTRUSTED, SealReport, check_seal
 from igtl_gateway.sessionfile.seal_copy import seal_copy
 from igtl_gateway.sessionfile.sealing import SealSeries
@@ -111,7 +112,8 @@ def stamp_recording(source: Path, reply: Path, output: Path, *, overwrite: bool 
     if report.time_stamp:
         raise UnsupportedRecording(f"{source}: found a time stamp already, expected a sealed file without one")
     digest = bytes.fromhex(report.last_seal)
-    size = stamped_copy(source, report.end_of_seals, reply, digest, output, overwrite=overwrite)
+    with written(output, overwrite=overwrite) as place:
+        size = stamped_copy(source, report.end_of_seals, reply, digest, place)
     return report.last_seal, size
 
 
@@ -124,7 +126,8 @@ def seal_recording(source: Path, key: Path, output: Path, *, overwrite: bool = F
     if is_same(source, output):
         raise ConfigError(f"{output}: found the recording itself, expected another name for the sealed one")
     sealer = SealSeries(signing, SystemClock().utc_ns).next_file(output)
-    return signing.id, seal_copy(source, output, sealer, overwrite=overwrite)
+    with written(output, overwrite=overwrite) as place:
+        return signing.id, seal_copy(source, place, sealer)
 
 
 def _time_problem(reports: Sequence[SealReport]) -> str:

@@ -25,6 +25,7 @@ from igtl_gateway.cli.verbs import LABORATORY, VERBS, WITHOUT_LABORATORY, Verb, 
 from igtl_gateway.cli.versions import VersionAction
 from igtl_gateway.errors import ConfigError, GatewayError, OutputError, UnsupportedRecording
 from igtl_gateway.sessionfile.new_file import files_with_mode
+from igtl_gateway.systems.signals import endings_interrupt
 from igtl_gateway.untrusted import limits
 
 FAILURE, USAGE = 1, 2
@@ -71,6 +72,7 @@ def _run(given: Sequence[str], asked: str, **extra: object) -> int:
     try:
         with (
             extras.in_use(),
+            endings_interrupt(),
             limits.limits_in_force(limits.parse_limits(getattr(options, "limit", []))),
             files_with_mode(notations.file_mode(getattr(options, "file_mode", None) or "0600"), umask=True),
         ):

@@ -12,10 +12,10 @@ from igtl_gateway.cli.cohort_progress import Progress
 from igtl_gateway.cli.common import count_text
 from igtl_gateway.cli.next_steps import command, print_next
 from igtl_gateway.cli.options import add_json, add_overwrite, default, output_file
-from igtl_gateway.cli.outputs import check_target, written
 from igtl_gateway.cli.terminal import aligned, print_json, print_line
 from igtl_gateway.cohort.ends import VERB_NAMES
 from igtl_gateway.errors import ConfigError
+from igtl_gateway.sessionfile.beside import check_target, written
 from igtl_gateway.sessionfile.new_file import write_text
 from igtl_gateway.sync.defaults import MAX_LAG_S
 from igtl_gateway.systems.processes import usable_cpus
@@ -117,7 +117,7 @@ def _run_query(options: argparse.Namespace) -> int:
         table = questions.table(sql) if targets else None
         answer = questions.answer(sql) if table is None else of_table(table) if options.json else None
     for target in targets:
-        with written(target) as path:
+        with written(target, overwrite=options.overwrite) as path:
             write_answer(table, path, parquet=target is options.parquet)
     if answer is None:
         return 0
@@ -142,7 +142,7 @@ def _run_report(options: argparse.Namespace) -> int:
     from igtl_gateway.cohort.report import page
 
     check_target(options.html, overwrite=options.overwrite)
-    with asking(options.out) as questions, written(options.html) as path:
+    with asking(options.out) as questions, written(options.html, overwrite=options.overwrite) as path:
         write_text(path, page(questions, str(options.out)))
     if options.json:
         print_json({"out": str(options.out), "html": str(options.html)})

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Iterable, Iterator
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from io import BufferedReader, BufferedWriter, FileIO
 from pathlib import Path
 
 from igtl_gateway.buffers import Buffer
-from igtl_gateway.cli.options import default
+from igtl_gateway.cli.options import add_overwrite, default
 from igtl_gateway.cli.terminal import print_json, print_line
-from igtl_gateway.errors import ConfigError, MessageTooLarge, RecordingError, WireError
+from igtl_gateway.errors import ConfigError, GatewayError, MessageTooLarge, WireError
 from igtl_gateway.exchange.formats import IGTL, START, format_of
+from igtl_gateway.sessionfile.beside import written
 from igtl_gateway.sessionfile.new_file import open_new
-from igtl_gateway.untrusted.files import is_same, obstacle
+from igtl_gateway.untrusted.files import is_same
 from igtl_gateway.wire import decode, describe, encode
 from igtl_gateway.wire.framer import DEFAULT_MAX_BODY, Framer
 from igtl_gateway.wire.header import HEADER_VERSIONS
@@ -31,7 +32,8 @@ EXAMPLES = """\
 The object of a damaged message has an `error` with what was found and what was
 expected.  After a wrong CRC the content is unreliable.  Exit code 1 if a
 message is damaged or the stream ends inside a message; the readable messages
-are printed."""
+are printed, and written to OUT.  A stream that is not OpenIGTLink, or a longer
+body, ends the work, and OUT is not written."""
 
 #: This number of consecutive messages with an unknown header version is another protocol, or an endless device.
 _FOREIGN = 1000
@@ -45,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="decode and encode each message, and write it to OUT; damaged messages are copied",
     )
+    add_overwrite(parser, "OUT")
     parser.add_argument(
         "--max-body",
         type=int,
@@ -57,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         source = stack.enter_context(_source(options.file))
-        target = stack.enter_context(_target(options.reencode, source)) if options.reencode else None
+        target = stack.enter_context(_target(options, source)) if options.reencode else None
         return _decode(options, source, target)
 
 
@@ -71,14 +74,14 @@ def _source(name: str) -> BufferedReader[FileIO]:
         raise ConfigError(f"{name}: {_reason(error)}") from None
 
 
-def _target(path: Path, source: BufferedReader[FileIO]) -> BufferedWriter:
-    """Open the output, empty.  Raises ConfigError if it is the input, RecordingError if it cannot be written."""
+@contextmanager
+def _target(options: argparse.Namespace, source: BufferedReader[FileIO]) -> Iterator[BufferedWriter]:
+    """Context manager for the output.  Raises ConfigError if it is the input, GatewayError if it cannot be written."""
+    path: Path = options.reencode
     if is_same(path, Path(f"/dev/fd/{source.fileno()}")):
         raise ConfigError(f"--reencode: found {path}, which is the input, expected another file")
-    try:
-        return open_new(path, "wb")
-    except (OSError, ValueError) as error:
-        raise RecordingError(f"cannot write to {path}: {obstacle(path, error)}") from None
+    with written(path, overwrite=options.overwrite) as place, open_new(place) as file:
+        yield file
 
 
 def _decode(options: argparse.Namespace, source: BufferedReader[FileIO], target: BufferedWriter | None) -> int:
@@ -93,20 +96,19 @@ def _decode(options: argparse.Namespace, source: BufferedReader[FileIO], target:
             damaged += "error" in facts
             foreign = foreign + 1 if facts["header_version"] not in HEADER_VERSIONS else 0
             if foreign == _FOREIGN:
-                return _lost(
-                    offset, f"found {foreign} messages in a row of an unknown header version, expected OpenIGTLink"
+                raise GatewayError(
+                    f"offset {offset}: found {foreign} messages in a row of an unknown header version, "
+                    "expected OpenIGTLink"
                 )
             if target:
-                _write(options.reencode, target, _encoded(data))
+                target.writelines(_encoded(data))
             offset += len(data)
     except MessageTooLarge as error:
-        return _lost(offset, error)
+        raise GatewayError(f"offset {offset}: {error}") from None
     if framer.pending:
         found = f"found {framer.pending} bytes of a message, expected a complete message: the stream ends inside it"
-        return _lost(offset, found)
-    if target:
-        _write(options.reencode, target, [])
-    return 1 if damaged else 0
+        print_line(f"igtl-gateway decode: offset {offset}: {found}", error=True)
+    return 1 if damaged or framer.pending else 0
 
 
 def _check_format(name: str, source: BufferedReader[FileIO]) -> None:
@@ -122,12 +124,6 @@ def _check_format(name: str, source: BufferedReader[FileIO]) -> None:
         )
 
 
-def _lost(offset: int, found: object) -> int:
-    """Print why decoding stops."""
-    print_line(f"igtl-gateway decode: offset {offset}: {found}", error=True)
-    return 1
-
-
 def _messages(name: str, source: BufferedReader[FileIO], framer: Framer) -> Iterator[Buffer]:
     while True:
         try:
@@ -137,15 +133,6 @@ def _messages(name: str, source: BufferedReader[FileIO], framer: Framer) -> Iter
         yield from framer.received(read)  # at the end of the input: raises the error of the last bytes
         if not read:
             return
-
-
-def _write(path: Path, target: BufferedWriter, parts: Iterable[Buffer]) -> None:
-    try:
-        target.writelines(parts)
-        target.flush()
-    except OSError as error:
-        target.raw.close()  # without writing the buffered bytes
-        raise RecordingError(f"writing to {path} failed: {_reason(error)}") from None
 
 
 def _reason(error: Exception) -> str:

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from igtl_gateway.cli.common import count_text
 from igtl_gateway.cli.options import add_file, add_json, add_overwrite, default, new_recording
-from igtl_gateway.cli.outputs import check_target
 from igtl_gateway.cli.terminal import aligned, print_json, print_line
 from igtl_gateway.deidentify.profile import BASIC, read_profile
 from igtl_gateway.deidentify.pseudonyms import MIN_KEY_BYTES
@@ -16,6 +15,7 @@ from igtl_gateway.deidentify.report import Report
 from igtl_gateway.deidentify.rules import NOT_COVERED
 from igtl_gateway.deidentify.session import deidentify
 from igtl_gateway.errors import ConfigError, UnsupportedRecording
+from igtl_gateway.sessionfile.beside import check_target
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.untrusted.files import is_same, read_bytes
 

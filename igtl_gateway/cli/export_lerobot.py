@@ -9,9 +9,9 @@ from typing import Any
 from igtl_gateway import extras
 from igtl_gateway.api import recording as recordings
 from igtl_gateway.cli.common import count_text
-from igtl_gateway.cli.outputs import check_target, write_error, written
 from igtl_gateway.cli.terminal import aligned, print_json, print_line
 from igtl_gateway.errors import ConfigError, GatewayError
+from igtl_gateway.sessionfile.beside import check_target, write_error, written
 from igtl_gateway.sessionfile.new_file import write_text
 
 LEROBOT = "lerobot"

@@ -17,6 +17,7 @@ from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError, DamagedRecording, WireError
 from igtl_gateway.exchange.formats import open_source
 from igtl_gateway.exchange.source import ImportedStream, Source, numbered
+from igtl_gateway.sessionfile.beside import written
 from igtl_gateway.sessionfile.layout import LayoutError
 from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway.stamp import NS_PER_S
@@ -41,7 +42,7 @@ EXAMPLES = """\
   igtl-gateway import traffic.pcap -o session.mcap
 
 exit code 1 if messages that the source declares are missing in the result; the
-output marks them."""
+output marks them.  If SOURCE is damaged, OUT is not written without --partial."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -52,6 +53,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="TIME",
         type=epoch,
         help="start time of sequences and of messages without stamps, ISO 8601 " + default("2000-01-01T00:00:00Z"),
+    )
+    parser.add_argument(
+        "--partial", action="store_true", help="if SOURCE is damaged, write what was read before the damage"
     )
     add_overwrite(parser, "OUT")
     add_json(parser)
@@ -72,22 +76,23 @@ def epoch(text: str) -> int:
 def run(options: argparse.Namespace) -> int:
     if is_same(options.out, options.source):
         raise ConfigError(f"--out: found {options.out}, which is the source, expected another file")
-    with closing(open_source(options.source, options.epoch)) as source:
+    failure = ""
+    with (
+        closing(open_source(options.source, options.epoch)) as source,
+        written(options.out, overwrite=options.overwrite) as place,
+    ):
         writer = SessionWriter(
-            options.out,
-            import_facts(options.source, source),
-            qos_of=source.qos_of,
-            definition_of=source.definition_of,
-            overwrite=options.overwrite,
+            place, import_facts(options.source, source), qos_of=source.qos_of, definition_of=source.definition_of
         )
-        failure = ""
         try:
             for entry in numbered(source.items()):
                 writer.write(entry)
         except (DamagedRecording, WireError, LayoutError) as error:
             failure = str(error)
-        finally:
-            writer.close({"import": {"rows": [_row_facts(row) for row in source.rows], "failure": failure}})
+        writer.close({"import": {"rows": [_row_facts(row) for row in source.rows], "failure": failure}})
+        size = place.stat().st_size
+        if failure and not options.partial:
+            place.unlink()
     good = not failure and all(row.good for row in source.rows)
     notes = source.notes + [
         f"{name}: found no definition; other tools cannot decode its messages" for name in writer.undefined
@@ -98,7 +103,7 @@ def run(options: argparse.Namespace) -> int:
         "file": str(options.out),
         "good": good,
         "entries": writer.entries,
-        "bytes": options.out.stat().st_size,
+        "bytes": 0 if failure and not options.partial else size,
         "rows": [_row_facts(row) for row in source.rows],
         "notes": notes,
         "failure": failure,
@@ -147,6 +152,10 @@ def _print(source: Source, facts: dict[str, Any]) -> None:
         print_line(f"note: {note}")
     if facts["failure"]:
         print_line(f"FAILED: {facts['failure']}")
+        if not facts["bytes"]:
+            entries = count_text(facts["entries"], "entry", "entries")
+            print_line(f"{facts['file']}: not written; --partial writes the {entries} before the damage")
+            return
     elif not facts["good"]:
         print_line("DIFFERENT: the rows marked ! lack messages that the source declares")
     print_line(f"{facts['file']}: {count_text(facts['entries'], 'entry', 'entries')}, {size_text(facts['bytes'])}")

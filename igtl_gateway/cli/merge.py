@@ -13,11 +13,11 @@ from igtl_gateway.app.merging import Source, merge
 from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.merge_output import print_merge
 from igtl_gateway.cli.options import add_json, add_overwrite, default, new_recording
-from igtl_gateway.cli.outputs import check_target, written
 from igtl_gateway.cli.sync import stream_named
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.convert.names import topic_token
 from igtl_gateway.errors import ConfigError, GatewayError
+from igtl_gateway.sessionfile.beside import check_target, written
 from igtl_gateway.sessionfile.new_file import open_new
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.stamp import NS_PER_S
@@ -87,8 +87,7 @@ def run(options: argparse.Namespace) -> int:
         if len(sources) != 2 or given:
             raise ConfigError("--sync: expected two recordings and no --offset")
         given = {_name(sources[1]): _measured(sources, options)}
-    with written(options.output) as path:
-        found = merge(sources, path, given=given, overwrite=True) | {"file": str(options.output)}
+    found = merge(sources, options.output, given=given, overwrite=options.overwrite)
     if options.json:
         print_json(found)
     else:
@@ -148,7 +147,11 @@ def _measured(sources: list[Source], options: argparse.Namespace) -> ClockOffset
 def _extract(options: argparse.Namespace) -> int:
     if len(options.files) != 1 or options.offset or options.sync:
         raise ConfigError("--extract: expected one merged session, and neither --offset nor --sync")
-    with SessionFile.open(options.files[0]) as file, written(options.output) as path, open_new(path, "wb") as out:
+    with (
+        SessionFile.open(options.files[0]) as file,
+        written(options.output, overwrite=options.overwrite) as path,
+        open_new(path) as out,
+    ):
         file.extract(options.extract, out)
     size = options.output.stat().st_size
     if options.json:

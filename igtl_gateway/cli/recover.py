@@ -3,20 +3,18 @@
 from __future__ import annotations
 
 import argparse
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway import __version__
 from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.options import add_file, add_json, add_overwrite, default, new_recording
 from igtl_gateway.cli.terminal import clear_live_line, is_terminal, live_line, print_json, print_line
-from igtl_gateway.errors import ConfigError, RecordingError, UnsupportedRecording
-from igtl_gateway.sessionfile.copying import CopyWriter
-from igtl_gateway.sessionfile.new_file import make_folder, os_error_text
+from igtl_gateway.errors import ConfigError, UnsupportedRecording
+from igtl_gateway.sessionfile.beside import written, written_folder
+from igtl_gateway.sessionfile.recovery import Recovery, recover
 from igtl_gateway.sessionfile.salvage import Salvage
 from igtl_gateway.sessionfile.salvage_report import Loss, SalvageReport
-from igtl_gateway.sessionfile.side_file import SIDE_FILE, RecordingPart, write_side_file
+from igtl_gateway.sessionfile.side_file import SIDE_FILE, write_side_file
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.untrusted.files import is_same
 
@@ -56,114 +54,83 @@ def run(options: argparse.Namespace) -> int:
     if source.is_dir():
         return _run_parts(options)
     output: Path = options.output or source.with_suffix(".recovered.mcap")
-    facts, report, _ = _recover(source, output, options)
+    if is_same(output, source):
+        raise ConfigError(f"{output}: found the damaged file, expected another name for the recovered one")
+    with written(output, overwrite=options.overwrite) as place:
+        found = _recover(source, place, options)
+    facts = _facts(found, source, output)
     if options.json:
         print_json(facts)
     else:
-        _print(facts, report)
-    return 0 if report.whole else 1
+        _print(facts, found.report)
+    return 0 if found.report.whole else 1
 
 
 def _run_parts(options: argparse.Namespace) -> int:
     """Recover all parts of a split recording, into a new directory and under the same names."""
     source: Path = options.file
     output: Path = options.output or source.with_name(f"{source.name}.recovered")
-    parts = sorted(source.glob("*.mcap"))
-    if not parts:
+    if is_same(output, source):
+        raise ConfigError(f"{output}: found the damaged recording, expected another name for the recovered one")
+    paths = sorted(source.glob("*.mcap"))
+    if not paths:
         raise UnsupportedRecording(f"{source}: found a directory without .mcap files, expected a split recording")
-    try:
-        make_folder(output, exist_ok=options.overwrite)
-    except OSError as error:
-        raise RecordingError(f"cannot record to {output}: {error.strerror}") from None
-    everything = []
-    written = []
-    for part in parts:
-        try:
-            facts, report, copy = _recover(part, output / part.name, options)
-        except UnsupportedRecording as error:
-            facts = {"file": str(part), "whole": False, "why": str(error)}
-            if not options.json:
-                print_line(f"LOST {error}")
-        else:
-            written.append(copy)
-            if not options.json:
-                _print(facts, report)
-        everything.append(facts)
-    # in order of time, as they were recorded: part_10 comes before part_9 by name
-    written.sort(key=lambda part: (part.start_ns or _NEVER, part.path.name))
-    try:
-        write_side_file(output, written)
-    except OSError as error:
-        raise RecordingError(f"cannot write {output / SIDE_FILE}: {os_error_text(error)}") from error
-    whole = all(facts["whole"] for facts in everything)
+    everything: list[tuple[dict[str, Any], SalvageReport | None]] = []
+    parts = []
+    with written_folder(output, overwrite=options.overwrite) as folder:
+        for path in paths:
+            try:
+                part = _recover(path, folder / path.name, options)
+            except UnsupportedRecording as error:
+                everything.append(({"file": str(path), "whole": False, "why": str(error)}, None))
+            else:
+                parts.append(part.part)
+                everything.append((_facts(part, path, output / path.name), part.report))
+        # in order of time, as they were recorded: part_10 comes before part_9 by name
+        parts.sort(key=lambda part: (part.start_ns or _NEVER, part.path.name))
+        write_side_file(folder, parts)
+    whole = all(facts["whole"] for facts, _ in everything)
     if options.json:
-        print_json({"file": str(source), "output": str(output), "whole": whole, "parts": everything})
-    else:
-        print_line(f"{output / SIDE_FILE}: written")
+        rows = [facts for facts, _ in everything]
+        print_json({"file": str(source), "output": str(output), "whole": whole, "parts": rows})
+        return 0 if whole else 1
+    for facts, found in everything:
+        if found is None:
+            print_line(f"LOST {facts['why']}")
+        else:
+            _print(facts, found)
+    print_line(f"{output / SIDE_FILE}: written")
     return 0 if whole else 1
 
 
-def _recover(
-    source: Path, output: Path, options: argparse.Namespace
-) -> tuple[dict[str, Any], SalvageReport, RecordingPart]:
-    """Recover one file.  Return its facts, its salvage report, and its row in the side file of a split recording."""
-    if is_same(output, source):
-        raise ConfigError(f"{output}: found the damaged file, expected another name for the recovered one")
-    with Salvage.open(source) as file:
-        with CopyWriter(
-            output,
-            file.profile,
-            file.library,
-            file.recorded_session,
-            compression=file.compression,
-            overwrite=options.overwrite,
-        ) as writer:
-            _copy(file, writer, progress=is_terminal(error=True) and not options.json)
-            facts = _facts(file)
-            ledger = file.ledger or {}
-            if "recovered" in ledger:
-                facts["earlier"] = ledger["recovered"]
-            part = writer.close({**ledger, "recovered": facts})
-        facts = {"file": str(source), "output": str(output), "output_bytes": part.size, **facts}
-        return facts, file.report, part
+def _recover(source: Path, place: Path, options: argparse.Namespace) -> Recovery:
+    """Recover one file, and show how far that is."""
+    shown = 0
 
-
-def _copy(file: Salvage, writer: CopyWriter, *, progress: bool) -> None:
-    for metadata in file.metadata():
-        writer.add_metadata(metadata)
-    for attachment in file.attachments():
-        writer.add_attachment(attachment)
-    next_word = _STEP
-    for each in file.read():
-        writer.write(each.schema, each.channel, each.message)
-        if progress and file.position >= next_word:
+    def progress(file: Salvage) -> None:
+        nonlocal shown
+        if file.position >= shown + _STEP:
             live_line(f"{100 * file.position // file.report.size:3} %", error=True)
-            next_word = file.position + _STEP
-    if next_word > _STEP:
+            shown = file.position
+
+    has_progress = is_terminal(error=True) and not options.json
+    found = recover(source, place, progress) if has_progress else recover(source, place)
+    if shown:
         clear_live_line(error=True)
+    return found
 
 
-def _facts(file: Salvage) -> dict[str, Any]:
-    """Return the facts about its origin for the ledger of the new file."""
-    report = file.report
-    return {
-        "by": f"igtl-gateway {__version__}",
-        "from": file.path.name,
-        "from_bytes": report.size,
-        "whole": report.whole,
-        "closed": report.closed,
-        "messages": report.messages,
-        "missing": report.missing,
-        "missing_numbers": report.missing_numbers,
-        "lost": [asdict(loss) for loss in report.lost],
-        "more_lost": report.more_lost,
-    }
+def _facts(found: Recovery, source: Path, output: Path) -> dict[str, Any]:
+    names = {"file": str(source), "output": str(output), "output_bytes": found.part.size}
+    return {**names, **found.facts, "notes": list(found.notes)}
 
 
 def _print(facts: dict[str, Any], report: SalvageReport) -> None:
     print_line(f"{facts['file']}: {count_text(report.messages, 'message')} read of {size_text(report.size)}")
     print_losses(report)
     print_line(f"{facts['output']}: written, closed, with an index, {size_text(facts['output_bytes'])}")
+    for note in facts["notes"]:
+        print_line(f"  note: {note}")
     if report.whole:
         print_line("complete: nothing is lost")
 

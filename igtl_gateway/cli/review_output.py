@@ -15,8 +15,8 @@ import numpy as np
 
 from igtl_gateway.cli.common import count_text
 from igtl_gateway.cli.terminal import cell, is_terminal, print_line, width
-from igtl_gateway.errors import GatewayError
 from igtl_gateway.review import EndReview, Level, PlanReview, Review, StitchReview
+from igtl_gateway.sessionfile.beside import written
 from igtl_gateway.sessionfile.new_file import open_text
 
 _COLOURS = {Level.OK: "32", Level.LOOK: "33", Level.WRONG: "1;31"}
@@ -84,16 +84,11 @@ _END_COLUMNS = (
 
 
 def write_csv(path: Path, review: Review, overwrite: bool) -> None:
-    try:
-        with open_text(path, "w" if overwrite else "x", newline="") as out:
-            rows = list(_csv_rows(review))
-            writer = csv.DictWriter(out, list(rows[0]))
-            writer.writeheader()
-            writer.writerows(rows)
-    except FileExistsError:
-        raise GatewayError(f"{path}: exists already, expected a new file or --overwrite") from None
-    except OSError as error:
-        raise GatewayError(f"cannot write to {path}: {error.strerror or error}") from None
+    with written(path, overwrite=overwrite) as place, open_text(place, newline="") as out:
+        rows = list(_csv_rows(review))
+        writer = csv.DictWriter(out, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
 
 
 def _csv_rows(review: Review) -> Iterable[dict[str, Any]]:

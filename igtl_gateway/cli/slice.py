@@ -17,6 +17,7 @@ from igtl_gateway.replay.moment import moment
 from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.replay.slice import Slice, SliceReport, SliceWindow
 from igtl_gateway.sessionfile import layout
+from igtl_gateway.sessionfile.beside import written
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway.stamp import NS_PER_S
@@ -99,16 +100,13 @@ def _write(file: SessionFile, part: Slice, window: SliceWindow, options: argpars
     # a slice begins at its own beginning, whatever it was cut from
     own = (layout.PART_KEY, layout.PREVIOUS_KEY, layout.SNAPSHOT_KEY)
     facts = {**{key: value for key, value in file.session.items() if key not in own}, **facts}
-    writer = SessionWriter(options.out, facts, qos_of=qos_of, compression="zstd", overwrite=options.overwrite)
-    try:
+    with written(options.out, overwrite=options.overwrite) as place:
+        writer = SessionWriter(place, facts, qos_of=qos_of, compression="zstd")
         for entry in part.entries():
             writer.write(entry)
         # losses of the recording are losses of its parts
         inherited = {key: value for key, value in (file.ledger or {}).items() if key in ("recorder", "recovered")}
         writer.close({"streams": part.report.ledger, **inherited})
-    except BaseException:
-        options.out.unlink(missing_ok=True)
-        raise
 
 
 def _facts(report: SliceReport) -> dict[str, object]:

@@ -17,10 +17,10 @@ from igtl_gateway.api.recording import Recording
 from igtl_gateway.api.stream import Stream
 from igtl_gateway.app.correcting import write_corrected
 from igtl_gateway.cli.options import add_file, add_json, add_overwrite, default, new_recording, output_file
-from igtl_gateway.cli.outputs import check_target, written
 from igtl_gateway.cli.terminal import aligned, print_json, print_line
 from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.session.entry import Kind
+from igtl_gateway.sessionfile.beside import check_target, written
 from igtl_gateway.sessionfile.new_file import write_text
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.sync.correction import StampCorrection, is_corrected
@@ -98,7 +98,7 @@ def run(options: argparse.Namespace) -> int:
         from igtl_gateway.sync.plot import lag_chart  # here: matplotlib is an extra
 
         chart = lag_chart(fixed, lags)
-        with written(options.plot) as path:
+        with written(options.plot, overwrite=options.overwrite) as path:
             write_text(path, chart)
     good = all(lag.verdict.has_lag for _, lag in lags)
     applied = _apply(options, fixed, *lags[0]) if options.apply and good else None
@@ -264,5 +264,13 @@ def _apply(options: argparse.Namespace, fixed: Signal, moving: Signal, lag: Lag)
         if not Kind(stream.direction).is_input:
             raise GatewayError(f"{stream.key}: found an output of the gateway, expected a stream that it received")
         channel, type_name = stream.name, stream.type
-    verified = write_corrected(options.file, options.out, correction, channel=channel, type_name=type_name, check=check)
+    verified = write_corrected(
+        options.file,
+        options.out,
+        correction,
+        channel=channel,
+        type_name=type_name,
+        check=check,
+        overwrite=options.overwrite,
+    )
     return _Applied(options.out, moving, found[0], verified)

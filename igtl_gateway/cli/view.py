@@ -19,7 +19,6 @@ from igtl_gateway.api import recording as recordings
 from igtl_gateway.api.lags import movement
 from igtl_gateway.cli.common import count_text, size_text, stop_event
 from igtl_gateway.cli.options import RECORDING_OR_BAG, add_file, add_json, add_overwrite, default, output_file
-from igtl_gateway.cli.outputs import check_target, write_error, written
 from igtl_gateway.cli.sync import lag_facts, stream_named
 from igtl_gateway.cli.terminal import cell, clear_live_line, is_terminal, live_line, print_json, print_line, width
 from igtl_gateway.clock import SystemClock
@@ -30,6 +29,7 @@ from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.replay.source import through_gateway
 from igtl_gateway.review import Material, review_of
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile.beside import check_target, write_error, written
 from igtl_gateway.sessionfile.new_file import write_bytes
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.stamp import NS_PER_S
@@ -116,9 +116,13 @@ def run(options: argparse.Namespace) -> int:
     started_ns = clock.monotonic_ns()
     with stop_event() as stop, _folder() as folder:
         out = options.save or folder / "session.rrd"
-        with written(options.screenshot) if options.screenshot else nullcontext() as picture:
-            with written(out) as partial:
+        with (
+            written(options.screenshot, overwrite=options.overwrite) if options.screenshot else nullcontext() as picture
+        ):
+            with written(out, overwrite=options.overwrite) as partial:
                 drawn, facts = _draw(options, partial, stop.is_set)
+                if options.save and stop.is_set():
+                    raise KeyboardInterrupt  # a part of the session is not the file that was asked for
             facts["seconds"] = round((clock.monotonic_ns() - started_ns) / NS_PER_S, 3)
             facts["bytes"] = out.stat().st_size
             if options.json:

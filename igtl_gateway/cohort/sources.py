@@ -10,6 +10,7 @@ from pathlib import Path
 
 from igtl_gateway.cohort.objects import is_url, list_objects
 from igtl_gateway.errors import ConfigError
+from igtl_gateway.sessionfile.beside import is_unfinished
 
 _WILD = "*?["
 
@@ -67,7 +68,7 @@ def _of_url(url: str) -> Iterator[Located]:
 def _local(source: str) -> Iterator[Located]:
     path = Path(source)
     if path.is_dir():
-        names = sorted(path.rglob("*.mcap"))
+        names = sorted(name for name in path.rglob("*.mcap") if not is_unfinished(name))
     elif path.exists() or not any(char in source for char in _WILD):
         names = [path]
     else:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 import re
 from collections.abc import Iterable, Iterator
 from itertools import chain
@@ -24,7 +23,6 @@ from igtl_gateway.deidentify.profile import Profile
 from igtl_gateway.deidentify.report import Report
 from igtl_gateway.deidentify.ros import RosCleaner
 from igtl_gateway.errors import (
-    ConfigError,
     DamagedRecording,
     GatewayError,
     Unavailable,
@@ -39,7 +37,7 @@ from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.sessionfile import layout
-from igtl_gateway.sessionfile.new_file import empty_file
+from igtl_gateway.sessionfile.beside import written
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.seal_check import UNSEALED
 from igtl_gateway.sessionfile.writer import SessionWriter
@@ -76,27 +74,22 @@ def deidentify(
         DamagedRecording: the file is damaged.
         GatewayError: the result would not verify, or the file cannot be written.
     """
-    if out.exists() and not overwrite:
-        raise ConfigError(f"{out}: exists already, expected a new file or --overwrite")
-    partial = out.with_name(f".igtl-gateway-{os.getpid()}.part.mcap")
     try:
-        empty_file(partial, "xb")
-    except OSError as error:
-        raise GatewayError(f"cannot write to {out}: {error.strerror}") from None
-    try:
-        with SessionFile.open(path) as file:
-            if file.merge:
-                one = path / file.merge.names[0]
-                raise UnsupportedRecording(f"{path}: found a merged session, expected one of its parts, such as {one}")
-            if file.foreign:
-                raise UnsupportedRecording(
-                    f"{path}: found an MCAP file of another program, expected a session; import it first"
-                )
-            run = _Run(file, Context.of(profile, key, shift_ns), _seal_of(path))
-            run.write(partial)
-        if IMPORTED not in file.session and not verify_recording(partial).good:
-            raise GatewayError(f"{path}: found outputs that the gateway does not compute from the new inputs")
-        os.replace(partial, out)
+        with written(out, overwrite=overwrite) as place:
+            with SessionFile.open(path) as file:
+                if file.merge:
+                    one = path / file.merge.names[0]
+                    raise UnsupportedRecording(
+                        f"{path}: found a merged session, expected one of its parts, such as {one}"
+                    )
+                if file.foreign:
+                    raise UnsupportedRecording(
+                        f"{path}: found an MCAP file of another program, expected a session; import it first"
+                    )
+                run = _Run(file, Context.of(profile, key, shift_ns), _seal_of(path))
+                run.write(place)
+            if IMPORTED not in file.session and not verify_recording(place).good:
+                raise GatewayError(f"{path}: found outputs that the gateway does not compute from the new inputs")
         return run.report
     except layout.LayoutError as error:
         raise DamagedRecording(f"{path}: {error}") from None
@@ -104,7 +97,6 @@ def deidentify(
         raise GatewayError(f"cannot write to {out}: {error.strerror}") from None
     finally:
         patterns.close()
-        partial.unlink(missing_ok=True)
 
 
 def _seal_of(path: Path) -> SealVerification | None:
@@ -143,7 +135,7 @@ class _Run:
             return self._qos.get((topic, ros_type)) or session.gateway.qos(topic)
 
         writer = SessionWriter(
-            path, self._facts(), qos_of=qos_of, definition_of=self._definition_of, compression="zstd", overwrite=True,
+            path, self._facts(), qos_of=qos_of, definition_of=self._definition_of, compression="zstd",
             prologue=before,
         )  # fmt: skip
         seq, stamp_ns = 0, 0

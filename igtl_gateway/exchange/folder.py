@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import re
+import shutil
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO, TypeVar
 
 from igtl_gateway.buffers import Buffer
-from igtl_gateway.errors import GatewayError, UnsupportedRecording
+from igtl_gateway.errors import GatewayError
 from igtl_gateway.exchange.account import ExportAccount
 from igtl_gateway.exchange.recording import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
 from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile.new_file import make_folder, open_new
+from igtl_gateway.sessionfile.beside import written_folder
+from igtl_gateway.sessionfile.new_file import open_new
 
 #: Characters of a stream's name that a file name can contain.
 _MAX_NAME = 100
@@ -24,47 +26,24 @@ class Folder:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._created: list[Path] = []
 
     def create(self, name: str) -> BinaryIO:
         """Create a file and return it, open for writing.  Raises OSError."""
-        path = self.path / name
-        stream = open_new(path)
-        self._created.append(path)
-        return stream
-
-    def remove(self) -> None:
-        """Remove the files that were created."""
-        for path in self._created:
-            path.unlink(missing_ok=True)
+        return open_new(self.path / name)
 
 
 @contextmanager
 def new_folder(path: Path, account: ExportAccount) -> Iterator[Folder]:
-    """Context manager for the directory of an export: it creates the directory, or uses an empty one.
+    """Context manager for the directory of an export: a new one, or one that is empty.
 
-    After an error, or if the account has no written message, it removes the files, and the directory if it created it.
+    After an error, or if the account has no written message, nothing is written.
 
     Raises UnsupportedRecording if the directory is not empty, GatewayError if it cannot be created.
     """
-    is_new = not path.exists()
-    try:
-        make_folder(path, exist_ok=True)
-        filled = any(path.iterdir())
-    except OSError as error:
-        raise GatewayError(f"cannot write to {path}: {error.strerror}") from None
-    if filled:
-        raise UnsupportedRecording(f"{path}: found a directory with files in it, expected a new or empty directory")
-    folder, is_whole = Folder(path), False
-    try:
-        yield folder
-        is_whole = any(row.taken for row in account.rows)
-    finally:
-        if not is_whole:
-            folder.remove()
-            if is_new:
-                with suppress(OSError):
-                    path.rmdir()
+    with written_folder(path) as place:
+        yield Folder(place)
+        if not any(row.taken for row in account.rows):
+            shutil.rmtree(place)
 
 
 def file_name(entry: Entry) -> str:

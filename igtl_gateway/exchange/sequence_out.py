@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +21,7 @@ from igtl_gateway.exchange.placement import ImagePlacement
 from igtl_gateway.exchange.recording import Recording
 from igtl_gateway.exchange.sequence import EPOCH_FIELD
 from igtl_gateway.exchange.sequence_frames import IDENTITY, SequenceFrame, SequenceFrames
+from igtl_gateway.sessionfile.beside import written
 from igtl_gateway.sessionfile.new_file import open_new
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.untrusted.numbers import whole_number
@@ -46,7 +46,7 @@ def export_sequence(recording: Recording, out: Path, globs: Sequence[str]) -> Ex
     first, moving = sequence.first, len(survey.matrices) > 1
     place = ImagePlacement.of_image(first) if first and not moving else None
     epoch = f"{EPOCH_FIELD} = {epoch_ns}"
-    with open_new(out) as stream, _removed_on_error(out):
+    with written(out) as new, open_new(new) as stream:
         text = "\n".join(metaimage_header(first, place, survey.frames, recording.session, epoch)) + "\n"
         size_at = text.index(SIZE_KEY) + len(SIZE_KEY)
         stream.write(text.encode("ascii", "replace"))
@@ -72,16 +72,6 @@ def export_sequence(recording: Recording, out: Path, globs: Sequence[str]) -> Ex
     elif first and not place:
         account.notes.append("the matrix of the images is invalid (axes of zero length, coplanar, or not finite)")
     return account
-
-
-@contextmanager
-def _removed_on_error(path: Path) -> Iterator[None]:
-    """Context manager that removes an incomplete file."""
-    try:
-        yield
-    except BaseException:
-        path.unlink(missing_ok=True)
-        raise
 
 
 def _pixels(image: Image) -> Buffer:

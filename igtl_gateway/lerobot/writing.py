@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
 
-from igtl_gateway.errors import GatewayError, UnsupportedRecording
+from igtl_gateway.errors import UnsupportedRecording
 from igtl_gateway.lerobot.card import write_card
 from igtl_gateway.lerobot.checksums import write_checksums
 from igtl_gateway.lerobot.frames import Episode, Plan
@@ -21,6 +17,7 @@ from igtl_gateway.lerobot.layout import Facts, Layout, layout_of
 from igtl_gateway.lerobot.stats import PictureStats, Stats, number_stats, sampled
 from igtl_gateway.lerobot.streams import Facts as StreamFacts
 from igtl_gateway.lerobot.video import video_info
+from igtl_gateway.sessionfile.beside import check_folder, written_folder
 from igtl_gateway.sessionfile.new_file import make_folder, open_new, write_bytes
 from igtl_gateway.untrusted.files import read_bytes
 
@@ -43,7 +40,8 @@ def write_data_set(plan: Plan, out: Path, recipe: Path, streams: list[StreamFact
         Unavailable: PyAV is missing, and the recipe has pictures.
         OSError: it cannot be written.
     """
-    with _new_directory(out) as root:
+    check_out(out)
+    with written_folder(out) as root:
         meta = root / "meta"
         make_folder(meta)
         facts = facts_of(plan)
@@ -57,31 +55,9 @@ def write_data_set(plan: Plan, out: Path, recipe: Path, streams: list[StreamFact
 
 def check_out(out: Path) -> None:
     """Raise UnsupportedRecording or GatewayError if no data set can be written to ``out``."""
-    try:
-        if out.is_symlink():
-            raise UnsupportedRecording(f"{out}: found a link, expected a new or empty directory")
-        if out.exists() and any(out.iterdir()):
-            raise UnsupportedRecording(f"{out}: found a directory with files in it, expected a new or empty directory")
-    except OSError as error:
-        raise GatewayError(f"cannot write to {out}: {error.strerror or error}") from None
-    if not out.absolute().parent.is_dir():
-        raise GatewayError(f"cannot write to {out}: there is no folder {out.absolute().parent}")
-
-
-@contextmanager
-def _new_directory(out: Path) -> Iterator[Path]:
-    """Context manager: a directory beside ``out``, which takes its place if the ``with`` block succeeds."""
-    check_out(out)
-    try:
-        part = out.absolute().with_name(f".igtl-gateway-{os.getpid()}.part")
-        make_folder(part)
-    except OSError as error:
-        raise GatewayError(f"cannot write to {out}: {error.strerror or error}") from None
-    try:
-        yield part
-        part.replace(out)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
+    if out.is_symlink():
+        raise UnsupportedRecording(f"{out}: found a link, expected a new or empty directory")
+    check_folder(out)
 
 
 def facts_of(plan: Plan) -> Facts:

@@ -11,10 +11,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.errors import RecordingError
+from igtl_gateway.errors import GatewayError, RecordingError
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.sessionfile import layout
+from igtl_gateway.sessionfile.beside import check_target
 from igtl_gateway.sessionfile.new_file import cannot_begin, make_folder
 from igtl_gateway.sessionfile.side_file import (
     SIDE_FILE,
@@ -65,13 +66,16 @@ class PartsWriter:
         self._max_bytes, self._max_ns = max_bytes, int(max_s * NS_PER_S)
         self._counters = counters
         self._parts: list[RecordingPart] = []
-        _make_folder(self.path, overwrite)
+        old = _make_folder(self.path, overwrite)
         try:
             self._part = self._open()
         except RecordingError:
             with contextlib.suppress(OSError):  # it holds something
                 self.path.rmdir()
             raise
+        for each in old:  # of an earlier recording: it stays until the new one has begun
+            if each != self._part.path:
+                each.unlink(missing_ok=True)
         self._ended = False  # the part is one of the complete ones
 
     @property
@@ -138,21 +142,24 @@ class PartsWriter:
         write_side_file(self.path, [part for part in self._parts if part.path.exists()])
 
 
-def _make_folder(folder: Path, overwrite: bool) -> None:
-    """Make the folder, without the files of an earlier recording.  Raises RecordingError with the obstacle."""
+def _make_folder(folder: Path, overwrite: bool) -> list[Path]:
+    """Make the folder; return the files of an earlier recording.  Raises RecordingError with the obstacle."""
     try:
         make_folder(folder)
+        return []
     except FileExistsError:
         if not folder.is_dir():
             raise RecordingError(f"cannot record to {folder}: it is not a folder") from None
         ours = files_of(folder)
-        if not ours:
-            return
-        if not overwrite:
+        if ours and not overwrite:
             raise RecordingError(
                 f"cannot record to {folder}: it holds a recording already, which is not replaced without --overwrite"
             ) from None
-        for path in ours:
-            path.unlink()
+        try:
+            for path in ours:
+                check_target(path, overwrite=True)
+        except GatewayError as error:
+            raise RecordingError(str(error)) from None
+        return ours
     except (OSError, ValueError) as error:
         raise cannot_begin(folder, error) from None

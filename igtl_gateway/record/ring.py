@@ -49,7 +49,7 @@ class Ring:
         self._entries: deque[Entry] = deque()
         self._bytes = 0
         trial = self._path(0)
-        create_file(trial, overwrite=False).close()  # an obstacle is reported now, not at the first snapshot
+        create_file(trial).close()  # an obstacle is reported now, not at the first snapshot
         trial.unlink()
 
     def write(self, entry: Entry) -> None:

@@ -15,6 +15,7 @@ The way through the folder, from bytes to sessions:
 ``schemas``          definitions of ROS message types for the file
 ``facts``            checks of session metadata and ledger
 ``stream``           MCAP being written; ``new_file`` creates the file
+``beside``           every file that a verb writes: beside its place, moved there when it is complete
 ``writer``           entries → file; ``side_file``: the folder of a split recording
 ``reader``           file → entries
 ``lookup``           starting in the middle of a file

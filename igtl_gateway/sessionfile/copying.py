@@ -6,7 +6,7 @@ For output that must not depend on what this program and machine know, such as d
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -23,14 +23,13 @@ from igtl_gateway.sessionfile.stream import McapStream
 
 
 class CopyWriter:
-    """Writes one file; a context manager, which removes the file when an error leaves it.
+    """Writes one file; a context manager, which closes the file.
 
     Args:
         path: the file to create.
         profile, library: of the file that is copied.
         session: its session metadata; empty for foreign files.
         compression: of the chunks.
-        overwrite: replace an existing file instead of refusing it.
 
     Every method raises RecordingError when the disk refuses.
     """
@@ -43,10 +42,9 @@ class CopyWriter:
         session: dict[str, str],
         *,
         compression: Compression,
-        overwrite: bool = False,
     ) -> None:
         self.path = path
-        self._file = create_file(path, overwrite)
+        self._file = create_file(path)
         self._mcap = McapStream(self._file, compression=compression)
         self._schemas: dict[int, int] = {0: 0}  # number there → number here
         self._channels: dict[int, int] = {}
@@ -61,8 +59,8 @@ class CopyWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        if error:
-            self._discard()
+        with suppress(OSError):
+            self._file.raw.close()  # closed already, or without what a full disk did not take
 
     def add_metadata(self, metadata: Metadata) -> None:
         """A metadata record, as it is."""
@@ -113,11 +111,4 @@ class CopyWriter:
         try:
             yield
         except OSError as error:
-            self._discard()
             raise RecordingError(f"cannot write {self.path}: {os_error_text(error)}") from error
-
-    def _discard(self) -> None:
-        """Remove the file: an incomplete copy is useless."""
-        if not self._file.closed:
-            self._file.raw.close()
-            self.path.unlink(missing_ok=True)

@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from igtl_gateway.errors import DamagedRecording
+from igtl_gateway.config import Config
+from igtl_gateway.errors import ConfigError, DamagedRecording
 from igtl_gateway.sessionfile import layout
 from igtl_gateway.untrusted.shape import (
     Shape,
@@ -101,6 +102,31 @@ def check_session(items: Mapping[str, str], place: str) -> None:
     for key in _SLICE if "slice_of" in items else ():
         if key not in items:
             raise DamagedRecording(f"{place}: session: found no item {key!r}, expected one beside 'slice_of'")
+
+
+def usable_session(items: Mapping[str, str]) -> tuple[dict[str, str], dict[str, str]]:
+    """The items that can be used, and the names of the others with the reason."""
+    unusable: dict[str, str] = {}
+    for key, shape in _SESSION.items():
+        if key in items:
+            try:
+                shape(items[key], key)
+            except DamagedRecording as error:
+                unusable[key] = str(error)
+    if why := configuration_fault(items.get(layout.CONFIGURATION_KEY, "{}")):
+        unusable[layout.CONFIGURATION_KEY] = why
+    if "slice_of" in items and (lacking := [key for key in _SLICE if key not in items or key in unusable]):
+        unusable["slice_of"] = f"found no usable item {lacking[0]!r}, expected one beside it"
+    return {key: value for key, value in items.items() if key not in unusable}, unusable
+
+
+def configuration_fault(written: str) -> str:
+    """Why a recorded configuration cannot be used; ``""`` if it can."""
+    try:
+        Config.from_dict(configuration({layout.CONFIGURATION_KEY: written}))
+    except (ConfigError, DamagedRecording) as error:
+        return str(error)
+    return ""
 
 
 def ledger(written: str, place: str) -> dict[str, Any]:

@@ -48,7 +48,7 @@ class MergedPart:
     count: int = 0
 
 
-def write_merged(path: Path, parts: Sequence[MergedPart], facts: Mapping[str, Any], *, overwrite: bool) -> int:
+def write_merged(path: Path, parts: Sequence[MergedPart], facts: Mapping[str, Any]) -> int:
     """Write the merged session, and return the number of its messages.
 
     Messages with equal times are in the order of the parts; those of one part stay in their order.
@@ -57,11 +57,10 @@ def write_merged(path: Path, parts: Sequence[MergedPart], facts: Mapping[str, An
         path: the file to create.
         parts: the recordings.
         facts: what the file states besides its parts.
-        overwrite: replace an existing file.
 
-    Raises DamagedRecording of a part, RecordingError if the file cannot be written; then there is no file.
+    Raises DamagedRecording of a part, RecordingError if the file cannot be written.
     """
-    file = create_file(path, overwrite)
+    file = create_file(path)
     try:
         mcap = McapStream(file, compression="zstd")
         mcap.start(layout.MCAP_PROFILE, _LIBRARY)
@@ -71,13 +70,11 @@ def write_merged(path: Path, parts: Sequence[MergedPart], facts: Mapping[str, An
         mcap.add_metadata(merged.MERGE_METADATA, layout.seal({merged.MERGE_KEY: text}))
         mcap.finish()
         file.close()
-    except BaseException as error:
+    except OSError as error:
+        raise RecordingError(f"cannot write {path}: {os_error_text(error)}") from error
+    finally:
         with suppress(OSError):
-            file.raw.close()
-        path.unlink(missing_ok=True)
-        if isinstance(error, OSError):
-            raise RecordingError(f"cannot write {path}: {os_error_text(error)}") from error
-        raise
+            file.raw.close()  # closed already, or without what a full disk did not take
     return count
 
 

@@ -65,20 +65,20 @@ def _open_new(path: str, flags: int) -> int:
 def open_new(path: Path, mode: Literal["xb", "wb", "ab"] = "xb") -> BufferedWriter:
     """Open a file for writing with the mode of new files; an older one of this name gets that mode.  Raises OSError."""
     file = open(path, mode, opener=_open_new)
-    _limit_mode(path, file.fileno())
+    limit_mode(path)
     return file
 
 
 def open_text(path: Path, mode: Literal["x", "w"] = "x", newline: str | None = None) -> TextIO:
     """Open a file as `open_new` does, for text (UTF-8); ``newline`` is as of ``open``.  Raises OSError."""
     file = open(path, mode, encoding="utf-8", newline=newline, opener=_open_new)
-    _limit_mode(path, file.fileno())
+    limit_mode(path)
     return file
 
 
-def _limit_mode(path: Path, file: int) -> None:
-    """Take from an older file what the mode of new files does not allow."""
-    mode = os.fstat(file).st_mode
+def limit_mode(path: Path) -> None:
+    """Take from an existing file what the mode of new files does not allow."""
+    mode = path.stat().st_mode
     if stat.S_ISREG(mode) and stat.S_IMODE(mode) & ~_MODE.get():
         with suppress(OSError):  # of another owner, or a file system without modes
             path.chmod(_MODE.get())
@@ -103,21 +103,15 @@ def make_folder(path: Path, *, parents: bool = False, exist_ok: bool = False) ->
     path.mkdir(folder_mode(), exist_ok=exist_ok)
 
 
-def create_file(path: Path, overwrite: bool) -> BufferedWriter:
-    """The open file, under the lock of its writer.  Raises RecordingError with the obstacle."""
+def create_file(path: Path) -> BufferedWriter:
+    """The new file, open, under the lock of its writer.  Raises RecordingError with the obstacle."""
     if found := obstacle(path):
         raise RecordingError(f"cannot record to {path}: {found}")
     try:
-        file = open(path, "wb" if overwrite else "xb", opener=_open_untouched)
-        try:
+        file = open(path, "xb", opener=_open_new)
+        with suppress(OSError):  # a file system without locks
             lock(file.fileno())
-        except BlockingIOError:
-            file.close()
-            raise RecordingError(f"cannot record to {path}: another process is recording to it") from None
-        except OSError:
-            pass  # a file system without locks
-        file.truncate()
-        set_mode(file.fileno(), _MODE.get())  # of an older file, too, and whatever the umask is
+        set_mode(file.fileno(), _MODE.get())  # whatever the umask is
         return file
     except FileExistsError:
         raise RecordingError(
@@ -136,8 +130,3 @@ def cannot_begin(path: Path, error: OSError | ValueError) -> RecordingError:
 def os_error_text(error: Exception) -> str:
     """The system's text for a refused file."""
     return (error.strerror if isinstance(error, OSError) else None) or str(error)
-
-
-def _open_untouched(path: str, flags: int) -> int:
-    """Open a file without emptying it: it might be the recording of another process."""
-    return os.open(path, flags & ~os.O_TRUNC, _MODE.get())

@@ -285,14 +285,7 @@ class SessionFile:
         with self._damage_in("prologue"):
             content = read_record(self._stream, self._index, records.ATTACHMENT, place, f"{self.path}: prologue")
             attachment = records.parse_attachment(content)
-        entries, size = [], 0
-        most = limits.current_limits().unpacked(len(attachment.data))
-        for entry in SessionFile(self.path, BytesIO(attachment.data)).entries():
-            entries.append(entry)
-            size += entry.size
-            limits.check_limit("count", len(entries), f"{self.path}: prologue")
-            limits.check_limit("ratio", size, f"{self.path}: prologue", most)
-        return entries
+        return prologue_of(attachment, self.path)
 
     # -- opening ----------------------------------------------------------------------------------------------
 
@@ -444,6 +437,18 @@ class SessionFile:
                     yield rows
                 elif chunk and not inputs.isdisjoint(chunk.channels):
                     yield None
+
+
+def prologue_of(attachment: Attachment, path: Path) -> list[Entry]:
+    """The entries of a prologue in the file ``path``.  Raises DamagedRecording, UnsupportedRecording, LimitExceeded."""
+    entries, size = [], 0
+    most = limits.current_limits().unpacked(len(attachment.data))
+    for entry in SessionFile(path, BytesIO(attachment.data)).entries():
+        entries.append(entry)
+        size += entry.size
+        limits.check_limit("count", len(entries), f"{path}: prologue")
+        limits.check_limit("ratio", size, f"{path}: prologue", most)
+    return entries
 
 
 class SessionParts(SessionFile):

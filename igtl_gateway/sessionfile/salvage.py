@@ -47,6 +47,8 @@ from igtl_gateway.untrusted import files, limits
 from igtl_gateway.untrusted.shape import digits
 
 _Value = TypeVar("_Value")
+#: Characters of the text of a loss that quotes the file.
+_MAX_TEXT = 300
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,6 +101,8 @@ class Salvage:
         self._searched = False
         self._statistics: Statistics | None = None
         self._read_summary()
+        #: Item of the session metadata that cannot be used → why.
+        self.unusable: dict[str, str] = {}
         session, self.ledger, found = self._survey()
         self.foreign = (
             session is None
@@ -215,7 +219,7 @@ class Salvage:
 
     def _survey(self) -> tuple[dict[str, str] | None, dict[str, Any] | None, bool]:
         """Everything except the messages: session metadata, ledger, and whether there is anything of MCAP at all."""
-        session: dict[str, str] | None = None
+        sessions: list[dict[str, str]] = []
         ledger: dict[str, Any] | None = None
         found = False
         for span in self._file.walk():
@@ -237,13 +241,27 @@ class Salvage:
                 metadata := _parsed(records.parse_metadata, self._file.small_content(span))
             ):
                 if metadata.name in layout.SESSION_RECORDS:
-                    session = session or _right(_check_session, metadata)
+                    sessions += [items] if (items := _right(_session_items, metadata)) else []
                 elif metadata.name == layout.LEDGER_METADATA:
                     ledger = ledger or _right(_check_ledger, metadata)
                 elif metadata.name != layout.SEAL_METADATA:  # a seal is of the file that it is in
                     self._metadata.append(span)
                     limits.check_limit("count", len(self._metadata), f"{self.path}: metadata records")
-        return session, ledger, found
+        return self._best_session(sessions), ledger, found
+
+    def _best_session(self, found: list[dict[str, str]]) -> dict[str, str] | None:
+        """The items that can be used, of the first record that has all of them, else of the first one."""
+        if not found:
+            return None
+        usable = [facts.usable_session(items) for items in found]
+        items, self.unusable = min(usable, key=lambda each: len(each[1]))
+        if layout.CONFIGURATION_KEY in self.unusable:
+            for attachment in self.attachments():
+                text = attachment.data.decode("utf-8", "replace")
+                if attachment.name == layout.CONFIGURATION_ATTACHMENT and not facts.configuration_fault(text):
+                    del self.unusable[layout.CONFIGURATION_KEY]
+                    return {**items, layout.CONFIGURATION_KEY: text}
+        return items
 
     def _is_defined(self, channel_id: int) -> bool:
         if channel_id not in self._channels:
@@ -389,7 +407,7 @@ class _SalvagePass:
             if metadata.name == layout.LEDGER_METADATA:
                 _check_ledger(metadata)
             elif metadata.name in layout.SESSION_RECORDS and not self._salvage.session:
-                _check_session(metadata)
+                _session_items(metadata)
         except (LayoutError, DamagedRecording) as error:
             return str(error)
         return ""
@@ -416,6 +434,8 @@ class _SalvagePass:
         ours = not self._salvage.foreign
         if ours and not self._salvage.session:
             self._lose(METADATA, nowhere, "the session metadata, such as the configuration")
+        for key, why in self._salvage.unusable.items():
+            self._lose(METADATA, nowhere, f"the item {key!r} of the session metadata: {why}"[:_MAX_TEXT])
         if ours and self._salvage.ledger is None and report.closed:
             self._lose(LEDGER, end, "the fate of every message")
 
@@ -436,11 +456,10 @@ def _right(check: Callable[[Metadata], _Value], metadata: Metadata) -> _Value | 
         return None
 
 
-def _check_session(metadata: Metadata) -> dict[str, str]:
-    """The session metadata of a record.  Raises LayoutError, DamagedRecording."""
+def _session_items(metadata: Metadata) -> dict[str, str]:
+    """The session metadata of a record, with items that may be unusable.  Raises LayoutError, DamagedRecording."""
     items = layout.unseal(metadata.metadata)
     digits(items.get(layout.FORMAT_VERSION_KEY), layout.FORMAT_VERSION_KEY)
-    facts.check_session(items, metadata.name)
     return items
 
 

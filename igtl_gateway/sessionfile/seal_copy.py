@@ -7,6 +7,7 @@ the seals in its statistics and its metadata index.
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from io import BufferedWriter
 from pathlib import Path
 from typing import IO
@@ -35,11 +36,11 @@ _SEALS = 2
 _PIECE = 1 << 20
 
 
-def seal_copy(source: Path, output: Path, sealer: Sealer, *, overwrite: bool = False) -> int:
+def seal_copy(source: Path, output: Path, sealer: Sealer) -> int:
     """Write a sealed copy of a closed MCAP file, and return its size.
 
-    Raises UnsupportedRecording for a file that is not closed or has seals, RecordingError when the disk refuses (then
-    there is no copy), LimitExceeded.
+    Raises UnsupportedRecording for a file that is not closed or has seals, RecordingError when the disk refuses,
+    LimitExceeded.
     """
     with files.open_file(source) as stream:
         size = stream.seek(0, os.SEEK_END)
@@ -50,13 +51,14 @@ def seal_copy(source: Path, output: Path, sealer: Sealer, *, overwrite: bool = F
             sealer.add(_row(source, stream, unit))
             if len(sealer) > _MOST_UNITS:
                 raise UnsupportedRecording(f"{source}: found more than {_MOST_UNITS:,} records, expected fewer")
-        file = create_file(output, overwrite)
+        file = create_file(output)
         try:
             return _write(stream, end, groups, sealer, file)
         except OSError as error:
-            file.raw.close()
-            output.unlink(missing_ok=True)
             raise RecordingError(f"cannot write {output}: {os_error_text(error)}") from error
+        finally:
+            with suppress(OSError):
+                file.raw.close()  # closed already, or without what a full disk did not take
 
 
 def _end_of_file(path: Path, stream: IO[bytes], size: int) -> tuple[int, dict[int, bytes]]:

@@ -7,6 +7,7 @@ and one more attachment in the statistics.  So the sealed end follows from the p
 from __future__ import annotations
 
 import os
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
@@ -90,7 +91,7 @@ def has_sealed_end(stream: IO[bytes], size: int, stamp: Stamp, sealed: EndOfFile
     return False
 
 
-def stamped_copy(source: Path, at: int, reply_file: Path, digest: bytes, output: Path, *, overwrite: bool) -> int:
+def stamped_copy(source: Path, at: int, reply_file: Path, digest: bytes, output: Path) -> int:
     """Write a copy of a sealed file with a time stamp, and return its size.
 
     Args:
@@ -99,10 +100,9 @@ def stamped_copy(source: Path, at: int, reply_file: Path, digest: bytes, output:
         reply_file: reply of the authority.
         digest: SHA-256 of the last seal.
         output: the file to write.
-        overwrite: replace an existing file.
 
     Raises ConfigError for another reply, UnsupportedRecording for a file with another end, RecordingError when the disk
-    refuses (then there is no copy), LimitExceeded, Unavailable.
+    refuses, LimitExceeded, Unavailable.
     """
     reply = read_reply(reply_file, digest)
     with files.open_file(source) as stream:
@@ -115,7 +115,7 @@ def stamped_copy(source: Path, at: int, reply_file: Path, digest: bytes, output:
             tail = end.with_attachment(_index(Stamp(at, len(record), reply))).pack(at + len(record))
         except Malformed as error:
             raise UnsupportedRecording(f"{source}: {error}") from None
-        file = create_file(output, overwrite)
+        file = create_file(output)
         try:
             stream.seek(0)
             left = at
@@ -125,9 +125,10 @@ def stamped_copy(source: Path, at: int, reply_file: Path, digest: bytes, output:
             file.write(record + tail)
             file.close()
         except OSError as error:
-            file.raw.close()
-            output.unlink(missing_ok=True)
             raise RecordingError(f"cannot write {output}: {os_error_text(error)}") from error
+        finally:
+            with suppress(OSError):
+                file.raw.close()  # closed already, or without what a full disk did not take
     return at + len(record) + len(tail)
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from io import BufferedWriter, BytesIO
 from pathlib import Path
 from typing import Any, Literal
@@ -22,6 +22,7 @@ from igtl_gateway.errors import RecordingError
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile import layout
+from igtl_gateway.sessionfile.beside import replaced
 from igtl_gateway.sessionfile.chunk_rows import RowStream
 from igtl_gateway.sessionfile.compression import Compression
 from igtl_gateway.sessionfile.layout import CHUNK_BYTES, LayoutError
@@ -104,16 +105,17 @@ class SessionWriter:
         self._failure = ""
         self._fsync = fsync
         before = _packed(prologue, self._types)
-        self._file = memory or create_file(path, overwrite)
-        self._mcap = McapStream(self._file, chunk_bytes=chunk_bytes, compression=compression, sealer=sealer)
-        try:
-            self._start(session, before)
-            if fsync != "never":
-                sync_folder(path.parent)
-        except OSError as error:
-            self._abandon()
-            path.unlink(missing_ok=True)
-            raise cannot_begin(path, error) from error
+        with replaced(path) if overwrite and os.path.lexists(path) else nullcontext(path) as place:
+            self._file = memory or create_file(place)
+            self._mcap = McapStream(self._file, chunk_bytes=chunk_bytes, compression=compression, sealer=sealer)
+            try:
+                self._start(session, before)
+                if fsync != "never":
+                    sync_folder(place.parent)
+            except OSError as error:
+                self._abandon()
+                place.unlink(missing_ok=True)
+                raise cannot_begin(path, error) from error
 
     def _start(self, session: dict[str, str], prologue: bytes) -> None:
         facts = {**session, layout.FORMAT_VERSION_KEY: str(layout.FORMAT_VERSION)}

@@ -6,7 +6,9 @@ be removed or replaced there.
 
 from __future__ import annotations
 
+import errno
 import os
+import shutil
 import stat
 import sys
 from contextlib import suppress
@@ -14,7 +16,6 @@ from pathlib import Path
 
 if sys.platform == "win32":
     import ctypes
-    import errno
     import msvcrt
 
     _EXCLUSIVE, _AT_ONCE = 2, 1  # of LockFileEx
@@ -130,6 +131,44 @@ def remove_locked(path: Path, handle: int) -> None:
         path.unlink()
     finally:
         os.close(handle)
+
+
+def remove_locked_folder(path: Path, handle: int) -> None:
+    """Remove a folder, of which the file with this descriptor is the lock, and close it; what cannot be removed stays.
+
+    On Windows the file is closed first.
+    """
+    if sys.platform == "win32":
+        os.close(handle)
+        shutil.rmtree(path, ignore_errors=True)
+        return
+    try:
+        shutil.rmtree(path, ignore_errors=True)
+    finally:
+        os.close(handle)
+
+
+def rename_new(old: Path, new: Path) -> None:
+    """Rename a file or a folder to a name that is free.  Raises FileExistsError if it is not, OSError.
+
+    A file never takes the place of one that another program has made in between, where the file system has hard links.
+    """
+    if sys.platform != "win32" and not old.is_dir():
+        try:
+            os.link(old, new, follow_symlinks=False)
+            old.unlink()
+            return
+        except FileExistsError:
+            raise
+        except OSError:
+            pass  # a file system without hard links
+    if os.path.lexists(new):
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(new))
+    os.rename(old, new)
+
+
+#: Whether a file can be renamed, or another one take its place, while it is open.
+RENAMES_OPEN_FILES = sys.platform != "win32"
 
 
 class OpenFolder:

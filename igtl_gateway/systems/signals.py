@@ -36,6 +36,27 @@ def ignore_endings() -> None:
 
 
 @contextmanager
+def endings_interrupt() -> Iterator[None]:
+    """Context manager: what asks a program to end raises KeyboardInterrupt, as Ctrl-C does, so that it can tidy up.
+
+    Signals that are ignored, and those of a program that has its own handlers, stay as they are.
+    """
+
+    def on_signal(_number: int, _frame: Any) -> None:
+        raise KeyboardInterrupt
+
+    ours = threading.current_thread() is threading.main_thread()
+    numbers = [number for number in ENDINGS if ours and signal.getsignal(number) is signal.SIG_DFL]
+    for number in numbers:
+        signal.signal(number, on_signal)
+    try:
+        yield
+    finally:
+        for number in numbers:
+            signal.signal(number, signal.SIG_DFL)
+
+
+@contextmanager
 def signals_in_thread(
     actions: Mapping[signal.Signals, Callable[[], None]], name: str, *, once: bool = False
 ) -> Iterator[None]:

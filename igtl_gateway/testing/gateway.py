@@ -21,6 +21,7 @@ from igtl_gateway.globs import matches
 from igtl_gateway.replay.source import select_entries
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
+from igtl_gateway.sessionfile.beside import written
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway.stamp import NS_PER_S
@@ -192,18 +193,18 @@ class ManualGateway:
         self._feed(entry.kind, entry.payload, entry.channel, entry.type, entry.links, entry.source_ns)
 
     def save(self, path: Path | str, *, overwrite: bool = False) -> None:
-        """Write the log as a recording, for replay, verification or comparison.  Raises RecordingError."""
+        """Write the log as a recording, for replay, verification or comparison.  Raises ConfigError, GatewayError."""
         session = {"igtl_gateway_version": __version__, "config": json.dumps(self.config.to_dict(), sort_keys=True)}
-        writer = SessionWriter(
-            Path(path),
-            session,
-            qos_of=lambda topic, ros_type: self._gateway.qos(topic) or self._gateway.subscription(topic, ros_type),
-            compression="zstd",
-            overwrite=overwrite,
-        )
-        for entry in self.log:
-            writer.write(entry)
-        writer.close({"streams": self._gateway.ledger.to_dict()})
+        with written(Path(path), overwrite=overwrite) as place:
+            writer = SessionWriter(
+                place,
+                session,
+                qos_of=lambda topic, ros_type: self._gateway.qos(topic) or self._gateway.subscription(topic, ros_type),
+                compression="zstd",
+            )
+            for entry in self.log:
+                writer.write(entry)
+            writer.close({"streams": self._gateway.ledger.to_dict()})
 
     def _feed(
         self,

@@ -160,8 +160,13 @@ def test_sources_that_are_no_files(shell: str, code: int, said: str, stream: Pat
         (["/dev/zero"], 1, "offset 57942: found 1000 messages in a row of an unknown header version"),
         (["{stream}", "--reencode", "{stream}"], 2, "which is the input, expected another file"),
         (["{stream}", "--reencode", "none/out"], 1, "cannot write to none/out: there is no folder none"),
-        (["{stream}", "--reencode", "/tmp"], 1, "cannot write to /tmp: it is a folder"),
-        (["{stream}", "--reencode", "/dev/full"], 1, "writing to /dev/full failed: No space left"),
+        (["{stream}", "--reencode", "/tmp"], 2, "/tmp: exists already, expected a new file or --overwrite"),
+        (["{stream}", "--overwrite", "--reencode", "/tmp"], 1, "cannot write to /tmp: it is not a regular file"),
+        (
+            ["{stream}", "--overwrite", "--reencode", "/dev/full"],
+            1,
+            "cannot write to /dev/full: it is not a regular file",
+        ),
     ],
 )
 def test_what_cannot_be_read_or_written(

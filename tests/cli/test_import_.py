@@ -89,7 +89,14 @@ def test_what_is_missing_is_a_failure_and_the_rest_is_there(tmp_path: Path, caps
     broken = bytearray(message("b"))
     broken[42] = 0xFF
     source.write_bytes(message("a") + broken)
+    before = out.read_bytes()
     assert main(["import", str(source), "-o", str(out), "--overwrite"]) == FAILURE
+    assert "out.mcap: not written; --partial writes the 2 entries before the damage" in capsys.readouterr().out
+    assert out.read_bytes() == before
+    out.unlink()
+    assert main(["import", str(source), "-o", str(out)]) == FAILURE
+    assert sorted(tmp_path.iterdir()) == [source]
+    assert main(["import", str(source), "-o", str(out), "--partial"]) == FAILURE
     assert "FAILED" in capsys.readouterr().out
     assert [bytes(entry.data()) for entry in entries(out) if entry.kind is Kind.IGTL_IN] == [message("a")]
 
@@ -112,10 +119,11 @@ def test_wrong_use(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     source = tmp_path / "some.igtl"
     source.write_bytes(message("a"))
     assert main(["import", str(tmp_path / "absent"), "-o", str(tmp_path / "out.mcap")]) == USAGE
-    assert main(["import", str(source), "-o", str(source), "--overwrite"]) == USAGE
+    with pytest.raises(SystemExit, match="2"):
+        main(["import", str(source), "-o", str(source), "--overwrite"])
     assert source.read_bytes() == message("a")
     assert main(["import", str(source), "-o", str(tmp_path / "out.mcap")]) == 0
-    assert main(["import", str(source), "-o", str(tmp_path / "out.mcap")]) == FAILURE
+    assert main(["import", str(source), "-o", str(tmp_path / "out.mcap")]) == USAGE
     capsys.readouterr()
     with pytest.raises(SystemExit, match="2"):
         main(["import", str(source), "-o", "x", "--epoch", "yesterday"])

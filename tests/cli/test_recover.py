@@ -116,7 +116,7 @@ def test_nothing_is_overwritten_unasked(cut: Path, tmp_path: Path, capsys: pytes
     before = cut.read_bytes()
     out = tmp_path / "b"
     out.write_bytes(b"precious")
-    assert main(["recover", str(cut), "-o", str(out)]) == 1
+    assert main(["recover", str(cut), "-o", str(out)]) == 2
     assert "--overwrite" in capsys.readouterr().err
     assert out.read_bytes() == b"precious"
     assert main(["recover", str(cut), "-o", str(cut), "--overwrite"]) == 2
@@ -295,8 +295,8 @@ def test_the_parts_of_a_split_recording_are_recovered_together(
     facts = told(capsys, "recover", folder, code=0)
     assert [Path(part["file"]).name for part in facts["parts"]] == ["split_0.mcap", "split_1.mcap"]
     assert entries(tmp_path / "split.recovered") == [samples.flat(entry) for entry in ENTRIES]
-    assert main(["recover", str(folder)]) == 1
-    assert "File exists" in capsys.readouterr().err
+    assert main(["recover", str(folder)]) == 2
+    assert "found a directory with files in it" in capsys.readouterr().err
     assert side_file(tmp_path / "split.recovered") == counts(ENTRIES)
     (folder / "split_2.mcap").touch()  # killed before its first byte
     assert main(["recover", str(folder), "-o", str(tmp_path / "more")]) == 1

@@ -14,6 +14,7 @@ from igtl_gateway.sessionfile.compression import COMPRESSIONS, Compression
 from igtl_gateway.sessionfile.copying import CopyWriter
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.salvage import Salvage
+from igtl_gateway.systems.files import lock
 
 SCHEMA = Schema(id=9, data=b"string data", encoding="ros2msg", name="std_msgs/msg/String")
 QOS = {layout.QOS_KEY: layout.qos_yaml(Qos(latched=True)), layout.TYPE_HASH_KEY: "RIHS01_00"}
@@ -53,11 +54,12 @@ def test_a_copy_is_the_same(tmp_path: Path, compression: Compression) -> None:
         assert file.entry_count == 50 and [channel.topic for channel in file.skipped] == ["/b"]
 
 
-def test_an_error_leaves_no_file(tmp_path: Path) -> None:
+def test_an_error_closes_the_file(tmp_path: Path) -> None:
     path = tmp_path / "copy.mcap"
     with pytest.raises(ZeroDivisionError), CopyWriter(path, "", "", {}, compression="none"):
         raise ZeroDivisionError
-    assert not path.exists()
+    with path.open() as file:
+        lock(file.fileno())
     path.write_bytes(b"")
     with pytest.raises(RecordingError, match="exists already"):
         CopyWriter(path, "", "", {}, compression="none")

@@ -14,31 +14,26 @@ from igtl_gateway.systems.files import sync_folder
 
 
 def test_a_new_file_is_locked(tmp_path: Path) -> None:
-    with create_file(tmp_path / "a", overwrite=False), (tmp_path / "a").open() as other:
+    with create_file(tmp_path / "a"), (tmp_path / "a").open() as other:
         with pytest.raises(BlockingIOError):
             fcntl.flock(other, fcntl.LOCK_SH | fcntl.LOCK_NB)
     sync_folder(tmp_path)
 
 
-def test_a_file_that_is_being_recorded_is_not_emptied(tmp_path: Path) -> None:
+def test_an_existing_file_is_not_emptied(tmp_path: Path) -> None:
     path = tmp_path / "a"
-    with create_file(path, overwrite=False) as file:
+    with create_file(path) as file:
         file.write(b"messages")
-        file.flush()
-        with pytest.raises(RecordingError, match="another process is recording to it"):
-            create_file(path, overwrite=True)
-        assert path.read_bytes() == b"messages"
     with pytest.raises(RecordingError, match="exists already"):
-        create_file(path, overwrite=False)
-    create_file(path, overwrite=True).close()
-    assert path.read_bytes() == b""
+        create_file(path)
+    assert path.read_bytes() == b"messages"
 
 
 def test_obstacles(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="it is a folder"):
-        create_file(tmp_path, overwrite=True)
+        create_file(tmp_path)
     with pytest.raises(RecordingError, match="there is no folder"):
-        create_file(tmp_path / "none" / "a", overwrite=False)
+        create_file(tmp_path / "none" / "a")
 
 
 def test_the_disk_is_distinguished_from_a_wrong_path(tmp_path: Path) -> None:

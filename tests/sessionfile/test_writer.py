@@ -10,6 +10,7 @@ import sys
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from mcap.reader import make_reader
@@ -218,6 +219,28 @@ def test_an_existing_file_is_replaced_only_where_that_is_asked_for(tmp_path: Pat
     out.write(text(1))
     out.close({})
     assert read(path) == [text(1)]
+
+
+def test_a_link_is_replaced_itself(tmp_path: Path) -> None:
+    (tmp_path / "other").write_bytes(b"of somebody else")
+    path = tmp_path / "session.mcap"
+    path.symlink_to("other")
+    with pytest.raises(RecordingError):
+        SessionWriter(path, samples.SESSION)
+    out = SessionWriter(path, samples.SESSION, overwrite=True)
+    out.write(text(1))
+    out.close({})
+    assert not path.is_symlink() and read(path) == [text(1)]
+    assert (tmp_path / "other").read_bytes() == b"of somebody else"
+
+
+def test_a_recording_that_does_not_begin_keeps_the_old_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "session.mcap"
+    path.write_bytes(b"mine")
+    monkeypatch.setattr(SessionWriter, "_start", Mock(side_effect=OSError(28, "No space left on device")))
+    with pytest.raises(DiskRefused, match="No space left"):
+        SessionWriter(path, samples.SESSION, overwrite=True)
+    assert [each.name for each in tmp_path.iterdir()] == ["session.mcap"] and path.read_bytes() == b"mine"
 
 
 @pytest.mark.parametrize(("taken", "found"), [(False, "the file was removed"), (True, "another file took its place")])

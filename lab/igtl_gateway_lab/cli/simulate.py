@@ -15,6 +15,7 @@ from igtl_gateway.config import Config
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.gateway import Gateway
 from igtl_gateway.session.content import ContentDigest
+from igtl_gateway.sessionfile.beside import written
 from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway_lab.cli import stage
 from igtl_gateway_lab.simulate.catalogue import SCENARIOS
@@ -137,24 +138,19 @@ def _write(options: argparse.Namespace, scenario: Scenario) -> int:
     """Play offline into a file."""
     cast = scenario.cast(options.duration)  # refuses what does not fit, before a file is replaced
     gateway = Gateway(scenario.config)
-    writer = SessionWriter(
-        options.out,
-        scenario_facts(options.name, scenario.config),
-        qos_of=lambda topic, ros_type: gateway.qos(topic) or gateway.subscription(topic, ros_type),
-        compression="zstd",
-        overwrite=options.overwrite,
-    )
     entries, content = 0, ContentDigest()
-    try:
+    with written(options.out, overwrite=options.overwrite) as place:
+        writer = SessionWriter(
+            place,
+            scenario_facts(options.name, scenario.config),
+            qos_of=lambda topic, ros_type: gateway.qos(topic) or gateway.subscription(topic, ros_type),
+            compression="zstd",
+        )
         for entry in scenario.entries(options.duration, gateway, cast):
             writer.write(entry)
             content.update(entry)
             entries += 1
         writer.close({"streams": gateway.ledger.to_dict()})
-    except BaseException:  # an incomplete recording (Ctrl-C, a full disk) is worthless: it can be made again
-        if options.out.is_file():
-            options.out.unlink()
-        raise
     reports = {actor.name: (actor.done, actor.report()) for actor in cast}
     good = all(done and report.good for done, report in reports.values())
     length, sha256 = options.out.stat().st_size, content.hexdigest()

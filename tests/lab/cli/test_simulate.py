@@ -56,7 +56,7 @@ def test_the_configuration_can_be_given_to_a_bridge(
 def test_an_existing_file_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "t.mcap"
     out.write_bytes(b"precious")
-    assert main(["simulate", "acquisition", "--out", str(out)]) == 1
+    assert main(["simulate", "acquisition", "--out", str(out)]) == 2
     assert "exists already" in capsys.readouterr().err
     assert out.read_bytes() == b"precious"
 
