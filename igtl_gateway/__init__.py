@@ -7,9 +7,12 @@ command line starts fast.
 from __future__ import annotations
 
 import sys
-from typing import TYPE_CHECKING, Any
+
+TYPE_CHECKING = False  # as typing has it, whose import takes longer than all else here
 
 if TYPE_CHECKING:
+    from typing import Any
+
     from igtl_gateway.api import aio
     from igtl_gateway.api.alignment import align
     from igtl_gateway.api.bridge import Bridge

@@ -2,6 +2,6 @@
 
 import sys
 
-from igtl_gateway.cli import main
+from igtl_gateway.start import main
 
 sys.exit(main())

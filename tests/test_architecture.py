@@ -79,7 +79,8 @@ LEVELS = {
     "cohort": 6,  # many sessions, on Dask
     "cli": 6,
     "testing": 6,
-    "__main__": 7,
+    "__main__": 8,
+    "start": 7,  # the entry point, which imports nothing early
     "ros_interfaces.__main__": 7,
     "lab": 0,
     "lab.simulate": 4,

@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import importlib
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from igtl_gateway import extras, notations
 from igtl_gateway.cli.early_port import early_ports
@@ -31,26 +31,34 @@ from igtl_gateway.untrusted import limits
 FAILURE, USAGE = 1, 2
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run one verb; the console script ``igtl-gateway``."""
+def main(argv: Sequence[str] | None = None, ready: Callable[[], None] | None = None) -> int:
+    """Run one verb.
+
+    Args:
+        argv: words of the command line; those of the process by default.
+        ready: called before the verb runs, when its modules are imported.
+
+    Returns:
+        The exit code.
+    """
     open_outputs()
     given = list(sys.argv[1:] if argv is None else argv)
     asked = next((word for word in given if not word.startswith("-")), "")
     if asked not in ("bridge", "replay"):
-        return _run(given, asked)
+        return _run(given, asked, ready)
     given, ros_args = without_ros_arguments(given)
     if asked == "replay":
-        return _run(given, asked, ros_args=ros_args)
+        return _run(given, asked, ready, ros_args=ros_args)
     from igtl_gateway.edges.reserved import ReservedPorts  # here: other verbs need no socket
 
     reserved = ReservedPorts(early_ports([*given, *ros_args[:1]]))
     try:
-        return _run(given, asked, reserved=reserved, ros_args=ros_args)
+        return _run(given, asked, ready, reserved=reserved, ros_args=ros_args)
     finally:
         reserved.close()
 
 
-def _run(given: Sequence[str], asked: str, **extra: object) -> int:
+def _run(given: Sequence[str], asked: str, ready: Callable[[], None] | None, **extra: object) -> int:
     """Run the verb ``asked``; ``extra`` are attributes of its options beside those of the command line."""
     parser = _parser()
     verbs = _verbs(parser)
@@ -70,6 +78,8 @@ def _run(given: Sequence[str], asked: str, **extra: object) -> int:
         parser.print_help()
         return USAGE
     try:
+        if ready is not None:
+            ready()
         with (
             extras.in_use(),
             endings_interrupt(),
