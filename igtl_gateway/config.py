@@ -579,7 +579,8 @@ def _check_text(place: str, value: object) -> None:
 
 
 def _pairs(place: str, value: Any) -> tuple[tuple[str, str], ...]:
-    pairs = tuple(tuple(pair) if isinstance(pair, list | tuple) else (pair,) for pair in value or ())
+    given = value if isinstance(value, list | tuple) else () if value is None else (value,)
+    pairs = tuple(tuple(pair) if isinstance(pair, list | tuple) else (pair,) for pair in given)
     if not all(len(pair) == 2 and all(isinstance(text, str) for text in pair) for pair in pairs):
         raise ConfigError(f'{place}: found {value!r}, expected a table of strings such as {{ operator = "A. B." }}')
     return pairs

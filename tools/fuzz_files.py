@@ -22,7 +22,7 @@ import time
 import traceback
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import closing, redirect_stderr, redirect_stdout
 from dataclasses import dataclass, field
 from itertools import islice
@@ -81,7 +81,7 @@ def read_configuration(path: Path, _rng: Random) -> str:
 
 
 #: How a recording is read: in this process without the command line, and by verbs.  ``F`` is the file.
-_MCAP_VERBS = (
+MCAP_VERBS = (
     "info F",
     "info F --json",
     "verify F",
@@ -102,18 +102,23 @@ def read_mcap(path: Path, rng: Random) -> str:
     """A recording: all its entries, or its recovery, or the output of a verb."""
     chance = rng.random()
     if chance < 0.4:
-        with SessionFile.open(path) as file:
-            for entry in islice(file.entries(), _MOST):
-                entry.data()
-            config_to_run(file.session)
-            gaps(file.ledger or {})
-        return "read"
+        return read_session(path)
     if chance < 0.6:
         with Salvage.open(path) as salvage:
             for entry in islice(salvage.entries(), _MOST):
                 entry.data()
         return "saved"
-    return verb(path, rng.choice(_MCAP_VERBS))
+    return verb(path, rng.choice(MCAP_VERBS))
+
+
+def read_session(path: Path) -> str:
+    """All entries of a recording, its configuration and its ledger."""
+    with SessionFile.open(path) as file:
+        for entry in islice(file.entries(), _MOST):
+            entry.data()
+        config_to_run(file.session)
+        gaps(file.ledger or {})
+    return "read"
 
 
 def verb(path: Path, words: str) -> str:
@@ -261,10 +266,21 @@ def _peak_mb() -> float:
 
 
 def run(
-    seed: int, goes_on: Callable[[int], bool], readers: tuple[str, ...] = tuple(READERS), out: Path | None = None
+    seed: int,
+    goes_on: Callable[[int], bool],
+    readers: tuple[str, ...] = tuple(READERS),
+    out: Path | None = None,
+    known: Mapping[str, Reader] | None = None,
+    size: int = _BATCH,
 ) -> dict[str, Report]:
-    """Batches of each reader, round-robin, while ``goes_on`` (called with the number of cases so far) returns True."""
-    fuzzers = {name: Fuzzer(READERS[name], seed, out) for name in readers}
+    """Batches of each reader, round-robin, while ``goes_on`` (called with the number of cases so far) returns True.
+
+    Args:
+        seed, readers, out: as on the command line.
+        known: the readers by name, if they are not those of this program.
+        size: cases of a batch.
+    """
+    fuzzers = {name: Fuzzer((known or READERS)[name], seed, out) for name in readers}
     memory = Path("/dev/shm")
     before = [(number, signal.signal(number, _hangs)) for number in (signal.SIGALRM, signal.SIGPROF)]
     try:
@@ -275,7 +291,7 @@ def run(
             warnings.simplefilter("error", RuntimeWarning)  # of numpy: they would reach the terminal
             while goes_on(sum(fuzzer.report.cases for fuzzer in fuzzers.values())):
                 for fuzzer in fuzzers.values():
-                    fuzzer.batch(Path(folder))
+                    fuzzer.batch(Path(folder), size)
     except KeyboardInterrupt:
         pass  # the report is what was asked for
     finally:

@@ -25,8 +25,8 @@ _READ = 1 << 20
 _EXACT = 1 << 53
 
 
-def read_frames(raster: Raster, notes: list[str]) -> Iterator[bytes]:
-    """Yield the frames in order; add a note to ``notes`` if there are bytes after the last one.
+def read_frames(raster: Raster, notes: list[str]) -> Iterator[bytearray | bytes]:
+    """Yield the frames in order, each in memory of its own; add a note to ``notes`` for bytes after the last one.
 
     Raises DamagedRecording if pixels are missing, LimitExceeded.
     """
@@ -51,7 +51,7 @@ def read_frames(raster: Raster, notes: list[str]) -> Iterator[bytes]:
             yield _ordered(raster, data, index, framed=True)
 
 
-def _ordered(raster: Raster, data: bytes, index: int, *, framed: bool) -> bytes:
+def _ordered(raster: Raster, data: bytearray, index: int, *, framed: bool) -> bytearray | bytes:
     """Return frame ``index`` with its components fastest; ``framed``: ``data`` has all frames, not only this one."""
     axes = [axis for axis in raster.axes if framed or axis.role != FRAME]
     order = [number for number, axis in enumerate(axes) if axis.role == COMPONENT]
@@ -104,7 +104,7 @@ class _PixelStream:
     def _new_decompressor(self) -> _Decompressor:
         return bz2.BZ2Decompressor() if self._raster.packing == BZIP2 else zlib.decompressobj(zlib.MAX_WBITS | 32)
 
-    def read(self, size: int, what: str) -> bytes:
+    def read(self, size: int, what: str) -> bytearray:
         """Return exactly ``size`` bytes.  Raises DamagedRecording; ``what`` names them in the error."""
         data = bytearray()
         with library_errors_as_damage(self._raster.data):
@@ -115,7 +115,7 @@ class _PixelStream:
                         f"{self._raster.where}: {what}: found {len(data)} bytes of pixels, expected {size}"
                     )
                 data += part
-        return bytes(data)
+        return data
 
     def skip(self, size: int) -> None:
         """Skip ``size`` bytes."""

@@ -21,11 +21,13 @@ from igtl_gateway.untrusted import files, limits
 Message = tuple[int, Key, bytes, int]
 
 _TABLES = ("topics", "messages", "message_definitions")
-_FUNCTIONS = frozenset({"count", "sum", "length", "typeof"})
+_FUNCTIONS = frozenset({"length", "typeof"})
 _PRAGMAS = frozenset({"table_xinfo"})
 _READABLE = frozenset({*_TABLES, "sqlite_master", ""})
 #: Steps of SQLite's virtual machine: between two checks, allowed for each file, and allowed in addition per byte.
 _EVERY, _STEPS, _STEPS_PER_BYTE = 20_000, 2_000_000, 20
+#: Bytes of a message that is read by itself.
+_LARGE = 1 << 20
 #: Time of a row without a valid time.
 NO_TIME = -1
 
@@ -69,11 +71,16 @@ class SqliteStorage:
         self._steps = 0
         taken = 0
         try:
-            found = self._base.execute("SELECT topic_id, timestamp, data FROM messages ORDER BY timestamp, id")
-            for number, time_ns, data in found:
+            # a large message is read by itself: sorted with the others, SQLite would copy it twice
+            found = self._base.execute(
+                f"SELECT topic_id, timestamp, CASE WHEN length(data) > {_LARGE} THEN NULL ELSE data END, rowid,"
+                f" typeof(data) = 'blob' AND length(data) > {_LARGE} FROM messages ORDER BY timestamp, id"
+            )
+            for number, time_ns, small, row, is_large in found:
                 key = self._keys.get(number) if isinstance(number, int) else None
                 if not key:
                     continue
+                data = self._large(row) if is_large else small
                 is_whole = isinstance(time_ns, int) and isinstance(data, bytes)
                 taken += len(data) + 1 if is_whole else 1
                 if taken > self._stored:
@@ -81,6 +88,10 @@ class SqliteStorage:
                 yield (time_ns, key, data, 0) if is_whole else (NO_TIME, key, b"", 0)
         except (sqlite3.Error, OverflowError) as error:
             raise self._damaged(error) from None
+
+    def _large(self, row: int) -> bytes:
+        with self._base.blobopen("messages", "data", row, readonly=True) as blob:
+            return blob.read()
 
     def close(self) -> None:
         """Close the file."""
@@ -133,12 +144,12 @@ class SqliteStorage:
         """Count messages by topic; check that their bytes are not more than the file."""
         if not {"id", "topic_id", "timestamp", "data"} <= self._columns("messages"):
             raise DamagedRecording(f"{self._path}: messages: found other columns, expected those of rosbag2")
-        self._counted: dict[Any, int] = {}
-        for number, count, size in self._rows(
-            "SELECT topic_id, count(*), sum(length(data)) FROM messages GROUP BY topic_id", "topics"
-        ):
-            self._counted[number] = count
-            self._stored += int(size or 0) + count
+        self._counted: Counter[Any] = Counter()
+        # not GROUP BY, for which SQLite would sort the bytes of all messages
+        for number, size in self._base.execute("SELECT topic_id, length(data) FROM messages"):
+            self._counted[number] += 1
+            self._stored += (size or 0) + 1
+            limits.check_limit("topics", len(self._counted), f"{self._path}: topics of messages")
         if self._stored > self._size:
             raise DamagedRecording(
                 f"{self._path}: messages: found {self._stored} bytes, expected at most the file size {self._size}"
@@ -146,7 +157,7 @@ class SqliteStorage:
 
     def _add_topic(self, number: Any, topic: str, ros_type: str, encoding: str, profiles: str) -> None:
         key = (topic, ros_type)
-        self.counts[key] += self._counted.get(number, 0)
+        self.counts[key] += self._counted[number]
         self.formats.setdefault(key, encoding)
         if why := self._unreadable(ros_type, encoding):
             self.skipped[key] = why

@@ -20,7 +20,7 @@ from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import BinaryIO
 
-from igtl_gateway.buffers import join
+from igtl_gateway.buffers import Buffer, join
 from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.exchange import pixels
 from igtl_gateway.exchange.header import ImageFile
@@ -176,8 +176,8 @@ class Sequence(NonRosSource):
                 self._image_row.why = f"image status {status[:20]}"
                 continue
             self._image_row.taken += 1
-            message = Message("IMAGE", IMAGE_DEVICE, self._image(data), ns_to_ticks(time_ns))
-            yield peer_item(time_ns, _LINK, join(encode(message)))
+            head, _ = encode(Message("IMAGE", IMAGE_DEVICE, self._image(data), ns_to_ticks(time_ns)))
+            yield peer_item(time_ns, _LINK, _with_head(head, data))
         yield link_down_item(time_ns, _LINK, peer, "the end of the file")
         next(images, None)  # adds a note if there is data after the last frame
         if self._stampless:
@@ -226,7 +226,7 @@ class Sequence(NonRosSource):
             )
         return time_ns
 
-    def _image(self, data: bytes) -> Image:
+    def _image(self, data: Buffer) -> Image:
         raster = self._raster
         return Image(
             raster.size,
@@ -240,6 +240,14 @@ class Sequence(NonRosSource):
 
     def close(self) -> None:
         """Do nothing: no file is open outside ``items``."""
+
+
+def _with_head(head: Buffer, pixels: bytearray | bytes) -> Buffer:
+    """Return a message; its pixels are moved and not copied if they can be, because a volume may fill the memory."""
+    if isinstance(pixels, bytes):
+        return join([head, pixels])
+    pixels[:0] = head
+    return memoryview(pixels)
 
 
 def _image_status(fields: dict[str, str]) -> str:
