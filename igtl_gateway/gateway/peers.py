@@ -29,6 +29,8 @@ MAX_STREAM_REQUESTS = 256
 #: Maximum number of types that one peer may show that it knows, likewise.
 MAX_KNOWN = 256
 
+_NOTHING: frozenset[str] = frozenset()
+
 
 @dataclass(slots=True)
 class StreamRequest:
@@ -112,6 +114,11 @@ class Peer:
             return False
         return (self.frames is not None and not self.frames.is_over) or may_show_plus(message)
 
+    @property
+    def requested_types(self) -> frozenset[str]:
+        """The types of which the peer has started or stopped streams."""
+        return frozenset(igtl_type for igtl_type, _ in self.stream_requests) if self.stream_requests else _NOTHING
+
     def stream_request(self, igtl_type: str, device: str) -> StreamRequest | None:
         """Return the request of the peer for a stream: for this device, or for any device."""
         if not self.stream_requests:
@@ -156,8 +163,8 @@ class Peers:
     """All peers of open links, by link number.
 
     Attributes:
-        changed: called when a peer connects, disconnects, changes its version or profile, or requests streams: compiled
-            streams (`igtl_gateway.gateway.fastpath`) are invalid then.
+        changed: called when a peer connects, disconnects, changes its version or profile, or requests streams of
+            another type: compiled streams (`igtl_gateway.gateway.fastpath`) are invalid then.
     """
 
     def __init__(self, config: Config) -> None:

@@ -31,6 +31,7 @@
 #define MAX_OUTPUTS 8
 #define MAX_LINKS 64
 #define CHUNK_BYTES (64 * 1024)
+#define MOST_UNSENT (1024 * 1024) /* that Python has not queued yet */
 #define LARGEST_RECEIPT (1024 * 1024) /* of a turn */
 #define LARGEST_OUTPUT (64 * 1024)
 #define LARGEST_INPUT (32 * 1024) /* what is larger takes too long for a thread of the middleware */
@@ -530,12 +531,13 @@ static int pass_to_ros(Passage *self, Stream *stream, const uint8_t *data, ssize
 
 enum { NATIVE, PYTHON }; /* who reads a link */
 
-/* A message of which the kernel took only the beginning. */
+/* A message of which the kernel took nothing, or only the beginning: Python queues it. */
 struct unsent {
     uint8_t *data;
     ssize_t size, sent;
     char *channel;
     char keep;
+    struct unsent *next;
 };
 
 /* A large message that was read whole, for Python. */
@@ -573,7 +575,9 @@ struct Link {
     /* sending; guarded by the lock of the sender */
     Lock *sending;
     _Atomic char clear; /* nothing is queued: what is sent goes to the kernel at once */
-    struct unsent unsent;
+    char muted;         /* nothing is sent any more */
+    struct unsent *unsent, **unsent_end; /* oldest first; then the link is not clear */
+    long long unsent_bytes;
     long long sent_messages, sent_bytes;
     /* events; guarded by the passage */
     Link *next_noted, *next_closed;
@@ -814,18 +818,18 @@ static void unlock_links(Stream *stream, int outputs, int links)
     }
 }
 
-/* Lock all links of a stream for sending; 0: something is queued for one of them.  No link is in two outputs. */
+/* Lock all links of a stream for sending; 0: one of them takes nothing now.  No link is in two outputs. */
 static int lock_links(Stream *stream)
 {
     for (int i = 0; i < stream->output_count; i++) {
         struct output *output = &stream->outputs[i];
         for (int k = 0; k < output->link_count; k++) {
             Link *link = output->links[k];
-            if (!link->clear || !lock_briefly(&link->sending->mutex)) {
+            if (!lock_briefly(&link->sending->mutex)) {
                 unlock_links(stream, i, k);
                 return 0;
             }
-            if (!link->clear) {
+            if (link->muted || link->unsent_bytes > MOST_UNSENT) {
                 unlock_links(stream, i, k + 1);
                 return 0;
             }
@@ -834,22 +838,27 @@ static int lock_links(Stream *stream)
     return 1;
 }
 
-/* Send a message; what the kernel does not take is Python's.  The caller has the lock of the link. */
+/* Send a message; what the kernel does not take is Python's, so that a link that is read slowly leaves the others native.
+ * The caller has the lock of the link. */
 static void send_to_link(Link *self, const uint8_t *message, ssize_t size, const struct output *output)
 {
-    ssize_t sent = send(self->fd, message, size, MSG_DONTWAIT | MSG_NOSIGNAL);
+    ssize_t sent = self->clear ? send(self->fd, message, size, MSG_DONTWAIT | MSG_NOSIGNAL) : 0;
     if (sent == size) {
         self->sent_messages++;
         self->sent_bytes += size;
         return;
     }
+    struct unsent *unsent = calloc(1, sizeof *unsent);
     self->clear = 0;
-    self->unsent.data = copied(message, size);
-    self->unsent.channel = strdup(output->channel);
-    self->unsent.keep = output->keep;
-    self->unsent.size = size;
-    self->unsent.sent = sent > 0 ? sent : 0;
-    note_link(self);
+    if (!unsent)
+        return;
+    *unsent = (struct unsent){copied(message, size), size, sent > 0 ? sent : 0, strdup(output->channel), output->keep, NULL};
+    int is_first = !self->unsent;
+    *self->unsent_end = unsent;
+    self->unsent_end = &unsent->next;
+    self->unsent_bytes += size;
+    if (is_first)
+        note_link(self);
 }
 
 /* -- ROS to OpenIGTLink ------------------------------------------------------------------------------------------------ */
@@ -1521,12 +1530,25 @@ static PyObject *link_new(PyTypeObject *type, PyObject *args, PyObject *keywords
     self->sending = (Lock *)Py_NewRef((PyObject *)sending);
     self->number = number, self->fd = fd, self->reader = PYTHON, self->clear = 1;
     self->large_end = &self->large;
+    self->unsent_end = &self->unsent;
     self->chunk = malloc(CHUNK_BYTES);
     if (!self->chunk || begin_mutex(&self->reading)) {
         Py_DECREF(self);
         return PyErr_NoMemory();
     }
     return (PyObject *)self;
+}
+
+/* Free the oldest message that was not sent. */
+static void forget_unsent(Link *self)
+{
+    struct unsent *unsent = self->unsent;
+    if (!(self->unsent = unsent->next))
+        self->unsent_end = &self->unsent;
+    self->unsent_bytes -= unsent->size;
+    free(unsent->data);
+    free(unsent->channel);
+    free(unsent);
 }
 
 static void link_dealloc(Link *self)
@@ -1539,8 +1561,8 @@ static void link_dealloc(Link *self)
         free(self->large);
         self->large = next;
     }
-    free(self->unsent.data);
-    free(self->unsent.channel);
+    while (self->unsent)
+        forget_unsent(self);
     pthread_mutex_destroy(&self->reading);
     Py_XDECREF((PyObject *)self->sending);
     Py_XDECREF((PyObject *)self->passage);
@@ -1588,16 +1610,14 @@ static PyObject *link_read_by_python(Link *self, PyObject *nothing)
 static PyObject *link_take_unsent(Link *self, PyObject *nothing)
 {
     (void)nothing;
-    if (!self->unsent.data)
+    struct unsent *unsent = self->unsent;
+    if (!unsent)
         Py_RETURN_NONE;
-    PyObject *found = Py_BuildValue("y#nsO", (const char *)self->unsent.data, (Py_ssize_t)self->unsent.size,
-                                    (Py_ssize_t)self->unsent.sent, self->unsent.channel ? self->unsent.channel : "",
-                                    self->unsent.keep ? Py_True : Py_False);
-    if (found) {
-        free(self->unsent.data);
-        free(self->unsent.channel);
-        self->unsent = (struct unsent){0};
-    }
+    PyObject *found = Py_BuildValue("y#nsO", (const char *)unsent->data, (Py_ssize_t)(unsent->data ? unsent->size : 0),
+                                    (Py_ssize_t)unsent->sent, unsent->channel ? unsent->channel : "",
+                                    unsent->keep ? Py_True : Py_False);
+    if (found)
+        forget_unsent(self);
     return found;
 }
 
@@ -1683,7 +1703,7 @@ static int link_set_clear(Link *self, PyObject *value, void *closure)
     (void)closure;
     int clear = value ? PyObject_IsTrue(value) : -1;
     if (clear >= 0)
-        self->clear = (char)clear;
+        self->clear = (char)(clear && !self->unsent);
     return clear < 0 ? -1 : 0;
 }
 
@@ -1708,6 +1728,8 @@ static PyMemberDef link_members[] = {
     {"waits", T_BOOL, offsetof(Link, waits), READONLY, "The link waits for its turn in the native thread."},
     {"heard_ns", T_LONGLONG, offsetof(Link, heard_ns), READONLY, "When the last bytes came (monotonic)."},
     {"large_waiting", T_INT, offsetof(Link, large_waiting), READONLY, "Large messages that were not handled yet."},
+    {"muted", T_BOOL, offsetof(Link, muted), 0, "Nothing is sent any more; with the lock of the sender."},
+    {"unsent_bytes", T_LONGLONG, offsetof(Link, unsent_bytes), READONLY, "Bytes that wait for take_unsent."},
     {"sent_messages", T_LONGLONG, offsetof(Link, sent_messages), READONLY, NULL},
     {"sent_bytes", T_LONGLONG, offsetof(Link, sent_bytes), READONLY, NULL},
     {NULL, 0, 0, 0, NULL},

@@ -54,6 +54,8 @@ class Link:
     heard_ns: int
     room: float
     waits: bool
+    muted: bool
+    unsent_bytes: int
     pending: int
     sent_messages: int
     sent_bytes: int

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import socket
 import time
 from pathlib import Path
 
 import pytest
 
+from igtl_gateway.convert.rosmsg import String
 from igtl_gateway.edges.tcp import PeerLimits
 from igtl_gateway.passage import is_compiled
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.session.note import Note
+from igtl_gateway.wire.framer import Framer
 from tests.passage.test_streams import Peer, Scene, check_recording, entries_of, scene, transform, wait_for
 
 pytestmark = pytest.mark.skipif(not is_compiled(), reason="without the native passage")
@@ -76,3 +79,32 @@ def test_a_flood_is_limited_natively(monkeypatch: pytest.MonkeyPatch, tmp_path: 
         wait_for(lambda: here.received("igtl_in") == 2_000)
     codes = {Note.of(entry.data()).code for entry in entries_of(path) if entry.kind is Kind.EDGE_NOTE}
     assert "rate_limited" in codes
+
+
+def test_a_peer_that_does_not_read_leaves_the_others_native(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """What it is sent waits in its own queue, in order; before, the whole stream went through Python."""
+    path = tmp_path / "session.mcap"
+    texts = [f"{number:06} " + "x" * 20_000 for number in range(500)]
+    with scene(monkeypatch, path=path) as here, socket.socket() as slow:
+        good = here.connect()
+        slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        slow.connect(here.bridge.addresses[0])
+        wait_for(lambda: len([one for one in here.bridge.tcp.links() if one.connected]) == 2)
+        for text in texts:
+            here.send_ros(String(text), "/igtl/out/text")
+        wait_for(lambda: len(strings(good.received)) == len(texts))
+        wait_for(lambda: here.bridge.tcp.counters()[2].queued_messages > 100)
+        assert here.native == 1
+        links = [here.bridge.tcp.native_link(number) for number in (1, 2)]
+        assert [bool(link and link.sent_messages > 400) for link in links] == [True, False]
+        framer = Framer()
+        received: list[bytes] = []
+        while len(strings(received)) < len(texts):
+            received += [bytes(message) for message in framer.feed(slow.recv(1 << 20))]
+        assert strings(received) == strings(good.received) == [text.encode() for text in texts]
+    check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+
+
+def strings(messages: list[bytes]) -> list[bytes]:
+    """The contents of the STRINGs among these messages."""
+    return [message[62:] for message in messages if message[2:8] == b"STRING"]

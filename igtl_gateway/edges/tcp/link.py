@@ -97,6 +97,7 @@ class Link:
 
     def counters(self) -> LinkCounters:
         """Counts so far; for any thread."""
+        self.sender.take_unsent()
         with self.sender.lock:
             box = self.sender.outbox
             native = self.native.link if self.native else None

@@ -76,7 +76,7 @@ class Sender:
         return self.outbox.sent_bytes + (self._native.sent_bytes if self._native else 0)
 
     def take_unsent(self) -> None:
-        """Queue the rest of a message that the native passage could not send whole."""
+        """Queue what the native passage could not send."""
         with self.lock:
             self._take_unsent()
 
@@ -166,7 +166,7 @@ class Sender:
     @property
     def all_sent(self) -> bool:
         """Whether the kernel has everything that was to be sent."""
-        return self.outbox.empty and not self.backlog
+        return self.outbox.empty and not self.backlog and not (self._native and self._native.unsent_bytes)
 
     @property
     def backlog(self) -> int:
@@ -175,7 +175,7 @@ class Sender:
 
     def _take_unsent(self) -> None:
         """``take_unsent`` under the lock."""
-        if self._native and not self._native.clear and (unsent := self._native.take_unsent()):
+        while self._native and not self._native.clear and (unsent := self._native.take_unsent()):
             data, sent, stream, keep = unsent
             if not self._queue(QueuedMessage((data,), len(data), stream, keep), sent):
                 self.outbox.dropped[stream] += 1
@@ -183,6 +183,7 @@ class Sender:
     def _settle(self) -> None:
         """Let the native passage send, or no more; under the lock."""
         if self._native:
+            self._native.muted = self._muted
             self._native.clear = self.outbox.empty and not self._muted
 
     def _queue(self, message: QueuedMessage, sent: int) -> bool:
@@ -257,6 +258,7 @@ class Sender:
         """Send from the queue, now that the socket has room; whether nothing is left."""
         with self.lock:
             box = self.outbox
+            self._take_unsent()
             self.is_inside_message = True
             if not box.empty:
                 box.advance(self._write(box.parts()))

@@ -44,8 +44,13 @@ class Queries:
         query = split_query(message.type)
         if query is None:
             return []
-        self._peers.changed()
-        prefix, igtl_type = query
+        requested = peer.requested_types
+        items = self._respond(entry, peer, message, *query)
+        if peer.requested_types != requested:  # not with each query: all streams would be compiled again
+            self._peers.changed()
+        return items
+
+    def _respond(self, entry: Entry, peer: Peer, message: Message, prefix: str, igtl_type: str) -> list[Item]:
         if prefix in ("GET", "STT") and self._denied.type(igtl_type):
             text = f"{message.type} rejected: {igtl_type} is not sent to any peer (deny_out)"
             finding = _noted_once(entry, Level.WARN, "denied", text, visible(message.type), peer)

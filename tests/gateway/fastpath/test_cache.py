@@ -268,15 +268,16 @@ CHANGES: tuple[dict[str, Any], ...] = (
 
 @st.composite
 def others(draw: st.DrawFn) -> Step:
-    kinds = [LINK_UP, LINK_DOWN, "STT", "STP", LISTENED, SETTING]
+    kinds = [LINK_UP, LINK_DOWN, "STT", "STP", "GET", LISTENED, SETTING]
     kind, link = draw(st.sampled_from(kinds)), draw(st.sampled_from([1, 2, 3]))
     if kind == LISTENED:
         return "listened", draw(st.sampled_from(["/igtl/in/B/points", "/igtl/in/B/mesh", "/igtl/in/B/marker"]))
     if kind == SETTING:
         return "change", draw(st.sampled_from(CHANGES))
-    if kind in ("STT", "STP"):
-        content = StartTracking(20, "") if kind == "STT" else EmptyQuery()
-        return "igtl", join(encode(Message(f"{kind}_TDATA", "", content, 0, 2))), link
+    if kind in ("STT", "STP", "GET"):
+        name = f"{kind}_{draw(st.sampled_from(['TDATA', 'TDATA', 'TRANS', 'POINT', 'STRING', 'IMAGE']))}"
+        content = StartTracking(20, "") if name == "STT_TDATA" else EmptyQuery()
+        return "igtl", join(encode(Message(name, "", content, 0, 2))), link
     return "link", kind, link
 
 
@@ -403,6 +404,29 @@ def test_the_second_pose_of_a_stream_takes_the_fast_path(version: int) -> None:
     session.input(T0_NS, Kind.ROS_IN, (changed.pack(),), channel="/igtl/out/Tool", type_name=TOOL.TYPE)
     session.input(T0_NS, Kind.ROS_IN, (changed.pack(),), channel="/igtl/out/Tool", type_name=TOOL.TYPE)
     assert general[3:] == [Kind.ROS_IN]
+
+
+def test_a_query_leaves_the_streams_of_all_peers_on_the_fast_path() -> None:
+    """A peer that asks a thousand times a second would otherwise have every stream compiled as often."""
+    session, general = watched_session()
+    pose, cdr = join(encode(Message("TRANSFORM", "Probe", POSE, ns_to_ticks(T0_NS)))), TOOL.pack()
+
+    def poses() -> list[Kind]:
+        for _ in range(3):
+            session.input(T0_NS, Kind.IGTL_IN, (pose,), links=(1,))
+            session.input(T0_NS, Kind.ROS_IN, (cdr,), channel="/igtl/out/Tool", type_name=TOOL.TYPE)
+        found, general[:] = general[:], []
+        return found
+
+    poses()
+    for name in ("GET_STATUS", "GET_TRANS", "GET_IMAGE", "STT_IMAGE", "STT_IMAGE", "STP_IMAGE", "GET_CAPABIL"):
+        query = join(encode(Message(name, "Probe", EmptyQuery())))
+        session.input(T0_NS, Kind.IGTL_IN, (query,), links=(1,))
+        if name == "STT_IMAGE":
+            poses()  # once more: the peer might have asked for them
+    assert poses() == [Kind.IGTL_IN] * 2  # the last queries
+    session.input(T0_NS, Kind.IGTL_IN, (join(encode(Message("STT_TRANS", "Tool", EmptyQuery()))),), links=(1,))
+    assert poses().count(Kind.ROS_IN) == 3  # it is sent as often as the peer asked for
 
 
 compiled = pytest.mark.skipif(not express.COMPILED, reason="installed without the C part")
