@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,10 @@ from igtl_gateway.convert.rosmsg import Image as RosImage
 from igtl_gateway.convert.rosmsg import Marker, PointCloud2, PointStamped
 from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.session.entry import Kind
-from igtl_gateway.sync.defaults import CUT_OFF_HZ, MAX_LAG_S
-from igtl_gateway.sync.lag import Lag, measure_lag
+from igtl_gateway.sync.defaults import CUT_OFF_HZ
+from igtl_gateway.sync.lag import Lag, measure_lag, measure_together
 from igtl_gateway.sync.plus import line_height
-from igtl_gateway.sync.signal import Signal
+from igtl_gateway.sync.signal import Signal, moves
 
 Array = npt.NDArray[Any]
 
@@ -36,10 +37,10 @@ _MOST_NUMBERS = 64
 
 
 def lag(
-    fixed: Stream,
-    moving: Stream,
+    fixed: Stream | Sequence[Stream],
+    moving: Stream | Sequence[Stream],
     *,
-    max_lag_s: float = MAX_LAG_S,
+    max_lag_s: float | None = None,
     cut_off_hz: float = CUT_OFF_HZ,
     frame: str = "",
     line: bool = False,
@@ -48,9 +49,12 @@ def lag(
 
     The stamps are those of the senders, or gateway times for a stream in which a message has no stamp.
 
+    Several pairs of streams of the same two clocks have one lag: ``lag([jaw, insertion], [seen_jaw, seen_insertion])``.
+    A periodic movement offers lags a period apart, one that is not periodic chooses, and both refine.
+
     Args:
-        fixed, moving: streams with poses, images, point clouds, joint states or other numbers.
-        max_lag_s: search range to both sides, s.
+        fixed, moving: streams with poses, images, point clouds, joint states or other numbers; or as many of each.
+        max_lag_s: search range to both sides, s; None: 1 s.  A range that is given states that the lag is in it.
         cut_off_hz: highest cut-off of the low-pass for both signals, Hz.
         frame: tool or child frame, for streams with several poses.
         line: follow the bright line in images, as PLUS does in a water tank.
@@ -59,14 +63,25 @@ def lag(
         The lag with its interval, or the reason why the data give no lag (``Lag.verdict``).
 
     Raises:
-        ConfigError: a stream has nothing that could move.
+        ConfigError: a stream has nothing that could move, there are not as many of each, or a number is out of range.
 
     Example:
         >>> found = igtl_gateway.lag(recording["TRANSFORM/Probe"], recording["IMAGE/Video"])  # doctest: +SKIP
         >>> found.lag_s, found.low_s, found.high_s  # doctest: +SKIP
     """
-    signals = [movement(stream, frame=frame, line=line) for stream in (fixed, moving)]
-    return measure_lag(*signals, max_lag_s=max_lag_s, cut_off_hz=cut_off_hz)
+    for name, value in (("max_lag_s", max_lag_s), ("cut_off_hz", cut_off_hz)):
+        if value is not None and not 0 < value < math.inf:
+            raise ConfigError(f"{name}: found {value:g}, expected more than 0")
+    one, other = ([each] if isinstance(each, Stream) else list(each) for each in (fixed, moving))
+    if len(one) != len(other) or not one:
+        raise ConfigError(f"found {len(one)} fixed and {len(other)} moving streams, expected as many of each")
+    pairs = [
+        (movement(first, frame=frame, line=line), movement(second, frame=frame, line=line))
+        for first, second in zip(one, other, strict=True)
+    ]
+    if len(pairs) == 1:
+        return measure_lag(*pairs[0], max_lag_s=max_lag_s, cut_off_hz=cut_off_hz)
+    return measure_together(pairs, max_lag_s=max_lag_s, cut_off_hz=cut_off_hz)
 
 
 def movement(stream: Stream, *, frame: str = "", line: bool = False, arrival: bool = False) -> Signal:
@@ -102,7 +117,9 @@ def movements(
     line: bool = False,
     unreadable: type[GatewayError] = ConfigError,
 ) -> list[Signal]:
-    """Return what moves in each input stream that has something that could move, the stream with most samples first.
+    """Return what moves in each input stream that has something that could move.
+
+    The first one is the reference of the others: of the streams that move and turn round, that with most samples.
 
     A stream with an error of the kind ``unreadable`` is left out.
     """
@@ -113,7 +130,7 @@ def movements(
                 found.append(movement(stream, frame=frame, line=line))
             except (ConfigError, unreadable):
                 continue
-    return sorted(found, key=lambda signal: -len(signal.times_ns))
+    return sorted(found, key=lambda signal: (not moves(signal), -len(signal.times_ns)))
 
 
 def _of_poses(stream: Stream, frame: str) -> tuple[Array, str]:

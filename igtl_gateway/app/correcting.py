@@ -1,8 +1,8 @@
-"""A session with corrected source stamps of one stream, as a new file that verifies."""
+"""A session with corrected source stamps of some streams, as a new file that verifies."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from igtl_gateway import __version__
@@ -18,20 +18,17 @@ from igtl_gateway.sync.correction import StampCorrection, corrected
 def write_corrected(
     path: Path,
     out: Path,
-    correction: StampCorrection,
+    corrections: Mapping[tuple[str, str], StampCorrection],
     *,
-    channel: str,
-    type_name: str,
     check: Callable[[Path], None],
     overwrite: bool = False,
 ) -> bool:
-    """Write the session with the correction, and check it; return whether it was verified: an import has no outputs.
+    """Write the session with the corrections, and check it; return whether it was verified: an import has no outputs.
 
     Args:
         path: the session.
         out: the file to write.
-        correction: the stream, and what is subtracted from its stamps.
-        channel, type_name: of the entries of the stream.
+        corrections: channel and type of the entries of a stream → what is subtracted from its stamps.
         check: called with the written file before it gets its name; what it raises leaves no file.
         overwrite: replace an existing file.
 
@@ -50,11 +47,12 @@ def write_corrected(
 
             facts = {**file.session, "corrected_by": __version__}
             writer = SessionWriter(place, facts, qos_of=qos_of, compression="zstd")
-            for entry in corrected(file.entries(), correction, channel, type_name):
+            for entry in corrected(file.entries(), corrections):
                 writer.write(entry)
             writer.close(dict(file.ledger or {}))
         has_outputs = IMPORTED not in facts
         if has_outputs and not verify_recording(place).good:
-            raise GatewayError(f"{correction.stream}: found outputs that depend on its source stamps, expected none")
+            names = ", ".join(each.stream for each in corrections.values())
+            raise GatewayError(f"{names}: found outputs that depend on the source stamps, expected none")
         check(place)
         return has_outputs

@@ -84,8 +84,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="stream whose lag to measure; the lags are those behind the first one (repeatable)",
     )
     group.add_argument(
-        "--max-lag", type=float, default=MAX_LAG_S, metavar="S", help="search lags up to this " + default(MAX_LAG_S)
+        "--pair",
+        nargs=2,
+        action="append",
+        default=[],
+        metavar="STREAM",
+        help="with two --stream: two more streams with the same lag, see sync (repeatable)",
     )
+    group.add_argument("--max-lag", type=float, metavar="S", help="search lags up to this " + default(MAX_LAG_S))
 
 
 def run(options: argparse.Namespace) -> int:
@@ -194,8 +200,10 @@ def _check(options: argparse.Namespace) -> None:
     ):
         if value < least:
             raise ConfigError(f"{name}: found {value}, expected {least} or more")
+    if options.pair and len(options.stream) != 2:
+        raise ConfigError(f"--pair: found {len(options.stream)} of --stream, expected two")
     for name, seconds in (("--timeout", options.timeout), ("--max-lag", options.max_lag)):
-        if not 0 < seconds < 1e9:
+        if seconds is not None and not 0 < seconds < 1e9:
             raise ConfigError(f"{name}: found {seconds:g}, expected more than 0 and less than 1e9")
     tls = [bool(each) for each in (options.tls_ca, options.tls_cert, options.tls_key)]
     if any(tls) and not (all(tls) and options.scheduler.startswith("tls://")):
@@ -209,6 +217,6 @@ def _settings(options: argparse.Namespace) -> dict[str, Any]:
             return {"plan": options.plan, "cloud": options.cloud, "tool": options.tool}
         case "sync":
             streams: Sequence[str] = options.stream
-            return {"streams": list(streams), "max_lag_s": options.max_lag}
+            return {"streams": list(streams), "pairs": options.pair, "max_lag_s": options.max_lag}
         case _:
             return {}

@@ -65,7 +65,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--max-lag",
         type=float,
-        default=MAX_LAG_S,
         metavar="S",
         help="with --sync: search offsets up to this size " + default(MAX_LAG_S),
     )
@@ -126,7 +125,7 @@ def _offset(text: str) -> tuple[str, ClockOffset]:
 
 def _measured(sources: list[Source], options: argparse.Namespace) -> ClockOffset:
     """The offset from the movement in a stream of each of two recordings, at the times when they recorded it."""
-    if not 0 < options.max_lag < math.inf:
+    if options.max_lag is not None and not 0 < options.max_lag < math.inf:
         raise ConfigError(f"--max-lag: found {options.max_lag:g}, expected more than 0")
     with ExitStack() as stack:
         opened = [stack.enter_context(recordings.open(source.path)) for source in sources]

@@ -26,7 +26,7 @@ from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.sync.correction import StampCorrection, is_corrected
 from igtl_gateway.sync.curves import lag_text
 from igtl_gateway.sync.defaults import CUT_OFF_HZ, MAX_LAG_S
-from igtl_gateway.sync.lag import Lag, measure_lag
+from igtl_gateway.sync.lag import Lag, Pair, Verdict, measure_lag, measure_together
 from igtl_gateway.sync.signal import Signal
 
 EXAMPLES = """\
@@ -34,6 +34,10 @@ EXAMPLES = """\
   igtl-gateway sync out.mcap TRANSFORM/Probe IMAGE/Video /joint_states
   # all streams in which something moves
   igtl-gateway sync out.mcap
+  # a jaw that opens and closes periodically, and an insertion that does not:
+  # kinematics and video, one lag
+  igtl-gateway sync out.mcap /psm/jaw /video/jaw --max-lag 5 \\
+      --pair /psm/insertion /video/insertion
   # the water tank of PLUS: two imported files, and the line in the pictures
   igtl-gateway sync video.mcap IMAGE/Image TRANSFORM/ProbeToTracker \\
       --with tracker.mcap --line --plot lag.svg
@@ -58,9 +62,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--max-lag",
         type=float,
-        default=MAX_LAG_S,
         metavar="S",
-        help="search lags up to this size " + default(MAX_LAG_S),
+        help="search lags up to this size; states that the lag is below it, as periodic movements need it "
+        + default(MAX_LAG_S),
+    )
+    parser.add_argument(
+        "--pair",
+        nargs=2,
+        action="append",
+        default=[],
+        metavar="STREAM",
+        help="with two streams: two more streams of the same two clocks, whose movement has the same lag (repeatable)",
     )
     parser.add_argument(
         "--cut-off",
@@ -76,7 +88,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--plot", type=output_file(".svg"), metavar="FILE", help="draw signals, search and windows (SVG)"
     )
     parser.add_argument(
-        "--apply", action="store_true", help="write a session in which the stamps of the second stream are corrected"
+        "--apply",
+        action="store_true",
+        help="write a session with corrected stamps of the second stream (and of the second one of each --pair)",
     )
     parser.add_argument("-o", "--out", type=new_recording, metavar="FILE", help="with --apply: the file to write")
     add_overwrite(parser, "files")
@@ -90,10 +104,11 @@ def run(options: argparse.Namespace) -> int:
             stack.enter_context(recordings.open(path)) for path in (options.file, options.other) if path is not None
         ]
         signals = _signals(opened, options)
+        pairs = _pairs(opened, options)
     if len(signals) < 2:
         raise GatewayError(f"{options.file}: found {len(signals)} streams in which something could move, expected two")
     fixed, *others = signals
-    lags = [(signal, _measure(fixed, signal, options)) for signal in others]
+    lags = [(signal, _measure(fixed, signal, pairs, options)) for signal in others]
     if options.plot:
         from igtl_gateway.sync.plot import lag_chart  # here: matplotlib is an extra
 
@@ -101,7 +116,7 @@ def run(options: argparse.Namespace) -> int:
         with written(options.plot, overwrite=options.overwrite) as path:
             write_text(path, chart)
     good = all(lag.verdict.has_lag for _, lag in lags)
-    applied = _apply(options, fixed, *lags[0]) if options.apply and good else None
+    applied = _apply(options, fixed, pairs, *lags[0]) if options.apply and good else None
     if options.json:
         facts = {"file": str(options.file), "fixed": fixed.name, "lags": [lag_facts(*each) for each in lags]}
         print_json(facts | ({"applied": applied.facts()} if applied else {}))
@@ -114,8 +129,11 @@ def run(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace) -> None:
     for name in ("max_lag", "cut_off"):
-        if not 0 < getattr(options, name) < math.inf:
-            raise ConfigError(f"--{name.replace('_', '-')}: found {getattr(options, name):g}, expected more than 0")
+        value = getattr(options, name)
+        if value is not None and not 0 < value < math.inf:
+            raise ConfigError(f"--{name.replace('_', '-')}: found {value:g}, expected more than 0")
+    if options.pair and len(options.streams) != 2:
+        raise ConfigError(f"--pair: found {len(options.streams)} streams, expected two before it")
     if options.apply != (options.out is not None):
         raise ConfigError("--apply: found it or --out alone, expected both")
     if options.apply and (len(options.streams) != 2 or options.other):
@@ -141,8 +159,18 @@ def stream_named(opened: Sequence[Recording], name: str) -> Stream:
     raise GatewayError(f"{files}: found no stream {name!r}, expected one of {names}")
 
 
-def _measure(fixed: Signal, moving: Signal, options: argparse.Namespace) -> Lag:
-    return measure_lag(fixed, moving, max_lag_s=options.max_lag, cut_off_hz=options.cut_off)
+def _pairs(opened: Sequence[Recording], options: argparse.Namespace) -> list[tuple[Signal, Signal]]:
+    """Return the movements of the further pairs."""
+    return [
+        (_movement(stream_named(opened, fixed), options), _movement(stream_named(opened, moving), options))
+        for fixed, moving in options.pair
+    ]
+
+
+def _measure(fixed: Signal, moving: Signal, pairs: Sequence[tuple[Signal, Signal]], options: argparse.Namespace) -> Lag:
+    if not pairs:
+        return measure_lag(fixed, moving, max_lag_s=options.max_lag, cut_off_hz=options.cut_off)
+    return measure_together([(fixed, moving), *pairs], max_lag_s=options.max_lag, cut_off_hz=options.cut_off)
 
 
 def _movement(stream: Stream, options: argparse.Namespace) -> Signal:
@@ -152,6 +180,7 @@ def _movement(stream: Stream, options: argparse.Namespace) -> Signal:
 def lag_facts(signal: Signal, lag: Lag) -> dict[str, Any]:
     """Return a lag for JSON."""
     facts = {key: value for key, value in asdict(lag).items() if key != "search"}
+    facts["pairs"] = [asdict(pair) | {"verdict": pair.verdict.name.lower()} for pair in lag.pairs]
     clock = "source" if signal.is_stamped else "gateway"
     reason = lag.verdict.value
     return {
@@ -203,10 +232,29 @@ def _remarks(lag: Lag) -> Iterator[str]:
         spread = [window.lag_s * 1e3 for window in lag.windows]
         text = f"{min(spread):+.1f} to {max(spread):+.1f} ms in {len(spread)} windows"
         yield f"{lag.verdict.value}: {text}" if lag.verdict.name == "VARIES" else text
-    if not math.isnan(lag.period_s):
-        yield f"period {lag.period_s:.2f} s; move irregularly, or search less than a quarter of it (--max-lag)"
+    if lag.verdict.has_lag and not math.isnan(lag.period_s):
+        yield f"period {lag.period_s:.2f} s; this is the lag if it is below a quarter of it, as --max-lag states"
+    elif not math.isnan(lag.period_s):
+        yield (
+            f"period {lag.period_s:.2f} s; move irregularly, add another movement (--pair), "
+            f"or search less than a quarter of it (--max-lag {math.floor(lag.period_s / 4 * 100) / 100:g})"
+        )
+    if lag.verdict is Verdict.AT_EDGE:
+        yield "search further (--max-lag)"
+    if lag.verdict is Verdict.CONTRADICTORY and lag.windows:
+        yield f"{', '.join(f'{window.lag_s * 1e3:+.1f}' for window in lag.windows)} ms in windows"
+    for pair in lag.pairs:
+        yield f"{pair.fixed} and {pair.moving}: {_role(pair)}"
     if not math.isnan(lag.other_s):
         yield f"{lag.lag_s * 1e3:+.0f} ms and {lag.other_s * 1e3:+.0f} ms are similar"
+
+
+def _role(pair: Pair) -> str:
+    """What a pair contributes to the lag of several."""
+    if math.isnan(pair.r2):
+        return pair.verdict.value
+    period = "" if math.isnan(pair.period_s) else f", period {pair.period_s:.2f} s"
+    return f"R² {pair.r2:.3f}{period}"
 
 
 def _number(value: float, form: str) -> str:
@@ -219,58 +267,54 @@ class _Applied:
 
     Attributes:
         out: the file.
-        stream: the corrected stream.
+        streams: the corrected streams.
         again: the lag in the file.
         is_verified: whether the outputs of the gateway were verified; an import has none.
     """
 
     out: Path
-    stream: Signal
+    streams: tuple[Signal, ...]
     again: Lag
     is_verified: bool
 
     def facts(self) -> dict[str, Any]:
-        return {"out": str(self.out), "lag": lag_facts(self.stream, self.again), "verified": self.is_verified}
+        return {"out": str(self.out), "lag": lag_facts(self.streams[0], self.again), "verified": self.is_verified}
 
     def text(self) -> str:
-        name = self.stream.name
-        stamps = f"the stamps of {name}" if self.stream.is_stamped else f"the gateway times of {name}, as its stamps,"
+        names = ", ".join(each.name for each in self.streams)
+        is_stamped = all(each.is_stamped for each in self.streams)
+        stamps = f"the stamps of {names}" if is_stamped else f"the gateway times of {names}, as its stamps,"
         proof = "the session verifies" if self.is_verified else "an import has no outputs to verify"
         measured = f"measured again, the lag is {self.again.lag_s * 1e3:+.1f} ms"
         return f"{self.out}: {stamps} are corrected; {measured}; {proof}"
 
 
-def _apply(options: argparse.Namespace, fixed: Signal, moving: Signal, lag: Lag) -> _Applied:
+def _apply(
+    options: argparse.Namespace, fixed: Signal, pairs: Sequence[tuple[Signal, Signal]], moving: Signal, lag: Lag
+) -> _Applied:
     """Write the corrected session.  Raises GatewayError if the lag is still there; then there is no file."""
     low_ns, lag_ns, high_ns = (round(value * NS_PER_S) for value in (lag.low_s, lag.lag_s, lag.high_s))
     skew_ppm = lag.skew_ppm if lag.has_skew else 0.0
-    correction = StampCorrection(
-        moving.name, fixed.name, lag_ns, low_ns, high_ns, skew_ppm, lag.middle_ns, moving.is_stamped
-    )
     found: list[Lag] = []
 
     def check(path: Path) -> None:
         with recordings.open(path) as recording:
-            again = _signals([recording], options)
-        found.append(_measure(again[0], again[1], options))
+            again, others = _signals([recording], options), _pairs([recording], options)
+        found.append(_measure(again[0], again[1], others, options))
         if not is_corrected(lag, found[0]):
             raise GatewayError(
                 f"{moving.name}: after the correction by {lag_text(lag)} found {lag_text(found[0])}, "
                 f"expected no lag; {options.out} is not written"
             )
 
+    corrections = {}
     with recordings.open(options.file) as recording:
-        stream = stream_named([recording], options.streams[1])
-        if not Kind(stream.direction).is_input:
-            raise GatewayError(f"{stream.key}: found an output of the gateway, expected a stream that it received")
-        channel, type_name = stream.name, stream.type
-    verified = write_corrected(
-        options.file,
-        options.out,
-        correction,
-        channel=channel,
-        type_name=type_name,
-        check=check,
-        overwrite=options.overwrite,
-    )
-    return _Applied(options.out, moving, found[0], verified)
+        for one, other in ((fixed, moving), *pairs):
+            stream = recording[other.name]
+            if not Kind(stream.direction).is_input:
+                raise GatewayError(f"{stream.key}: found an output of the gateway, expected a stream that it received")
+            corrections[stream.name, stream.type] = StampCorrection(
+                other.name, one.name, lag_ns, low_ns, high_ns, skew_ppm, lag.middle_ns, other.is_stamped
+            )
+    verified = write_corrected(options.file, options.out, corrections, check=check, overwrite=options.overwrite)
+    return _Applied(options.out, tuple(each for _, each in ((fixed, moving), *pairs)), found[0], verified)

@@ -305,20 +305,26 @@ def _end(name: str, end: EndReview) -> Row:
 def _sync(file: SessionFile, settings: Mapping[str, Any]) -> Rows:
     from igtl_gateway.api.lags import movement, movements
     from igtl_gateway.api.recording import of_session
-    from igtl_gateway.sync.lag import measure_lag
+    from igtl_gateway.sync.lag import measure_lag, measure_together
 
     recording = of_session(file)
     names: Sequence[str] = settings["streams"]
-    absent = [name for name in names if name not in recording]
+    further: Sequence[Sequence[str]] = settings["pairs"]
+    absent = [name for name in (*names, *(name for pair in further for name in pair)) if name not in recording]
     if absent:
-        raise GatewayError(f"{file.path}: found no stream {absent[0]!r}, expected it by --stream")
+        raise GatewayError(f"{file.path}: found no stream {absent[0]!r}, expected it by --stream or --pair")
     signals = [movement(recording[name]) for name in names] if names else movements([recording], unreadable=WireError)
     if len(signals) < 2:
         raise GatewayError(f"{file.path}: found {len(signals)} streams in which something could move, expected two")
     fixed, *others = signals
+    pairs = [(movement(recording[one]), movement(recording[other])) for one, other in further]
     rows = []
     for signal in others:
-        lag = measure_lag(fixed, signal, max_lag_s=settings["max_lag_s"])
+        lag = (
+            measure_together([(fixed, signal), *pairs], max_lag_s=settings["max_lag_s"])
+            if pairs
+            else measure_lag(fixed, signal, max_lag_s=settings["max_lag_s"])
+        )
         rows.append(
             {
                 "fixed": fixed.name,

@@ -6,7 +6,7 @@ the source stamps of all messages, because a lag of gateway times has no relatio
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 
 from igtl_gateway.errors import GatewayError
@@ -89,23 +89,20 @@ def is_corrected(before: Lag, after: Lag) -> bool:
     return abs(after.lag_s) <= max(_REMAINS_S, _REMAINS * half_s) and skew_is_gone
 
 
-def corrected(entries: Iterable[Entry], correction: StampCorrection, channel: str, type_name: str) -> Iterator[Entry]:
-    """Yield the entries of a session with corrected source stamps of one input stream, and at the end the note.
+def corrected(entries: Iterable[Entry], corrections: Mapping[tuple[str, str], StampCorrection]) -> Iterator[Entry]:
+    """Yield the entries of a session with corrected source stamps of some input streams, and at the end the notes.
 
     Entry numbers, gateway times and bytes stay.
 
     Args:
         entries: of the session.
-        correction: what to subtract.
-        channel, type_name: of the entries of the stream.
+        corrections: channel and type of the entries of a stream → what to subtract.
     """
     last: Entry | None = None
     for entry in entries:
         last = entry
-        if last.channel == channel and last.type == type_name and last.kind in _INPUTS:
-            yield replace(last, source_ns=correction.source_of(last))
-        else:
-            yield last
+        correction = corrections.get((entry.channel, entry.type)) if entry.kind in _INPUTS else None
+        yield replace(entry, source_ns=correction.source_of(entry)) if correction else entry
     if last is not None:
-        note = correction.note()
-        yield Entry(last.seq + 1, last.stamp_ns + 1, Kind.EDGE_NOTE, payload=(note.pack(),))
+        for number, correction in enumerate(corrections.values(), 1):
+            yield Entry(last.seq + number, last.stamp_ns + number, Kind.EDGE_NOTE, payload=(correction.note().pack(),))

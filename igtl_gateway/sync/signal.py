@@ -15,6 +15,7 @@ Floats = npt.NDArray[np.float64]
 _POWER = 0.98  # part of the power of a movement that its bandwidth has to have
 _MARGIN = 1.5
 _GAP = 3.0  # periods without a sample from which on a signal is unknown
+_REFERENCE_HZ = 1.5  # cut-off above which nothing counts as the movement of a reference: noise does not move
 _HYSTERESIS = 0.2  # part of the range of a movement that a reversal has to exceed
 _ALIKE = 0.97  # autocorrelation from which on a movement repeats itself
 
@@ -147,6 +148,15 @@ def bandwidth(signal: Signal) -> float:
     above = np.cumsum(np.maximum(power - floor, 0.0)[: len(power) // 2])
     place = int(np.searchsorted(above, _POWER * above[-1]))
     return _MARGIN * float(frequencies[place])
+
+
+def moves(signal: Signal) -> bool:
+    """Return whether a signal moves by more than its noise, and turns round."""
+    if len(signal.times_ns) < 2:
+        return False
+    filtered = Filtered.of(signal, int(signal.times_ns[0]), _REFERENCE_HZ)
+    values = filtered.at(filtered.times)
+    return not filtered.is_still(filtered.times) and reversals(main_component(values)) > 0
 
 
 def main_component(values: Floats) -> Floats:

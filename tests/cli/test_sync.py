@@ -15,18 +15,24 @@ import igtl_gateway
 from igtl_gateway.buffers import join
 from igtl_gateway.cli import main
 from igtl_gateway.clock import SystemClock
+from igtl_gateway.cohort.jobs import VERBS
 from igtl_gateway.config import Config
 from igtl_gateway.convert.common_msgs import JointState
 from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.errors import ConfigError
 from igtl_gateway.gateway import Gateway, Session
-from igtl_gateway.session.entry import Kind
+from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.sync.signal import Signal
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.sensor import Sensor
 from igtl_gateway.wire.transform import Transform
+from tests.sync.trajectories import trajectory
+from tests.sync.worlds import stamps
 
 SECONDS, RATE = 20, 25
 #: Lateness of the stamps of each stream, ms.
@@ -134,6 +140,72 @@ def test_applied(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[
         assert [note.code for note in after.notes][-1] == "stamps_corrected"
 
 
+def joints_session(path: Path, signals: dict[str, Signal]) -> Path:
+    """Write signals as joints of an import."""
+    writer = SessionWriter(path, {"imported_format": "a test", "igtl_gateway_version": igtl_gateway.__version__})
+    rows = [
+        (at, topic, row) for topic, each in signals.items() for at, row in zip(each.times_ns, each.values, strict=True)
+    ]
+    last_ns = 0
+    for seq, (at, topic, row) in enumerate(sorted(rows, key=lambda each: (each[0], each[1])), 1):
+        last_ns = max(at, last_ns + 1)
+        joints = JointState(Header(0, ""), ("joint",), row, np.array([]), np.array([])).pack()
+        writer.write(Entry(seq, last_ns, Kind.ROS_IN, topic, JointState.TYPE, (joints,), (), at - 1))
+    writer.close({})
+    return path
+
+
+def test_several_pairs_have_one_lag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A periodic jaw and an insertion: refused alone, measured and corrected together; in the API and cohorts, too."""
+    case = trajectory(11, 1)
+    names = ("/psm/jaw", "/video/jaw", "/psm/insertion", "/video/insertion")
+    path = joints_session(tmp_path / "a.mcap", dict(zip(names, (*case.jaw, *case.insertion), strict=True)))
+    words = [*names[:2], "--max-lag", "5", "--pair", *names[2:]]
+    code, found = lags(capsys, path, *names[:2], "--max-lag", "5")
+    assert (code, found["/video/jaw"]["verdict"]) == (1, "periodic")
+    code, found = lags(capsys, path, *words)
+    lag = found["/video/jaw"]
+    assert code == 0
+    assert abs(lag["lag_s"] - case.lag_s) < case.frame_s
+    assert [pair["verdict"] for pair in lag["pairs"]] == ["periodic", "measured"]
+    with igtl_gateway.open(path) as recording:
+        streams = [recording[name] for name in names]
+        again = igtl_gateway.lag(streams[::2], streams[1::2], max_lag_s=5)
+        assert again.lag_s == lag["lag_s"]
+        with pytest.raises(ConfigError, match="found 2 fixed and 1 moving streams"):
+            igtl_gateway.lag(streams[::2], streams[1:2])
+    with SessionFile.open(path) as file:
+        settings = {"streams": names[:2], "pairs": [names[2:]], "max_lag_s": 5.0}
+        (row,) = VERBS["sync"].work(file, settings)["lags"]
+        assert row["lag_ms"] == lag["lag_s"] * 1e3
+    assert main(["sync", str(path), *words, "--apply", "-o", str(tmp_path / "out.mcap")]) == 0
+    text = capsys.readouterr().out
+    assert (
+        f"/psm/jaw and /video/jaw: R² {lag['pairs'][0]['r2']:.3f}, period {lag['pairs'][0]['period_s']:.2f} s" in text
+    )
+    assert "measured again, the lag is " in text
+
+
+def test_the_reference_by_default_moves(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A bed with the most samples is no reference, and neither is a clock that only counts."""
+    random = np.random.default_rng(3)
+    slow, fast = np.arange(0, 15, 1 / 20), np.arange(0, 15, 1 / 60)
+    movement = np.array([height(at) for at in slow.tolist()])
+    signals = {
+        "/bed": Signal.of(stamps(fast), random.normal(0, 1e-3, len(fast))),
+        "/count": Signal.of(stamps(fast), fast),
+        "/probe": Signal.of(stamps(slow), movement),
+        "/video": Signal.of(stamps(slow[::2] + 0.1), movement[::2]),
+    }
+    path = joints_session(tmp_path / "a.mcap", signals)
+    assert main(["sync", str(path)]) == 1
+    text = capsys.readouterr().out
+    assert text.startswith("behind /probe:")
+    _, found = lags(capsys, path)
+    assert found["/video"]["lag_s"] == pytest.approx(0.1, abs=0.01)
+    assert (found["/bed"]["verdict"], found["/count"]["verdict"]) == ("still", "one_way")
+
+
 def test_plot(recording: Path, tmp_path: Path) -> None:
     path = tmp_path / "lag.svg"
     words = ["sync", str(recording), "TRANSFORM/Probe", "SENSOR/Force", "TRANSFORM/Bed", "--plot", str(path)]
@@ -150,6 +222,10 @@ def test_plot(recording: Path, tmp_path: Path) -> None:
         (["TRANSFORM/Prob", "IMAGE/Video"], "found no stream 'TRANSFORM/Prob', expected one of"),
         (["TRANSFORM/Probe"], "found 1 streams in which something could move, expected two"),
         (["--max-lag", "0"], "--max-lag: found 0, expected more than 0"),
+        (
+            ["TRANSFORM/Probe", "--pair", "IMAGE/Video", "SENSOR/Force"],
+            "--pair: found 1 streams, expected two before it",
+        ),
         (["--apply"], "--apply: found it or --out alone, expected both"),
         (["TRANSFORM/Probe", "IMAGE/Video", "SENSOR/Force", "--apply", "-o", "x"], "found 3 streams, expected two"),
     ],

@@ -30,13 +30,13 @@ def test_only_the_stamps_of_the_stream_change() -> None:
         entry(4, Kind.IGTL_OUT, "TRANSFORM/Probe", 12 * NS_PER_S),
         entry(5, Kind.IGTL_IN, "TRANSFORM/Probe", 0),
     ]
-    *found, note = corrected(entries, LATE, *PROBE)
+    *found, note = corrected(entries, {PROBE: LATE})
     assert found == [replace(entries[0], source_ns=10 * NS_PER_S - 65_000_000), *entries[1:]]
     assert (note.seq, note.stamp_ns, note.kind) == (6, 5 * NS_PER_S + 1, Kind.EDGE_NOTE)
     told = Note.unpack(note.data())
     assert (told.code, told.stream, told.data["lag_ns"]) == (CORRECTED, "TRANSFORM/Probe", 65_000_000)
     assert "+65.0 ms (+50.0 to +80.0) behind IMAGE/Video" in told.text
-    assert list(corrected([], LATE, *PROBE)) == []
+    assert list(corrected([], {PROBE: LATE})) == []
 
 
 def test_a_skew_counts_from_the_middle() -> None:
@@ -51,7 +51,7 @@ def test_a_skew_counts_from_the_middle() -> None:
 def test_without_stamps_the_gateway_times_are_corrected() -> None:
     """A lag of gateway times has no relation to the stamps that some messages have."""
     entries = [entry(1, Kind.IGTL_IN, "TRANSFORM/Probe", 0), entry(2, Kind.IGTL_IN, "TRANSFORM/Probe", 7 * NS_PER_S)]
-    *found, note = corrected(entries, replace(LATE, is_stamped=False), *PROBE)
+    *found, note = corrected(entries, {PROBE: replace(LATE, is_stamped=False)})
     assert [each.source_ns for each in found] == [NS_PER_S - 65_000_000, 2 * NS_PER_S - 65_000_000]
     assert Note.unpack(note.data()).text.startswith("gateway times, now the source stamps, of TRANSFORM/Probe are corr")
 
@@ -59,14 +59,14 @@ def test_without_stamps_the_gateway_times_are_corrected() -> None:
 def test_a_corrected_stamp_is_never_that_of_an_unset_one() -> None:
     """The file has one value for "unset" and for a stamp that is equal to the gateway time."""
     late = entry(1, Kind.IGTL_IN, "TRANSFORM/Probe", NS_PER_S + 65_000_000)
-    assert next(corrected([late], LATE, *PROBE)).source_ns == NS_PER_S - 1
+    assert next(corrected([late], {PROBE: LATE})).source_ns == NS_PER_S - 1
 
 
 def test_a_correction_to_before_1970() -> None:
     with pytest.raises(
         GatewayError, match=r"TRANSFORM/Probe, entry 1: found the stamp 64000000 ns, .* expected a stamp"
     ):
-        list(corrected([entry(1, Kind.IGTL_IN, "TRANSFORM/Probe", 64_000_000)], LATE, *PROBE))
+        list(corrected([entry(1, Kind.IGTL_IN, "TRANSFORM/Probe", 64_000_000)], {PROBE: LATE}))
 
 
 @pytest.mark.parametrize(

@@ -43,6 +43,16 @@ class World:
         return self.lag_s + self.skew * ((time_ns - BEGIN_NS) / NS_PER_S - self.seconds / 2)
 
 
+def irregular(random: np.random.Generator, seconds: float, rate_hz: float, count: int, band_hz: float) -> Signal:
+    """Return a movement of some components below a frequency, with 1 % of noise."""
+    at = np.arange(0, seconds, 1 / rate_hz)
+    frequencies, phases = random.uniform(0.05, band_hz, (count, 12)), random.uniform(0, 2 * np.pi, (count, 12))
+    sizes = random.normal(size=(count, 12)) / (1 + 1.5 * frequencies)
+    waves = np.sin(2 * np.pi * frequencies[:, :, None] * at + phases[:, :, None])
+    values = np.sum(sizes[:, :, None] * waves, axis=1).T
+    return Signal.of(stamps(at), values + random.normal(0, 0.02, values.shape))
+
+
 def world(number: int) -> World:
     """Return a random case: irregular movement, seen as poses or as one number, with jitter, noise and gaps."""
     random = np.random.default_rng(number)
