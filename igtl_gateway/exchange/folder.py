@@ -87,6 +87,8 @@ def export_one_file_each(
     read: Callable[[Entry], Content],
     parts: Callable[[Content], Iterable[Buffer]],
     count: Callable[[Content, Entry, ExportAccount], None] | None = None,
+    *,
+    once: bool = False,
 ) -> ExportAccount:
     """Write the directory ``out`` with one file for each message of some types.
 
@@ -99,13 +101,20 @@ def export_one_file_each(
         read: returns the content of a message; if it raises an error, the message is left out with this reason.
         parts: returns the bytes of a file.
         count: counts the parts of a written message in the account.
+        once: leave out the outputs of a written input, which have its content; ``globs`` can select them alone.
 
     Raises UnsupportedRecording if the directory is not empty; OSError.
     """
     account, names = ExportAccount(), FileNames()
+    causes = _Causes()
     with new_folder(out, account) as folder:
-        for entry in chosen_entries(recording, (*IGTL_KINDS, *ROS_KINDS), globs, account, types):
+        for entry in chosen_entries(
+            recording, (*IGTL_KINDS, *ROS_KINDS), globs, account, types, on_input=causes.on_input
+        ):
             row = account.row(entry)
+            if once and not entry.kind.is_input and causes.written:
+                row.leave_out(f"copies of {causes.written}; --streams selects them alone")
+                continue
             try:
                 content = read(entry)
                 buffers = list(parts(content))
@@ -116,9 +125,26 @@ def export_one_file_each(
                 stream.writelines(buffers)
             if count is not None:
                 count(content, entry, account)
+            if entry.kind.is_input:
+                causes.written = entry.channel
             row.taken += 1
             account.files += 1
     return account
+
+
+class _Causes:
+    """The input that caused the next outputs.
+
+    Attributes:
+        written: its stream, if it is written.
+    """
+
+    def __init__(self) -> None:
+        self.written = ""
+
+    def on_input(self, _entry: Entry) -> None:
+        """Note an input."""
+        self.written = ""
 
 
 def failure_text(error: Exception) -> str:

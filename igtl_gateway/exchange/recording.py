@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from hashlib import blake2b
 from typing import Protocol
 
@@ -66,6 +66,7 @@ def chosen_entries(
     globs: Sequence[str],
     account: ExportAccount | None = None,
     types: Container[str] | None = None,
+    on_input: Callable[[Entry], None] | None = None,
 ) -> Iterator[Entry]:
     """Yield the entries of some kinds whose stream matches a glob: by ``TYPE/device``, the device or the topic.
 
@@ -78,12 +79,16 @@ def chosen_entries(
         globs: select streams; empty = all.
         account: counts the entries that match a glob but are not yielded.
         types: select message types; None = all.
+        on_input: called with each input of the recording, also those that are not selected: the cause of the outputs
+            that follow.
     """
     wanted, fitting = frozenset(kinds), dict[tuple[Kind, str], bool]()
     forms = _VersionFilter()
     for entry in recording.entries():
         if entry.kind.is_input:
             forms = _VersionFilter()
+            if on_input is not None:
+                on_input(entry)
         if entry.kind not in wanted and (account is None or entry.kind not in _MESSAGES):
             continue
         key = (entry.kind, entry.channel)

@@ -5,6 +5,8 @@
 with pixels of 1 mm.  If the matrix of an IMAGE is invalid (axes of zero length, coplanar, or not finite), the file has
 spacings of 1 instead, and a note reports it; a slice without a third axis gets its normal.  Pixels are not compressed
 and keep their byte order.
+
+A picture is written once: the outputs of the gateway that an input caused are copies of it, and are left out.
 """
 
 from __future__ import annotations
@@ -48,8 +50,9 @@ def export_nrrd(recording: Recording, out: Path, globs: Sequence[str]) -> Export
         completed[entry.channel] += ImagePlacement.of_image(image) is not None and not has_own_normal(image)
 
     account = export_one_file_each(
-        recording, out, globs, _READ, "nrrd", _image, lambda content: (nrrd_header(content), content.pixels), count
-    )
+        recording, out, globs, _READ, "nrrd", _image, lambda content: (nrrd_header(content), content.pixels), count,
+        once=True,
+    )  # fmt: skip
     for stream, number in sorted((+unplaced).items()):
         account.notes.append(
             f"{stream}: {number} without a position: invalid matrix (axes of zero length, coplanar, or not finite)"

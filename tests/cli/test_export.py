@@ -294,6 +294,24 @@ def test_nrrd_places_the_volume(recording: Path, tmp_path: Path) -> None:
     assert told["space origin"] == "(13,17,28)"  # the centre is 10, 20, 30
 
 
+def test_nrrd_writes_each_picture_once(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Of an IMAGE that became topics, the IMAGE alone; a topic if it is selected alone."""
+    words = ["export", str(recording), "--to", "nrrd"]
+    assert main([*words, "-o", str(tmp_path / "all")]) == 0
+    names = sorted(each.name for each in (tmp_path / "all").iterdir())
+    assert names and all(each.startswith("igtl_in.") for each in names), names
+    assert "copies of IMAGE/Scan; --streams selects them alone" in capsys.readouterr().out
+    with SessionFile.open(recording) as file:
+        topics = {
+            each.channel
+            for each in file.entries()
+            if each.kind is Kind.ROS_OUT and each.type.endswith(("/Image", "/Volume"))
+        }
+    topic = min(topics)
+    assert main([*words, "--streams", topic, "-o", str(tmp_path / "topic")]) == 0
+    assert all(each.name.startswith("ros_out.") for each in (tmp_path / "topic").iterdir())
+
+
 def test_what_cannot_be_decoded_is_a_failure(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     good = join(encode(Message("STRING", "Said", String.of("a"))))
     bad = bytearray(good)

@@ -70,10 +70,13 @@ def test_others_read_each_exported_image_of_a_fixture(tmp_path: Path, fixture: P
     names, judged = FileNames(), Counter[str]()
     with SessionFile.open(fixture) as file:
         account = export_nrrd(file, tmp_path / "out", ())
-        for entry in chosen_entries(file, (*IGTL_KINDS, *ROS_KINDS), ()):
+        written: set[bool] = set()  # whether the last input is
+        for entry in chosen_entries(file, (*IGTL_KINDS, *ROS_KINDS), (), on_input=lambda _: written.clear()):
             image = image_of(entry)
-            if image is None:
+            if image is None or (written and not entry.kind.is_input):
                 continue
+            if entry.kind.is_input:
+                written.add(True)
             stream = names.of(entry)
             paths = sorted((tmp_path / "out").glob(f"{stream}.*.nrrd"))
             if judged[stream] < EACH:
