@@ -81,7 +81,7 @@ class Gateway:
         volumes = Volumes()
 
         composer = Composer(config, streams)
-        latest = Latest(streams, guard, tf, composer)
+        latest = Latest(streams, guard, tf, composer, forms=config.knows_peers)
         delivery = Delivery(denied_out, tf.tree)
         tracking = Tracking(peers, latest, delivery)
         self._frames = frames = TfReceiver(tf, guard, peers, delivery, tracking)
@@ -212,7 +212,7 @@ class Gateway:
     def _on_edge_note(self, entry: Entry) -> Outcome:
         event = Note.of(entry.data())
         if event.code == TICK:
-            return Outcome([*self._commands.overdue(entry), *self._links.ping(entry)])
+            return Outcome([*self._commands.overdue(entry), *self._links.ping(entry), *self._links.release(entry)])
         if event.code == LISTENED:
             return Outcome(self._converter.build_waiting(event.stream))
         if settings := LiveSettings.from_note(event):

@@ -62,6 +62,7 @@ class Peer:
         knows: types that the peer has shown that it knows, beside those of its profile.
         shown: highest received header version.
         recent: whether all signs of a profile count, and messages have the metadata that a profile expects.
+        held_until_ns: gateway time until which latched messages are held back at most; 0: they were sent.
         said_ns: gateway time of the last message to the peer.
         sent: number of messages to the peer.
         stream_requests: requests by (type, requested device name).
@@ -76,6 +77,7 @@ class Peer:
     knows: set[str] = field(default_factory=set)
     shown: int = 0
     recent: bool = False
+    held_until_ns: int = 0
     said_ns: int = 0
     sent: int = 0
     stream_requests: dict[tuple[str, str], StreamRequest] = field(default_factory=dict)

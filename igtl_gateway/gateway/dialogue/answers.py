@@ -8,11 +8,11 @@ for the missing content of a version 1 message.  They get a STATUS.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from igtl_gateway.gateway.peers import Peer, interval_ns
+from igtl_gateway.gateway.peers import MAX_STREAM_REQUESTS, Peer, interval_ns
 from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
 from igtl_gateway.gateway.to_igtl.trackdata import NAME_BYTES, TRACKING, Latest, name_field, tracking_content
 from igtl_gateway.stamp import NS_PER_MS, ns_to_ticks
@@ -27,6 +27,8 @@ from igtl_gateway.wire.registry import ALIASES, BODIES
 from igtl_gateway.wire.text import Status
 
 OK, ERROR = 0, 1
+#: The frame that programs on the C++ library, such as its examples, ask for if they mean any.
+_PATIENT = "patient"
 _STATUS_OK, _STATUS_NOT_FOUND, _STATUS_ACCESS_DENIED = 1, 4, 5
 _LONG_NAME_BYTES = 63
 _TYPE_BYTES = 12  # of the type name in a header
@@ -39,6 +41,13 @@ Known = Callable[[str], bool]
 
 #: Types that the gateway reads, under the names that programs send.
 READABLE = tuple(sorted(BODIES.keys() - ALIASES.keys()))
+
+
+class StartedStream(NamedTuple):
+    """The status for the reply to a STT_, and the reason of a refusal or what is different from the request."""
+
+    status: int
+    reason: str = ""
 
 
 def answer(igtl_type: str, device: str, now_ns: int, latest: Latest) -> list[OutboundMessage]:
@@ -81,18 +90,25 @@ def acknowledgement(igtl_type: str, device: str, now_ns: int, status: int) -> li
     return [OutboundMessage(name, device, QueryReply(status), now_ns)] if name in QUERIES else []
 
 
-def start_stream(message: Message, igtl_type: str, peer: Peer, known: Known) -> int:
-    """Start a stream to a peer (STT_); return the status for the reply."""
+def start_stream(message: Message, igtl_type: str, peer: Peer, known: Known) -> StartedStream:
+    """Start a stream to a peer (STT_)."""
     content = message.content
     frame = visible(content.coordinate_name) if isinstance(content, StartTracking) else ""
-    device = visible(message.device_name)
-    if query_name("STT", igtl_type) not in QUERIES or (frame and not known(frame)):
-        return ERROR
+    device, note = visible(message.device_name), ""
+    if query_name("STT", igtl_type) not in QUERIES:
+        return StartedStream(ERROR, f"streams of {igtl_type} cannot be requested")
+    if frame and not known(frame):
+        if not (peer.recent and frame.casefold() == _PATIENT):
+            return StartedStream(ERROR, f"the frame {frame!r} is not known: no message and no transform names it")
+        note = f"the frame {frame!r} is not known, and the poses are sent in their own frames"
+        frame = ""
     if igtl_type in TRACKING:
         wanted = {key for key, request in peer.stream_requests.items() if key[0] in TRACKING and request.wanted}
         if len(wanted | {(igtl_type, device)}) > MAX_TRACKED:
-            return ERROR
-    return OK if peer.start_stream(igtl_type, device, _interval_ns(content), frame) else ERROR
+            return StartedStream(ERROR, f"it has requested {MAX_TRACKED} streams of tracking data, the maximum")
+    if not peer.start_stream(igtl_type, device, _interval_ns(content), frame):
+        return StartedStream(ERROR, f"it has requested {MAX_STREAM_REQUESTS} streams, the maximum")
+    return StartedStream(OK, note)
 
 
 def _interval_ns(content: Body) -> int:

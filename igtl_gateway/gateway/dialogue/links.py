@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import chain
 from typing import Any
 
 from igtl_gateway.config import Config
@@ -25,9 +26,14 @@ from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.session.ledger import PEERS
 from igtl_gateway.session.note import Level, Note
-from igtl_gateway.wire.query import EmptyQuery
+from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.wire import Message
+from igtl_gateway.wire.query import EmptyQuery, split_query
 
 LINK_UP, LINK_DOWN = "link_up", "link_down"
+
+#: Latched messages wait for the first message of a peer, at most this time, and this time after its last GET_.
+_HELLO_NS, _ASKING_NS = NS_PER_S // 4, 2 * NS_PER_S
 
 #: Topic of the list of connected peers.
 LINKS_TOPIC = "/igtl/links"
@@ -74,7 +80,9 @@ class Links:
         for link in entry.links:
             if event.code == LINK_UP:
                 peer = self._peers.up(link, event.data, entry.stamp_ns)
-                if self._activity.active:  # else when it becomes active
+                if peer.recent:
+                    peer.held_until_ns = entry.stamp_ns + _HELLO_NS
+                elif self._activity.active:  # else when it becomes active
                     outcome.items += self._send_latched(entry, peer)
             else:
                 outcome.tallies += self._final_counts(link, event.data)
@@ -92,8 +100,32 @@ class Links:
 
     @property
     def due_ns(self) -> int | None:
-        """Gateway time (UTC ns) of the next ping; None if no peer needs pings."""
-        return min((peer.said_ns + peer.profile.ping_ns for peer in self._peers_to_ping()), default=None)
+        """Gateway time (UTC ns) of the next ping, and of latched messages that are held back; None if there is none."""
+        pings = (peer.said_ns + peer.profile.ping_ns for peer in self._peers_to_ping())
+        held = (peer.held_until_ns for peer in self._peers.all() if peer.held_until_ns)
+        return min(chain(pings, held), default=None)
+
+    def on_message(self, entry: Entry, peer: Peer, message: Message) -> list[Item]:
+        """Return the latched messages for a peer that has sent its first message; none while it asks.
+
+        A program that asks (GET_) reads the next message as the answer, whatever it is.
+        """
+        if not peer.held_until_ns:
+            return []
+        query = split_query(message.type)
+        if query and query[0] == "GET":
+            peer.held_until_ns = entry.stamp_ns + _ASKING_NS
+            return []
+        return self._release(entry, peer)
+
+    def release(self, entry: Entry) -> list[Item]:
+        """Return the latched messages that are no longer held back; ``entry`` is a tick."""
+        due = [peer for peer in self._peers.all() if 0 < peer.held_until_ns <= entry.stamp_ns]
+        return [item for peer in due for item in self._release(entry, peer)]
+
+    def _release(self, entry: Entry, peer: Peer) -> list[Item]:
+        peer.held_until_ns = 0
+        return self._send_latched(entry, peer) if self._activity.active else []
 
     def ping(self, entry: Entry) -> list[Item]:
         """Return pings for the peers that close a silent link; ``entry`` is a tick."""
@@ -119,7 +151,8 @@ class Links:
         items: list[Item] = [*self._activity.change(active)]
         if active and not was_active:
             for peer in self._peers.all():
-                items += self._send_latched(entry, peer)
+                if not peer.held_until_ns:
+                    items += self._send_latched(entry, peer)
         return items
 
     def _send_latched(self, entry: Entry, peer: Peer) -> list[Item]:

@@ -74,6 +74,11 @@ class Queries:
 
     def _get(self, entry: Entry, peer: Peer, message: Message, igtl_type: str, device: str) -> list[Item]:
         outs = answers.answer(igtl_type, device, entry.stamp_ns, lambda *key: self._latest.of(entry, *key))
+        if (
+            not outs and device and peer.recent
+        ):  # programs on the C++ library, such as its examples, send their own name
+            every = answers.answer(igtl_type, "", entry.stamp_ns, lambda *key: self._latest.of(entry, *key))
+            outs = every if len(every) == 1 else []
         items = self._delivery.deliver_each(entry, outs, lambda out: self._delivery.to(entry, [peer], [out]))
         sent = any(isinstance(item, Output) and item.kind is Kind.IGTL_OUT for item in items)
         if outs and (sent or not peer.may_send(igtl_type)):
@@ -87,12 +92,14 @@ class Queries:
         ]
 
     def _start(self, entry: Entry, peer: Peer, message: Message, igtl_type: str, device: str) -> list[Item]:
-        status = answers.start_stream(message, igtl_type, peer, self._knows_frame)
+        status, reason = answers.start_stream(message, igtl_type, peer, self._knows_frame)
         items = self._acknowledge(entry, peer, igtl_type, device, status)
         if status == answers.OK:
-            text = f"{message.type} of {device or 'any device'}: stream started"
-            return [*items, Finding(Level.INFO, "stream_started", text, entry.channel, (peer.link,))]
-        text = f"{message.type} of {device or 'any device'} rejected: unknown frame or type, or too many streams"
+            text = f"{message.type} of {device or 'any device'}: stream started" + (f"; {reason}" if reason else "")
+            level = Level.WARN if reason else Level.INFO
+            return [*items, Finding(level, "stream_started", text, entry.channel, (peer.link,))]
+        why = reason if peer.recent else "unknown frame or type, or too many streams"
+        text = f"{message.type} of {device or 'any device'} rejected: {why}"
         return [*items, Finding(Level.WARN, "stream_refused", text, entry.channel, (peer.link,))]
 
     def _stop(self, entry: Entry, peer: Peer, message: Message, igtl_type: str, device: str) -> list[Item]:

@@ -9,6 +9,7 @@ from igtl_gateway.errors import ConversionError
 from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.streams import Streams, ToIgtlStream
 from igtl_gateway.gateway.to_igtl.composer import Composer
+from igtl_gateway.gateway.to_igtl.pose_forms import as_type
 from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
 from igtl_gateway.gateway.to_igtl.tf_out import TfOut
 from igtl_gateway.session.entry import Entry
@@ -18,16 +19,20 @@ from igtl_gateway.stamp import NS_PER_S
 class Latest:
     """Keeps the latest message of each bridged topic.
 
+    Args:
+        forms: answer with frames of the tf tree as the other type of poses, too; False in old recordings.
+
     Attributes:
         entries: topic → its latest message; at most one for each bridged topic.
     """
 
-    def __init__(self, streams: Streams, guard: Guard, tf: TfOut, composer: Composer) -> None:
+    def __init__(self, streams: Streams, guard: Guard, tf: TfOut, composer: Composer, *, forms: bool = True) -> None:
         self.entries: dict[str, Entry] = {}
         self._streams = streams
         self._guard = guard
         self._tf = tf
         self._composer = composer
+        self._forms = forms
 
     def of(self, cause: Entry, igtl_type: str, device: str) -> list[OutboundMessage]:
         """Return the latest messages of a type and device ("" for any), composed for the time of ``cause``.
@@ -45,11 +50,13 @@ class Latest:
                 least_ns = cause.stamp_ns - self._guard.ahead_ns - round(stream.max_age_s * NS_PER_S)
                 outs = [out for out in outs if out.stamp_ns >= least_ns]
             (native if stream.conversion.igtl_type == igtl_type else other).extend(outs)
-        native += [
-            out
-            for out in self._tf.latest(cause.stamp_ns - self._guard.ahead_ns)
-            if out.igtl_type == igtl_type and device in ("", out.device, out.full_name)
-        ]
+        for out in self._tf.latest(cause.stamp_ns - self._guard.ahead_ns):
+            if device not in ("", out.device, out.full_name):
+                continue
+            if out.igtl_type == igtl_type:
+                native.append(out)
+            elif self._forms and (form := as_type(out, igtl_type)):
+                other.append(form)
         return native or other
 
     def has_stream_of(self, igtl_type: str) -> bool:

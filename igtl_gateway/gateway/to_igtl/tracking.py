@@ -9,11 +9,14 @@ from igtl_gateway.gateway.outcome import Item
 from igtl_gateway.gateway.peers import Peers
 from igtl_gateway.gateway.to_igtl.delivery import Delivery
 from igtl_gateway.gateway.to_igtl.latest import Latest
+from igtl_gateway.gateway.to_igtl.pose_forms import as_type
 from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
 from igtl_gateway.gateway.to_igtl.trackdata import TRACKING, TRACKING_DEVICE, trackers, tracking_content
 from igtl_gateway.session.entry import Entry
 
 _POSES = frozenset(TRACKING.values())
+#: Type of tracking data → the other one.
+_OTHER = {"TDATA": "QTDATA", "QTDATA": "TDATA"}
 
 
 class Tracking:
@@ -26,6 +29,8 @@ class Tracking:
 
     def follow_pose(self, entry: Entry, out: OutboundMessage, lengths: LengthUnits) -> list[Item]:
         """Return the tracking data that is due after a pose, for each peer that requested it."""
+        if out.igtl_type in _OTHER:
+            return self._other_form(entry, out, lengths)
         if out.igtl_type not in _POSES:
             return []
         items: list[Item] = []
@@ -42,4 +47,17 @@ class Tracking:
                 )
             if found := made[igtl_type]:
                 items += self._delivery.deliver_stream(entry, peers, replace(found, device=name), lengths)
+        return items
+
+    def _other_form(self, entry: Entry, out: OutboundMessage, lengths: LengthUnits) -> list[Item]:
+        """Return a message of tracking data as the other type, for the peers that requested that and have no other."""
+        other = _OTHER[out.igtl_type]
+        if self._latest.has_stream_of(other):
+            return []
+        items: list[Item] = []
+        for (igtl_type, device), peers in trackers(self._peers.all()).items():
+            if igtl_type == other and (form := as_type(out, other)):
+                name = device or out.device
+                recent = [peer for peer in peers if peer.recent]
+                items += self._delivery.deliver_stream(entry, recent, replace(form, device=name), lengths)
         return items

@@ -76,12 +76,13 @@ class IgtlReceiver:
             return outcome
         if news:
             outcome.items[:0] = news
-        if news or peer.must_see(message):
+        if news or peer.held_until_ns or peer.must_see(message):
             outcome.origin = None
         if isinstance(message.content, Command):
             self._commands.on_reply(peer, message)
         else:
             outcome.items += self._queries.respond(entry, peer, message)
+        outcome.items += self._links.on_message(entry, peer, message)
         return outcome
 
     def _learned(self, entry: Entry, peer: Peer, message: Message) -> list[Item]:

@@ -15,6 +15,7 @@ from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.wire import Message
+from igtl_gateway.wire.query import EmptyQuery
 from igtl_gateway.wire.text import Status
 from tests.script import T0_NS, Script
 
@@ -97,3 +98,53 @@ def test_a_defect_while_a_link_opens_is_no_lost_message(monkeypatch: pytest.Monk
     monkeypatch.setattr(Peers, "up", broken)
     assert script.up(1) == ["note internal_error"]
     assert "received" not in str(script.gateway.ledger.to_dict())
+
+
+KEPT = ToIgtlRow(topic="/plan", device="Plan", qos=Qos(depth=1, latched=True))
+LATCHED = "igtl STRING/Plan v1 to 1"
+
+
+def with_a_plan(*, live: bool = True) -> Script:
+    config = Config(to_igtl=(KEPT,))
+    script = Script(config.watched() if live else config)
+    script.ros("/plan", rosmsg.String("a plan"))
+    return script
+
+
+def test_latched_messages_wait_for_the_answer_of_a_peer_that_asks() -> None:
+    script = with_a_plan()
+    script.ros("/igtl/out/Text", rosmsg.String("x"))
+    assert script.up(1) == []
+    asked = script.igtl(Message("GET_STRING", "Text", EmptyQuery()))
+    assert [line for line in asked if line.startswith("igtl")] == ["igtl STRING/Text v1 to 1"]
+    script.tick(0.5)
+    asked = script.igtl(Message("GET_STRING", "Text", EmptyQuery()))
+    assert [line for line in asked if line.startswith("igtl")] == ["igtl STRING/Text v1 to 1"], "it asks on"
+    assert script.tick(1.9) == []
+    assert script.tick(0.2) == [LATCHED]
+    assert script.tick(5.0) == []
+
+
+def test_a_peer_that_says_anything_else_gets_them_at_once() -> None:
+    script = with_a_plan()
+    script.up(1)
+    assert script.igtl(Message("STATUS", "", Status(1)))[-1] == LATCHED
+    assert script.tick(3.0) == [] and script.gateway.due_ns is None
+
+
+def test_a_silent_peer_gets_them_after_a_moment() -> None:
+    script = with_a_plan()
+    script.up(1)
+    assert script.tick(0.2) == []
+    assert script.tick(0.1) == [LATCHED]
+
+
+def test_a_peer_that_leaves_first_holds_back_nothing() -> None:
+    script = with_a_plan()
+    script.up(1)
+    script.down(1)
+    assert script.gateway.due_ns is None
+
+
+def test_old_recordings_have_latched_messages_at_once() -> None:
+    assert with_a_plan(live=False).up(1) == [LATCHED]

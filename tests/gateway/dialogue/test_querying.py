@@ -353,3 +353,61 @@ def test_a_peer_that_invents_names_fills_no_memory(monkeypatch: pytest.MonkeyPat
     assert sum(line.startswith("igtl STATUS") for line in lines) == 5, "each is answered all the same"
     script.up(2)
     assert "note query_unanswered" in script.igtl(query("GET_TRANS", "f"), 2), "and others are reported"
+
+
+LIVE = Config().watched()
+
+
+def a_frame(step: int = 0) -> TFMessage:
+    return TFMessage(
+        (FrameTransform(Header(T0_NS + step, "base"), "tool", (0.1 + step, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0)),)
+    )
+
+
+@pytest.mark.parametrize("source", ["topic", "tf", "list"])
+@pytest.mark.parametrize("name", ["TDATA", "QTDATA"])
+def test_the_clients_of_the_library_get_what_they_ask_for(name: str, source: str) -> None:
+    """TrackingDataClient and QuaternionTrackingDataClient: their own name as the device, and the frame "Patient"."""
+    rows = (TfOutRow(frames=("tool",), base="base"),) if source == "tf" else ()
+    script = Script(Config(tf_out=rows).watched())
+    script.up(1)
+    lines = script.igtl(query(f"STT_{name}", f"{name}Client", StartTracking(0, "Patient")))
+    assert script.sent()[0].content == QueryReply(0) and "note stream_started" in lines
+    assert "'Patient' is not known" in next(note.text for note in script.notes if note.code == "stream_started")
+    for step in (1, 2):
+        if source == "topic":
+            lines = script.ros("/igtl/out/Tool", tool(x=0.1 + step))
+        elif source == "tf":
+            lines = script.ros("/tf", a_frame(step))
+        else:
+            lines = script.ros("/igtl/out/Polaris", tracking("tool"))
+        device = "Polaris" if (source, name) == ("list", "TDATA") else f"{name}Client"
+        assert f"igtl {name}/{device} v1 to 1" in lines
+    elements = next(one for one in script.sent() if one.type == name).content.elements  # type: ignore[attr-defined]
+    place = elements["matrix"][0][9:] if name == "TDATA" else elements["position"][0]
+    assert place.tolist()[1:] == pytest.approx([200.0, 300.0])
+
+
+@pytest.mark.parametrize(
+    "asked, reason",
+    [
+        (("STT_TDATA", "Polaris", StartTracking(0, "Femur")), "the frame 'Femur' is not known"),
+        (("STT_STRING", "Text", Raw(b"")), "streams of STRING cannot be requested"),
+    ],
+)
+def test_a_refused_stream_has_its_reason(asked: tuple[str, str, object], reason: str) -> None:
+    script = Script(LIVE)
+    script.up(1)
+    script.igtl(query(*asked))
+    (note,) = (note for note in script.notes if note.code == "stream_refused")
+    assert reason in note.text
+
+
+def test_a_query_with_the_name_of_the_client_gets_the_only_one_of_the_type() -> None:
+    script = Script(LIVE)
+    script.up(1)
+    script.ros("/igtl/out/Tool", tool())
+    assert "igtl TRANSFORM/Tool v1 to 1" in script.igtl(query("GET_TRANS", "Client"))
+    script.ros("/igtl/out/Probe", tool("probe"))
+    lines = script.igtl(query("GET_TRANS", "Client"))
+    assert not any(line.startswith("igtl TRANSFORM") for line in lines), "which of the two is not known"
