@@ -433,7 +433,8 @@ def _profiles() -> str:
             version 1 only, gets the types of the factory, and each type that it has sent, asked for
             (GET_, STT_) or listed (CAPABILITY).  What is held back is in the loss ledger
             (`not_for_unrecognised`), and a note (`not_for_peer`) names it once.  The profile `default`
-            for a peer (`--peer HOST:PORT=default`), or `--no-cautious` for all, sends all types.
+            for a peer (`--peer HOST:PORT=default`), or `--no-cautious` for all, sends all types.  So does a bridge of
+            CRTK arms.
             Recordings that are older than this rule are verified and replayed without it.
 
             PLUS sends version 1 until it has received version 2.  It is recognised from CLIENTINFO,

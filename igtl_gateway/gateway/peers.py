@@ -189,7 +189,9 @@ class Peers:
         place = str(facts.get("local", "")) if role == "server" else address
         rows = (row.profile for row in self._config.peers if matches(row.at, place) or matches(row.at, address))
         name = next(rows, self._config.peer_profile)
-        profile = BY_NAME.get(name, UNRECOGNISED if self._config.cautious else DEFAULT)
+        # who bridges CRTK arms has peers that read their types
+        unknown = UNRECOGNISED if self._config.cautious and not self._config.all_arms else DEFAULT
+        profile = BY_NAME.get(name, unknown)
         peer = Peer(link, address, role, profile, name != AUTO, said_ns=now_ns)
         peer.recent = self._config.knows_peers
         if name == AUTO and peer.recent:

@@ -236,3 +236,8 @@ def test_a_pose_that_its_sender_marks_as_not_valid_is_not_on_tf() -> None:
         False,
         True,
     ]
+
+
+def test_a_bridge_of_crtk_arms_sends_their_types() -> None:
+    made = script(Config(profile="crtk:/PSM*").watched())
+    assert made.ros("/igtl/out/joints", numbers()) == ["igtl NDARRAY/joints v1 to 1"]

@@ -1289,7 +1289,7 @@ def world() -> Iterator[World]:
     with RosClient("types", subscribe=SUBSCRIBED, advertise=ADVERTISED) as ros:
         ros.subscribe(LINKS_TOPIC, "igtl_msgs/msg/LinkStatusList", latched=True)
         ros.advertise("/tf_static", TF, latched=True)
-        bridge = Bridge(*rows_of_the_command_line(), *there)
+        bridge = Bridge("--no-cautious", *rows_of_the_command_line(), *there)
         try:
             with RawPeer(bridge.port) as talker, RawPeer(bridge.port) as listener, RawPeer(port) as slicer:
                 cpp = None if reference.available() else ReferencePeer.client("127.0.0.1", bridge.port)

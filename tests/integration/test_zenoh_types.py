@@ -64,7 +64,7 @@ def world() -> Iterator[World]:
     with router(zenoh_port), RosClient("types", program=program, subscribe=SUBSCRIBED, advertise=ADVERTISED) as ros:
         ros.subscribe(LINKS_TOPIC, "igtl_msgs/msg/LinkStatusList", latched=True)
         ros.advertise("/tf_static", TF, latched=True)
-        bridge = Bridge(*rows_of_the_command_line(), *there, PYTHONPATH=WITHOUT_ROS)
+        bridge = Bridge("--no-cautious", *rows_of_the_command_line(), *there, PYTHONPATH=WITHOUT_ROS)
         try:
             with RawPeer(bridge.port) as talker, RawPeer(bridge.port) as listener, RawPeer(port) as slicer:
                 bridge.wait_code("link_up", 3)

@@ -24,6 +24,8 @@ from igtl_gateway_lab.simulate.actor import Actor, ActorProtocol, ActorReport
 _LOOK_S = 0.2  # how soon a Ctrl-C or a time-out is seen
 _END_S = 15.0  # for a program to end after the command
 _BRIDGE = "bridge"
+#: The actors read all types; a bridge does not know that of programs that it does not recognise.
+_ALL_TYPES = ("--no-cautious",)
 
 Address = tuple[str, int]
 
@@ -182,7 +184,9 @@ class Stage:
                 where = [word for actor in ours for word in ("--connect", _text(self._places[actor.name]))]
             else:
                 where = ["--listen", _text(plan.serve)]
-            self._run(_BRIDGE, (sys.executable, "-m", "igtl_gateway", "bridge", "--json", *plan.bridge, *where))
+            self._run(
+                _BRIDGE, (sys.executable, "-m", "igtl_gateway", "bridge", "--json", *_ALL_TYPES, *plan.bridge, *where)
+            )
             if end := self._wait(lambda: _BRIDGE in self._state["ready"]):
                 return end
             connect = self._places.get(_BRIDGE)
