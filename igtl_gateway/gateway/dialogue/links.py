@@ -35,6 +35,9 @@ LINK_UP, LINK_DOWN = "link_up", "link_down"
 #: Latched messages wait for the first message of a peer, at most this time, and this time after its last GET_.
 _HELLO_NS, _ASKING_NS = NS_PER_S // 4, 2 * NS_PER_S
 
+#: Types that a peer asks for to learn of the link, and not of data.
+_OF_THE_LINK = frozenset({"STATUS", "CAPABILITY"})
+
 #: Topic of the list of connected peers.
 LINKS_TOPIC = "/igtl/links"
 LINKS_QOS = Qos(depth=10, latched=True)
@@ -106,14 +109,14 @@ class Links:
         return min(chain(pings, held), default=None)
 
     def on_message(self, entry: Entry, peer: Peer, message: Message) -> list[Item]:
-        """Return the latched messages for a peer that has sent its first message; none while it asks.
+        """Return the latched messages for a peer that has sent its first message; none while it asks for data.
 
-        A program that asks (GET_) reads the next message as the answer, whatever it is.
+        A program that asks (GET_) reads the next message as the answer, whatever it is.  GET_STATUS is a ping.
         """
         if not peer.held_until_ns:
             return []
         query = split_query(message.type)
-        if query and query[0] == "GET":
+        if query and query[0] == "GET" and query[1] not in _OF_THE_LINK:
             peer.held_until_ns = entry.stamp_ns + _ASKING_NS
             return []
         return self._release(entry, peer)

@@ -78,11 +78,11 @@ class IgtlReceiver:
             outcome.items[:0] = news
         if news or peer.held_until_ns or peer.must_see(message):
             outcome.origin = None
+        outcome.items += self._links.on_message(entry, peer, message)
         if isinstance(message.content, Command):
             self._commands.on_reply(peer, message)
         else:
             outcome.items += self._queries.respond(entry, peer, message)
-        outcome.items += self._links.on_message(entry, peer, message)
         return outcome
 
     def _learned(self, entry: Entry, peer: Peer, message: Message) -> list[Item]:

@@ -148,3 +148,10 @@ def test_a_peer_that_leaves_first_holds_back_nothing() -> None:
 
 def test_old_recordings_have_latched_messages_at_once() -> None:
     assert with_a_plan(live=False).up(1) == [LATCHED]
+
+
+def test_a_ping_is_no_question() -> None:
+    script = with_a_plan()
+    script.up(1)
+    lines = [line for line in script.igtl(Message("GET_STATUS", "", EmptyQuery())) if line.startswith("igtl")]
+    assert lines == [LATCHED, "igtl STATUS/ v1 to 1"]
