@@ -20,6 +20,7 @@ The way through the folder, from bytes to sessions:
 ``reader``           file → entries
 ``lookup``           starting in the middle of a file
 ``damaged``          the records of a damaged file; ``salvage`` and ``salvage_report``: their messages, and the losses
+``recovery``         the readable rest of a damaged file as a new one, which is read again
 ``sealing``          seals of a file that is written; ``seal_copy``: of one that exists
 ``units``, ``seals``  what seals cover, and the seals of a file; ``seal_check``, ``deviation``: each byte against them
 ``copying``          messages of one file into another as they are
