@@ -22,6 +22,7 @@
     └── RecordingError              invalid or unwritable session file (fault of the file or disk)
         ├── DiskRefused             the disk is full, read-only or not accessible
         ├── ClosedRecording         read after it was closed (a ValueError)
+        ├── FileTaken               the file was removed, replaced or changed while it was written
         ├── UnsupportedRecording    not a session log, or an unknown version
         │   └── NoSuchRecording     there is no such file (a FileNotFoundError)
         └── DamagedRecording        a session log that cannot be read to its end
@@ -136,6 +137,10 @@ class RecordingError(GatewayError):
 
 class DiskRefused(RecordingError):
     """A recording cannot start because the disk is full, read-only or not accessible; the settings are valid."""
+
+
+class FileTaken(RecordingError):
+    """The file of a recording was removed, replaced, truncated or written to by another program."""
 
 
 class UnsupportedRecording(RecordingError):

@@ -595,7 +595,7 @@ SETTINGS: tuple[Setting, ...] = (
     Setting(
         "flush_interval",
         0.5,
-        "interval between flushes: the most that a power failure loses; a crash of the bridge loses nothing",
+        "interval between flushes: what a kill of bridge and recorder can lose; a crash of the bridge loses nothing",
         metavar="SECONDS",
         unit="s",
         least=0,
@@ -605,7 +605,7 @@ SETTINGS: tuple[Setting, ...] = (
     Setting(
         "fsync",
         "never",
-        "when to force data to the disk, against power failures: at each flush, or when the file is closed",
+        "when to force data to the disk: a power failure then loses one interval (flush) or open files (close)",
         choices=("never", "flush", "close"),
         needs=("record",),
     ),

@@ -183,6 +183,8 @@ class Diagnostics:
         level, text = (ERROR, f"lost {lost:,} entries") if lost else (OK, "recording")
         if counters["failure"]:
             level, text = ERROR, str(counters["failure"])
+        elif counters.get("taken_away"):
+            level, text = max(level, WARN), str(counters["taken_away"])
         keys = ("written_entries", "queued_entries", "dropped_entries", "left_out_entries")
         values = tuple((key, f"{counters[key]}") for key in keys if key in counters)
         return DiagnosticStatus(level, name, text, self._hardware_id, values)

@@ -21,7 +21,7 @@ QUEUE_ENTRIES = 200_000
 LARGEST_BYTES = 1 << 30
 #: Bound of what is kept in memory for a snapshot.
 SNAPSHOT_BYTES = 512 << 20
-#: Interval at which the file is flushed: what a kill −9 may cost.
+#: Interval at which the file is flushed: what a kill −9 of bridge and recorder may cost.
 FLUSH_S = 0.5
 
 
@@ -33,7 +33,7 @@ class RecordOptions:
         compression: of the chunks; lz4 is for speed: large chunks of streams that do not shrink stay uncompressed;
             zstd is for size: it compresses all.
         chunk_bytes: size of a chunk before compression.
-        flush_s: interval between flushes: the most that SIGKILL of the recorder loses.
+        flush_s: interval between flushes: what SIGKILL of the recorder loses beside what waits in the queue.
         fsync: when written data are forced to the disk.
         split_bytes, split_s: a part ends when it has this size or duration; 0: never.
         snapshot_s: keep the last seconds in memory, and write them on request; 0: write everything immediately.

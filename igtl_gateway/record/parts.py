@@ -66,6 +66,8 @@ class PartsWriter:
         self._max_bytes, self._max_ns = max_bytes, int(max_s * NS_PER_S)
         self._counters = counters
         self._parts: list[RecordingPart] = []
+        self._number = 0
+        self._previous = ""  # name of the part before
         old = _make_folder(self.path, overwrite)
         try:
             self._part = self._open()
@@ -96,8 +98,7 @@ class PartsWriter:
         """Add an entry, in the next part if this one is full.  Raises as SessionWriter.write."""
         if entry.kind.is_input and self._part.entries and self._full(entry):
             self._end({"recorder": self._counters()}, last_part=False)
-            self._part = self._open()
-            self._ended = False
+            self._next()
         self._part.write(entry)
         self._prologue.observe(entry)
 
@@ -109,6 +110,21 @@ class PartsWriter:
         """End the last part.  Raises RecordingError; what was flushed stays readable."""
         self._end(ledger)
 
+    def go_on(self) -> tuple[Path, int]:
+        """Begin the next part where the file of this one was taken away; return its path, and the entries of this one.
+
+        The side file does not name a part that was taken away.  Raises RecordingError.
+        """
+        lost = self._part.entries
+        self._next()
+        return self._part.path, lost
+
+    def _next(self) -> None:
+        self._previous = self._part.path.name
+        self._number += 1
+        self._part = self._open()
+        self._ended = False
+
     def _full(self, entry: Entry) -> bool:
         lasted_ns = entry.stamp_ns - self._part.start_ns
         return bool(
@@ -116,11 +132,10 @@ class PartsWriter:
         )
 
     def _open(self) -> SessionWriter:
-        number = len(self._parts)
-        facts = {layout.PART_KEY: str(number)}
-        if self._parts:
-            facts[layout.PREVIOUS_KEY] = self._parts[-1].path.name
-        return self._open_part(part_path(self.path, number), facts, self._prologue.entries())
+        facts = {layout.PART_KEY: str(self._number)}
+        if self._previous:
+            facts[layout.PREVIOUS_KEY] = self._previous
+        return self._open_part(part_path(self.path, self._number), facts, self._prologue.entries())
 
     def _end(self, ledger: dict[str, Any], *, last_part: bool = True) -> None:
         part = self._part

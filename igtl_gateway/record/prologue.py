@@ -69,6 +69,10 @@ class Prologue:
             self._add(self._learned, self._input.seq, self._input)
             self._input = None
 
+    def skip(self) -> None:
+        """Entries follow that this does not see: an output after them need not be of the last input that it saw."""
+        self._input = None
+
     def entries(self) -> list[Entry]:
         """The inputs to be fed to a gateway first, in their order."""
         found = {entry.seq: entry for kept in self._tables() for entry in kept.values()}

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Protocol, Self
 
 from igtl_gateway.clock import Clock
-from igtl_gateway.errors import ConfigError, DiskRefused, RecordingError, Unavailable
+from igtl_gateway.errors import ConfigError, DiskRefused, FileTaken, RecordingError, Unavailable
 from igtl_gateway.keeping.side_files import update_side_file
 from igtl_gateway.once import Once
 from igtl_gateway.qos import Qos
@@ -30,6 +30,7 @@ from igtl_gateway.record.retaining import RetentionThread
 from igtl_gateway.record.ring import Ring
 from igtl_gateway.record.selection import MAX_STREAMS, OTHERS, SelectionFilter, StateInputRule
 from igtl_gateway.record.shared_queue import LARGE_BYTES, QueueReader
+from igtl_gateway.record.sole_file import SoleFile
 from igtl_gateway.seal.keys import SigningKey
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.session.note import Level, Note
@@ -43,7 +44,11 @@ from igtl_gateway.sessionfile.writer import SessionWriter
 #: Codes of the recorder's notes.
 DROPPED, FAILED, REFUSED, UNDEFINED = "record_drop", "record_failed", "record_refused", "record_undefined"
 THREAD = "record_thread"
+CONTINUED = "record_continued"
 PAUSED, RESUMED, SNAPSHOT = "record_paused", "record_resumed", "record_snapshot"
+
+#: Stream by which entries count as dropped that were in a file that was taken away.
+TAKEN = "(in a file that was taken away)"
 
 _LOOK_S = 0.05
 #: A poll that finds no more entries than this is followed by a longer pause.
@@ -52,6 +57,8 @@ _FEW = 32
 _FILLING_S = 0.002
 _LOOK_NS = 50_000_000
 _NOTE_NS = 1_000_000_000
+#: It flushes this much before the interval ends: looking, compressing and writing take time, too.
+_EARLY_NS = 100_000_000
 #: The worker has raised priority from when the first part of the queue's bound waits until the second part does.
 _HURRY_PART, _CALM_PART = 8, 64
 #: Also where that took longer which should take less than two looks: others leave it too little time.
@@ -109,6 +116,7 @@ class WorkerState:
         left_out: entries that are not to be there, by stream.
         failure: why the recording ended before its time, or ``""``.
         paused: whether it is.
+        taken_away: the last file that was removed or changed while it was written, and where it goes on; or ``""``.
     """
 
     written_entries: int = 0
@@ -116,6 +124,7 @@ class WorkerState:
     left_out: dict[str, int] = field(default_factory=dict)
     failure: str = ""
     paused: bool = False
+    taken_away: str = ""
 
     def counters(self, not_queued: Counter[str]) -> dict[str, Any]:
         """As they go into the ledger, with what the queue did not take."""
@@ -127,6 +136,7 @@ class WorkerState:
             "left_out_entries": sum(self.left_out.values()),
             "left_out": dict(sorted(self.left_out.items())),
             "failure": self.failure,
+            "taken_away": self.taken_away,
         }
 
 
@@ -228,24 +238,27 @@ class _RecorderWorker:
         queue.lends = not (self.options.snapshot_s or self.options.split_bytes or self.options.split_s)
         self._pipe = pipe
         self._clock = clock
-        self._flush_ns = int(self.options.flush_s * 1_000_000_000)
+        flush_ns = int(self.options.flush_s * 1_000_000_000)
+        self._flush_ns = flush_ns - min(_EARLY_NS, flush_ns // 4)
         self._types = RosTypes()
         self._seals = _seal_series(self.options, clock)
         self._gate = SelectionFilter(self.options.selection, settings.rule)
         self._dropped: Counter[str] = Counter()  # by the file; what the queue did not take is known to the recorder
         self._not_queued: Counter[str] = Counter()  # when it was last asked
         self._failure = ""
+        self._taken_away = ""
         self._gone = False
         self._ledger: dict[str, Any] | None = None  # from the moment on at which the recording is to end
         self._told_ns: int | None = None
         self._noted = Once()  # types without a definition
         self._told_refused: set[str] = set()
         self._told_state = WorkerState()
+        self._is_cut = False  # the next file follows one that was taken away
         self._left_out_before = 0  # of the pause that is on
         self._flushed_ns = self._stated_ns = self._due_ns = clock.monotonic_ns()
         self._seen_refused = 0
         self._asked: list[tuple[int, int]] = []  # snapshots: number, and UTC ns of the request
-        self._writer: SessionWriter | PartsWriter | Ring | _NullWriter
+        self._writer: SoleFile | PartsWriter | Ring | _NullWriter
         try:
             self._writer = self._open(settings.path, settings.rule)
         except DiskRefused as error:
@@ -255,11 +268,11 @@ class _RecorderWorker:
         self._retention: RetentionThread | None = None
         if self.options.retention and not isinstance(self._writer, _NullWriter):
             self._retention = RetentionThread(settings.path, self.options, clock)
-        self._row_writer: SessionWriter | None = None
-        if isinstance(self._writer, SessionWriter) and self._writer.takes_rows(LARGE_BYTES):
+        self._row_writer: SoleFile | None = None
+        if isinstance(self._writer, SoleFile) and self._writer.file.takes_rows(LARGE_BYTES):
             self._row_writer = self._writer
 
-    def _open(self, path: Path, rule: StateInputRule) -> SessionWriter | PartsWriter | Ring:
+    def _open(self, path: Path, rule: StateInputRule) -> SoleFile | PartsWriter | Ring:
         """The writer for these options."""
         options = self.options
         if options.snapshot_s:
@@ -281,10 +294,10 @@ class _RecorderWorker:
                 counters=self._counters,
                 on_closed=self._apply_retention,
             )
-        return self._open_file(path, {}, ())
+        return SoleFile(path, self._open_file, Prologue(rule))
 
     def _open_file(self, path: Path, facts: dict[str, str], prologue: Sequence[Entry]) -> SessionWriter:
-        is_snapshot = self.options.snapshot_s > 0
+        alone = self.options.snapshot_s > 0 or self._is_cut  # the seal of a file that was taken away is not at its end
         return SessionWriter(
             path,
             self._session | facts,
@@ -295,7 +308,7 @@ class _RecorderWorker:
             overwrite=self.options.overwrite,
             prologue=prologue,
             types=self._types,
-            sealer=self._seals.next_file(path, alone=is_snapshot) if self._seals else None,
+            sealer=self._seals.next_file(path, alone=alone) if self._seals else None,
         )
 
     def run(self) -> None:
@@ -336,9 +349,10 @@ class _RecorderWorker:
 
     def _pause_ns(self) -> int:
         """Return the time until the next poll: until the next flush, unless something has to be soon."""
+        due_ns = self._flushed_ns + self._flush_ns - self._clock.monotonic_ns()
         if self._taken > _FEW or self._asked or self._hurried:
-            return _LOOK_NS
-        return max(_LOOK_NS, self._flushed_ns + self._flush_ns - self._clock.monotonic_ns())
+            return min(_LOOK_NS, due_ns) if due_ns > 0 else _LOOK_NS
+        return max(_LOOK_NS, due_ns)
 
     def _send(self, *words: Any) -> None:
         if self._gone:
@@ -378,6 +392,7 @@ class _RecorderWorker:
             dict(self._gate.left_out),
             self._failure,
             self._gate.paused,
+            self._taken_away,
         )
 
     def _qos_of(self, topic: str, ros_type: str) -> Qos | None:
@@ -441,7 +456,7 @@ class _RecorderWorker:
             place, rows, size = writer.add_rows(room, begin, end, self._queue.row_streams)
             if rows:
                 self._queue.take_rows(place, rows, size)
-                writer.end_full_chunk()
+                writer.file.end_full_chunk()
         except RecordingError as error:
             self._fail(str(error))
             return 0
@@ -460,7 +475,7 @@ class _RecorderWorker:
                 for passed in self._gate.take(item):
                     self._write(passed)
                 if self._row_writer and queue.stream >= 0 and queue.row_streams[queue.stream] is None:
-                    queue.row_streams[queue.stream] = self._row_writer.row_stream(item)
+                    queue.row_streams[queue.stream] = self._row_writer.file.row_stream(item)
             else:
                 self._apply_command(*item)
         finally:
@@ -506,7 +521,7 @@ class _RecorderWorker:
         writer, written = self._writer, False
         try:
             if not self._failure:
-                writer.write(entry)
+                self._put(entry)
                 written = True
         except LayoutError as error:
             self._refused(entry, error)
@@ -519,11 +534,42 @@ class _RecorderWorker:
             text = f"no definition of {entry.type} found: {entry.channel} is recorded, but other tools cannot decode it"
             self._note(Note(Level.WARN, UNDEFINED, text, entry.channel))
 
+    def _put(self, entry: Entry) -> None:
+        try:
+            self._writer.write(entry)
+        except FileTaken as error:  # found at the end of a part
+            self._go_on(error)
+            self._writer.write(entry)
+
     def _count_drop(self, entry: Entry) -> None:
         stream = entry.channel or entry.kind.value
         if stream not in self._dropped and len(self._dropped) >= MAX_STREAMS:
             stream = OTHERS
         self._dropped[stream] += 1
+
+    def _go_on_or_fail(self, error: FileTaken) -> None:
+        try:
+            self._go_on(error)
+        except RecordingError as obstacle:
+            self._fail(str(obstacle))
+
+    def _go_on(self, error: FileTaken) -> None:
+        """Continue in the next file.  Raises RecordingError where that is not wanted or not possible."""
+        writer = self._writer
+        if self.options.stop_on_failure or not isinstance(writer, SoleFile | PartsWriter):
+            raise error
+        self._is_cut = True
+        try:
+            path, lost = writer.go_on()
+        except RecordingError as obstacle:
+            raise RecordingError(f"{error}; {obstacle}") from None
+        finally:
+            self._is_cut = False
+        self._queue.row_streams[:] = [None] * len(self._queue.row_streams)  # of the channels of the file before
+        self._dropped[TAKEN] += lost
+        self._taken_away = f"{error}; the recording goes on in {path}"
+        text = f"{self._taken_away}; {lost:,} entries were in the file"
+        self._note(Note(Level.ERROR, CONTINUED, text, data={"lost": lost, "path": str(path)}))
 
     def _set_paused(self, paused: bool) -> None:
         if paused == self._gate.paused:
@@ -573,8 +619,15 @@ class _RecorderWorker:
         if now_ns - self._flushed_ns < self._flush_ns or self._failure:
             return
         self._flushed_ns = now_ns
+        self._flush()
+
+    def _flush(self) -> None:
+        """Flush the file; go on in the next one where it was taken away."""
         try:
-            self._writer.flush()
+            if not self._failure:
+                self._writer.flush()
+        except FileTaken as error:
+            self._go_on_or_fail(error)
         except RecordingError as error:
             self._fail(str(error))
 
@@ -619,7 +672,7 @@ class _RecorderWorker:
         try:
             if self._ledger is None and isinstance(self._writer, Ring):
                 self._writer.take(ledger, self._clock.utc_ns())
-            self._writer.close(ledger)
+            self._close(ledger)
         except (RecordingError, OSError) as error:
             self._fail(str(error))
         if self._retention:
@@ -632,12 +685,20 @@ class _RecorderWorker:
             self._writer.path,
             sum(map(_size, files)),
             self._writer.entries,
-            counters["dropped"],
+            self._state().counters(self._not_queued)["dropped"],
             counters["left_out"],
             tuple(files),
-            self._failure,
+            self._failure or self._taken_away,
         )
         self._send("closed", self._state(), summary)
+
+    def _close(self, ledger: dict[str, Any]) -> None:
+        """Close the file, or the next one where it was taken away.  Raises RecordingError."""
+        try:
+            self._writer.close(ledger)
+        except FileTaken as error:
+            self._go_on(error)
+            self._writer.close(ledger | {"recorder": self._state().counters(self._not_queued)})
 
 
 def _seal_series(options: RecordOptions, clock: Clock) -> SealSeries | None:

@@ -189,7 +189,8 @@ class _Verifier:
         self._last: int | None = None if losses.midway else 0
         # notes of the guard depend on earlier inputs: in a part of a session they can come at other times
         self._partial = losses.midway or losses.uncounted or losses.entries > 0
-        self._gap = False  # whether an input may be lost since the last recorded one
+        # whether an input may be lost since the last recorded one: also before a file that begins behind a loss
+        self._gap = losses.midway and losses.entries > 0
 
     def before(self, entry: Entry) -> None:
         """Process an input from before the start."""

@@ -108,7 +108,7 @@ def create_file(path: Path) -> BufferedWriter:
     if found := obstacle(path):
         raise RecordingError(f"cannot record to {path}: {found}")
     try:
-        file = open(path, "xb", opener=_open_new)
+        file = open(path, "xb", opener=_open_appended)
         with suppress(OSError):  # a file system without locks
             lock(file.fileno())
         set_mode(file.fileno(), _MODE.get())  # whatever the umask is
@@ -130,3 +130,8 @@ def cannot_begin(path: Path, error: OSError | ValueError) -> RecordingError:
 def os_error_text(error: Exception) -> str:
     """The system's text for a refused file."""
     return (error.strerror if isinstance(error, OSError) else None) or str(error)
+
+
+def _open_appended(path: str, flags: int) -> int:
+    """Open a new file so that what is written goes to its end, also after another program has truncated it."""
+    return os.open(path, flags | os.O_APPEND, _MODE.get())

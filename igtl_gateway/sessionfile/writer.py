@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from igtl_gateway import __version__
-from igtl_gateway.errors import RecordingError
+from igtl_gateway.errors import FileTaken, RecordingError
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile import layout
@@ -47,6 +47,10 @@ _MAX_KNOWN = 10_000
 _HEAD_BYTES = 64 << 10
 _U64 = 1 << 64
 _DATASYNC = getattr(os, "fdatasync", os.fsync)  # not every system has fdatasync
+
+
+class _TakenAway(OSError):
+    """The file is not what was written."""
 
 
 class SessionWriter:
@@ -191,7 +195,8 @@ class SessionWriter:
     def flush(self) -> None:
         """Hand all entries to the operating system: SIGKILL does not lose them.  Raises RecordingError.
 
-        A file that was removed meanwhile is detected here: no other call fails for that.
+        Here and at the end a file is detected that was removed, replaced or changed by another program (FileTaken): no
+        other call fails for that.
         """
         with self._disk_errors():
             self._mcap.flush()
@@ -279,7 +284,7 @@ class SessionWriter:
             return self._mcap.register_channel(topic, layout.MESSAGE_ENCODING, self._schemas[ros_type], metadata)
 
     def _check_file(self, *moments: Fsync) -> None:
-        """Force the data to the disk where that is due.  Raises OSError if the file is no longer at its path."""
+        """Force the data to the disk where that is due.  Raises OSError if the file there is not what was written."""
         if not isinstance(self._file, BufferedWriter):
             return
         if self._fsync in moments:
@@ -288,9 +293,12 @@ class SessionWriter:
         try:
             there = self.path.stat()
         except FileNotFoundError:
-            raise OSError(errno.ENOENT, "the file was removed") from None
+            raise _TakenAway(errno.ENOENT, "the file was removed") from None
         if (there.st_dev, there.st_ino) != (here.st_dev, here.st_ino):
-            raise OSError(errno.ESTALE, "another file took its place")
+            raise _TakenAway(errno.ESTALE, "another file took its place")
+        if here.st_size != self._mcap.size:
+            change = "the file was truncated" if here.st_size < self._mcap.size else "another program wrote to the file"
+            raise _TakenAway(errno.ESTALE, change)
 
     @contextmanager
     def _disk_errors(self) -> Iterator[None]:
@@ -309,7 +317,8 @@ class SessionWriter:
         """After an error the contents of file and buffers are unknown, so nothing more is written."""
         self._failure = f"recording to {self.path} failed: {os_error_text(error)}"
         self._abandon()
-        return RecordingError(self._failure)
+        kind = FileTaken if isinstance(error, _TakenAway) else RecordingError
+        return kind(self._failure)
 
     def _abandon(self) -> None:
         """Close the file without another attempt to write."""

@@ -192,7 +192,7 @@ def _remove_folder(path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("take_away", "policy", "then"),
-    [(_unlink, "stop", "the bridge stops"), (_remove_folder, "continue", "the bridge goes on")],
+    [(_unlink, "stop", "; the bridge stops"), (_remove_folder, "continue", "; cannot record to ")],
 )
 def test_a_recording_that_is_removed_is_told_at_once(
     tmp_path: Path, policy: str, then: str, take_away: Callable[[Path], None]
@@ -207,7 +207,7 @@ def test_a_recording_that_is_removed_is_told_at_once(
             bridge.wait_code("stream")
             take_away(path)
             told = bridge.wait_code("record_failed")
-            assert told["text"].startswith(f"recording to {path} failed: the file was removed; {then}")
+            assert told["text"].startswith(f"recording to {path} failed: the file was removed{then}")
             if policy == "continue":
                 peer.send(string("still there", "Other"))
                 bridge.wait_code("stream", stream="STRING/Other")
@@ -216,9 +216,52 @@ def test_a_recording_that_is_removed_is_told_at_once(
         bridge.close()
     assert (result.code, result.err) == (1, "")
     recording = bridge.events[-1]["recording"]
-    assert recording["failure"] == f"recording to {path} failed: the file was removed"
+    assert recording["failure"].startswith(f"recording to {path} failed: the file was removed")
     assert recording["bytes"] == 0
     assert not path.exists()
+
+
+def _replace(path: Path) -> None:
+    path.unlink()
+    path.write_bytes(b"")
+
+
+@pytest.mark.parametrize(
+    ("take_away", "words"),
+    [(lambda path: os.truncate(path, 0), "the file was truncated"), (_replace, "another file took its place")],
+    ids=["truncated", "replaced"],
+)
+@pytest.mark.parametrize("options", [[], ["--split-size", "100"]], ids=["one file", "parts"])
+def test_a_recording_that_is_truncated_goes_on_in_the_next_file(
+    tmp_path: Path, options: list[str], take_away: Callable[[Path], None], words: str
+) -> None:
+    path = tmp_path / "out.mcap"
+    folder = path.with_suffix("") if options else tmp_path
+    first, second = folder / ("out_0.mcap" if options else "out.mcap"), folder / "out_1.mcap"
+    bridge = Bridge("--no-ros", "--record", str(path), "--flush-interval", "0.1", "--metrics", "0", *options)
+    try:
+        with RawPeer(bridge.port) as peer:
+            peer.send(string("recorded"))
+            bridge.wait_code("stream")
+            take_away(first)
+            told = bridge.wait_code("record_continued")["text"]
+            peer.send(string("recorded, too", "Other"))
+            bridge.wait_code("stream", stream="STRING/Other")
+            recorder = status(bridge)
+            result = bridge.end()
+    finally:
+        bridge.close()
+    text = f"recording to {first} failed: {words}; the recording goes on in {second}"
+    assert told.startswith(text)
+    assert (recorder["failure"], recorder["taken_away"]) == ("", text)
+    assert result.code == 1
+    recording, ledger = (bridge.events[-1][key] for key in ("recording", "ledger"))
+    assert recording["failure"] == text and str(second) in recording["files"]
+    assert recording["dropped"] > 0 and ledger["gaps"] == []
+    with SessionFile.open(second) as file:
+        assert any(b"recorded, too" in entry.data() for entry in file.entries())
+        assert file.ledger is not None and file.ledger["recorder"]["written_entries"] == recording["entries"]
+    assert ended("verify", str(second)).code == 0
 
 
 @pytest.fixture

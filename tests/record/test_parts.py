@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
+import time
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -66,6 +69,13 @@ def record(path: Path, entries: list[Entry], **options: Any) -> RecordingSummary
     return recorder.close({"streams": {}})
 
 
+def wait_until(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 30
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+
+
 @pytest.fixture
 def path(tmp_path: Path) -> Path:
     return tmp_path / "long.mcap"
@@ -115,6 +125,39 @@ def test_every_part_verifies_alone_and_the_folder_as_a_whole(path: Path) -> None
     assert report.good and report.outputs == outputs
     with SessionFile.open(parts[-1]) as file:
         assert not verify(file.entries(), Config()).good, "the prologue is what makes it verify"
+
+
+@pytest.mark.parametrize("options", [{}, {"split_s": 1e3}], ids=["one file", "parts"])
+@pytest.mark.parametrize("cut", [1, 37, 150, 151, 152, 153])
+def test_what_follows_a_file_that_was_truncated_verifies(path: Path, cut: int, options: dict[str, Any]) -> None:
+    entries, clock, notes = session(), ManualClock(), list[Note]()
+    recorder = Recorder(
+        path,
+        samples.SESSION,
+        qos_of=lambda _topic, _type: None,
+        on_note=notes.append,
+        clock=clock,
+        host=in_thread,
+        options=RecordOptions(**options),
+        rule=RULE,
+    )
+    first, second = (path.with_suffix("") / f"long_{number}.mcap" for number in range(2))
+    if not options:
+        first, second = path, path.with_name("long_1.mcap")
+    for entry in entries[:cut]:
+        recorder(entry)
+    wait_until(lambda: recorder.counters()["written_entries"] == cut)
+    os.truncate(first, 0)
+    clock.advance(SECOND_NS)
+    wait_until(lambda: len(notes) > 0)
+    for entry in entries[cut:]:
+        recorder(entry)
+    summary = recorder.close({"streams": {}})
+    assert (summary.entries, sum(summary.dropped.values())) == (len(entries) - cut, cut)
+    with SessionFile.open(second) as file:
+        assert list(file.entries()) == [samples.flat(entry) for entry in entries[cut:]]
+        report = verify(file.entries(), Config(), DeclaredLosses.of(file.session, file.ledger), before=file.prologue())
+    assert report.good and report.equal > 0, report.differences[:3]
 
 
 def test_parts_by_size(path: Path) -> None:

@@ -15,6 +15,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -32,16 +33,26 @@ from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import Selection
+from igtl_gateway.seal.keys import SigningKey
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.sessionfile import layout, messages, writer
 from igtl_gateway.sessionfile.compression import Compression
 from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.seal_check import SEALED, check_seal
 from igtl_gateway.sessionfile.writer import SessionWriter
 from tests.record import samples
 
 DEADLINE_S = 30.0
 ROOT = Path(__file__).parents[2]
+
+
+def wait_until(condition: Callable[[], bool]) -> None:
+    clock, tick = SystemClock(), threading.Event()
+    deadline_ns = clock.monotonic_ns() + int(DEADLINE_S * 1e9)
+    while not condition():
+        assert clock.monotonic_ns() < deadline_ns
+        tick.wait(0.001)
 
 
 class Bench:
@@ -83,11 +94,7 @@ class Bench:
             self._changed.notify_all()
 
     def wait_drained(self) -> None:
-        clock, tick = SystemClock(), threading.Event()
-        deadline_ns = clock.monotonic_ns() + int(DEADLINE_S * 1e9)
-        while self.recorder.counters()["queued_entries"]:
-            assert clock.monotonic_ns() < deadline_ns
-            tick.wait(0.001)
+        wait_until(lambda: not self.recorder.counters()["queued_entries"])
 
     def wait_notes(self, number: int) -> None:
         with self._changed:
@@ -774,17 +781,35 @@ def _replace(path: Path) -> None:
     path.write_bytes(b"somebody else's")
 
 
-@pytest.mark.parametrize(
-    ("take_away", "words"),
-    [(_remove, "was removed"), (_remove_folder, "was removed"), (_replace, "took its place")],
-)
-@pytest.mark.parametrize(("stop", "then"), [(True, "the bridge stops"), (False, "the bridge goes on")])
-def test_a_file_that_is_taken_away_is_told_at_the_next_flush(
-    tmp_path: Path, take_away: Callable[[Path], None], words: str, stop: bool, then: str
+def _truncate(path: Path) -> None:
+    os.truncate(path, 0)
+
+
+def _truncate_in_half(path: Path) -> None:
+    os.truncate(path, path.stat().st_size // 2)
+
+
+def _append(path: Path) -> None:
+    with path.open("ab") as file:
+        file.write(b"somebody else's")
+
+
+_TAKEN = [
+    (_truncate, "the file was truncated"),
+    (_truncate_in_half, "the file was truncated"),
+    (_append, "another program wrote to the file"),
+    (_remove, "the file was removed"),
+    (_replace, "another file took its place"),
+]
+
+
+@pytest.mark.parametrize(("take_away", "words"), [*_TAKEN, (_remove_folder, "the file was removed")])
+def test_a_file_that_is_taken_away_ends_the_recording_if_that_is_to_stop(
+    tmp_path: Path, take_away: Callable[[Path], None], words: str
 ) -> None:
     path = tmp_path / "folder" / "session.mcap"
     path.parent.mkdir()
-    bench = Bench(path, stop_on_failure=stop)
+    bench = Bench(path, stop_on_failure=True)
     bench.recorder(samples.ros(1))
     bench.wait_drained()
     take_away(path)
@@ -793,9 +818,87 @@ def test_a_file_that_is_taken_away_is_told_at_the_next_flush(
     bench.wait_notes(1)
     (note,) = bench.notes
     assert (note.level, note.code) == (Level.ERROR, worker_module.FAILED)
-    assert words in note.text and then in note.text
+    assert words in note.text and "the bridge stops" in note.text
     assert words in bench.recorder.failure
     assert words in bench.recorder.close({}).failure
+
+
+def test_a_folder_that_is_taken_away_ends_the_recording(tmp_path: Path) -> None:
+    path = tmp_path / "folder" / "session.mcap"
+    path.parent.mkdir()
+    bench = Bench(path)
+    bench.recorder(samples.ros(1))
+    bench.wait_drained()
+    _remove_folder(path)
+    bench.clock.advance(1_000_000_000)
+    bench.recorder(samples.ros(2))
+    bench.wait_notes(1)
+    (note,) = bench.notes
+    assert note.code == worker_module.FAILED
+    assert "the file was removed" in note.text and "the bridge goes on without recording" in note.text
+    assert "there is no folder" in bench.recorder.close({}).failure
+
+
+@pytest.mark.parametrize("sealed", [False, True], ids=["not sealed", "sealed"])
+@pytest.mark.parametrize("split", [False, True], ids=["one file", "parts"])
+@pytest.mark.parametrize(("take_away", "words"), _TAKEN)
+def test_where_a_file_is_taken_away_the_recording_goes_on_in_the_next(
+    tmp_path: Path, take_away: Callable[[Path], None], words: str, split: bool, sealed: bool
+) -> None:
+    options: dict[str, object] = {"split_bytes": 1 << 30} if split else {}
+    if sealed:
+        (tmp_path / "key").touch(0o600)
+        (tmp_path / "key").write_bytes(SigningKey.generate().private_pem())
+        options["seal"] = tmp_path / "key"
+    folder = tmp_path / "session" if split else tmp_path
+    first = folder / ("session_0.mcap" if split else "session.mcap")
+    bench = Bench(tmp_path / "session.mcap", **options)
+    before = samples.every_kind(2)
+    entries = [replace(entry, seq=100 + entry.seq) for entry in samples.every_kind(40)]
+    empty = first.stat().st_size
+    for entry in before:
+        bench.recorder(entry)
+    bench.wait_drained()
+    bench.clock.advance(1_000_000_000)
+    wait_until(lambda: first.stat().st_size > empty)
+    take_away(first)
+    bench.clock.advance(1_000_000_000)
+    bench.wait_notes(1)
+    for entry in entries:
+        bench.recorder(entry)
+    (note,) = bench.notes
+    second, lost = folder / "session_1.mcap", len(before)
+    assert (note.level, note.code) == (Level.ERROR, worker_module.CONTINUED)
+    assert note.data == {"lost": lost, "path": str(second)}
+    told = f"recording to {first} failed: {words}; the recording goes on in {second}"
+    assert note.text == f"{told}; {lost} entries were in the file"
+    assert (bench.recorder.failure, bench.recorder.counters()["taken_away"]) == ("", told)
+    summary = bench.recorder.close({"streams": {}})
+    put = [samples.flat(entry) for entry in entries]
+    assert (summary.failure, summary.entries, summary.dropped) == (told, len(put), {worker_module.TAKEN: lost})
+    assert second in summary.files and first not in summary.files
+    with SessionFile.open(second) as file:
+        assert list(file.entries()) == put
+        assert (file.session["part"], file.session["previous_part"]) == ("1", first.name)
+        assert file.ledger is not None and file.ledger["recorder"]["taken_away"] == told
+        assert Kind.LINK in {entry.kind for entry in file.prologue()}
+    if sealed:
+        assert check_seal(second).state == SEALED
+
+
+@pytest.mark.parametrize("split", [False, True], ids=["one file", "parts"])
+def test_a_file_that_is_taken_away_before_the_end_has_its_ledger_in_the_next(tmp_path: Path, split: bool) -> None:
+    bench = Bench(tmp_path / "session.mcap", split_bytes=(1 << 30) * split)
+    folder = tmp_path / "session" if split else tmp_path
+    bench.recorder(samples.ros(1))
+    bench.wait_drained()
+    os.truncate(folder / ("session_0.mcap" if split else "session.mcap"), 0)
+    summary = bench.recorder.close({"streams": {"a": {}}})
+    assert "the file was truncated" in summary.failure
+    assert (summary.entries, summary.dropped) == (0, {worker_module.TAKEN: 1})
+    with SessionFile.open(folder / "session_1.mcap") as file:
+        assert file.ledger is not None and file.ledger["streams"] == {"a": {}}
+        assert file.ledger["recorder"]["dropped"] == {worker_module.TAKEN: 1}
 
 
 def test_a_folder_of_parts_that_is_taken_away(tmp_path: Path) -> None:
@@ -827,6 +930,18 @@ def test_the_disk_is_asked_to_have_it(
     bench.go_on.set()
     bench.recorder.close({})
     assert len(asked) == in_all
+
+
+@pytest.mark.parametrize(("flush_s", "passed_s"), [(0.5, 0.4), (0.1, 0.08), (2.0, 1.9)])
+def test_it_is_flushed_before_the_interval_ends(path: Path, flush_s: float, passed_s: float) -> None:
+    """Looking for entries and writing them takes time, too: what is older than the interval is in the file."""
+    bench = Bench(path, flush_s=flush_s, compression="none")
+    empty = path.stat().st_size
+    bench.recorder(samples.igtl(1, body=bytes(5000)))
+    bench.wait_drained()
+    bench.clock.advance(int(passed_s * 1e9))
+    wait_until(lambda: path.stat().st_size > empty + 5000)
+    bench.recorder.close({})
 
 
 # --- pause -----------------------------------------------------------------------------------------------------

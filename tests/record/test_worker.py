@@ -40,7 +40,7 @@ class Hasty:
         self._now = count(1)
 
     def monotonic_ns(self) -> int:
-        return next(self._now) * 50_000_000
+        return next(self._now) * 35_000_000
 
     def utc_ns(self) -> int:
         return samples.START_NS
@@ -82,7 +82,7 @@ def test_it_is_in_a_hurry_while_much_waits(tmp_path: Path) -> None:
         qos_of=lambda *_: None,
         on_note=lambda note: None,
         clock=Hasty(),
-        options=RecordOptions(queue_bytes=QUEUE_BYTES),
+        options=RecordOptions(queue_bytes=QUEUE_BYTES, flush_s=0.6),
         host=host,
     )
     assert calm.wait(DEADLINE_S)
