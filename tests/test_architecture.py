@@ -61,6 +61,7 @@ LEVELS = {
     "edges.ros": 4,
     "edges.zenoh": 4,
     "edges.tcp": 4,
+    "edges.tcp.http_server": 4,  # for counts and pages
     "exchange": 4,
     "keeping": 4,  # retention and upload of closed recordings
     "realtime": 4,
@@ -118,7 +119,8 @@ SIBLINGS: dict[str, str | tuple[str, ...]] = {
     "keeping": "sessionfile",
     "record": ("keeping", "sessionfile"),
     "replay": "sessionfile",
-    "view": "child",
+    "edges.tcp.http_server": "edges.tcp",
+    "view": ("child", "edges.tcp.http_server"),  # the session of a page
 }
 
 #: What makes code of ROS definitions.

@@ -11,6 +11,7 @@ from typing import Self
 from urllib.parse import quote
 
 from igtl_gateway.errors import ViewerError
+from igtl_gateway.view.page import SessionServer
 from igtl_gateway.view.process import ViewerProcess
 
 HOST = "127.0.0.1"
@@ -30,6 +31,7 @@ class Viewer:
 
     def __init__(self, arguments: Sequence[str], expected: Sequence[re.Pattern[str]]) -> None:
         self.url = ""
+        self._session: SessionServer | None = None
         self._process = ViewerProcess(arguments, _LOG, expected)
         self._found = self._process.found
         if not self._process.ready.wait(_START_S) or not all(self._found):
@@ -47,11 +49,20 @@ class Viewer:
 
     @classmethod
     def page(cls, recording: Path, port: int = 0) -> Self:
-        """Serve a page at ``port`` (0: any free port) for browsers on this machine.  Raises ViewerError."""
-        arguments = [str(recording), "--serve-web", "--bind", HOST, "--port", "auto", "--web-viewer-port", str(port)]
-        viewer = cls(arguments, [_LISTENS, _HOSTS])
-        stream = quote(f"rerun+http://{HOST}:{viewer._found[0]}/proxy", safe="")
-        viewer.url = f"http://{HOST}:{viewer._found[1]}/?url={stream}"
+        """Serve a page at ``port`` (0: any free port) for browsers on this machine.  Raises ViewerError.
+
+        The session is served only to who has the ``url``, see `igtl_gateway.view.page`.
+        """
+        session = SessionServer(recording, HOST)
+        # with an address to show, rerun starts no server of streams; this one has no token, as others can read it
+        arguments = [session.base, "--serve-web", "--bind", HOST, "--port", "auto", "--web-viewer-port", str(port)]
+        try:
+            viewer = cls(arguments, [_HOSTS])
+        except BaseException:
+            session.close()
+            raise
+        viewer._session = session
+        viewer.url = f"http://{HOST}:{viewer._found[0]}/?url={quote(session.url, safe='')}"
         return viewer
 
     def __enter__(self) -> Self:
@@ -68,6 +79,9 @@ class Viewer:
     def close(self) -> None:
         """Stop the viewer; a second call does nothing."""
         self._process.close()
+        if self._session:
+            self._session.close()
+            self._session = None
 
 
 def check_screen(environment: Mapping[str, str]) -> None:

@@ -8,6 +8,9 @@ import subprocess
 import sys
 from pathlib import Path
 from threading import Timer
+from urllib.error import HTTPError
+from urllib.parse import parse_qs, urlsplit
+from urllib.request import urlopen
 
 import pytest
 
@@ -31,6 +34,12 @@ def test_the_page_shows_its_canvas(tmp_path: Path) -> None:
         assert served.stdout is not None
         url = next(line.strip() for line in served.stdout if line.startswith("http"))
         assert url.startswith("http://127.0.0.1:")
+        (session,) = parse_qs(urlsplit(url).query)["url"]
+        with urlopen(session, timeout=20) as answer:
+            assert answer.read(4) == b"RRF2"
+        without = session.replace(urlsplit(session).path.split("/")[1], "0" * 48)
+        with pytest.raises(HTTPError, match="403"):
+            urlopen(without, timeout=20)
         said = what_the_page_says([BROWSER, *OPTIONS, f"--user-data-dir={tmp_path}", url])
     finally:
         served.send_signal(signal.SIGINT)
