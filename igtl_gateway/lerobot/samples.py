@@ -35,6 +35,8 @@ _ORIENTATION_NAMES = {
     "rotation_6d": ("r11", "r21", "r31", "r12", "r22", "r32"),
     "none": (),
 }
+#: Numbers of a row of the recipe in a frame: an arm has ten, and a hundred sensors have a thousand.
+MAX_NUMBERS = 4096
 #: Columns of a table that are not numbers of the message.
 _HEADS = ("entry", "time_ns", "source_ns")
 
@@ -190,13 +192,17 @@ def _poses(stream: Stream, row: Feature) -> tuple[str, Array, Any, tuple[str, ..
             raise
         raise ConfigError(f"{error}; or fields = […] of {', '.join(columns_of(stream)) or 'no column'}") from None
     numbers = np.concatenate([poses.matrices.reshape(-1, 16), poses.quaternions], axis=1)
-    good = _finite(numbers)
+    good = _finite_float32(numbers)
     rows = np.searchsorted(stream.times, poses.times)[good]
     return "pose", rows, poses.matrices[good], _AXES + _ORIENTATION_NAMES[row.orientation], None
 
 
 def columns_of(stream: Stream) -> list[str]:
     """Return the names of the columns with numbers or strings."""
+    return _value_columns(stream.to_arrow())
+
+
+def _value_columns(table: Any) -> list[str]:
     import pyarrow as pa
 
     def is_value(kind: Any) -> bool:
@@ -208,7 +214,19 @@ def columns_of(stream: Stream) -> list[str]:
             or pa.types.is_string(kind)
         )  # fmt: skip
 
-    return [each.name for each in stream.to_arrow().schema if each.name not in _HEADS and is_value(each.type)]
+    return [each.name for each in table.schema if each.name not in _HEADS and is_value(each.type)]
+
+
+def _check_lengths(table: Any, fields: Sequence[str]) -> None:
+    """Raise ConfigError for lists with more numbers than a frame may have, before they are read."""
+    import pyarrow as pa
+    from pyarrow import compute
+
+    for name in fields:
+        if pa.types.is_list(table[name].type) or pa.types.is_large_list(table[name].type):
+            longest = compute.max(compute.list_value_length(table[name])).as_py() or 0
+            if longest > MAX_NUMBERS:
+                raise ConfigError(f"fields: found {longest:,} numbers in {name}, expected at most {MAX_NUMBERS:,}")
 
 
 def _columns(stream: Stream, fields: Sequence[str]) -> tuple[str, Array, Any, tuple[str, ...], None]:
@@ -216,10 +234,11 @@ def _columns(stream: Stream, fields: Sequence[str]) -> tuple[str, Array, Any, tu
     import pyarrow as pa
 
     table = stream.to_arrow()
-    known = columns_of(stream)
+    known = _value_columns(table)
     for name in fields:
         if name not in known:
             raise ConfigError(f"fields: found {name!r}, expected columns of {stream.key}: {', '.join(known)}")
+    _check_lengths(table, fields)
     rows = np.searchsorted(stream.times, table["time_ns"].to_numpy())
     if any(pa.types.is_string(table[name].type) for name in fields):
         if len(fields) > 1:
@@ -243,13 +262,14 @@ def _columns(stream: Stream, fields: Sequence[str]) -> tuple[str, Array, Any, tu
     found = np.concatenate(blocks, axis=1)
     if not found.shape[1]:
         raise ConfigError(f"fields: found no number in {', '.join(fields)} of {stream.key}, expected one or more")
-    with np.errstate(over="ignore"):  # what float32 does not hold is no value
-        finite = _finite(found.astype(np.float32))
+    finite = _finite_float32(found)
     return "numbers", rows[finite], found[finite], tuple(names), None
 
 
-def _finite(values: Array) -> npt.NDArray[np.bool_]:
-    return np.asarray(np.isfinite(values).all(axis=1))
+def _finite_float32(values: Array) -> npt.NDArray[np.bool_]:
+    """The rows of which float32 holds every number: others have no value."""
+    with np.errstate(over="ignore"):
+        return np.asarray(np.isfinite(values.astype(np.float32)).all(axis=1))
 
 
 def _row(values: Any, size: int) -> list[float]:

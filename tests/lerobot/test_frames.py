@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,8 @@ import numpy as np
 import pytest
 
 import igtl_gateway
+from igtl_gateway.convert.common_msgs import JointState, PoseStamped
+from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.errors import GatewayError
 from igtl_gateway.lerobot.drafting import draft
 from igtl_gateway.lerobot.episodes import longest, moving
@@ -266,3 +269,39 @@ def test_poses_are_those_of_the_api(tmp_path: Path) -> None:
     for at_ns, state in zip(episode.times, plan.values(episode, "observation.state"), strict=True):
         expected = pose_m((int(at_ns) - BEGIN_NS) / 1e9, 0)
         assert np.allclose(state, [*expected[:3, 3], *expected[:3, 0], *expected[:3, 1]], atol=1e-6)
+
+
+def test_poses_beyond_float32_are_unusable(tmp_path: Path) -> None:
+    """1e308 m is finite in a message, and infinite in a data set."""
+    near = (0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 1.0)
+    far = (1e308, -1e308, 0.5, 0.0, 0.0, 0.0, 1.0)
+    messages: list[Sent] = [
+        (0.02 * n, "/arm/measured_cp", partial(_pose_message, far if n == 7 else near)) for n in range(30)
+    ]
+    path = write_session(tmp_path / "s.mcap", messages)
+    with igtl_gateway.open(path) as recording:
+        text = draft(recording)
+        (tmp_path / "r.toml").write_text(text, "utf-8")
+        samples = build(recording, read_recipe(tmp_path / "r.toml")).samples[0]
+    assert samples is not None and (samples.count, samples.unusable) == (30, 1)
+    only = write_session(tmp_path / "far.mcap", [(at, name, partial(_pose_message, far)) for at, name, _ in messages])
+    with igtl_gateway.open(only) as recording, pytest.raises(GatewayError, match="found no stream of poses or joints"):
+        draft(recording)
+
+
+def _pose_message(pose: tuple[float, ...], stamp_ns: int) -> PoseStamped:
+    return PoseStamped(Header(stamp_ns, "base"), pose)  # type: ignore[arg-type]
+
+
+def test_a_stream_of_thousands_of_numbers_is_left_out(tmp_path: Path) -> None:
+    names, nothing = tuple(f"j{number}" for number in range(5_000)), np.array([])
+    messages: list[Sent] = arms((0, 1))
+    messages += [
+        (0.3 * n + 0.001, "/joint_states",
+         lambda stamp_ns: JointState(Header(stamp_ns, ""), names, np.zeros(5_000), nothing, nothing))
+        for n in range(3)
+    ]  # fmt: skip
+    path = write_session(tmp_path / "s.mcap", sorted(messages, key=lambda each: each[0]))
+    with igtl_gateway.open(path) as recording:
+        text = draft(recording)
+    assert "found 5,000 numbers in position, expected at most 4,096" in text and f'stream = "{ARM}"' in text
