@@ -19,7 +19,8 @@ from igtl_gateway.session.entry import Kind
 from igtl_gateway.sync.defaults import CUT_OFF_HZ
 from igtl_gateway.sync.lag import Lag, measure_lag, measure_together
 from igtl_gateway.sync.plus import line_height
-from igtl_gateway.sync.signal import Signal, moves
+from igtl_gateway.sync.probe import LEAST_SAMPLES
+from igtl_gateway.sync.signal import LARGEST, Signal, moves
 
 Array = npt.NDArray[Any]
 
@@ -34,6 +35,8 @@ _TOOL_M = 0.1
 #: Fields of messages that count or name something, and the most numbers of one message that are compared.
 _NOT_MOVING = frozenset({"header", "stamp", "unit", "id", "status", "layout"})
 _MOST_NUMBERS = 64
+#: Streams that are measured without being named.
+_MOST_STREAMS = 100
 
 
 def lag(
@@ -121,15 +124,22 @@ def movements(
 
     The first one is the reference of the others: of the streams that move and turn round, that with most samples.
 
-    A stream with an error of the kind ``unreadable`` is left out.
+    A stream with an error of the kind ``unreadable`` is left out.  Of more than 100, those with too few samples are.
+
+    Raises:
+        GatewayError: more than 100 are left.
     """
     found = []
-    for stream in (stream for each in recordings for stream in each.values()):
-        if stream.direction in (Kind.IGTL_IN.value, Kind.ROS_IN.value):
-            try:
-                found.append(movement(stream, frame=frame, line=line))
-            except (ConfigError, unreadable):
-                continue
+    inputs = [stream for each in recordings for stream in each.values() if Kind(stream.direction).is_input]
+    if len(inputs) > _MOST_STREAMS:
+        inputs = [stream for stream in inputs if stream.count >= LEAST_SAMPLES]
+    if len(inputs) > _MOST_STREAMS:
+        raise GatewayError(f"found {len(inputs):,} input streams, expected up to {_MOST_STREAMS}, or their names")
+    for stream in inputs:
+        try:
+            found.append(movement(stream, frame=frame, line=line))
+        except (ConfigError, unreadable):
+            continue
     return sorted(found, key=lambda signal: (not moves(signal), -len(signal.times_ns)))
 
 
@@ -166,14 +176,25 @@ def _of_images(stream: Stream, line: bool) -> tuple[Array, str]:
 
 
 def picture_components(pictures: Iterable[Array]) -> Array:
-    """Return the first principal components (N, up to 3) of small versions of grey pictures (rows, columns)."""
-    small = np.array([_thumbnail(picture) for picture in pictures])
-    if not len(small):
-        return small.reshape(0, 1)
-    centred = small - small.mean(axis=0)
+    """Return the first principal components (N, up to 3) of small versions of grey pictures (rows, columns).
+
+    NaN for a picture with values that are not finite, and for one of another size than the first one.
+    """
+    small = [_thumbnail(picture) for picture in pictures]
+    if not small:
+        return np.zeros((0, 1))
+    size = small[0].size
+    good = np.array([each.size == size and bool((np.abs(each) < LARGEST).all()) for each in small])
+    found = np.full((len(small), min(_COMPONENTS, size)), np.nan)
+    if not good.any():
+        return found
+    kept = np.array([each for each, is_good in zip(small, good.tolist(), strict=True) if is_good])
     # of the smaller of the two products: a second of video, or an hour
-    left, sizes, _ = np.linalg.svd(centred, full_matrices=False)
-    return np.asarray(left[:, :_COMPONENTS] * sizes[:_COMPONENTS])
+    left, sizes, _ = np.linalg.svd(kept - kept.mean(axis=0), full_matrices=False)
+    components = left[:, :_COMPONENTS] * sizes[:_COMPONENTS]
+    found = found[:, : components.shape[1]]
+    found[good] = components
+    return found
 
 
 def _grey(array: Array) -> Array:

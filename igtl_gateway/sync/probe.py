@@ -16,6 +16,7 @@ LEAST_SAMPLES = 30
 _PART_COVERED = 0.6  # of the samples that a lag has to cover
 _SPREAD = 0.05  # part of the main component's spread below which a component is left out
 _DRIFT_S = 20.0  # shortest period of what counts as drift
+_MOST_DRIFT = 60  # cosines: those of 10 minutes
 _SEARCH_HZ = 4.0  # samples for the search, relative to the cut-off: more of them contain nothing further
 _RIDGE = 1e-9  # of columns of size 1, for those that depend on each other
 _CHANCE = 3.1  # quantile of the normal distribution, of what chance explains at the best of some lags
@@ -37,7 +38,7 @@ class Probe:
     def __init__(self, times: Floats, target: Floats, faster: Filtered, direction: int, cut_off_hz: float) -> None:
         self.times, self.target, self.faster, self.direction = times, target, faster, direction
         seconds = max(float(times[-1] - times[0]), 1e-9)
-        slow = int(2 * seconds / _DRIFT_S)
+        slow = min(int(2 * seconds / _DRIFT_S), _MOST_DRIFT)
         self.drift = np.cos(np.pi * np.arange(slow + 1) * ((times - times[0]) / seconds)[:, np.newaxis])
         values = faster.at(times[faster.covers(times)])
         _, sizes, axes = np.linalg.svd(values - values.mean(axis=0), full_matrices=False)

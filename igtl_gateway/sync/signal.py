@@ -12,6 +12,10 @@ from igtl_gateway.stamp import NS_PER_S
 
 Floats = npt.NDArray[np.float64]
 
+#: Values from here on are no movement; their fourth powers would not be finite.
+LARGEST = 1e60
+
+_MOST_GRID = 1 << 20  # samples of a grid: stamps may lie, and be centuries apart
 _POWER = 0.98  # part of the power of a movement that its bandwidth has to have
 _MARGIN = 1.5
 _GAP = 3.0  # periods without a sample from which on a signal is unknown
@@ -42,11 +46,13 @@ class Signal:
     def of(
         cls, times_ns: npt.ArrayLike, values: npt.ArrayLike, name: str = "", unit: str = "", *, is_stamped: bool = True
     ) -> Signal:
-        """Return the signal of samples in any order: sorted, without values that are not finite, one for each time."""
+        """Return the signal of samples in any order: sorted, with one for each time.
+
+        Samples with a value that is not finite, or not below 1e60, are left out."""
         times = np.asarray(times_ns, np.int64)
         array = np.asarray(values, np.float64)
         array = array[:, np.newaxis] if array.ndim == 1 else array
-        good = np.isfinite(array).all(axis=1)
+        good = (np.abs(array) < LARGEST).all(axis=1)
         order = np.argsort(times[good], kind="stable")
         times, array = times[good][order], array[good][order]
         first = np.ones(len(times), bool)
@@ -84,7 +90,7 @@ class Filtered:
         times = (signal.times_ns - origin_ns) / NS_PER_S
         period = signal.period_s
         sigma_s = 1 / (2 * math.pi * cut_off_hz)
-        step_s = min(period, sigma_s) / 2
+        step_s = _step(min(period, sigma_s) / 2, float(times[-1] - times[0]))
         count = int((times[-1] - times[0]) / step_s) + 1
         at = times[0] + step_s * np.arange(count)
         raw = np.stack([np.interp(at, times, column) for column in signal.values.T], axis=1)
@@ -137,8 +143,8 @@ def _smoothed(values: Floats, sigma: float) -> Floats:
 
 def bandwidth(signal: Signal) -> float:
     """Return the frequency that the movement stays below, Hz: that with nearly all of the power above the noise."""
-    period = signal.period_s
     times = (signal.times_ns - signal.times_ns[0]) / NS_PER_S
+    period = _step(signal.period_s, float(times[-1]))
     at = np.arange(0.0, times[-1], period)
     values = np.stack([np.interp(at, times, column) for column in signal.values.T], axis=1)
     values = (values - values.mean(axis=0)) * np.hanning(len(at))[:, np.newaxis]
@@ -148,6 +154,11 @@ def bandwidth(signal: Signal) -> float:
     above = np.cumsum(np.maximum(power - floor, 0.0)[: len(power) // 2])
     place = int(np.searchsorted(above, _POWER * above[-1]))
     return _MARGIN * float(frequencies[place])
+
+
+def _step(wanted_s: float, span_s: float) -> float:
+    """The step of a grid: the wanted one, or a longer one for a grid that would be too large."""
+    return max(wanted_s, span_s / _MOST_GRID, 1e-9)
 
 
 def moves(signal: Signal) -> bool:
@@ -185,7 +196,7 @@ def reversals(values: Floats) -> int:
 
 def period(times: Floats, values: Floats) -> float:
     """Return the period of a movement that repeats itself throughout, s; NaN if it does not."""
-    step = float(np.median(np.diff(times)))
+    step = _step(float(np.median(np.diff(times))), float(times[-1] - times[0]))
     grid = np.interp(np.arange(times[0], times[-1], step), times, values)
     grid = grid - grid.mean()
     count = len(grid)
