@@ -270,6 +270,7 @@ UNMIRRORED = (
     "integration",
     "peers",
     "passage/test_turns.py",  # turns of links in _passage.c
+    "exchange/test_import_memory.py",  # any importer
     "exchange/test_import_mutations.py",  # tools/import_mutations.py
     "cli/test_file_modes.py",  # outputs of every verb
     "cli/test_exit_codes.py",  # every verb's, docs/command-line.md
@@ -287,6 +288,7 @@ UNMIRRORED = (
     "test_packaging.py",  # pyproject.toml, lab/pyproject.toml
     "test_fixtures.py",  # what the recordings in fixtures/ promise
     "test_fuzz_files.py",  # tools/fuzz_files.py
+    "test_fuzz_values.py",  # tools/fuzz_values.py
     "test_gateway_fuzz.py",
     "test_ros_package.py",  # ros2/igtl_gateway_ros
     "test_notebooks.py",  # docs/notebooks

@@ -38,8 +38,8 @@ _ROS1 = (
 
 
 def _field(name: str, value: bytes, make: Maker, place: str) -> bytes:
-    body = f"{name}=".encode() + make.blob(f"{place}.{name}", value)
-    return struct.pack("<I", make.length(f"{place}.{name}.length", len(body))) + body
+    body = f"{name}=".encode() + make.blob(f"{place}.({name})", value)
+    return struct.pack("<I", make.length(f"{place}.({name}).length", len(body))) + body
 
 
 def _bag_record(make: Maker, place: str, op: int, items: Mapping[str, bytes], data: bytes) -> bytes:

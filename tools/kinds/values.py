@@ -162,7 +162,8 @@ class Maker:
         return self.written(name, json.dumps(document))
 
     def _made(self, name: str, code: str, true: Any) -> Any:
-        self.fields[name] = code
+        if self.fields.setdefault(name, code) != code:
+            raise ValueError(f"found the field {name} as {self.fields[name]} and as {code}, expected one type")
         if name != self._field or self.rng.random() >= self._share:
             return true
         value = CHOICES[code][self._choice]
