@@ -67,6 +67,7 @@ types-elsewhere: $(READY)
 
 pins: $(READY)
 	@$(BIN)/python tools/constraints.py --check
+	@$(BIN)/python tools/hashes.py --check
 
 documents: $(READY)
 	@$(BIN)/python tools/docs.py --check

@@ -18,6 +18,7 @@ import pytest
 
 from hatch_build import SOURCES, compiled
 from igtl_gateway import __version__
+from tools import hashes
 from tools import release as module
 from tools.constraints import EXTRAS, HEADER
 from tools.release import SUMS, ReleaseError, release, sha256
@@ -102,6 +103,21 @@ def test_pins_and_sbom_are_of_all_extras() -> None:
     assert text.startswith(HEADER)
     for path in ("tools/setup.sh", "CONTRIBUTING.md", ".github/workflows/ci.yml"):
         assert f"{EXTRAS.removeprefix('ros,')},lab,dev" in (ROOT / path).read_text("utf-8"), path
+
+
+def test_each_pin_of_users_has_hashes_and_no_address() -> None:
+    text, pinned = hashes.HASHES.read_text("utf-8"), hashes.pins()
+    wanted = hashes.needed(pinned)
+    assert "numpy" in wanted and hashes.faults(text, pinned, wanted) == []
+    one = f"numpy=={pinned['numpy']} \\\n"
+    first = text[text.index(one) + len(one) :].partition("\n")[0] + "\n"
+    for changed, fault in (
+        (text.replace(one, "numpy==1.0 \\\n"), "numpy: found 1.0, expected"),
+        (text.replace(one, "numpi==1.0 \\\n"), "numpi: found 1.0, expected None"),
+        (text.replace(one + first, one + first.replace("sha256:", "md5:")), "numpy: found no hashes"),
+        (text + "--index-url https://example.org/simple\n", "found '--index-url"),
+    ):
+        assert [line for line in hashes.faults(changed, pinned, wanted) if line.startswith(fault)], fault
 
 
 @pytest.mark.ros

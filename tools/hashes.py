@@ -1,0 +1,80 @@
+"""SHA-256 of every file of the packages that users install, for ``pip --require-hashes``.
+
+    .venv/bin/python tools/hashes.py             write hashes.txt again, from the package index
+    .venv/bin/python tools/hashes.py --check     has hashes.txt the pins of constraints.txt, each with hashes?
+
+The file has the versions of ``constraints.txt`` without what only developers need, and no address of an index.
+``docs/releases.md`` shows how to install with it.  Setting up the development environment does not use it.
+"""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+
+from packaging.requirements import Requirement
+
+from tools.constraints import CONSTRAINTS, EXTRAS, requirements
+
+HASHES = CONSTRAINTS.with_name("hashes.txt")
+HEADER = f"# SHA-256 of what the extras [{EXTRAS}] install; see constraints.txt.  To renew: python tools/hashes.py\n"
+_PIN = re.compile(r"^([a-z0-9][a-z0-9._-]*)==(\S+) \\$((?:\n    --hash=sha256:[0-9a-f]{64}(?: \\)?)+)$", re.MULTILINE)
+
+
+def pins() -> dict[str, str]:
+    """Return name and version of all pins of ``constraints.txt``."""
+    lines = CONSTRAINTS.read_text("utf-8").splitlines()
+    return {name: version for name, equal, version in (line.partition("==") for line in lines) if equal}
+
+
+def needed(of: dict[str, str]) -> dict[str, str]:
+    """Return the pins that users need, as far as they are installed here."""
+    names = requirements(Requirement(f"igtl-gateway[{EXTRAS}]"))
+    return {name: version for name, version in of.items() if name in names}
+
+
+def compiled(wanted: dict[str, str]) -> str:
+    """Return the content of the file, by the hashes of the package index."""
+    with tempfile.TemporaryDirectory() as folder:
+        given, found = Path(folder) / "pins.in", Path(folder) / "pins.txt"
+        given.write_text("".join(f"{name}=={version}\n" for name, version in wanted.items()), "utf-8")
+        quiet = ("--quiet", "--no-header", "--no-annotate", "--no-emit-index-url")
+        uv = str(Path(sys.executable).with_name("uv"))
+        subprocess.run(
+            [uv, "pip", "compile", given, "--no-deps", "--generate-hashes", *quiet, "--output-file", found], check=True
+        )
+        return HEADER + found.read_text("utf-8")
+
+
+def faults(text: str, pinned: dict[str, str], wanted: dict[str, str]) -> list[str]:
+    """Return what is wrong with the content of the file: ``wanted`` are the ``pinned`` versions that it must have."""
+    found = {name: version for name, version, _ in _PIN.findall(text)}
+    wrong = [f"{name}: found no hashes, expected those of {wanted[name]}" for name in wanted.keys() - found]
+    wrong += [
+        f"{name}: found {version}, expected {pinned.get(name)} of constraints.txt"
+        for name, version in found.items()
+        if pinned.get(name) != version
+    ]
+    rest = _PIN.sub("", text.removeprefix(HEADER)).strip()
+    return sorted(wrong) + [f"found {rest[:60]!r}, expected pins with hashes only"] * bool(rest)
+
+
+def main() -> int:
+    """Write the file, or with ``--check`` compare; 1 where it differs."""
+    pinned = pins()
+    if sys.argv[1:] != ["--check"]:
+        HASHES.write_text(compiled(needed(pinned)), "utf-8")
+        return 0
+    wrong = faults(HASHES.read_text("utf-8"), pinned, needed(pinned))
+    for line in wrong:
+        print(f"{HASHES.name}: {line}", file=sys.stderr)
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
