@@ -201,7 +201,7 @@ def _cdr(make: Maker, name: str, ros_type: str, types: Mapping[str, Any]) -> byt
             fields_of(at, inner)
         elif inner[0] in ("string", "wstring"):
             text = make.coded(at, make.rng.choice(("", "map", "rgb8", "ProbeToTracker")))
-            put("<I", make.length(f"{at}.length", len(text) + 1))
+            put("<I", make.length(f"{at}.(length)", len(text) + 1))
             data.extend(text + b"\0")
         elif inner[0] in _FLOATS:
             value = make.float(at, make.rng.uniform(-1, 1))
@@ -217,7 +217,7 @@ def _cdr(make: Maker, name: str, ros_type: str, types: Mapping[str, Any]) -> byt
                 each, size = inner
                 count = size if kind == Nodetype.ARRAY else make.rng.choice((0, 1, 3, 4, 12))
                 if kind == Nodetype.SEQUENCE:
-                    put("<I", make.length(f"{where}.count", count))
+                    put("<I", make.length(f"{where}.(count)", count))
                 for _ in range(count):
                     value_of(where, each)
             else:
