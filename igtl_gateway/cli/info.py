@@ -9,6 +9,7 @@ from typing import Any
 
 from igtl_gateway.app.content_summary import ContentSummary, StreamSummary
 from igtl_gateway.cli.common import count_text, size_text, utc_text
+from igtl_gateway.cli.info_source import recording_of
 from igtl_gateway.cli.losses import DIRECTIONS, losses
 from igtl_gateway.cli.merge_output import print_merge
 from igtl_gateway.cli.next_steps import info_steps, print_next
@@ -41,15 +42,20 @@ _NOT_YET = "   unknown: the ledger is written when the recording ends"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_file(parser, "recording, directory of a split recording, or MCAP file of rosbag2")
+    add_file(parser, "recording, directory of a split recording, bag of rosbag2, or - for the standard input")
     add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:
+    with recording_of(options.file) as place:
+        return _run(options, place)
+
+
+def _run(options: argparse.Namespace, place: Path) -> int:
     try:
-        with SessionFile.open(options.file) as file:
+        with SessionFile.open(place) as file:
             content = ContentSummary.of(file.entries())
-            summary = _facts(options.file, file, content, file.start_ns, file.end_ns)
+            summary = _facts(place, file, content, file.start_ns, file.end_ns) | {"file": str(options.file)}
             summary["bytes"] = file.size
             summary["skipped"] = [asdict(skipped) for skipped in file.skipped]
             if file.parts:
@@ -61,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
     except DamagedRecording as error:
         if options.file.is_dir():
             raise  # it names the part that is damaged
-        return _run_damaged(options, error)
+        return _run_damaged(options, place, error)
     if options.json:
         print_json(summary)
     else:
@@ -72,14 +78,15 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _run_damaged(options: argparse.Namespace, error: DamagedRecording) -> int:
+def _run_damaged(options: argparse.Namespace, place: Path, error: DamagedRecording) -> int:
     """The same of whatever can be read: a finding, unless the recording has not ended yet."""
     growing = isinstance(error, BeingRecorded)
-    with Salvage.open(options.file) as file:
+    with Salvage.open(place) as file:
         content = ContentSummary.of(file.entries())
         report = file.report
-        summary = _facts(options.file, file, content, report.start_ns, report.end_ns) | {"skipped": []}
-    summary["bytes"] = options.file.stat().st_size
+        summary = _facts(place, file, content, report.start_ns, report.end_ns)
+        summary |= {"file": str(options.file), "skipped": []}
+    summary["bytes"] = place.stat().st_size
     summary |= {"being_recorded": True} if growing else {"damaged": {"why": str(error), **asdict(report)}}
     if options.json:
         print_json(summary)

@@ -1,0 +1,63 @@
+"""What ``info`` reads besides recordings: a folder of rosbag2, and the standard input."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from igtl_gateway.cli.import_ import import_facts
+from igtl_gateway.errors import ConfigError, UnsupportedRecording
+from igtl_gateway.exchange.formats import open_source
+from igtl_gateway.exchange.source import numbered
+from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.sessionfile.side_file import SIDE_FILE
+from igtl_gateway.sessionfile.writer import SessionWriter
+
+STANDARD_INPUT = Path("-")
+
+
+@contextmanager
+def recording_of(path: Path) -> Iterator[Path]:
+    """Context manager: the recording at a path, or a temporary one with the content of a bag or the standard input.
+
+    Raises UnsupportedRecording, DamagedRecording; ConfigError without standard input.
+    """
+    if path != STANDARD_INPUT and not _is_bag(path):
+        yield path
+        return
+    with TemporaryDirectory(prefix="igtl-gateway-") as folder:
+        place = Path(folder) / "session.mcap"
+        if path == STANDARD_INPUT:
+            if sys.stdin is None or sys.stdin.isatty():
+                raise ConfigError(
+                    "-: found no file at the standard input, expected one: igtl-gateway info - < out.mcap"
+                )
+            with place.open("wb") as file:
+                shutil.copyfileobj(sys.stdin.buffer, file)
+        else:
+            _import(path, place)
+        yield place
+
+
+def _is_bag(path: Path) -> bool:
+    """Return whether a folder is one of rosbag2, and not one of a split recording, which has the same side file."""
+    if not path.is_dir() or not (path / SIDE_FILE).is_file():
+        return False
+    try:
+        with SessionFile.open(path):
+            return False
+    except UnsupportedRecording:
+        return True
+
+
+def _import(path: Path, place: Path) -> None:
+    with closing(open_source(path)) as source:
+        facts = import_facts(path, source)
+        writer = SessionWriter(place, facts, qos_of=source.qos_of, definition_of=source.definition_of)
+        for entry in numbered(source.items()):
+            writer.write(entry)
+        writer.close({})

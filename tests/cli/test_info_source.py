@@ -1,0 +1,57 @@
+"""``info`` of a bag of rosbag2, in both storages, and of the standard input."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sqlite3
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from igtl_gateway.cli import main
+
+CRTK = Path("fixtures/crtk.mcap")
+
+
+@pytest.mark.parametrize("storage", ["SQLITE3", "MCAP"])
+def test_a_bag_of_ros_2(storage: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    types = get_typestore(Stores.ROS2_JAZZY)
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin[storage]) as writer:
+        topic = writer.add_connection("/said", "std_msgs/msg/String", typestore=types)
+        for number in range(5):
+            content = types.types["std_msgs/msg/String"](data=f"{number}")
+            writer.write(topic, 1_700_000_000_000_000_000 + number, types.serialize_cdr(content, "std_msgs/msg/String"))
+    assert main(["info", str(tmp_path / "bag"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["file"] == str(tmp_path / "bag")
+    assert [(each["stream"], each["messages"]) for each in found["streams"] if each["stream"] == "/said"] == [
+        ("/said", 5)
+    ]
+
+
+def test_a_bag_that_is_damaged_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "metadata.yaml").write_text("rosbag2_bagfile_information: [", "utf-8")
+    assert main(["info", str(tmp_path / "bag")]) in (1, 2)
+    assert len(capsys.readouterr().err.splitlines()) == 1
+    sqlite3.connect(tmp_path / "bag" / "bag_0.db3").close()
+    assert main(["info", str(tmp_path / "bag")]) in (1, 2)
+
+
+def test_the_standard_input(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(shutil.copytree("fixtures", tmp_path / "fixtures").parent)
+    assert main(["info", str(CRTK), "--json"]) == 0
+    expected = json.loads(capsys.readouterr().out)
+    with CRTK.open("rb") as stream:
+        monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=stream, isatty=lambda: False))
+        assert main(["info", "-", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == expected | {"file": "-"}
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: True))
+    assert main(["info", "-"]) == 2
+    assert "expected one: igtl-gateway info - < out.mcap" in capsys.readouterr().err
