@@ -73,6 +73,8 @@ def _readme(plan: Plan, streams: list[Facts]) -> Iterator[str]:
     yield from _spaces(plan)
     yield from ("", "## Data synchronization approach", "")
     yield from _approach(plan)
+    unaligned = sum(bool(names) for names in _unaligned(plan, streams))
+    yield f"**Episodes with streams that were not aligned: {unaligned:,} of {len(plan.episodes):,}.**"
     yield "[SYNCHRONIZATION.md](SYNCHRONIZATION.md) has rates, jitter, gaps and measured lags of each stream."
     yield from ("", "## Frames and messages", "")
     yield (
@@ -205,6 +207,31 @@ def _synchronization(plan: Plan, streams: list[Facts]) -> Iterator[str]:
     unmeasured = sum(not (isinstance(each.lag, Lag) and each.lag.verdict is Verdict.MEASURED) for each in streams[1:])
     yield ""
     yield f"Not measured: {unmeasured} of {len(streams) - 1}. For these, nothing is known beyond the stamps."
+    yield from ("", "## Episodes with streams that were not aligned", "")
+    yield f"Streams whose stamps are used as recorded, although a lag of 0 behind `{_cell(first)}` was not measured."
+    yield ""
+    episodes = [(f"{number}", ", ".join(names) or "none") for number, names in enumerate(_unaligned(plan, streams))]
+    yield from _rows(*episodes, titles=("episode", "not aligned"))
+
+
+def _unaligned(plan: Plan, streams: list[Facts]) -> Iterator[list[str]]:
+    """For each episode the streams that were not aligned, with their lags."""
+    names = {each.index: name for each in streams if (name := _not_aligned(each))}
+    for episode in plan.episodes:
+        used = [name for index, name in names.items() if episode.picks[index] is not None]
+        yield list(dict.fromkeys(used))
+
+
+def _not_aligned(facts: Facts) -> str:
+    """Name and lag of a stream that was not aligned; empty for an aligned one and for the reference."""
+    if facts.samples.correction is not None or facts.lag == "":
+        return ""
+    name = f"`{_cell(facts.samples.row.stream)}`"
+    match facts.lag:
+        case Lag(verdict=Verdict.MEASURED) as lag:
+            return "" if lag.low_s <= 0 <= lag.high_s else f"{name} (lag {lag.lag_s * 1e3:+.1f})"
+        case _:
+            return f"{name} (lag unknown)"
 
 
 def _label(plan: Plan, facts: Facts) -> str:

@@ -165,6 +165,10 @@ def test_every_frame_names_its_messages(recording: Path, tmp_path: Path) -> None
     recipe, root = tmp_path / "recipe.toml", tmp_path / "set"
     recipe.write_text(TRIAL_RECIPE.format(format="v2.1", lags="false"), "utf-8")
     export_lerobot(recording, recipe, root)
+    card = (root / "meta" / "SYNCHRONIZATION.md").read_text("utf-8")
+    told = card.partition("## Episodes with streams that were not aligned")[2]
+    assert all(f"| {number} | `" in told and "(lag unknown)" in told for number in (0, 1))
+    assert "streams that were not aligned: 2 of 2" in (root / "meta" / "README.md").read_text("utf-8")
     trace = parquet.read_table(root / "meta" / "provenance.parquet").to_pydict()
     values = parquet.read_table(root / "data/chunk-000/episode_000000.parquet").to_pydict()
     with igtl_gateway.open(recording) as opened:
