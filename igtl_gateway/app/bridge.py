@@ -53,6 +53,7 @@ from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.ledger import gaps
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_MS
+from igtl_gateway.systems.memory import IdleMemory
 
 if TYPE_CHECKING:
     from igtl_gateway.app.uploads import BridgeUploads
@@ -192,6 +193,7 @@ class Bridge:
         native = options.native and options.zenoh is None and not (sees_all or config.relay)
         passage = make_passage(clock) if native else None
         self.hub = Hub(Session(self.gateway, passage), clock, sinks, passage)
+        self._memory = IdleMemory()
         self._timer = Timer(
             self.hub.tick,
             lambda: self.gateway.due_ns,
@@ -446,7 +448,8 @@ class Bridge:
             self.hub.note(Note(Level.INFO, LISTENED, f"{topic} has a subscriber", topic))
 
     def _report(self) -> None:
-        """Publish log and diagnostics.  Runs once a second in the timer's thread."""
+        """Publish log and diagnostics, and return idle memory.  Runs once a second in the timer's thread."""
+        self._memory.look()
         if self._log:
             self._log.flush(self.hub.now_ns())
         self._publish_diagnostics()

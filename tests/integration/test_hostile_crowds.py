@@ -11,6 +11,7 @@ import os
 import socket
 import ssl
 import struct
+import threading
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -18,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from igtl_gateway.session.ledger import MAX_STREAMS, OTHERS
-from tests.integration.bridge import HEADER_SIZE, TIMEOUT_S, Bridge, RawPeer, message, string
+from tests.integration.bridge import HEADER_SIZE, TIMEOUT_S, Bridge, RawPeer, header, message, string
 
 RECONNECTS = int(os.environ.get("HOSTILE_RECONNECTS", "1000"))
 PEMS = Path(__file__).parents[1] / "edges" / "tcp" / "pems"
@@ -142,5 +143,32 @@ def test_200_that_never_begin_the_tls_handshake() -> None:
             assert all(peer.closed_by_peer() for peer in silent[: 200 - most])
         assert bridge.end().code == 0
         assert bridge.events[-1]["ledger"]["refused"]["no TLS handshake before others came"] > 200 - most - 1
+    finally:
+        bridge.close()
+
+
+def test_memory_of_large_messages_with_wrong_checksums_is_returned(tmp_path: Path) -> None:
+    """Within idle + 100 MB; the memory that the recorder shares with the bridge does not count."""
+    peers, size = 6, 40 << 20
+    data = header("IMAGE", size, 1) + bytes(size)
+    bridge = Bridge("--no-ros", "--record", str(tmp_path / "out.mcap"))
+    try:
+        idle = bridge.resident_bytes()
+        crowd = [RawPeer(bridge.port) for _ in range(peers)]
+        threads = [threading.Thread(target=peer.send, args=(data,)) for peer in crowd]
+        for thread in threads:
+            thread.start()
+        most = idle
+        while any(thread.is_alive() for thread in threads):
+            most = max(most, bridge.resident_bytes())
+            time.sleep(0.01)
+        bridge.wait_code("bad_crc")
+        for peer in crowd:
+            peer.close()
+        deadline = time.monotonic() + 60
+        while bridge.resident_bytes() > idle + 100_000_000 and time.monotonic() < deadline:
+            time.sleep(0.5)
+        assert most > idle + 100_000_000 > bridge.resident_bytes()
+        assert bridge.end().code == 0
     finally:
         bridge.close()
