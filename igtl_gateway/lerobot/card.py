@@ -210,8 +210,8 @@ def _synchronization(plan: Plan, streams: list[Facts]) -> Iterator[str]:
     yield from ("", "## Episodes with streams that were not aligned", "")
     yield f"Streams whose stamps are used as recorded, although a lag of 0 behind `{_cell(first)}` was not measured."
     yield ""
-    episodes = [(f"{number}", ", ".join(names) or "none") for number, names in enumerate(_unaligned(plan, streams))]
-    yield from _rows(*episodes, titles=("episode", "not aligned"))
+    unaligned = [(f"{number}", ", ".join(names) or "none") for number, names in enumerate(_unaligned(plan, streams))]
+    yield from _rows(*unaligned, titles=("episode", "not aligned"))
 
 
 def _unaligned(plan: Plan, streams: list[Facts]) -> Iterator[list[str]]:
