@@ -95,7 +95,7 @@ def test_a_configuration_file(tmp_path: Path) -> None:
 
 def test_rows_of_messages() -> None:
     rows = ["/camera/image=Camera", {"topic": "/pose", "device": "Tool", "max_age_s": 0.5}]
-    bridge = Bridge(listen=LOCAL, ros=False, to_igtl=rows)
+    bridge = Bridge(listen=LOCAL, ros="zenoh:tcp/localhost:1", to_igtl=rows)  # without ROS it would have no effect
     assert [row.device for row in bridge._bridge.gateway.config.to_igtl] == ["Camera", "Tool"]
     bridge.stop()
 
@@ -109,11 +109,13 @@ def test_rows_of_messages() -> None:
         ({"queue_mib": 0}, r"^queue_mib: found 0, expected 1 to"),
         ({"max_age_s": "1"}, r"^max_age_s: found '1', expected a number"),
         ({"to_igtl": "/camera"}, r"^to_igtl: found '/camera', expected a list"),
-        ({"to_igtl": [{"topik": "/camera"}]}, r"to_igtl\[0\]\.topik: unknown setting"),
+        ({"ros": True, "to_igtl": [{"topik": "/camera"}]}, r"to_igtl\[0\]\.topik: unknown setting"),
+        ({"to_igtl": ["/camera"]}, r"^to_igtl: found ros=False or relay, expected neither"),
         ({"custom_data": ["a=b"]}, r"^custom_data: found no record FILE, expected it"),
         ({"record": "a.mcap", "snapshot": 5.0, "split_size": 3}, r"^snapshot: found split_size or split_duration"),
-        ({"video_codec": "h264"}, r"^video_codec: found ros=False, expected ROS"),
-        ({"tls_key": "key.pem"}, r"^tls_ca, tls_cert: found no address with TLS, expected tls or tls://HOST:PORT$"),
+        ({"video_codec": "h264"}, r"^video_codec: found ros=False or relay, expected neither"),
+        ({"tls_key": "key.pem"}, r"^tls_key: found no tls_cert FILE, expected it"),
+        ({"tls_ca": "ca.pem"}, r"^tls_ca, tls_cert: found no address with TLS, expected tls or tls://HOST:PORT$"),
         ({"to_igtl": 5}, r"^to_igtl: found 5, expected a list"),
         ({"ros_args": ["-r", "__ns:=/a"]}, r"^ros_args: found ros=False, expected ROS"),
         ({"ros_args": "-r __ns:=/a"}, r"^ros_args: found '-r __ns:=/a', expected a list of strings"),
@@ -122,7 +124,7 @@ def test_rows_of_messages() -> None:
 )
 def test_settings(settings: dict[str, Any], text: str) -> None:
     with pytest.raises(ConfigError, match=text):
-        Bridge(ros=False, **settings)
+        Bridge(**({"ros": False} | settings))
 
 
 def test_a_port_in_use(tmp_path: Path) -> None:
