@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import signal
 import threading
 from collections.abc import Iterator
@@ -10,6 +11,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from igtl_gateway.cli.terminal import print_line
 from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.systems.signals import ENDINGS, KEPT_IGNORED, signals_in_thread
 
@@ -45,6 +47,15 @@ def stop_event() -> Iterator[threading.Event]:
 def count_text(number: int, thing: str, things: str = "") -> str:
     """``1 message``, ``1,234 messages``."""
     return f"{number:,} {thing if number == 1 else things or thing + 's'}"
+
+
+def print_damaged_indexes(path: Path, chunks: int) -> None:
+    """Print that indexes of messages are damaged, and the remedy; nothing if none is."""
+    if chunks:
+        print_line(
+            f"DAMAGED: the index of messages of {count_text(chunks, 'chunk')}: all messages are there, but "
+            f"programs that use the index may miss some; run: igtl-gateway recover {shlex.quote(str(path))}"
+        )
 
 
 def size_text(number: float) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.app.content_summary import ContentSummary, StreamSummary
-from igtl_gateway.cli.common import count_text, size_text, utc_text
+from igtl_gateway.cli.common import count_text, print_damaged_indexes, size_text, utc_text
 from igtl_gateway.cli.info_source import recording_of
 from igtl_gateway.cli.losses import DIRECTIONS, losses
 from igtl_gateway.cli.merge_output import print_merge
@@ -57,6 +57,7 @@ def _run(options: argparse.Namespace, place: Path) -> int:
             content = ContentSummary.of(file.entries())
             summary = _facts(place, file, content, file.start_ns, file.end_ns) | {"file": str(options.file)}
             summary["bytes"] = file.size
+            summary["damaged_indexes"] = file.damaged_indexes()
             summary["skipped"] = [asdict(skipped) for skipped in file.skipped]
             if file.parts:
                 summary["parts"] = [_part(part) for part in file.parts]
@@ -74,8 +75,9 @@ def _run(options: argparse.Namespace, place: Path) -> int:
         _print(summary, content.notes, file.start_ns)
         types = [each["stream"] for each in summary["streams"] if each["direction"] in _IGTL]
         problems = bool(summary["problems"])
+        print_damaged_indexes(options.file, summary["damaged_indexes"])
         print_next(*info_steps(str(options.file), is_foreign=summary["foreign"], has_problems=problems, types=types))
-    return 0
+    return 1 if summary["damaged_indexes"] else 0
 
 
 def _run_damaged(options: argparse.Namespace, place: Path, error: DamagedRecording) -> int:

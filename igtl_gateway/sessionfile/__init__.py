@@ -8,6 +8,7 @@ The way through the folder, from bytes to sessions:
 ``contents``         what is in a file and where: chunks, channels, counts
 ``chunks``           one chunk: read, unpacked, taken apart into messages
 ``scan``, ``index``  the contents of a file: from its summary, or by one pass over its data
+``index_check``      the indexes of messages, which have no checksum
 ``order``            the messages of a file in order of time
 ``layout``           topics, types, keys and metadata of a session; ``docs/session-log.md`` is the specification
 ``messages``         an entry as a CDR message, and back

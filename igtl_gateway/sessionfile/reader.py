@@ -37,6 +37,7 @@ from igtl_gateway.sessionfile.channels import (
 from igtl_gateway.sessionfile.chunks import Row
 from igtl_gateway.sessionfile.contents import ChunkEntry
 from igtl_gateway.sessionfile.index import read_index, read_record, recover_hint
+from igtl_gateway.sessionfile.index_check import damaged_indexes
 from igtl_gateway.sessionfile.layout import LayoutError
 from igtl_gateway.sessionfile.lookup import LatchedStateRule, look_up
 from igtl_gateway.sessionfile.merged import MERGE_METADATA, Merge, extract_part, parse_merge
@@ -261,6 +262,10 @@ class SessionFile:
                     self._stream, self._index, records.ATTACHMENT, place, f"{self.path}: {place.name}"
                 )
                 yield records.parse_attachment(content)
+
+    def damaged_indexes(self) -> int:
+        """Chunks whose index of messages is damaged: no entry is lost, but other programs may miss messages."""
+        return damaged_indexes(self._stream, self._index)
 
     def extract(self, name: str, out: IO[bytes]) -> None:
         """Write a part of a merged session as a session file of its own.
@@ -554,6 +559,14 @@ class SessionParts(SessionFile):
         for each in self.parts:
             with SessionFile.open(each.path) as part:
                 yield from part.messages()
+
+    def damaged_indexes(self) -> int:
+        """As SessionFile.damaged_indexes, of all parts."""
+        count = 0
+        for each in self.parts:
+            with SessionFile.open(each.path) as part:
+                count += part.damaged_indexes()
+        return count
 
     def attachments(self) -> Iterator[Attachment]:
         """Those of the first part, with which the session begins."""
