@@ -24,8 +24,8 @@ def test_port_in_use(world: World) -> None:
 @pytest.mark.parametrize(
     ("host", "port", "words"),
     [
-        ("0.0.0.0", 0, "allow networks"),
-        ("::", 0, "allow networks"),
+        ("0.0.0.0", 0, "--allow NETWORK"),
+        ("::", 0, "--allow NETWORK"),
         ("no.such.host.invalid", 0, "expected an address of this machine"),
         ("203.0.113.77", 0, "open to other hosts"),
         (HERE, 65536, "expected 0"),
