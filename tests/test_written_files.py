@@ -162,6 +162,7 @@ _ELSEWHERE = {
     "cohort/results.py": "parts that count when the manifest lists them; its lock removes the others",
     "cohort/query.py": "in a place of its caller",
     "exchange/csv_out.py": "in the folder of an export",
+    "cli/info_source.py": "in a temporary directory",
     "exchange/rosbag2.py": "in a temporary directory",
     "lerobot/layout.py": "in the folder of a training set",
     "lerobot/video.py": "in the folder of a training set",

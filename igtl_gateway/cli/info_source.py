@@ -13,6 +13,7 @@ from igtl_gateway.cli.import_ import import_facts
 from igtl_gateway.errors import ConfigError, UnsupportedRecording
 from igtl_gateway.exchange.formats import open_source
 from igtl_gateway.exchange.source import numbered
+from igtl_gateway.sessionfile.new_file import open_new
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.side_file import SIDE_FILE
 from igtl_gateway.sessionfile.writer import SessionWriter
@@ -36,7 +37,7 @@ def recording_of(path: Path) -> Iterator[Path]:
                 raise ConfigError(
                     "-: found no file at the standard input, expected one: igtl-gateway info - < out.mcap"
                 )
-            with place.open("wb") as file:
+            with open_new(place) as file:
                 shutil.copyfileobj(sys.stdin.buffer, file)
         else:
             _import(path, place)
