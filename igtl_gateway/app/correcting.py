@@ -9,6 +9,7 @@ from igtl_gateway import __version__
 from igtl_gateway.app.verification import IMPORTED, verify_recording
 from igtl_gateway.errors import GatewayError, UnsupportedRecording
 from igtl_gateway.qos import Qos
+from igtl_gateway.sessionfile import layout
 from igtl_gateway.sessionfile.beside import written
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.writer import SessionWriter
@@ -49,7 +50,7 @@ def write_corrected(
             writer = SessionWriter(place, facts, qos_of=qos_of, compression="zstd")
             for entry in corrected(file.entries(), corrections):
                 writer.write(entry)
-            writer.close(dict(file.ledger or {}))
+            writer.close({**(file.ledger or {}), **layout.declared_losses(file.ledger)})
         has_outputs = IMPORTED not in facts
         if has_outputs and not verify_recording(place).good:
             names = ", ".join(each.stream for each in corrections.values())

@@ -104,9 +104,8 @@ def _write(file: SessionFile, part: Slice, window: SliceWindow, options: argpars
         writer = SessionWriter(place, facts, qos_of=qos_of, compression="zstd")
         for entry in part.entries():
             writer.write(entry)
-        # losses of the recording are losses of its parts
-        inherited = {key: value for key, value in (file.ledger or {}).items() if key in ("recorder", "recovered")}
-        writer.close({"streams": part.report.ledger, **inherited})
+        losses = {} if file.foreign else layout.declared_losses(file.ledger)
+        writer.close({"streams": part.report.ledger, **losses})
 
 
 def _facts(report: SliceReport) -> dict[str, object]:

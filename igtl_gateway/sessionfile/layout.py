@@ -64,6 +64,8 @@ CHECKSUM_KEY = "crc32"
 LEDGER_KEY = "ledger"
 #: Key of the ledger of a recording that was closed because the bridge ended: its last outputs may be missing.
 CUT_OFF_KEY = "cut_off"
+#: Keys of the ledger that declare losses.
+_LOSSES = ("recorder", "recovered", CUT_OFF_KEY)
 
 #: Keys of the channel metadata.  The first two are those of rosbag2.
 QOS_KEY = "offered_qos_profiles"
@@ -252,3 +254,11 @@ def seal_ledger(ledger: Mapping[str, Any]) -> dict[str, str]:
 
 def _checksum(items: Mapping[str, str]) -> str:
     return f"{crc32(json.dumps(sorted(items.items())).encode()):08x}"
+
+
+def declared_losses(ledger: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Return what the ledger of a recording declares as lost, for the ledger of a part or a copy.
+
+    A recording without a ledger has lost its end.
+    """
+    return {CUT_OFF_KEY: True} if ledger is None else {key: ledger[key] for key in _LOSSES if key in ledger}

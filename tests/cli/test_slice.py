@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mcap.reader import make_reader
@@ -116,3 +117,37 @@ def test_what_is_before_the_window_is_read_once(tmp_path: Path, monkeypatch: pyt
     assert main(["slice", str(source), str(tmp_path / "late.mcap"), "--start", str((1 - share) * 2 / share)]) == 0
     # the state follows from all of the session before, so that is read; the window is read to compare, and to write
     assert read.count < size * (1 + 2 * share) + (1 << 20)
+
+
+def without_end(path: Path, ledger: dict[str, Any]) -> None:
+    """A recording whose bridge was killed before its last output was recorded."""
+    with SessionFile.open(FIXTURES / "paper-types.mcap") as file:
+        entries = list(file.entries())
+        while entries[-1].kind.is_input:
+            entries.pop()
+        writer = SessionWriter(path, file.session)
+        for entry in entries[:-1]:
+            writer.write(entry)
+        writer.close(ledger)
+
+
+@pytest.mark.parametrize(
+    "ledger", [{"cut_off": True}, {"recovered": {"by": "a", "from": "b", "whole": False, "lost": [], "more_lost": 0}}]
+)
+def test_a_part_of_a_recording_without_its_end_verifies_as_the_whole(
+    ledger: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    whole, part = tmp_path / "whole.mcap", tmp_path / "part.mcap"
+    without_end(whole, ledger)
+    assert main(["verify", str(whole)]) == 0
+    assert "not verified: 1 output that the recording has lost" in capsys.readouterr().out
+    assert main(["slice", str(whole), str(part), "--start", "1"]) == 0
+    capsys.readouterr()
+    assert main(["verify", str(part)]) == 0
+    assert "not verified: 1 output that the recording has lost" in capsys.readouterr().out
+
+
+def test_a_loss_that_nothing_declares_is_a_difference(tmp_path: Path) -> None:
+    whole = tmp_path / "whole.mcap"
+    without_end(whole, {})
+    assert main(["verify", str(whole)]) == 1

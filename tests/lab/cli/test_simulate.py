@@ -26,7 +26,7 @@ def test_a_recording_verifies_and_is_always_the_same(tmp_path: Path, capsys: pyt
     assert first.read_bytes() == second.read_bytes()
     assert main(["verify", str(first)]) == 0
     told = capsys.readouterr().out
-    assert "planner      good" in told and "3. at the target after" in told
+    assert "planner      done" in told and "3. at the target after" in told
 
 
 def test_the_outcome_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
