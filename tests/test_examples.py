@@ -68,6 +68,6 @@ def test_from_a_recording_to_numpy(monkeypatch: pytest.MonkeyPatch, capsys: pyte
         "fastest: 143 mm/s",
         "99",
         "(1200, 4, 4) m",
-        "(240, 320, 3) uint8 (1.0, 1.0, 1.0) mm",
+        "(1, 240, 320, 3) (240, 320, 3) uint8 (1.0, 1.0, 1.0) mm",
         "(27197, 3) mm ['RGB']",
     ]

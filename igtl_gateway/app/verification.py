@@ -41,6 +41,7 @@ class Verification:
         by_stream: differing outputs by stream.
         firsts: first difference of each stream.
         differences: the first 1,000 differences.
+        damaged_indexes: number of chunks whose index of messages is damaged: other programs do not find all messages.
     """
 
     file: Path
@@ -58,6 +59,7 @@ class Verification:
     by_stream: dict[str, int]
     firsts: dict[str, Difference]
     differences: tuple[Difference, ...]
+    damaged_indexes: int = 0
 
     @property
     def good(self) -> bool:
@@ -109,7 +111,8 @@ def verify_session(file: SessionFile, config_path: Path | None = None) -> Verifi
     report = verify(file.entries(), config, losses, before=file.prologue(), decoder=decoder)
     counts = {each.name: getattr(report, each.name) for each in fields(VerifyReport)}
     counts["differences"] = tuple(report.differences)
-    return Verification(path, recorded_by, __version__, str(config_path) if config_path else RECORDED, **counts)
+    config_name = str(config_path) if config_path else RECORDED
+    return Verification(path, recorded_by, __version__, config_name, **counts, damaged_indexes=file.damaged_indexes())
 
 
 def _config(path: Path, config_path: Path | None, file: SessionFile, recorded_by: str) -> Config:

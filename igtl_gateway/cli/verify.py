@@ -12,7 +12,6 @@ from igtl_gateway.cli.common import count_text, print_damaged_indexes, utc_text
 from igtl_gateway.cli.options import add_config, add_file, add_json
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.errors import ConfigError
-from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.seal_check import CHANGED, CUT, SEALED, UNSEALED, UNTRUSTED, SealReport
 from igtl_gateway.sessionfile.side_file import SIDE_FILE
 
@@ -77,14 +76,12 @@ def run(options: argparse.Namespace) -> int:
     if parts := verify_parts(options.file, options.config):
         return _run_parts(parts, options)
     result = verify_recording(options.file, options.config)
-    with SessionFile.open(options.file) as file:
-        damaged = file.damaged_indexes()
     if options.json:
-        print_json(result.to_dict() | {"damaged_indexes": damaged})
+        print_json(result.to_dict())
     else:
         _print(result, options.all)
-        print_damaged_indexes(options.file, damaged)
-    return 0 if result.good and not damaged else 1
+        print_damaged_indexes(options.file, result.damaged_indexes)
+    return 0 if result.good and not result.damaged_indexes else 1
 
 
 def _run_parts(parts: Sequence[Verification], options: argparse.Namespace) -> int:

@@ -28,7 +28,7 @@ from igtl_gateway.systems.files import (
     rename_new,
     sync_folder,
 )
-from igtl_gateway.untrusted.files import is_being_written
+from igtl_gateway.untrusted.files import is_being_written, obstacle
 
 _START, _END = ".igtl-gateway-", ".part"
 _LOCK = ".igtl-gateway.lock"
@@ -43,16 +43,16 @@ def check_target(path: Path, *, overwrite: bool) -> None:
     try:
         here = path.lstat()
         found = path.stat() if path.exists() else here  # a link to nothing is replaced as any other link
-    except FileNotFoundError:
+    except FileNotFoundError as error:
         if not path.parent.is_dir():
-            raise GatewayError(f"cannot write to {path}: there is no folder {path.parent}") from None
+            raise write_error(path, error) from None
         return
     except (OSError, ValueError) as error:
         raise write_error(path, error) from None
+    if not (stat.S_ISREG(found.st_mode) or stat.S_ISLNK(found.st_mode)):
+        raise GatewayError(f"cannot write to {path}: {obstacle(path)}")
     if not overwrite:
         raise ConfigError(f"{path}: exists already, expected a new file or --overwrite")
-    if not (stat.S_ISREG(found.st_mode) or stat.S_ISLNK(found.st_mode)):
-        raise GatewayError(f"cannot write to {path}: it is not a regular file, expected one or a new name")
     _check_idle(path, here)
 
 
@@ -141,7 +141,8 @@ def check_folder(path: Path, *, overwrite: bool = False) -> None:
 
 def write_error(path: Path, error: Exception) -> GatewayError:
     """What to raise where ``path`` cannot be written."""
-    return GatewayError(f"cannot write to {path}: {getattr(error, 'strerror', None) or error}")
+    why = obstacle(path, error) if isinstance(error, OSError | ValueError) else ""
+    return GatewayError(f"cannot write to {path}: {why or error}")
 
 
 def is_unfinished(path: Path) -> bool:

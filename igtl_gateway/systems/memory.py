@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import gc
-import os
+import mmap
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -24,7 +24,7 @@ def own_bytes() -> int:
     """Return the resident memory of this process that no file or other process shares; 0 where it is not known."""
     try:
         _, resident, shared, *_ = _STATM.read_text("ascii").split()
-        return (int(resident) - int(shared)) * os.sysconf("SC_PAGE_SIZE")
+        return (int(resident) - int(shared)) * mmap.PAGESIZE
     except (OSError, ValueError):
         return 0
 

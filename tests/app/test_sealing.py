@@ -10,7 +10,7 @@ import pytest
 from igtl_gateway.app.sealed_folder import ABSENT, FOLLOWS
 from igtl_gateway.app.sealing import seal_recording, verify_seal
 from igtl_gateway.clock import ManualClock
-from igtl_gateway.errors import ConfigError, RecordingError, UnsupportedRecording
+from igtl_gateway.errors import ConfigError, GatewayError, RecordingError, UnsupportedRecording
 from igtl_gateway.keeping.side_files import closed_part
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
@@ -110,7 +110,7 @@ def test_what_cannot_be_sealed_is_refused(tmp_path: Path, key: Path) -> None:
         assert verify_seal(source).state == UNSEALED
     with pytest.raises(ConfigError, match="another name"):
         seal_recording(source, key, source)
-    with pytest.raises(RecordingError, match="no folder"):
+    with pytest.raises(GatewayError, match="no folder"):
         seal_recording(FIXTURES / "star.mcap", key, tmp_path / "none" / "out.mcap")
 
 

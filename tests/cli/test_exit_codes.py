@@ -61,7 +61,6 @@ REFUSED = [
             ("{folder}", "it is a folder, expected a file or a new name"),
             ("{folder}/fifo", "it is a FIFO, expected a file or a new name"),
             ("{folder}/file/out.mcap", "{folder}/file is a file, expected a folder"),
-            ("{folder}/link", "it is a link to nothing, expected a file or a new name"),
             ("{folder}/{long}", "File name too long: 300 bytes"),
             ("/dev/full", "it is a device, expected a file or a new name"),
             ("/proc/out.mcap", "no file can be created in /proc"),
@@ -74,6 +73,10 @@ REFUSED = [
 
 #: Errors that a retry does not repair: 2.
 USAGE = [
+    *(  # a link is replaced itself, and only if that is asked for
+        Case(f"{call} {{folder}}/link", 2, "exists already, expected a new file or --overwrite")
+        for call in ("simulate paper-types --out", "recover {fixture} --output")
+    ),
     Case("bridge --listen 127.0.0.1:99999", 2, "found '127.0.0.1:99999', expected HOST:PORT"),
     Case(f"{BRIDGE} --realtime-priority 100", 2, "found 100, expected 0 to 99"),
     Case(f"{BRIDGE} --cpu-affinity two", 2, "found 'two', expected CPUs such as 2,4-6"),

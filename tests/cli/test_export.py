@@ -332,7 +332,7 @@ def test_nothing_is_replaced(recording: Path, tmp_path: Path, capsys: pytest.Cap
     (tmp_path / "full" / "mine").touch()
     for to in ("rosbag2", "csv", "ply", "nrrd", "vtk"):
         assert main(["export", str(recording), "--to", to, "-o", str(tmp_path / "full")]) == USAGE
-    assert main(["export", str(recording), "--to", "igs.mha", "-o", str(recording)]) == FAILURE
+    assert main(["export", str(recording), "--to", "igs.mha", "-o", str(recording)]) == USAGE
     assert main(["export", str(recording), "--to", "csv", "-o", str(tmp_path / "out"), "--streams", "no"]) == FAILURE
     assert "found no messages for csv" in capsys.readouterr().err
     assert [file.name for file in (tmp_path / "full").iterdir()] == ["mine"]

@@ -438,7 +438,7 @@ def test_what_cannot_be_is_said_before_anything_is_sent() -> None:
         ("--end", "1e999999"): "--end: found '1e999999', expected a time from 1970",
         ("--rate", "1e-320"): "--rate: found 1e-320, expected a number above 0",
         ("--rate", "1e308"): "--rate: found 1e+308, expected a number above 0",
-        ("--config", "/dev/zero"): "/dev/zero: cannot be read: found a device, expected a file",
+        ("--through-gateway", "--config", "/dev/zero"): "/dev/zero: cannot be read: found a device, expected a file",
         ("--start", "\x1b[2J"): "--start: found '\\x1b[2J', expected seconds",
         ("--delay", "-1"): "--delay",
         ("--clock",): "--clock: found --to igtl",

@@ -100,7 +100,7 @@ def test_no_file_is_replaced_unasked_and_never_the_recording_itself(
     source.write_bytes(data)
     other = tmp_path / "other.mcap"
     other.write_bytes(b"mine")
-    assert main(["slice", str(source), str(other)]) == 1
+    assert main(["slice", str(source), str(other)]) == 2
     assert other.read_bytes() == b"mine"
     assert main(["slice", str(source), str(source), "--overwrite"]) == 2
     assert source.read_bytes() == data

@@ -102,7 +102,7 @@ def test_the_command_refuses_what_it_cannot_do(tmp_path: Path, capsys: pytest.Ca
         ([str(SOURCE), "-o", str(out), "--shift", "0"], 2, "--shift: found 0"),
         ([str(SOURCE), "-o", str(out), "--shift", "-2000000000"], 1, "expected one from 1970 to 2106"),
         ([str(SOURCE), "-o", str(SOURCE), "--overwrite"], 2, "the recording itself"),
-        ([str(SOURCE), "-o", str(short)], 2, "exists already"),
+        ([str(SOURCE), "-o", str(damaged)], 2, "exists already"),
         ([str(damaged), "-o", str(out)], 1, "recover"),
     ):
         assert main(["deidentify", *call]) == code, call

@@ -6,10 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from igtl_gateway.errors import GatewayError, UnsupportedRecording
+from igtl_gateway.errors import ConfigError, GatewayError, UnsupportedRecording
 from igtl_gateway.exchange.account import ExportAccount
 from igtl_gateway.exchange.folder import FileNames, file_name, new_folder
 from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.sessionfile.beside import written_folder
 
 NAMES = [
     "../../x",
@@ -91,8 +92,8 @@ def test_what_is_there_is_not_touched(tmp_path: Path) -> None:
     with pytest.raises(GatewayError, match="cannot write"), new_folder(tmp_path / "link", ExportAccount()):
         pass
     (tmp_path / "two").mkdir()
-    with pytest.raises(FileExistsError), new_folder(tmp_path / "two", ExportAccount()) as folder:
+    with pytest.raises(ConfigError, match="exists already"), written_folder(tmp_path / "two") as place:
         (tmp_path / "two" / "theirs").write_text("theirs")  # another program, at the same time
-        folder.create("theirs")
+        (place / "theirs").write_text("ours")
     assert (tmp_path / "two" / "theirs").read_text() == "theirs"
     assert (tmp_path / "mine").read_text() == "mine"

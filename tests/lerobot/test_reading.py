@@ -193,7 +193,8 @@ def test_statistics_of_any_form(name: str, sets: Path, tmp_path: Path) -> None:
     stats["action"]["std"] = WRONG_STATS[name]
     path.write_text(json.dumps(stats), "utf-8")
     _, findings = check_rules(root)
-    assert any("meta/stats.json: action: std: found" in each for each in findings), findings
+    found = "meta/stats.json: found invalid JSON" if name == "huge" else "meta/stats.json: action: std: found"
+    assert any(found in each for each in findings), findings
 
 
 def with_column(path: Path, name: str, values: pa.Array | None) -> None:

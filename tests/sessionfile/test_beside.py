@@ -53,7 +53,7 @@ def test_errors_name_the_file_and_not_the_hidden_one(tmp_path: Path) -> None:
     with pytest.raises(GatewayError) as found, written(out) as place:
         raise GatewayError(f"cannot write {place}: no room")
     assert str(found.value) == f"cannot write {out}: no room"
-    with pytest.raises(GatewayError, match=f"^cannot write to {out}: No such file"), written(out) as place:
+    with pytest.raises(GatewayError, match=f"^cannot write to {out}: .*No such file"), written(out) as place:
         (place / "below").write_bytes(b"")
     with pytest.raises(BrokenPipeError), written(out):
         raise BrokenPipeError(32, "Broken pipe")  # of standard output: not about this file
@@ -183,11 +183,10 @@ def test_a_place_that_takes_no_file(tmp_path: Path) -> None:
 def test_what_is_no_ordinary_file_is_not_replaced(tmp_path: Path) -> None:
     fifo = tmp_path / "fifo"
     os.mkfifo(fifo)
-    for path in (fifo, tmp_path):
-        with pytest.raises(ConfigError, match="exists already"):
-            check_target(path, overwrite=False)
-        with pytest.raises(GatewayError, match="not a regular file"):
-            check_target(path, overwrite=True)
+    for path, what in ((fifo, "a FIFO"), (tmp_path, "a folder")):
+        for overwrite in (False, True):
+            with pytest.raises(GatewayError, match=f"it is {what}, expected a file or a new name"):
+                check_target(path, overwrite=overwrite)
 
 
 def test_a_folder_that_is_not_ours_ends_view_in_a_sentence(tmp_path: Path) -> None:
@@ -197,12 +196,12 @@ def test_a_folder_that_is_not_ours_ends_view_in_a_sentence(tmp_path: Path) -> No
     if place is None:
         pytest.skip("found no folder that takes no files (/proc, /sys)")
     fixture = Path(__file__).parents[2] / "fixtures" / "paper-types.mcap"
-    for option in ("--save", "--screenshot"):
-        command = [sys.executable, "-m", "igtl_gateway", "view", str(fixture), option, str(place / "out.rrd")]
+    for option, name in (("--save", "out.rrd"), ("--screenshot", "out.png")):
+        command = [sys.executable, "-m", "igtl_gateway", "view", str(fixture), option, str(place / name)]
         ended = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
         assert ended.returncode == 1
         assert ended.stdout == ""
-        assert ended.stderr.startswith(f"igtl-gateway view: cannot write to {place}/out.rrd: ")
+        assert ended.stderr.startswith(f"igtl-gateway view: cannot write to {place / name}: ")
         assert ended.stderr.count("\n") == 1
 
 
