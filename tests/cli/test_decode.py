@@ -160,18 +160,19 @@ def test_sources_that_are_no_files(shell: str, code: int, said: str, stream: Pat
         (["/dev/zero"], 1, "offset 57942: found 1000 messages in a row of an unknown header version"),
         (["{stream}", "--reencode", "{stream}"], 2, "which is the input, expected another file"),
         (["{stream}", "--reencode", "none/out"], 1, "cannot write to none/out: there is no folder none"),
-        (["{stream}", "--reencode", "/tmp"], 2, "/tmp: exists already, expected a new file or --overwrite"),
-        (["{stream}", "--overwrite", "--reencode", "/tmp"], 1, "cannot write to /tmp: it is not a regular file"),
+        (["{stream}", "--reencode", "{stream.parent}/there"], 2, "exists already, expected a new file or --overwrite"),
+        (["{stream}", "--overwrite", "--reencode", "/tmp"], 1, "cannot write to /tmp: it is a folder"),
         (
             ["{stream}", "--overwrite", "--reencode", "/dev/full"],
             1,
-            "cannot write to /dev/full: it is not a regular file",
+            "cannot write to /dev/full: it is a device",
         ),
     ],
 )
 def test_what_cannot_be_read_or_written(
     arguments: list[str], code: int, said: str, stream: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    (stream.parent / "there").touch()
     assert main(["decode", *(word.format(stream=stream) for word in arguments)]) == code
     err = capsys.readouterr().err
     assert said in err and err.count("\n") == 1
