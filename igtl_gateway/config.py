@@ -106,7 +106,7 @@ from igtl_gateway.settings import (
 from igtl_gateway.untrusted.files import read_bytes
 from igtl_gateway.untrusted.text import parse_toml
 
-#: Settings that are None in recordings that are older than they are, and true in a live session, unless they are set.
+#: Settings that older recordings do not have: they are None there.  In a live session their default is true.
 LIVE = ("watch", "cautious")
 #: Former names of the policies, in the configurations of old recordings.
 _STAMP_ALIASES = {"now": RECEIVE}

@@ -27,7 +27,7 @@ class LengthStats:
         poses: whether they are positions of poses.
         largest: largest distance from the origin, mm.
         moved: whether not all positions are equal.
-        changed: whether the positions or orientations of a message differ from those of the first one.
+        changed: of poses: whether the positions or orientations of a message differ from those of the first one.
         steps, path, span: of poses: number of steps from one message to the next, the sum of their lengths, and the
             largest distance from the first position, all in the unit of the messages.
         smallest_spacing: of images, mm; 0 = an image without spacing, None = no image.
@@ -62,10 +62,11 @@ class LengthStats:
         if self._first is None:
             self._first = positions[0].copy()
         self.moved = self.moved or bool((positions != self._first).any())
-        content = tuple(part.tobytes() for part in (positions, measured.rotations, measured.quaternions))
-        if self._content is None:
-            self._content = content if measured.pose else ()
-        self.changed = self.changed or content != self._content
+        if measured.pose and not self.changed:
+            content = tuple(part.tobytes() for part in (positions, measured.rotations, measured.quaternions))
+            if self._content is None:
+                self._content = content
+            self.changed = content != self._content
         if measured.pose:
             if self._last is not None:
                 self.steps += 1

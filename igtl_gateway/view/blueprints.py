@@ -139,7 +139,7 @@ def _spaces(seen: SessionContents) -> list[Part]:
     views: list[Part] = []
     for number, (root, tree) in enumerate(seen.trees().items()):
         contents = [entity for shown in tree for entity in _solids(shown)]
-        contents += [f"+ /{ruler}" for ruler in seen.rulers if ruler == f"{RULERS}/{number}"]
+        contents.append(f"+ /{RULERS}/{number}")
         if seen.reviewed and _of(tree, EntityKind.CLOUD):
             contents.append(f"+ /{REVIEW_WRONG}/**")
         scales = [shown.scale for shown in tree if shown.scale]

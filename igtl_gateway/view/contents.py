@@ -140,7 +140,6 @@ class SessionContents:
         scales: cloud of the review → its colour scale.
         fields: names of fields of clouds, for ``--color-by``.
         frames: child frame → its entity, ``frames/<frame id>``.
-        rulers: entities of the rulers in the 3-D views.
     """
 
     base_frame: str = "world"
@@ -154,7 +153,6 @@ class SessionContents:
     scales: dict[str, str] = field(default_factory=dict)
     fields: set[str] = field(default_factory=set)
     frames: dict[str, str] = field(default_factory=dict)
-    rulers: list[str] = field(default_factory=list)
 
     def of(self, *kinds: EntityKind) -> list[ShownTopic]:
         """Return the topics of these kinds, in the order of appearance."""

@@ -129,6 +129,7 @@ class Pen:
         """Set the times of the following rows from this entry; a ``timeless`` stamp is left out."""
         self.number = entry.seq
         self.stamp_ns = 0 if timeless(entry.stamp_ns) else entry.stamp_ns
+        self.begin_ns = self.begin_ns or self.stamp_ns
         self.source_ns = 0 if timeless(entry.source_ns) else entry.source_ns
 
     def log(self, path: str, *archetypes: rr.AsComponents) -> None:
@@ -164,7 +165,6 @@ class Pen:
     def text(self, path: str, text: str, level: str, colour: int | None = None) -> None:
         """Write a line to a log, after the time since the first entry."""
         # the log of rerun cuts a column of times after the date, so the line has the time of the session
-        self.begin_ns = self.begin_ns or self.stamp_ns
         time = f"{(self.stamp_ns - self.begin_ns) / NS_PER_S:9.3f} s" if self.stamp_ns else ""
         line = f"{time:11}  {text}"
         # rerun gives a line without a colour that of the previous line

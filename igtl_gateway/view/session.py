@@ -132,7 +132,6 @@ class SessionView:
     def take(self, entry: Entry) -> None:
         """Draw one entry; the caller passes entries in the order of the session."""
         self._pen.at(entry)
-        self._pen.begin_ns = self._pen.begin_ns or self._pen.stamp_ns
         if self._pen.stamp_ns:
             self.seen.first_ns = self.seen.first_ns or entry.stamp_ns
             self.seen.last_ns = max(self.seen.last_ns, entry.stamp_ns)
@@ -164,7 +163,6 @@ class SessionView:
             eye = eye_of(self.seen, tree, frame, camera=is_camera(self.seen, frame))
             if ruler := eye and ruler_of(eye, number):
                 draw_ruler(ruler, frame, self._pen)
-                self.seen.rulers.append(ruler.path)
 
     def end(self, why: str) -> None:
         """Log that the session ends here because the rest of it cannot be read."""

@@ -164,7 +164,6 @@ def test_the_view_of_the_tissue_marks_the_wrong_stitches() -> None:
 
 def test_each_view_has_the_ruler_of_its_own() -> None:
     both = seen(("/cloud", EntityKind.CLOUD, CAMERA), ("/plan", EntityKind.LINES, "elsewhere"), parents={CAMERA: BASE})
-    both.rulers = ["session/rulers/0", "session/rulers/1"]
     spaces = of_class("generic", both, "3D")
     assert [[each for each in space.contents if "ruler" in each] for space in spaces] == [
         ["+ /session/rulers/0"],

@@ -94,7 +94,7 @@ class Maker:
     """Writes the values of one file, all of them true except those of the kind.
 
     Args:
-        seed: decides what is not of the kind.
+        seed: of the random values that the kind leaves open.
         kind: ``FIELD=CHOICE``; "": all values are true.
 
     Attributes:
