@@ -43,6 +43,7 @@
 /* Slots of the page.  Written by the writers, read by the reader: */
 #define QUEUE_HEAD 0    /* position of the next record: up to here the reader may read */
 #define QUEUE_REFUSED 1 /* entries for which there was no room */
+#define QUEUE_RESTART 2 /* position of the record that is at place 0 without a mark before it: the queue was empty */
 /* Written by the reader: */
 #define QUEUE_TAIL 8          /* position up to which the room is free again */
 #define QUEUE_DONE_ENTRIES 9  /* entries that it is done with */

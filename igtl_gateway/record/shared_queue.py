@@ -12,7 +12,8 @@ without the interpreter lock, and with ``reserve`` without the caller's lock.
 
 Records follow each other, until a mark has the place of the next one: where the room ends, where
 something waits still, and as soon as there is room at the beginning, so that the same few pages, which are there
-already, serve again and again.  Positions count the bytes of records and marks and only grow; the putter knows the
+already, serve again and again.  A large entry in an empty queue begins at the beginning without a mark, so that it has
+all of the room.  Positions count the bytes of records and marks and only grow; the putter knows the
 place of each that waits.
 """
 
@@ -55,7 +56,7 @@ _KINDS = tuple(Kind)
 _NUMBERS = {kind: number for number, kind in enumerate(_KINDS)}
 
 #: Slots of the page of counters, as ``_queue.h`` has them: of the writers, of the reader, and of both.
-_HEAD, _REFUSED = 0, 1
+_HEAD, _REFUSED, _RESTART = 0, 1, 2
 _TAIL, _DONE_ENTRIES, _DONE_BYTES = 8, 9, 10
 _BELL = 16
 #: What only the writers know; it is in the page because the native writer shares it.
@@ -286,6 +287,8 @@ class QueueWriter(_QueueEnd):
             else:
                 payload = [part if type(part) in _FLAT else _flat(part) for part in payload]
                 size = sum(map(len, payload))
+            if size >= LARGE_BYTES and counters[_TAIL] == counters[_HEAD]:
+                self._restart()
             try:
                 stream = self._streams.get((entry.kind, entry.channel, entry.type, entry.links), -1)
                 if stream < 0:
@@ -384,6 +387,15 @@ class QueueWriter(_QueueEnd):
         _STATE.pack_into(memory, _STATE_AT, place + need, limit, entries + (counted > 0), taken + counted)
         self._publish(need)
         return int(place)
+
+    def _restart(self) -> None:
+        """Have the next record of an empty queue at the beginning: a mark would keep a part of the room."""
+        counters = self._counters
+        position = counters[_HEAD]
+        counters[_RESTART] = position
+        counters[_PLACE] = counters[_LIMIT] = 0
+        self._run = position, 0
+        self._runs.clear()
 
     def _publish(self, need: int) -> None:
         """Have the position include a record or mark of this size."""
@@ -582,6 +594,8 @@ class QueueReader(_QueueEnd):
         with self._barrier:
             pass
         if self._position != self._head:
+            if self._counters[_RESTART] == self._position:
+                self._begin = self._place = 0
             return True
         self.filling = False
         if self._free != self._head:
@@ -592,7 +606,7 @@ class QueueReader(_QueueEnd):
         """What was got need not be kept any longer."""
         self._counters[_DONE_ENTRIES] = self._entries
         self._counters[_DONE_BYTES] = self._done
-        if self._position - self._free >= _FREE_BYTES:
+        if self._position - self._free >= _FREE_BYTES or self._position == self._head:
             self._release()
 
     def _release(self) -> None:

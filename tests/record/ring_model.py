@@ -250,6 +250,7 @@ class RingModel:
             counters[shared_queue._PLACE],
             counters[shared_queue._LIMIT],
             head - counters[shared_queue._TAIL],
+            counters[shared_queue._RESTART] == reader._position,
             writer._run[0] - head,
             writer._run[1],
             tuple((position - head, place, end) for position, place, end in writer._runs),
@@ -300,8 +301,8 @@ class RingModel:
         counted = expected.put_bytes - expected.done_bytes + size + ENTRY_BYTES
         if waiting >= sizes.max_entries or (waiting and counted > sizes.max_bytes - sizes.max_bytes // 8):
             return
-        free = self.reader._counters[shared_queue._HEAD] - self.reader._counters[shared_queue._TAIL]
-        assert free or 2 * (size + _HEADS_BYTES) > sizes.room, "an empty ring has no room"
+        taken = self.reader._counters[shared_queue._HEAD] - self.reader._counters[shared_queue._TAIL]
+        assert taken or size + _HEADS_BYTES > sizes.room, "an empty ring has no room"
 
     def _next(self, stream: int, size: int) -> Entry:
         self.expected.seq += 1

@@ -87,6 +87,10 @@ RINGS: dict[str, tuple[Sizes, tuple[Step, ...]]] = {
         Sizes(room=400, max_entries=3, enough=120, free=32, streams=1),
         (("put", (0, 0)), ("native", (0, 30)), *_LARGE, *_TAKE),
     ),
+    "one that fills the room": (
+        Sizes(room=800, max_entries=3, enough=400, free=32, streams=1),
+        (("put", (0, 0)), ("native", (0, 30)), ("reserve", (1, 490)), *_LARGE[1:], *_TAKE),
+    ),
     "at once": (
         Sizes(room=360, max_entries=3, enough=0, free=1, streams=1),
         (("put", (0, 0)), ("native", (0, 30)), *_LARGE, *_TAKE),

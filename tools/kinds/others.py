@@ -321,7 +321,9 @@ def nifti(make: Maker) -> Files:
     struct.pack_into("<12f", head, 280, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0)
     head[344:348] = b"n+1\0"
     data = make.words("header", bytes(head), 352)
-    data += make.blob("pixels", struct.pack("<24f", *(min(make.float("pixel", 0.5), 3e38) for _ in range(24))))
+    data += make.blob(
+        "pixels", struct.pack("<24f", *(max(-3e38, min(make.float("pixel", 0.5), 3e38)) for _ in range(24)))
+    )
     if make.one_of("packing", ("none", "gzip")) == "gzip":
         return {"a.nii.gz": make.words("packing.gzip.bytes", gzip.compress(data, mtime=0), 30, 1)}
     return {"a.nii": data}
