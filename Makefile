@@ -60,7 +60,7 @@ lint: $(READY)
 types: $(READY)
 	@$(BIN)/mypy --no-error-summary || { [ $$? -eq 2 ] && $(BIN)/mypy --no-error-summary --num-workers 0; }
 
-# Names of the standard library that exist on macOS and on Windows, see docs/systems.md.
+# Names of the standard library that exist on macOS and on Windows, see docs/how-to/systems.md.
 types-elsewhere: $(READY)
 	@for system in win32 darwin; do \
 	  $(BIN)/mypy --no-error-summary --platform $$system --no-warn-unreachable --cache-dir .mypy_cache/$$system -p igtl_gateway || exit 1; \

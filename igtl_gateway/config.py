@@ -16,7 +16,7 @@ replay and verification use the settings of the recorded session.
     publish_tf = true              # publish poses on /tf, too
     command_timeout_s = 5.0        # time after which a COMMAND without a reply has failed
     relay = false                  # true: forward bytes unchanged between clients and one server, without ROS
-    faults = ""                    # fault injection of a relay: "delay=50ms,in:loss=1%", see docs/faults.md
+    faults = ""                    # fault injection of a relay: "delay=50ms,in:loss=1%", see docs/how-to/faults.md
     fault_seed = 0                 # seed of the fault injection
     deny_in = []                   # types that are refused from peers, such as ["COMMAND", "TRANSFORM"] or ["*"]
     deny_out = []                  # types that are not sent to peers
@@ -51,7 +51,7 @@ replay and verification use the settings of the recorded session.
     at = "127.0.0.1:18945"         # address of the peer, or the one that it connects to
     profile = "plus"
 
-    [[crtk]]                       # arms with CRTK topics, and the limits of commands to them, see docs/crtk.md
+    [[crtk]]                       # arms with CRTK topics, and the limits of commands to them, see docs/how-to/crtk.md
     arms = "/PSM*"
     workspace = [-0.1, -0.1, -0.2, 0.1, 0.1, 0.0]  # m; in frame_id, by default that of measured_cp
     max_speed = 0.1                # m/s

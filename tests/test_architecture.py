@@ -273,14 +273,14 @@ UNMIRRORED = (
     "exchange/test_import_memory.py",  # any importer
     "exchange/test_import_mutations.py",  # tools/import_mutations.py
     "cli/test_file_modes.py",  # outputs of every verb
-    "cli/test_exit_codes.py",  # every verb's, docs/command-line.md
+    "cli/test_exit_codes.py",  # every verb's, docs/reference/command-line.md
     "cli/test_main.py",  # the verbs' common entry, cli/__init__.py
     "test_architecture.py",
     "test_commit_message.py",  # tools/commit_message.py
     "test_contributing.py",  # Makefile, git hooks, workflow
-    "test_defects.py",  # docs/defects.md
+    "test_defects.py",  # docs/evidence/defects.md
     "test_docs.py",  # tools/docs.py
-    "api/test_documents.py",  # docs/python-*.md
+    "api/test_documents.py",  # docs/how-to/python-*.md
     "test_examples.py",  # examples/
     "test_private_files.py",  # who creates files
     "test_written_files.py",  # every verb's, sessionfile/beside.py
@@ -295,7 +295,7 @@ UNMIRRORED = (
     "test_site.py",  # tools/site.py
     "test_release.py",  # tools/release.py, hatch_build.py
     "test_terms.py",  # tools/terms.py
-    "test_try_release.py",  # tools/try_release.py, docs/releases.md
+    "test_try_release.py",  # tools/try_release.py, docs/how-to/releases.md
     "test_workflows.py",  # .github, CITATION.cff
     "sessionfile/test_conformance.py",  # MCAP's conformance set through readers and verbs
     "sessionfile/test_mcap_fuzz.py",  # tools/mcap_mutations.py

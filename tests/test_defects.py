@@ -1,4 +1,4 @@
-"""``docs/defects.md``: every test that it names is there.  And the defects that no other test has under its name."""
+"""``docs/evidence/defects.md``: every test that it names is there, and the defects that no other test has."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from igtl_gateway.wire.text import String
 from tests.script import T0_NS, Script
 
 ROOT = Path(__file__).parent.parent
-PAGE = (ROOT / "docs" / "defects.md").read_text("utf-8")
+PAGE = (ROOT / "docs" / "evidence" / "defects.md").read_text("utf-8")
 ROWS = [line for line in PAGE.splitlines() if line.startswith("|") and "::" in line]
 
 

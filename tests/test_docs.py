@@ -53,10 +53,10 @@ def test_what_is_written_is_current_and_what_is_changed_is_not(
     assert list(tmp_path.iterdir()) == []
     assert docs.main([], tmp_path) == 0
     assert docs.main(["--check"], tmp_path) == 0
-    (tmp_path / "messages.md").write_text(messages().replace("TDATA", "TDATUM"), "utf-8")
+    (tmp_path / "reference" / "messages.md").write_text(messages().replace("TDATA", "TDATUM"), "utf-8")
     capsys.readouterr()
     assert docs.main(["--check"], tmp_path) == 1
-    assert "docs/messages.md" in (said := capsys.readouterr().err)
+    assert "docs/reference/messages.md" in (said := capsys.readouterr().err)
     assert "conversions" not in said
 
 
@@ -112,7 +112,7 @@ def test_links_lead_somewhere(page: str) -> None:
             continue
         place, _, part = link.partition("#")
         if place not in pages:
-            assert (docs.DOCS / place).resolve().exists(), link
+            assert (docs.DOCS / "reference" / place).resolve().exists(), link
         elif part:
             assert part in anchors(pages[place]), link
 
@@ -143,7 +143,8 @@ def test_without_the_corpus_its_table_stays(monkeypatch: pytest.MonkeyPatch, tmp
     monkeypatch.setattr(docs, "DOCS", tmp_path)
     begin, end = docs.CONFORMANCE
     written = today.partition(begin)[0] + f"{begin}\n\n| as | it was |\n\n{end}\n"
-    (tmp_path / "messages.md").write_text(written, "utf-8")
+    (tmp_path / "reference").mkdir()
+    (tmp_path / "reference" / "messages.md").write_text(written, "utf-8")
     assert docs.messages() == written
 
 

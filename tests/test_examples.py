@@ -50,8 +50,8 @@ def test_dvrk() -> None:
 
 
 def test_the_first_offline_test(tmp_path: Path) -> None:
-    """docs/howto-offline-test.md, as a reader types it."""
-    program, test = programs_in("howto-offline-test.md")
+    """docs/how-to/offline-test.md, as a reader types it."""
+    program, test = programs_in("how-to/offline-test.md")
     (tmp_path / "watch.py").write_text(program, "utf-8")
     (tmp_path / "test_watch.py").write_text(test, "utf-8")
     shutil.copyfile(ROOT / "fixtures" / "star.mcap", tmp_path / "star.mcap")
@@ -61,7 +61,7 @@ def test_the_first_offline_test(tmp_path: Path) -> None:
 
 def test_from_a_recording_to_numpy(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.chdir(ROOT)
-    for program in programs_in("howto-numpy.md"):
+    for program in programs_in("how-to/numpy.md"):
         exec(program, {})
     assert capsys.readouterr().out.splitlines() == [
         "(1200, 4, 4) mm",

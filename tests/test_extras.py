@@ -50,7 +50,7 @@ def test_the_page_lists_every_extra() -> None:
         with in_use(extra):
             message = missing(MODULES[extra]) if extra in MODULES else WITHOUT_LABORATORY
         rows.append(f"| `{extra}` | {purpose} | {message} |")
-    page = (ROOT / "docs" / "command-line.md").read_text("utf-8")
+    page = (ROOT / "docs" / "reference" / "command-line.md").read_text("utf-8")
     found = re.findall(r"^\| `\w+` \| .* \| .*install.* \|$", page, re.MULTILINE)
     assert found == rows, "\n".join(rows)
     assert set(PURPOSES) == set(EXTRAS) - {"dev"}

@@ -220,7 +220,7 @@ def test_faults_of_one_way_only() -> None:
 
 
 def test_the_document_has_every_fault() -> None:
-    page = (Path(__file__).parents[1] / "docs" / "faults.md").read_text("utf-8")
+    page = (Path(__file__).parents[1] / "docs" / "how-to" / "faults.md").read_text("utf-8")
     for row in FAULTS:
         assert f"| `{row.name}` | {row.unit.value} | {row.meaning} |" in page
 

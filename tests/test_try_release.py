@@ -1,4 +1,4 @@
-"""The programs of docs/releases.md, which ``tools/try_release.py`` runs in a fresh environment: here, in this one."""
+"""The programs of docs/how-to/releases.md: ``tools/try_release.py`` runs them in a fresh environment, this in ours."""
 
 from __future__ import annotations
 

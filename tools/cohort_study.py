@@ -1,4 +1,4 @@
-"""A study of many synthetic sessions, and what `cohort` does with it: the figures of docs/cohort.md.
+"""A study of many synthetic sessions, and what `cohort` does with it: the figures of docs/how-to/cohort.md.
 
     python tools/cohort_study.py make study --count 2000 --stars 24
     python tools/cohort_study.py judge study --verb lint --work /tmp/judge [--s3 http://127.0.0.1:5000]

@@ -1,4 +1,4 @@
-"""docs/deidentify.md: the table of the rules from the code, and what surrounds it."""
+"""docs/how-to/deidentify.md: the table of the rules from the code, and what surrounds it."""
 
 from __future__ import annotations
 

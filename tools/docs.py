@@ -1,4 +1,4 @@
-"""docs/conversions.md, doctor.md, messages.md and verbs.md, from the tables that the program itself works with.
+"""The generated pages of docs/, from the tables that the program itself works with.
 
     .venv/bin/python tools/docs.py             write them again
     .venv/bin/python tools/docs.py --check     are they current?
@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import inspect
 import json
+import posixpath
 import re
 import sys
 import textwrap
@@ -178,7 +179,7 @@ def layout(rows: Layout, meanings: dict[str, str]) -> str:
     return table(("offset", "bytes", "type", "field", "meaning"), lines, "a")
 
 
-# -- docs/messages.md -------------------------------------------------------------------------------------------------
+# -- docs/reference/messages.md ---------------------------------------------------------------------------------------
 
 
 @cache
@@ -202,7 +203,7 @@ def is_sent(name: str) -> bool:
 
 
 def messages() -> str:
-    """docs/messages.md."""
+    """docs/reference/messages.md."""
     return document(
         "# OpenIGTLink messages",
         GENERATED,
@@ -376,7 +377,7 @@ def _queries() -> str:
         ),
         table(("type", *(f"`{prefix}_`" for prefix in PREFIXES)), rows),
         told,
-        prose("In ROS all queries are [`igtl_msgs/Query`](../ros2/igtl_msgs/msg/Query.msg)."),
+        prose("In ROS all queries are [`igtl_msgs/Query`](../../ros2/igtl_msgs/msg/Query.msg)."),
         *parts,
     ).rstrip()
 
@@ -417,7 +418,7 @@ def _profiles() -> str:
         "## Peer profiles",
         prose(
             """What the gateway knows about OpenIGTLink programs.  The profile of a peer is set by option (`profile`,
-            `[[peers]]` in [the configuration](../igtl_gateway/config.py)) or detected from its messages; until then
+            `[[peers]]` in [the configuration](../../igtl_gateway/config.py)) or detected from its messages; until then
             it is `unrecognised`.  *header version*: the initial version; it rises to that which the peer has sent.
             *types*, *queries* and `RTS_`: what the gateway may send to it.  *empty bodies*: whether it accepts a
             version 1 message without content as the reply to a query that cannot be answered.  *ping*: after this
@@ -511,7 +512,7 @@ def _results() -> str:
 
     begin, end = CONFORMANCE
     if not (conformance.SHARED / "corpus").exists():
-        return (DOCS / "messages.md").read_text("utf-8").partition(begin)[2].partition(end)[0].strip()
+        return (DOCS / "reference" / "messages.md").read_text("utf-8").partition(begin)[2].partition(end)[0].strip()
     return _counted(conformance)
 
 
@@ -521,14 +522,14 @@ def _counted(conformance: Any) -> str:
     return str(conformance.table(conformance.results()))
 
 
-# -- docs/conversions.md ----------------------------------------------------------------------------------------------
+# -- docs/reference/conversions.md ------------------------------------------------------------------------------------
 
 
 def ros_name(ros_type: str) -> str:
     """A type with a link to its definition where it is ours."""
     package, _, name = ros_type.partition("/msg/")
     if package == "igtl_msgs":
-        return f"[{package}/{name}](../ros2/igtl_msgs/msg/{name}.msg)"
+        return f"[{package}/{name}](../../ros2/igtl_msgs/msg/{name}.msg)"
     return f"{package}/{name}"
 
 
@@ -543,7 +544,7 @@ def ros_sections() -> dict[str, tuple[ConversionToRos, ...]]:
 
 
 def conversions() -> str:
-    """docs/conversions.md."""
+    """docs/reference/conversions.md."""
     return document(
         "# Conversions between OpenIGTLink and ROS 2",
         GENERATED,
@@ -575,8 +576,9 @@ def _names() -> str:
         "## Names, topics and frames",
         prose(
             f"""Messages of a device are published on `/igtl/in/<device>/<kind>`; `kind` is in the tables below.  Rows
-            `[[to_ros]]` of [the configuration](../igtl_gateway/config.py) select other topics, other frames, and kinds.
-            In the topic, characters other than letters, digits and `_` become `_`; a leading digit gets the prefix
+            `[[to_ros]]` of [the configuration](../../igtl_gateway/config.py) select other topics, other frames, and
+            kinds.  In the topic, characters other than letters, digits and `_` become `_`; a leading digit gets the
+            prefix
             `_`; names of more than {MAX_TOKEN} characters are cut and get a hash.  If two devices would have the same
             topic, the second one gets a hash too.  A pose of a device with the name `AToB` is the pose of frame `A` in
             frame `B`, as in PLUS and other programs; every other name is a frame in the base frame `{base}`.  Frames
@@ -718,18 +720,18 @@ def _definitions() -> str:
     for path in sorted(DEFINITIONS.glob("*/*.[ms][sr][gv]"), key=lambda path: (path.suffix, path.stem)):
         first = path.read_text("utf-8").partition("\n")[0].removeprefix("# ").rstrip(".")
         place = path.relative_to(ROOT).as_posix()
-        rows.append((f"[{path.stem}](../{place})" + (" (service)" if path.suffix == ".srv" else ""), first))
+        rows.append((f"[{path.stem}](../../{place})" + (" (service)" if path.suffix == ".srv" else ""), first))
     return document(
         "## igtl_msgs",
         prose(
-            """[igtl_msgs](../ros2/igtl_msgs/README.md) has message types that the standard packages do not have.
+            """[igtl_msgs](../../ros2/igtl_msgs/README.md) has message types that the standard packages do not have.
             The definitions describe each field."""
         ),
         table(("definition", "content"), rows),
     ).rstrip()
 
 
-# -- docs/doctor.md ---------------------------------------------------------------------------------------------------
+# -- docs/reference/doctor.md -----------------------------------------------------------------------------------------
 
 #: First digit of a rule's number → what its rules are about.
 GROUPS = {
@@ -755,7 +757,7 @@ igtl-gateway lint out.mcap                    # check a recording"""
 
 
 def doctor() -> str:
-    """docs/doctor.md."""
+    """docs/reference/doctor.md."""
     return document(
         "# Diagnosis: `doctor` and `lint`",
         GENERATED,
@@ -770,7 +772,7 @@ def doctor() -> str:
             (`id`, `severity`, `where`, `text`, `advice`, `section`, `data`), `peers`, `streams`.  Exit code 0: no
             finding is an error; 1: at least one is; 2: wrong usage.  `--config FILE` reads units, devices and topics
             from a bridge's configuration.  `--seconds` and `--messages` limit the observation.  For TLS, see
-            [security.md](security.md)."""
+            [security.md](../how-to/security.md)."""
         ),
         "## The rules",
         prose(
@@ -845,7 +847,8 @@ def doctor() -> str:
             `--json` prints one object: `checks` (`id`, `severity`, `title`, `status`: `ok`, `finding` or `unknown`,
             `found`, `expected`, `advice`, `section`) and `measured` (`lateness` and `handover` in nanoseconds;
             `steal`, a share of the time).  No check is an error, because the bridge runs on every machine.  So the exit
-            code is 0.  For the options of the bridge, see [performance.md](performance.md#priority-memory-and-cpus)."""
+            code is 0.  For the options of the bridge, see
+            [performance.md](../evidence/performance.md#priority-memory-and-cpus)."""
         ),
         table(
             ("check", "subject", "expected", "how to get it"),
@@ -873,17 +876,17 @@ def _section(section: str) -> str:
     if place.startswith("Protocol/"):
         name = place.removeprefix("Protocol/")
         return f"[{name}]({DOCUMENTS}/{name})" + (f", {title}" if title else "")
-    name = place.removeprefix("docs/")
+    name = place.rpartition("/")[2]
     if name == "doctor.md":
         return f"[{title}](#{anchor(title)})"
-    return f"[{title or name}]({name}" + (f"#{anchor(title)})" if title else ")")
+    return f"[{title or name}]({posixpath.relpath(place, 'docs/reference')}" + (f"#{anchor(title)})" if title else ")")
 
 
 # -- command line -----------------------------------------------------------------------------------------------------
 
 
 def verbs() -> str:
-    """docs/verbs.md."""
+    """docs/reference/verbs.md."""
     return document(
         "# Options of all verbs",
         GENERATED,
@@ -937,7 +940,7 @@ def _escape(text: str) -> str:
 
 
 def notes() -> str:
-    """docs/notes.md."""
+    """docs/reference/notes.md."""
     groups = []
     for group, codes in NOTES.items():
         rows = ((f"`{code}`", text) for code, text in codes.items())
@@ -956,7 +959,7 @@ def notes() -> str:
 
 
 def topics() -> str:
-    """docs/topics.md."""
+    """docs/reference/topics.md."""
     kinds: dict[tuple[str, str], list[str]] = {}
     fixed: dict[tuple[str, str], list[str]] = {}
     for row in TO_ROS:
@@ -1023,13 +1026,13 @@ def _queries_as_one(types: Iterable[str]) -> list[str]:
     return list(dict.fromkeys(re.sub(r"_.*", "_…", name) if name in QUERIES else name for name in types))
 
 
-# -- docs/parameters.md -----------------------------------------------------------------------------------------------
+# -- docs/reference/parameters.md -------------------------------------------------------------------------------------
 
 _SETTING_TYPES: dict[type, str] = {bool: "bool", int: "integer", float: "double", str: "string", tuple: "strings"}
 
 
 def node_parameters() -> str:
-    """docs/parameters.md."""
+    """docs/reference/parameters.md."""
     return document(
         "# Parameters of the node",
         GENERATED,
@@ -1068,7 +1071,7 @@ ros2 param set /or1/gw deny_in "['COMMAND']" """
         "## While the bridge runs",
         prose(
             f"""{code(row.name for row in SETTINGS if row.changes)} can change. A change is an input of the session,
-            so the recording verifies ([lifecycle.md](lifecycle.md)). All other parameters are
+            so the recording verifies ([lifecycle.md](../how-to/lifecycle.md)). All other parameters are
             read-only. Pause, resume and snapshot of a recording are services: `~/pause_recording`,
             `~/resume_recording`, `~/snapshot`."""
         ),
@@ -1145,11 +1148,11 @@ def _default(row: Setting) -> str:
     return json.dumps(list(row.default) if isinstance(row.default, tuple) else row.default)
 
 
-# -- docs/deidentify.md ------------------------------------------------------------------------------------------------
+# -- docs/how-to/deidentify.md ----------------------------------------------------------------------------------------
 
 
 def deidentification() -> str:
-    """docs/deidentify.md."""
+    """docs/how-to/deidentify.md."""
     rules = table(("rule", "place", "what happens", "action", "option"), deidentify_page.rows())
     options = table(("option", "name in DICOM PS3.15"), deidentify_page.options())
     return document(deidentify_page.TITLE, GENERATED, deidentify_page.text(rules, options))
@@ -1158,14 +1161,14 @@ def deidentification() -> str:
 # -- files ------------------------------------------------------------------------------------------------------------
 
 PAGES = {
-    "conversions.md": conversions,
-    "deidentify.md": deidentification,
-    "doctor.md": doctor,
-    "messages.md": messages,
-    "parameters.md": node_parameters,
-    "notes.md": notes,
-    "topics.md": topics,
-    "verbs.md": verbs,
+    "reference/conversions.md": conversions,
+    "how-to/deidentify.md": deidentification,
+    "reference/doctor.md": doctor,
+    "reference/messages.md": messages,
+    "reference/parameters.md": node_parameters,
+    "reference/notes.md": notes,
+    "reference/topics.md": topics,
+    "reference/verbs.md": verbs,
 }
 
 
@@ -1183,6 +1186,7 @@ def main(arguments: Sequence[str], folder: Path = DOCS) -> int:
             print(f"docs/{name} is not as the tables have it: python tools/docs.py", file=sys.stderr)
         return 1 if old else 0
     for name in old:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(PAGES[name](), "utf-8")
         print(f"docs/{name}")
     return 0

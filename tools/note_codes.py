@@ -1,4 +1,4 @@
-"""The codes of notes with their meaning, for docs/notes.md; ``tests/test_docs.py`` compares them with the code."""
+"""The codes of notes with their meaning, for docs/reference/notes.md; ``tests/test_docs.py`` compares them with it."""
 
 from __future__ import annotations
 

@@ -43,7 +43,8 @@ LANGUAGES = {".py": "python", ".toml": "toml", ".xml": "xml", ".yaml": "yaml", "
 API = "python-api.md"
 API_INTRODUCTION = (
     "The names of `import igtl_gateway`, and what its functions return. There are introductions to "
-    "[recordings](python-recordings.md), [peers](python-peers.md), and [bridge and verbs](python-verbs.md)."
+    "[recordings](how-to/python-recordings.md), [peers](how-to/python-peers.md), "
+    "and [bridge and verbs](how-to/python-verbs.md)."
 )
 #: Its groups, with the place of each name below ``igtl_gateway``.
 REFERENCE = {
@@ -144,7 +145,9 @@ def rewrite(text: str, path: str, found: list[str], root: Path = ROOT) -> str:
             raise SiteError(f"{path}: found a link to {target}, expected a file of the repository")
         found.append(wanted)
         text = match["text"] or ""
-        if text.lstrip("[") == wanted.removeprefix("docs/"):  # the name of a file: on a site, the title of its page
+        if is_document and text.lstrip("[") == posixpath.basename(
+            wanted
+        ):  # the name of a file: on a site, the title of its page
             text = "[" + (root / wanted).read_text("utf-8").partition("\n")[0].lstrip("# ")
         return f"{text}]({posixpath.relpath(page_of(wanted), here)}{mark}{part})"
 

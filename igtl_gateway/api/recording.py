@@ -221,7 +221,7 @@ class Recording(Mapping[str, Stream]):
 
     @property
     def ledger(self) -> Mapping[str, Any] | None:
-        """The fate of every message, as docs/session-log.md describes it; None if the recording has none."""
+        """The fate of every message, as docs/reference/session-log.md describes it; None if the recording has none."""
         return self._source.file.ledger
 
     @property

@@ -3,7 +3,8 @@
 A recording has what its peers read.  Another program may lose the stream at a type, or crash at a query, as 3D Slicer
 does.  So each message is adapted to the program that listens, or left out, by the profile of that program.  Without a
 profile it is recognised from its messages, and until then gets what every program can skip, see
-``docs/messages.md``: no type beyond the factory of the C++ library, no query, no reply to one, and header version 1.
+``docs/reference/messages.md``: no type beyond the factory of the C++ library, no query, no reply to one, and header
+version 1.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The command line: one file per verb, one place that maps errors to exit codes.
 
-Exit codes, the same for every verb (``docs/command-line.md`` has the table):
+Exit codes, the same for every verb (``docs/reference/command-line.md`` has the table):
 
 * 0: success.
 * 1: a finding (a difference, a wrong stitch, a damaged message), or a failure of a valid request: something is missing

@@ -37,7 +37,7 @@ EXAMPLES = """\
 
 What is done is not done again.  Exit code 0: every file has a result;
 1: a file has none (see the table tasks), or outputs differ, or lint finds
-errors.  Tables and columns: docs/cohort.md"""
+errors.  Tables and columns: docs/how-to/cohort.md"""
 
 QUERY, REPORT = "query", "report"
 _FIRST_QUESTION = "SELECT status, count(*) n FROM tasks GROUP BY status"

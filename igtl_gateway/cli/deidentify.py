@@ -30,7 +30,7 @@ EXAMPLES = """\
 
 The result verifies: inputs are changed, outputs are computed again.  The report
 names each rule with its option of DICOM PS3.15, what was left, and what no
-rule covers, such as faces in volumes.  See docs/deidentify.md."""
+rule covers, such as faces in volumes.  See docs/how-to/deidentify.md."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -112,8 +112,8 @@ def add_limits_of_files(parser: Options) -> None:
         action="append",
         default=[],
         metavar="NAME=VALUE",
-        help=f"change a limit for reading untrusted files: {', '.join(limits.MEANINGS)}; docs/hostile-files.md has "
-        "meanings and defaults (repeatable)",
+        help=f"change a limit for reading untrusted files: {', '.join(limits.MEANINGS)}; "
+        "docs/evidence/hostile-files.md has meanings and defaults (repeatable)",
     )
 
 

@@ -18,7 +18,7 @@ EXAMPLES = """\
   igtl-gateway zenoh-router --listen tcp/0.0.0.0:7447
   # join the graph of another site
   igtl-gateway zenoh-router --connect tls/planning.example:7447
-  # certificates and access control by a file of Zenoh (docs/zenoh.md)
+  # certificates and access control by a file of Zenoh (docs/how-to/zenoh.md)
   ZENOH_ROUTER_CONFIG_URI=router.json5 igtl-gateway zenoh-router
 
 ROS nodes with rmw_zenoh find each other through a router on their machine.

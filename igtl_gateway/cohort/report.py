@@ -35,7 +35,8 @@ def page(questions: Questions, folder: str) -> str:
     return (
         f'<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>{title}</title>'
         f"<style>{_STYLE}</style></head>"
-        f"<body><h1>{title}</h1><p>Made by igtl-gateway {text(__version__)}. Method of each verb: docs/cohort.md.</p>"
+        f"<body><h1>{title}</h1><p>Made by igtl-gateway {text(__version__)}. "
+        f"Method of each verb: docs/how-to/cohort.md.</p>"
         f"{''.join(sections)}</body></html>\n"
     )
 

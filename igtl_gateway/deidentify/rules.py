@@ -1,6 +1,6 @@
 """The table of the rules: where identity is in a session, what happens to it, and the option of DICOM PS3.15.
 
-Each change is counted by the name of its rule.  docs/deidentify.md has the table.
+Each change is counted by the name of its rule.  docs/how-to/deidentify.md has the table.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ MIN_SOCKET_BYTES = 8 << 20
 MIN_QUOTA = 2.0
 #: Clock sources that the kernel reads without a system call.
 FAST_CLOCKS = frozenset({"tsc", "kvm-clock", "hyperv_clocksource_tsc_page", "arch_sys_counter"})
-#: Bounds of the measurement: a tenth of the bound of a pose (docs/performance.md), and a half of its median.
+#: Bounds of the measurement: a tenth of the bound of a pose (docs/evidence/performance.md), and a half of its median.
 MAX_LATE_P99_NS, MAX_HANDOVER_P99_NS = 300_000, 100_000
 
 

@@ -14,7 +14,7 @@ from igtl_gateway.doctor.host_probe import HostMeasurement, measure
 from igtl_gateway.doctor.rules import Severity
 from igtl_gateway.errors import Unavailable
 
-SECTION = "docs/doctor.md: The machine"
+SECTION = "docs/reference/doctor.md: The machine"
 
 
 @dataclass(frozen=True, slots=True)

@@ -70,13 +70,13 @@ class RuleFinding:
 
 
 HEADER = "Protocol/header.md"
-TIME = "docs/conversions.md: Stamps, units and metadata"
-NAMES = "docs/conversions.md: Names, topics and frames"
-DOCTOR = "docs/doctor.md"
+TIME = "docs/reference/conversions.md: Stamps, units and metadata"
+NAMES = "docs/reference/conversions.md: Names, topics and frames"
+DOCTOR = "docs/reference/doctor.md"
 
 RULES: tuple[Rule, ...] = (
     Rule(
-        "IGTL-E701", "the recording is damaged", "docs/session-log.md",
+        "IGTL-E701", "the recording is damaged", "docs/reference/session-log.md",
         "`igtl-gateway recover FILE` copies all readable data", checks.damaged,
     ),
     Rule(
@@ -89,7 +89,7 @@ RULES: tuple[Rule, ...] = (
         checks.both_servers,
     ),
     Rule(
-        "IGTL-E115", "the TLS handshake fails", "docs/security.md",
+        "IGTL-E115", "the TLS handshake fails", "docs/how-to/security.md",
         "check that both sides use TLS (`tls://`); check their certificates and CAs, the host name and the date",
         checks.no_tls,
     ),
@@ -154,7 +154,7 @@ RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
-        "IGTL-E210", "malformed body", "docs/messages.md",
+        "IGTL-E210", "malformed body", "docs/reference/messages.md",
         "correct the encoding of the sender; `igtl-gateway decode` shows the bytes",
         each_stream(lambda one: one.malformed, lambda one: f"{one.malformed} messages cannot be decoded: {one.error}"),
     ),
@@ -178,7 +178,7 @@ RULES: tuple[Rule, ...] = (
         checks.qos_clash,
     ),
     Rule(
-        "IGTL-W604", "ROS: no conversion for this type", "docs/conversions.md: ROS to OpenIGTLink",
+        "IGTL-W604", "ROS: no conversion for this type", "docs/reference/conversions.md: ROS to OpenIGTLink",
         "publish one of the types in the table, or igtl_msgs/RawMessage", checks.unconverted,
     ),
     Rule(
@@ -256,7 +256,7 @@ RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
-        "IGTL-W405", "name in the body that fills its field", "docs/messages.md",
+        "IGTL-W405", "name in the body that fills its field", "docs/reference/messages.md",
         "use at most 19 bytes: C++ readers drop a name without a final NUL",
         each_stream(
             lambda one: len(one.element_names),
@@ -318,7 +318,7 @@ RULES: tuple[Rule, ...] = (
         "check the peer's log: it connects, and disconnects immediately", checks.short_links,
     ),
     Rule(
-        "IGTL-W114", "the peer reads too slowly", "docs/performance.md",
+        "IGTL-W114", "the peer reads too slowly", "docs/evidence/performance.md",
         "send less, or let the peer read faster; until then old poses and images are dropped", checks.slow_reader,
     ),
     Rule(
@@ -340,7 +340,7 @@ RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
-        "IGTL-W703", "messages lost", "docs/session-log.md",
+        "IGTL-W703", "messages lost", "docs/reference/session-log.md",
         "see the losses in `igtl-gateway info FILE`", checks.lost,
     ),
     Rule(
@@ -372,7 +372,7 @@ RULES: tuple[Rule, ...] = (
         "publish below /igtl/out/, or name topics with `--send`", checks.nothing_out,
     ),
     Rule(
-        "IGTL-I704", "no OpenIGTLink messages", "docs/session-log.md",
+        "IGTL-I704", "no OpenIGTLink messages", "docs/reference/session-log.md",
         "record with peers connected", checks.no_messages,
     ),
 )  # fmt: skip

@@ -1,1 +1,1 @@
-"""Import from and export to the file formats of other programs, one module per format; see ``docs/formats.md``."""
+"""Import from and export to the file formats of other programs, one module each; see ``docs/reference/formats.md``."""

@@ -2,8 +2,8 @@
 
 PLUS's reader (IGSIO) requires ``ObjectType`` first, lines below 1,000 characters, 2 to 4 dimensions, a known
 orientation and type of the ultrasound image, and little-endian pixels: it ignores the byte order field.  ITK reads row
-*i* of TransformMatrix as the direction of axis *i*, in LPS.  ``docs/formats.md`` has the table of rules; a test checks
-it.
+*i* of TransformMatrix as the direction of axis *i*, in LPS.  ``docs/reference/formats.md`` has the table of rules; a
+test checks it.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Layout of the pixels of a file, independent of its format: roles of the axes, number type, compression, position.
 
 Axes have the order of the file, fastest first.  Each has one of three roles: *space* (columns, rows, slices in this
-order), *component* (values of one pixel) or *frame* (images over time).  ``docs/formats.md`` has the rules by which the
-formats declare the roles.
+order), *component* (values of one pixel) or *frame* (images over time).  ``docs/reference/formats.md`` has the rules by
+which the formats declare the roles.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ Strategy: a set point is compared with the last one that was published.  The way
 arm can move in the time between them, by the clock of the gateway or by that of the sender, whichever shows less.  So
 no window of time, between any two published set points, has a faster motion: there is no credit to save up in a stall,
 and no tolerance that a burst adds up.  A pause counts as 0.1 s at most, and after 0.5 s the arm must be where the
-command begins: ``docs/guard.md`` has the policy and its reasons.
+command begins: ``docs/how-to/guard.md`` has the policy and its reasons.
 
 The state is the last published command of each device, so the prologue of a part of a recording restores it.
 """

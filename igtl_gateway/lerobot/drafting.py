@@ -167,7 +167,7 @@ def _fps(chosen: list[_Candidate]) -> int:
 def _lines(recording: Recording, chosen: list[_Candidate], left_out: list[str]) -> Iterator[str]:
     names = [each.feature.name for each in chosen]
     default = Recipe(1, "x")
-    yield "# A recipe for `igtl-gateway export --to lerobot`; docs/lerobot.md describes all keys."
+    yield "# A recipe for `igtl-gateway export --to lerobot`; docs/how-to/lerobot.md describes all keys."
     yield "[dataset]"
     yield f"fps = {_fps(chosen)}"
     yield 'task = "not stated"  # what is done, in words: policies read it'
@@ -185,7 +185,7 @@ def _lines(recording: Recording, chosen: list[_Candidate], left_out: list[str]) 
         yield from ("", "[[feature]]", f"name = {toml_value(ACTION)}")
         yield f"next_of = {toml_value(STATE)}  # no stream has a command in its name: the next state"
     yield ""
-    yield "[card]  # what the recording does not know; see docs/lerobot.md"
+    yield "[card]  # what the recording does not know; see docs/how-to/lerobot.md"
     yield '# data_type = "Table-top phantom"'
     yield '# license = "CC BY 4.0"'
     if left_out:

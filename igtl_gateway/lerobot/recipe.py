@@ -1,4 +1,4 @@
-"""The recipe of a data set; ``docs/lerobot.md`` has the table of all keys, and ``recipe_file`` reads and checks it."""
+"""The recipe of a data set; ``docs/how-to/lerobot.md`` has the table of keys; ``recipe_file`` reads and checks it."""
 
 from __future__ import annotations
 

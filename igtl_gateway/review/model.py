@@ -31,7 +31,7 @@ class Level(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Thresholds:
-    """The limits that make a figure a reason; ``docs/review.md`` explains the defaults.
+    """The limits that make a figure a reason; ``docs/how-to/review.md`` explains the defaults.
 
     Attributes:
         wrong_mm: distance of a point from the tissue from which its level is *wrong*, if the distance is also more

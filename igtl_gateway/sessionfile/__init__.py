@@ -10,7 +10,7 @@ The way through the folder, from bytes to sessions:
 ``scan``, ``index``  the contents of a file: from its summary, or by one pass over its data
 ``index_check``      the indexes of messages, which have no checksum
 ``order``            the messages of a file in order of time
-``layout``           topics, types, keys and metadata of a session; ``docs/session-log.md`` is the specification
+``layout``           topics, types, keys and metadata of a session; ``docs/reference/session-log.md`` specifies it
 ``messages``         an entry as a CDR message, and back
 ``channels``         what the record of a channel states of its entries
 ``schemas``          definitions of ROS message types for the file

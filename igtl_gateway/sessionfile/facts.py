@@ -1,4 +1,4 @@
-"""Checks of session metadata and ledger, as ``docs/session-log.md`` has them.
+"""Checks of session metadata and ledger, as ``docs/reference/session-log.md`` has them.
 
 Readers check here once; code that prints or counts may rely on the types.  Fields that are not in the tables are kept
 unchecked.

@@ -1,6 +1,6 @@
 """How entries are laid out in a session file: topics, channels, message types, metadata.  This module opens no file.
 
-``docs/session-log.md`` is the specification of what is written down here and in ``messages``, and
+``docs/reference/session-log.md`` is the specification of what is written down here and in ``messages``, and
 :data:`FORMAT_VERSION` its number.  Recorder and reader meet only in these two modules.
 
 Every channel of the file is CDR with a ``ros2msg`` definition, because one channel of another encoding makes
@@ -24,7 +24,7 @@ from igtl_gateway.session.entry import Kind
 from igtl_gateway.sessionfile.records import crc32
 from igtl_gateway.untrusted.numbers import whole_number
 
-#: Version of ``docs/session-log.md``; a reader refuses a file with a newer one.
+#: Version of ``docs/reference/session-log.md``; a reader refuses a file with a newer one.
 FORMAT_VERSION = 1
 
 #: Uncompressed size of a chunk: a reader has to hold it, and unpacks it for one message.

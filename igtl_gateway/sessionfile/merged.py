@@ -2,7 +2,7 @@
 
 To every other program it is an ordinary file: each topic has the name of its part in front, and ``log_time`` is that of
 the reference clock.  Each part can be taken out again: its messages are in the order that they had, an attachment has
-their numbers and times, and a digest states that nothing changed.  ``docs/session-log.md`` is the specification.
+their numbers and times, and a digest states that nothing changed.  ``docs/reference/session-log.md`` specifies it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Old recordings: one step for each version of ``docs/session-log.md`` that is no longer the current one.
+"""Old recordings: one step for each version of ``docs/reference/session-log.md`` that is no longer the current one.
 
 A reader returns entries and session metadata in the form of the current version.  The step of an older version
 converts them to the next one; steps are applied one after the other, so each knows two versions only.  To change the

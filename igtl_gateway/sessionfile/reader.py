@@ -1,4 +1,4 @@
-"""Reading a session file: MCAP in, entries out, as ``docs/session-log.md`` specifies.
+"""Reading a session file: MCAP in, entries out, as ``docs/reference/session-log.md`` specifies.
 
 A file is either read correctly or refused: the checksums of the index, of our metadata and of every chunk are verified;
 damage raises DamagedRecording.  MCAP files without our metadata ("foreign", such as rosbag2 recordings) are read as
@@ -72,7 +72,7 @@ class SessionFile:
         path: the file.
         size: bytes of it.
         session: the session metadata; empty for foreign files.
-        format_version: version of ``docs/session-log.md`` that it follows.
+        format_version: version of ``docs/reference/session-log.md`` that it follows.
         ledger: the fate of every message; None where the recording has none.
         foreign: not a recording of the gateway: every message is a ROS_IN entry, numbered as read.
         channels: what is in it.

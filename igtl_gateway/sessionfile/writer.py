@@ -1,4 +1,4 @@
-"""Writing a session file: entries in, MCAP out, as ``docs/session-log.md`` specifies.
+"""Writing a session file: entries in, MCAP out, as ``docs/reference/session-log.md`` specifies.
 
 Synchronous and single-threaded; the recorder runs it in its own process, tools use it directly.  It adds no times and
 nothing random: equal entries give equal records, and equal files with the same compressor.

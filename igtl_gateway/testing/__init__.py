@@ -2,5 +2,6 @@
 
 pytest loads ``plugin`` automatically if igtl-gateway is installed.  Its fixtures are ``igtl_replay`` (``peer``: a
 recording as an OpenIGTLink peer), ``igtl_gateway`` (``gateway``: the core of the gateway on manual time) and
-``assert_session_equal`` (``compare``).  They import their modules when they are used.  The guide is docs/testing.md.
+``assert_session_equal`` (``compare``).  They import their modules when they are used.  The guide is
+docs/how-to/testing.md.
 """

@@ -2,5 +2,5 @@
 
 Every reader opens files with :mod:`igtl_gateway.untrusted.files` and checks :mod:`igtl_gateway.untrusted.limits`
 before it allocates, unpacks, nests or repeats.  All printed text passes :func:`igtl_gateway.untrusted.text.printable`.
-``docs/hostile-files.md`` lists the tested files.
+``docs/evidence/hostile-files.md`` lists the tested files.
 """

@@ -1,8 +1,8 @@
 """Layouts as rows: the fields of a header or a content, in the order of the wire.
 
 Each class of contents has its rows in ``LAYOUT``.  They are the only description of its bytes: ``compile_struct`` and
-``offset_of`` derive from them what packs and unpacks, and ``tools/docs.py`` writes docs/messages.md from them.  A list
-of equal elements is described by a numpy dtype instead, from which ``of_dtype`` derives the rows.
+``offset_of`` derive from them what packs and unpacks, and ``tools/docs.py`` writes docs/reference/messages.md from
+them.  A list of equal elements is described by a numpy dtype instead, from which ``of_dtype`` derives the rows.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The examples of docs/python-*.md print what the document has."""
+"""The examples of docs/how-to/python-*.md print what the document has."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 EXAMPLE = re.compile(r"```python\n([^`]*)```\n\n((?:    .*\n)+)")
-DOCUMENTS = sorted((ROOT / "docs").glob("python-*.md"))
+DOCUMENTS = sorted((ROOT / "docs" / "how-to").glob("python-*.md"))
 EXAMPLES = [
     pytest.param(path, code, output, id=f"{path.stem}-{number}")
     for path in DOCUMENTS

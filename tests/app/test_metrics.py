@@ -124,7 +124,7 @@ def test_every_metric_says_what_it_is_and_is_told_without_a_recording() -> None:
 
 
 def test_the_document_has_every_metric() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "metrics.md").read_text("utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "metrics.md").read_text("utf-8")
     for metric in METRICS:
         assert f"| `{metric.name}` | {metric.kind} | {metric.meaning} |" in page
 

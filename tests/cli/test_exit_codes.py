@@ -30,7 +30,7 @@ class Case:
 
 ROS, RERUN, AV = ("rclpy",), ("rerun", "rerun_cli"), ("av",)
 BRIDGE = "bridge --no-ros --duration 0.1 --listen :0"
-DOCUMENT = (ROOT / "docs" / "command-line.md").read_text()
+DOCUMENT = (ROOT / "docs" / "reference" / "command-line.md").read_text()
 
 #: A package is missing: 1, with one sentence that names the way to install it.
 MISSING = [

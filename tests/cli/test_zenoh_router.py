@@ -19,7 +19,7 @@ from tests.integration.bridge import gateway
 
 __all__ = ["port", "sides"]
 
-PAGE = Path(__file__).parents[2] / "docs" / "zenoh.md"
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "zenoh.md"
 
 
 def test_the_program(port: int) -> None:

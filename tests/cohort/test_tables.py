@@ -13,7 +13,7 @@ pytest.importorskip("pyarrow", reason='needs pyarrow: pip install "igtl-gateway[
 from igtl_gateway.cohort.columns import TABLES
 from igtl_gateway.cohort.tables import arrow_table, joined
 
-DOCUMENT = Path(__file__).parents[2] / "docs" / "cohort.md"
+DOCUMENT = Path(__file__).parents[2] / "docs" / "how-to" / "cohort.md"
 
 
 def test_the_document_has_every_table_and_column() -> None:

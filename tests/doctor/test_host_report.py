@@ -53,7 +53,7 @@ def test_json() -> None:
         "found": "load 9 on 8 CPUs",
         "expected": "up to 0.7 for each CPU",
         "advice": "stop other programs, or move them to another machine",
-        "section": "docs/doctor.md: The machine",
+        "section": "docs/reference/doctor.md: The machine",
     }
     assert found["measured"] == {
         "lateness": {"p50_ns": 60_000, "p99_ns": 120_000, "max_ns": 900_000},

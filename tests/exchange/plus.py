@@ -1,7 +1,7 @@
 """What the sequence reader of PLUS (IGSIO) asks of a MetaImage file, as a table of rules in our own words.
 
 The reader is C++ and not here.  Each rule was read in its source (vtkIGSIOMetaImageSequenceIO, igsioVideoFrame and
-igsioCommon of github.com/IGSIO/IGSIO); ``docs/formats.md`` has the same table.
+igsioCommon of github.com/IGSIO/IGSIO); ``docs/reference/formats.md`` has the same table.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from tests.exchange import plus
 from tests.exchange.itk import MICROMETRE, OBLIQUE, corners, images_of, itk_corners, orientations, orthonormal, read
 from tests.exchange.memory import InMemory, sent
 
-DOCS = Path(__file__).parents[2] / "docs" / "formats.md"
+DOCS = Path(__file__).parents[2] / "docs" / "reference" / "formats.md"
 POSE = Transform((1, 0, 0, 0, 1, 0, 0, 0, 1, 1.5, 2.5, 3.5))
 
 

@@ -391,7 +391,7 @@ def test_no_command_and_no_state_of_an_arm_is_compiled() -> None:
 
 
 def test_the_document_has_each_name_and_each_code() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "crtk.md").read_text("utf-8")
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "crtk.md").read_text("utf-8")
     for row in crtk.NAMES:
         assert f"| `{row.name}` | {row.ros_type.replace('/msg/', '/')} | {row.igtl_type} |" in page
     for code, meaning in CODES.items():

@@ -1,6 +1,6 @@
 """Hostile peers, one row each: what a peer sends, and the result.
 
-``test_hostile`` plays every row against a running bridge, and compares ``docs/hostile.md`` with ``page()``.
+``test_hostile`` plays every row against a running bridge, and compares ``docs/evidence/hostile.md`` with ``page()``.
 ``python -m tests.integration.hostile_cases`` writes the page again.
 """
 
@@ -17,7 +17,7 @@ from fastcrc import crc64
 
 from tests.integration.bridge import HEADER_SIZE, extended, header, message, string
 
-PAGE = Path(__file__).parents[2] / "docs" / "hostile.md"
+PAGE = Path(__file__).parents[2] / "docs" / "evidence" / "hostile.md"
 
 
 class Manner(Enum):
@@ -477,7 +477,7 @@ OTHERS: tuple[tuple[str, str, str, str, str], ...] = (
 
 
 def page() -> str:
-    """The tables of ``docs/hostile.md``."""
+    """The tables of ``docs/evidence/hostile.md``."""
     lines = ["| Peer | Sent | Answered | Noted | Counted |", "| --- | --- | --- | --- | --- |"]
     for case in CASES:
         answer = ", ".join(f"`{kind}`" for kind in dict.fromkeys(case.answer)) if case.answer else "nothing"

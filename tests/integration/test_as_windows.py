@@ -1,4 +1,4 @@
-"""The gateway in a Python that lacks what Windows lacks: ``docs/systems.md`` has what that imitates, and what not."""
+"""The gateway in a Python that lacks what Windows lacks: ``docs/how-to/systems.md`` has what that imitates."""
 
 from __future__ import annotations
 

@@ -2,8 +2,8 @@
 
 Everything here takes half a minute of waiting, so all scenes run at the same time, in threads, and each test checks
 the observations of one scene.  The network is that of ``netns``; ``--log-cli-level=INFO`` shows which kind it is, and
-the observations.  See docs/network-faults.md.  What a killed bridge leaves behind is in ``test_crash``, a peer that
-never reads in ``test_hostile``.
+the observations.  See docs/evidence/network-faults.md.  What a killed bridge leaves behind is in ``test_crash``, a peer
+that never reads in ``test_hostile``.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """``python -m tools.soak``: 10 s of it, and that its judgement would notice.
 
-The hour is in docs/soak.md.  This has a tenth of the mixed load, because every test shares two cores with others;
-clients connect more often than in the hour.  ``IGTL_GATEWAY_SOAK_S`` makes it longer or shorter.
+The hour is in docs/evidence/soak.md.  This has a tenth of the mixed load, because every test shares two cores with
+others; clients connect more often than in the hour.  ``IGTL_GATEWAY_SOAK_S`` makes it longer or shorter.
 """
 
 from __future__ import annotations

@@ -126,14 +126,14 @@ def _buffers(draw: st.DrawFn) -> Sequence[Buffer]:
 @st.composite
 def sessions(draw: st.DrawFn, max_size: int = 12) -> list[Entry]:
     """Any session: numbers and stamps increase, everything else is free within the contract of Entry."""
-    # the first number of a file has to fit in MCAP's 32 bits (docs/session-log.md)
+    # the first number of a file has to fit in MCAP's 32 bits (docs/reference/session-log.md)
     seq, stamp_ns = draw(st.integers(0, 2**32 - 1001)), draw(st.integers(0, 2**62))
     entries = []
     for _ in range(draw(st.integers(0, max_size))):
         seq += draw(st.integers(1, 1000))
         stamp_ns += draw(st.integers(1, 10**12))
         kind = draw(st.sampled_from(Kind))
-        # a sender's stamp that equals ours means "unset" for all but OpenIGTLink (docs/session-log.md)
+        # a sender's stamp that equals ours means "unset" for all but OpenIGTLink (docs/reference/session-log.md)
         source_ns = draw(_TIMES)
         source_ns += source_ns == stamp_ns
         links = tuple(draw(st.lists(st.integers(0, 2**32 - 1), max_size=3)))

@@ -16,7 +16,7 @@ from igtl_gateway.sync.statistics import chi_squared, student
 from tests.sync.trajectories import trajectory
 from tests.sync.worlds import irregular, stamps, world
 
-#: Random cases; the table in docs/sync.md is of 300.
+#: Random cases; the table in docs/how-to/sync.md is of 300.
 CASES = int(os.environ.get("SYNC_CASES", "6"))
 #: Trajectories of an instrument; with ``SYNC_TRAJECTORIES=68`` all of them, and with ``SYNC_SEED`` other ones.
 TRAJECTORIES = int(os.environ.get("SYNC_TRAJECTORIES", "3"))

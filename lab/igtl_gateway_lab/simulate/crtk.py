@@ -1,7 +1,7 @@
 """The CRTK scenario: two dVRK-like arms, and who commands them.
 
 The surgeon's console, a ROS program, moves PSM2.  A planner, a program of OpenIGTLink, moves PSM1 through the guard of
-the gateway: it also sends commands that the guard must refuse.  ``docs/crtk.md`` describes the bridge.
+the gateway: it also sends commands that the guard must refuse.  ``docs/how-to/crtk.md`` describes the bridge.
 **Synthetic data**: no robot, no patient.
 """
 

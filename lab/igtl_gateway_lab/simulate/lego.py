@@ -2,8 +2,8 @@
 
 A head is shown in the navigation program, a slice of it lies printed in front of a small arm.  The arm touches crosses
 on the sheet; with that the program registers image and robot, and sends a line that was planned on the image; the arm
-draws it.  ``docs/scenario-lego.md`` describes it; the parts are ``lego_planner`` (OpenIGTLink) and ``lego_robot``
-(ROS), which know each other by ``lego_terms`` alone.
+draws it.  ``docs/how-to/scenario-lego.md`` describes it; the parts are ``lego_planner`` (OpenIGTLink) and
+``lego_robot`` (ROS), which know each other by ``lego_terms`` alone.
 """
 
 from __future__ import annotations

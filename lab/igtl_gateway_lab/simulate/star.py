@@ -1,7 +1,7 @@
 """The synthetic suturing session: who plays in it.
 
 Sensors and robot are ROS programs, the planner is one of OpenIGTLink; between them is nothing but the gateway and the
-ROS graph.  ``docs/scenario-star.md`` describes the story, and ``star_scene`` has the place of each part.
+ROS graph.  ``docs/how-to/scenario-star.md`` describes the story, and ``star_scene`` has the place of each part.
 **Synthetic data**: no robot, no patient, no camera.
 """
 

@@ -1,7 +1,7 @@
 """A Python that lacks what Windows lacks, and refuses what Windows refuses: it is on PYTHONPATH of such a test.
 
-What is imitated is listed in ``docs/systems.md``.  The standard library stays that of this system: it is imported
-first.  What follows is for all that is imported later.
+What is imitated is listed in ``docs/how-to/systems.md``.  The standard library stays that of this system: it is
+imported first.  What follows is for all that is imported later.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Run the table and write ``docs/hostile-files.md`` again: ``python -m tests.integration.hostile_files``.
+"""Run the table and write ``docs/evidence/hostile-files.md`` again: ``python -m tests.integration.hostile_files``.
 
 ``--tree`` runs the command line of another checkout, whose counts stand on the page as those of before.
 """

@@ -1,4 +1,4 @@
-"""The generated part of ``docs/hostile-files.md``: results, limits, and a row for each file."""
+"""The generated part of ``docs/evidence/hostile-files.md``: results, limits, and a row for each file."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from igtl_gateway.untrusted.limits import MEANINGS, FileLimits
 from tests.integration.hostile_files.case import ROOT, VERBS, Hostile
 from tests.integration.hostile_files.table import CASES, FAULTS, Outcome
 
-PAGE = ROOT / "docs" / "hostile-files.md"
+PAGE = ROOT / "docs" / "evidence" / "hostile-files.md"
 RESULTS = Path(__file__).with_name("results.json")
 #: Mark before the tables of the page.
 MARK = "<!-- from tests/integration/hostile_files -->\n"
