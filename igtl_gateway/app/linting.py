@@ -31,6 +31,8 @@ def observe(
         if also:
             also(entry)
     seen.losses = dict(_losses(file.ledger or {}))
+    if isinstance(file, SessionFile):
+        seen.damaged_indexes = file.damaged_indexes()
     return seen
 
 

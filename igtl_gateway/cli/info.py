@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _run(options: argparse.Namespace, place: Path) -> int:
     try:
-        with SessionFile.open(place) as file:
+        with SessionFile.open(place, incomplete=True) as file:
             content = ContentSummary.of(file.entries())
             summary = _facts(place, file, content, file.start_ns, file.end_ns) | {"file": str(options.file)}
             summary["bytes"] = file.size
@@ -61,6 +61,7 @@ def _run(options: argparse.Namespace, place: Path) -> int:
             summary["skipped"] = [asdict(skipped) for skipped in file.skipped]
             if file.parts:
                 summary["parts"] = [_part(part) for part in file.parts]
+                summary["missing_parts"] = [list(each) for each in file.missing_parts]
             if file.merge:
                 summary["merge"] = dict(file.merge.facts)
     except LimitExceeded:
@@ -77,7 +78,9 @@ def _run(options: argparse.Namespace, place: Path) -> int:
         problems = bool(summary["problems"])
         print_damaged_indexes(options.file, summary["damaged_indexes"])
         print_next(*info_steps(str(options.file), is_foreign=summary["foreign"], has_problems=problems, types=types))
-    return 1 if summary["damaged_indexes"] else 0
+    # the retention deletes the first parts, and nothing deletes one between others
+    has_gap = any(first for first, _ in summary.get("missing_parts", []))
+    return 1 if summary["damaged_indexes"] or has_gap else 0
 
 
 def _run_damaged(options: argparse.Namespace, place: Path, error: DamagedRecording) -> int:
@@ -196,8 +199,11 @@ def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_n
         print_line(f"  synthetic {session['synthetic']}")
     for key, value in parse_json(session.get(layout.CUSTOM_KEY, "{}"), layout.CUSTOM_KEY).items():
         print_line(f"  {key:<9} {value}")
-    for line in _origin(session):
+    missing = summary.get("missing_parts", [])
+    for line in _origin(session, is_folder=bool(parts)):
         print_line(f"  {line}")
+    if missing:
+        print_line(f"  MISSING   {_missing(missing)}")
     if seal := summary["seal"]:
         end = "" if seal["closed"] else ", the last seal is missing"
         print_line(
@@ -240,10 +246,23 @@ def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_n
                 print_line(f"    {line}")
 
 
-def _origin(session: dict[str, str]) -> list[str]:
+def _missing(gaps: list[list[int]]) -> str:
+    """Return which parts are not there, and what that means for the rest."""
+    names = [f"{first}" if first == last else f"{first} to {last}" for first, last in gaps]
+    is_one = len(gaps) == 1 and gaps[0][0] == gaps[0][1]
+    these, theirs = ("part", "its") if is_one else ("parts", "their")
+    text = f"{these} {' and '.join(names)} of the recording: {theirs} entries are not here"
+    return (
+        text
+        if any(first for first, _ in gaps)
+        else f"{text}; the prologue of part {gaps[0][1] + 1} has the state before it"
+    )
+
+
+def _origin(session: dict[str, str], *, is_folder: bool) -> list[str]:
     """Return lines about what the file is a part of."""
     lines = []
-    if layout.PART_KEY in session:
+    if layout.PART_KEY in session and not is_folder:
         before = f", after {session[layout.PREVIOUS_KEY]}" if layout.PREVIOUS_KEY in session else ""
         lines.append(f"part      {session[layout.PART_KEY]} of a split recording{before}")
     if layout.SNAPSHOT_KEY in session:

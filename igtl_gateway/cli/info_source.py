@@ -49,7 +49,7 @@ def _is_bag(path: Path) -> bool:
     if not path.is_dir() or not (path / SIDE_FILE).is_file():
         return False
     try:
-        with SessionFile.open(path):
+        with SessionFile.open(path, incomplete=True):
             return False
     except UnsupportedRecording:
         return True

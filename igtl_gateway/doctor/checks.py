@@ -443,6 +443,11 @@ def ros_refused(observed: Observer) -> Iterator[RuleMatch]:
 def damaged(observed: Observer) -> Iterator[RuleMatch]:
     if observed.damage:
         yield RuleMatch("recording", observed.damage)
+    if number := observed.damaged_indexes:
+        text = (
+            f"the index of messages is damaged in {number:,} chunk{'' if number == 1 else 's'}: all messages are there"
+        )
+        yield RuleMatch("index", f"{text}, but programs that use the index may miss some", {"chunks": number})
 
 
 def lost(observed: Observer) -> Iterator[RuleMatch]:

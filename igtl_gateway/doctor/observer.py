@@ -66,6 +66,7 @@ class Observer:
         notes: notes of edges and gateway, by code; begin and end of links are in ``peers``.
         graph: publishers and subscriptions in ROS that concern the gateway; None if not observed.
         damage: damage of the recording itself; "" without damage.
+        damaged_indexes: number of chunks of the recording whose index of messages is damaged.
         losses: reason → number of lost messages, by the ledger of the recording.
     """
 
@@ -80,6 +81,7 @@ class Observer:
         self.notes: dict[str, NoteCount] = {}
         self.graph: Graph | None = None
         self.damage = ""
+        self.damaged_indexes = 0
         self.losses: dict[str, int] = {}
         self._ahead_ns = 0  # gateway time less the host's clock
 

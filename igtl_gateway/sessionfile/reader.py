@@ -13,6 +13,7 @@ from collections.abc import Callable, Collection, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryFile
 from types import TracebackType
@@ -83,9 +84,11 @@ class SessionFile:
         entry_count: entries that :meth:`entries` returns.
         start_ns, end_ns: UTC nanoseconds of the first and the last one; 0 in an empty file.
         parts: the files of a split recording, in order; empty for a file.
+        missing_parts: first and last number of each row of parts before the last one that are not in its folder.
     """
 
     parts: tuple[PartSummary, ...] = ()
+    missing_parts: tuple[tuple[int, int], ...] = ()
 
     def __init__(self, path: Path, stream: IO[bytes]) -> None:
         self.path = path
@@ -118,15 +121,19 @@ class SessionFile:
         self.start_ns, self.end_ns = index.start_ns, index.end_ns
 
     @classmethod
-    def open(cls, path: Path | str) -> SessionFile:
+    def open(cls, path: Path | str, *, incomplete: bool = False) -> SessionFile:
         """Open a file, the folder of a split recording, or a part of a merged session (``FILE/NAME``), and read all but
         its entries.
+
+        Args:
+            path: its place.
+            incomplete: parts may be missing between others of a split recording.
 
         Raises UnsupportedRecording (no such file, not MCAP, of a newer version …) or DamagedRecording.
         """
         path = Path(path)
         if path.is_dir():
-            return SessionParts(path)
+            return SessionParts(path, incomplete=incomplete)
         stream: IO[bytes]
         if path.parent.is_file():
             stream = TemporaryFile()
@@ -459,7 +466,7 @@ def prologue_of(attachment: Attachment, path: Path) -> list[Entry]:
 class SessionParts(SessionFile):
     """The parts of a split recording as one session; see :meth:`SessionFile.open`.  One part is open at a time."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, incomplete: bool) -> None:
         self.path = folder
         found: dict[int, PartSummary] = {}
         channels: dict[tuple[str, str, Kind, str], ChannelSummary] = {}
@@ -485,10 +492,10 @@ class SessionParts(SessionFile):
                 self.entry_count += part.entry_count
         if not found:
             raise UnsupportedRecording(f"{folder}: found a directory, expected the .mcap file in it")
+        self.missing_parts = tuple((one + 1, two - 1) for one, two in pairwise((-1, *sorted(found))) if two - one > 1)
         # the retention deletes parts from the first one on: the first that is left has a prologue
-        missing = next((number for number in range(min(found), max(found) + 1) if number not in found), None)
-        if missing is not None:
-            raise DamagedRecording(f"{folder}: part {missing} of the recording is missing")
+        if gap := next((first for first, _ in self.missing_parts if first and not incomplete), 0):
+            raise DamagedRecording(f"{folder}: part {gap} of the recording is missing")
         self.parts = tuple(found[number] for number in sorted(found))
         self.size = sum(part.size for part in self.parts)
         with SessionFile.open(self.parts[0].path) as first, SessionFile.open(self.parts[-1].path) as last:

@@ -60,6 +60,45 @@ def test_a_split_recording_is_told_as_one_and_by_its_parts(tmp_path: Path, capsy
     assert "parts" not in json.loads(said(capsys, folder / "long_1.mcap", "--json"))
 
 
+@pytest.mark.parametrize(
+    ("kept", "line", "code"),
+    [
+        (
+            (1, 2, 3),
+            "part 0 of the recording: its entries are not here; the prologue of part 1 has the state before it",
+            0,
+        ),
+        (
+            (2, 3),
+            "parts 0 to 1 of the recording: their entries are not here; the prologue of part 2 has the state before it",
+            0,
+        ),
+        ((0, 2, 3), "part 1 of the recording: its entries are not here", 1),
+        ((1, 3), "parts 0 and 2 of the recording: their entries are not here", 1),
+    ],
+)
+def test_missing_parts_are_named_and_the_rest_is_shown(
+    kept: tuple[int, ...], line: str, code: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "long"
+    folder.mkdir()
+    entries = samples.every_kind(20)
+    for number in kept:
+        before = {"previous_part": f"long_{number - 1}.mcap"} if number else {}
+        write(folder / f"long_{number}.mcap", entries[number * 20 : number * 20 + 20], part=str(number), **before)
+    (folder / "metadata.yaml").write_text("rosbag2_bagfile_information:\n  version: 9\n")
+    assert main(["info", str(folder)]) == code
+    text = capsys.readouterr().out
+    assert f"  MISSING   {line}" in text
+    assert all(f"long_{number}.mcap  " in text for number in kept)
+    assert main(["info", str(folder), "--json"]) == code
+    told = json.loads(capsys.readouterr().out)
+    assert told["entries"] == 20 * len(kept)
+    assert [number for first, last in told["missing_parts"] for number in range(first, last + 1)] == [
+        number for number in range(max(kept)) if number not in kept
+    ]
+
+
 def test_what_a_file_is_a_part_of_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "snap.mcap"
     write(path, [], snapshot_seconds="30", record_include='["TRANSFORM/*", "/tf"]', record_exclude='["IMAGE/*"]')

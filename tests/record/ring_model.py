@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import ctypes
 import mmap
+import zlib
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -222,7 +223,7 @@ class RingModel:
         """Everything, for :meth:`restore`."""
         writer, reader = self.writer.__dict__, self.reader.__dict__
         return (
-            bytes(self._memory),
+            zlib.compress(self._memory, 1),  # a search keeps hundreds of thousands of them
             [copy(writer[name]) for name in _OF_WRITER],
             [copy(reader[name]) for name in _OF_READER],
             self.expected.copy(),
@@ -233,7 +234,8 @@ class RingModel:
         for one in self.expected.waiting:
             if one.slot:
                 one.slot._begin = -1  # of a state that is left
-        self._memory[:], writer, reader, expected = snapshot
+        packed, writer, reader, expected = snapshot
+        self._memory[:] = zlib.decompress(packed)
         self.writer.__dict__.update(zip(_OF_WRITER, map(copy, writer), strict=True))
         self.reader.__dict__.update(zip(_OF_READER, map(copy, reader), strict=True))
         self.expected = expected.copy()

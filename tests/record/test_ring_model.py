@@ -1,7 +1,7 @@
 """The recorder's ring against a model: every order of steps in small rings, and random orders in larger ones.
 
 The writers are those of the bridge: Python, its C part, and the native passage.  The reader takes entries one by one,
-or as rows.  ``RING_STATES=1000000`` searches all states of the small rings.
+or as rows.  ``RING_STATES=1000000 pytest -o faulthandler_timeout=0`` searches that many states of each small ring.
 """
 
 from __future__ import annotations
