@@ -295,7 +295,8 @@ UNMIRRORED = (
     "test_site.py",  # tools/site.py
     "test_release.py",  # tools/release.py, hatch_build.py
     "test_terms.py",  # tools/terms.py
-    "test_try_release.py",  # tools/try_release.py, docs/how-to/releases.md
+    "test_try_release.py",  # tools/try_release.py, docs/start/install.md
+    "test_words.py",  # tools/words.py
     "test_workflows.py",  # .github, CITATION.cff
     "sessionfile/test_conformance.py",  # MCAP's conformance set through readers and verbs
     "sessionfile/test_mcap_fuzz.py",  # tools/mcap_mutations.py

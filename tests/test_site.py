@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote, urlsplit
 
 import pytest
+from ruamel.yaml import YAML
 
 import igtl_gateway
 from tools import site
@@ -127,3 +130,17 @@ def test_links_lead_to_the_pages_of_the_site(tmp_path: Path) -> None:
     ):
         site.rewrite("[x](gone.md)", "docs/a.md", [], tmp_path)
     assert site.source_page("src/x.msg", tmp_path) == "# `src/x.msg`\n\n```text\n`\n```\n"
+
+
+def levels(entries: list[Any]) -> Iterator[int]:
+    """The numbers of entries of each level of a navigation; a page without a title that leads its level is its head."""
+    yield sum(not (position == 0 and isinstance(entry, str)) for position, entry in enumerate(entries))
+    for entry in entries:
+        for below in entry.values() if isinstance(entry, dict) else ():
+            if isinstance(below, list):
+                yield from levels(below)
+
+
+def test_no_level_of_the_navigation_has_more_than_eight_entries() -> None:
+    text = "nav:\n" + (site.ROOT / "mkdocs.yml").read_text("utf-8").partition("\nnav:\n")[2]
+    assert max(levels(YAML(typ="safe", pure=True).load(text)["nav"])) <= 8

@@ -1,4 +1,4 @@
-"""The programs of docs/how-to/releases.md: ``tools/try_release.py`` runs them in a fresh environment, this in ours."""
+"""The programs of docs/start/install.md: ``tools/try_release.py`` runs them in a fresh environment, this in ours."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def test_the_page_has_both_programs_with_the_port_of_the_bridge() -> None:
 def test_a_pose_passes_and_the_recording_verifies(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "igtl").symlink_to(sys.prefix)
     trial = Trial(tmp_path)
-    trial.environment["PYTHONPATH"] = str(PAGE.parents[1])
+    trial.environment["PYTHONPATH"] = str(PAGE.parents[2])
     trial.environment["ROS_DOMAIN_ID"] = os.environ["ROS_DOMAIN_ID"]
     printed = exchange(trial)
     assert "Vector3(x=0.01, y=0.02, z=0.03)" in printed

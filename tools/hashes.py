@@ -4,7 +4,7 @@
     .venv/bin/python tools/hashes.py --check     has hashes.txt the pins of constraints.txt, each with hashes?
 
 The file has the versions of ``constraints.txt`` without what only developers need, and no address of an index.
-``docs/how-to/releases.md`` shows how to install with it.  Setting up the development environment does not use it.
+``docs/start/install.md`` shows how to install with it.  Setting up the development environment does not use it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Install the files of a release by docs/how-to/releases.md, and time it from an empty folder to the first message.
+"""Install the files of a release by docs/start/install.md, and time it from an empty folder to the first message.
 
     python3.12 tools/try_release.py dist [--pure] [--extras ros,view] [--wheelhouse FOLDER]
 
@@ -21,7 +21,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-PAGE = Path(__file__).parents[1] / "docs" / "how-to" / "releases.md"
+PAGE = Path(__file__).parents[1] / "docs" / "start" / "install.md"
 PORT = "18944"
 #: For pip on a slow network, and for a message on a busy machine.
 LONGEST_STEP_S, LONGEST_WAIT_S = 900, 100

@@ -113,7 +113,7 @@ def add_limits_of_files(parser: Options) -> None:
         default=[],
         metavar="NAME=VALUE",
         help=f"change a limit for reading untrusted files: {', '.join(limits.MEANINGS)}; "
-        "docs/evidence/hostile-files.md has meanings and defaults (repeatable)",
+        "docs/reference/limits.md has meanings and defaults (repeatable)",
     )
 
 
