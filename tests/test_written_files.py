@@ -19,10 +19,8 @@ from tests.test_private_files import TREES
 
 resource = pytest.importorskip("resource", reason="needs the limits of POSIX")
 
-#: Of the table of writers: those whose output the user names.  Keys are never replaced; rerun writes its files in a
-#: thread of its own, see ``sessionfile/test_beside.py``.
+#: Of the table of writers: those whose output the user names.  Keys are never replaced.
 _COMMANDS = [words for words in WRITERS if "OUT" in words and not words.startswith("keys")]
-_ON_FULL_DISK = [words for words in _COMMANDS if not words.startswith("view")]
 _OLD = b"the work of a day"
 #: Bytes that a file may have while the disk is full.
 _ROOM = 64
@@ -67,7 +65,9 @@ def out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
     return tmp_path / "out"
 
 
-@pytest.mark.parametrize("words", _ON_FULL_DISK)
+@pytest.mark.parametrize(
+    "words", [pytest.param(words, marks=[pytest.mark.slow] * words.startswith("view")) for words in _COMMANDS]
+)
 def test_a_full_disk_leaves_what_was_there(words: str, out: Path, names: dict[str, str]) -> None:
     if "--csv" in words or "--parquet" in words or words.startswith("simulate"):
         main(_words(words, out.with_name("warm"), names))  # modules that are loaded at the first use

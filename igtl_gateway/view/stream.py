@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 from pathlib import Path
@@ -14,6 +15,7 @@ from igtl_gateway.view.contents import SessionContents
 
 APPLICATION = "igtl-gateway"
 _LITTLE = 1 << 20  #: bytes: with less free space a disk counts as full, because rerun writes larger blocks
+_FLUSH_S = 600.0  #: what a disk may take for the rest of a recording
 
 
 def to_file(out: Path, identity: str) -> rr.RecordingStream:
@@ -21,7 +23,11 @@ def to_file(out: Path, identity: str) -> rr.RecordingStream:
 
     Raises OSError if the file cannot be written.
     """
-    os.close(os.open(out, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600))  # rerun's error does not give the cause
+    # rerun's error does not give the cause, and where not even its first block can be written it waits without end
+    with open(os.open(out, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600), "wb", buffering=0) as file:
+        if file.write(bytes(_LITTLE)) < _LITTLE:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        file.truncate(0)
     recording = rr.RecordingStream(APPLICATION, recording_id=identity, send_properties=False)
     recording.save(out)
     return recording
@@ -50,7 +56,7 @@ def close(recording: rr.RecordingStream, out: Path | None = None) -> None:
     Raises OSError if the file is incomplete: rerun writes it in a thread that ends silently on an error.
     """
     try:
-        recording.flush()
+        recording.flush(timeout_sec=_FLUSH_S)
     except RuntimeError as error:
         full = out is not None and shutil.disk_usage(out.parent).free < _LITTLE
         raise OSError("the disk is full" if full else str(error)) from None
