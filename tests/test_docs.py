@@ -17,7 +17,6 @@ from igtl_gateway.doctor.host_checks import HOST_CHECKS
 from igtl_gateway.gateway import metadata
 from igtl_gateway.wire.layout import Field
 from igtl_gateway.wire.registry import BODIES
-from tests.wire import conformance
 from tools import docs
 from tools.note_codes import NOTES
 
@@ -134,18 +133,6 @@ def test_words_of_the_code_stay_there(page: str) -> None:
 def test_lines_of_prose_are_no_longer_than_those_of_code(page: str) -> None:
     prose = [line for line in page.splitlines() if not line.startswith(("|", "- ", "<!--"))]
     assert [line for line in prose if len(line) > 120] == []
-
-
-def test_without_the_corpus_its_table_stays(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    """Where only the project was copied, there are fewer messages to count."""
-    today = messages()
-    monkeypatch.setattr(conformance, "SHARED", tmp_path / "absent")
-    monkeypatch.setattr(docs, "DOCS", tmp_path)
-    begin, end = docs.CONFORMANCE
-    written = today.partition(begin)[0] + f"{begin}\n\n| as | it was |\n\n{end}\n"
-    (tmp_path / "reference").mkdir()
-    (tmp_path / "reference" / "messages.md").write_text(written, "utf-8")
-    assert docs.messages() == written
 
 
 def test_a_layout() -> None:

@@ -47,12 +47,11 @@ class Broken(Exception):
 
 
 def corpus() -> list[bytes]:
-    """The messages to begin with: our own corpus and, where it is there, that beside the project."""
-    folders = (ROOT / "tests/wire/corpus", ROOT.parent / "shared/corpus")
-    files = {path.name: path for folder in folders for path in folder.glob("*.bin")}
-    small = [files[name].read_bytes() for name in sorted(files) if files[name].stat().st_size <= MAX_FILE]
+    """The messages to begin with."""
+    files = sorted((ROOT / "tests/data/corpus").glob("*.bin"))
+    small = [path.read_bytes() for path in files if path.stat().st_size <= MAX_FILE]
     if not small:
-        raise SystemExit("tools/fuzz.py: found no corpus, expected tests/wire/corpus/*.bin")
+        raise SystemExit("tools/fuzz.py: found no corpus, expected tests/data/corpus/*.bin")
     return small
 
 

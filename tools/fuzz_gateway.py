@@ -71,6 +71,7 @@ from igtl_gateway.wire.polydata import PolyData
 from igtl_gateway.wire.query import EmptyQuery
 from igtl_gateway.wire.text import String
 from igtl_gateway.wire.transform import Position, Transform
+from tests.wire.vectors import vectors
 from tools.fuzz import DAMAGE, EDGES, MAX_FILE, ROOT, Broken, corpus, repaired
 
 T0_NS = 1_700_000_000 * NS_PER_S
@@ -170,10 +171,8 @@ def ros_seeds() -> list[tuple[str, bytes]]:
 
 
 def igtl_seeds() -> list[bytes]:
-    """The messages of both corpora, and the vectors of the protocol where they are there."""
-    vectors = sorted((ROOT.parent / "shared/vectors").glob("*.bin"))
-    messages = [path.read_bytes() for path in vectors if path.stat().st_size <= MAX_FILE]
-    return corpus() + [data for data in messages if len(data) >= HEADER_SIZE]
+    """The messages of the corpus, and the vectors of the protocol."""
+    return corpus() + [vector.data for vector in vectors() if len(vector.data) <= MAX_FILE]
 
 
 _POSE = Transform((0.36, 0.48, -0.8, -0.8, 0.6, 0.0, 0.48, 0.64, 0.6, 1.0, 2.0, 3.0))

@@ -137,7 +137,7 @@ def test_the_same_cause_has_the_same_code(group: str, tmp_path: Path) -> None:
     (tmp_path / "text").write_text("not a recording, but longer\n" * 100)
     (tmp_path / "link").symlink_to("nothing")
     (tmp_path / "cut.mcap").write_bytes(FIXTURE.read_bytes()[:-5000])
-    message = (ROOT / "tests" / "wire" / "corpus" / "STRING_v1_s1.bin").read_bytes()
+    message = (ROOT / "tests" / "data" / "corpus" / "STRING_v1_s1.bin").read_bytes()
     (tmp_path / "whole.igtl").write_bytes(message)
     (tmp_path / "cut.igtl").write_bytes(message[:-1])
     with socket.create_server(("127.0.0.1", 0)) as taken:

@@ -146,7 +146,7 @@ def test_closed_outputs_end_nothing_with_a_traceback(how: str, tmp_path: Path) -
 
 def test_decode_says_nothing_of_a_reader_that_has_seen_enough(tmp_path: Path) -> None:
     path = tmp_path / "many.igtl"
-    path.write_bytes((Path(__file__).parents[1] / "wire" / "corpus" / "STRING_v1_s1.bin").read_bytes() * 5000)
+    path.write_bytes((Path(__file__).parents[1] / "data" / "corpus" / "STRING_v1_s1.bin").read_bytes() * 5000)
     command = ["sh", "-c", '"$0" -m igtl_gateway decode "$1" | head -1', sys.executable, str(path)]
     ended = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
     assert ended.stdout.count("\n") == 1

@@ -11,7 +11,7 @@ from igtl_gateway.seal.keys import SigningKey
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 SMALL = FIXTURES / "paper-types.mcap"
 
-CORPUS = next((Path(__file__).parents[1] / "wire" / "corpus").glob("TRANSFORM_v1_s1.bin"))
+CORPUS = next((Path(__file__).parents[1] / "data" / "corpus").glob("TRANSFORM_v1_s1.bin"))
 
 #: A training set of a short session, with poses and pictures.
 RECIPE = """

@@ -21,13 +21,15 @@ from fastcrc import crc64
 from tests.peers import Message, PeerError, pyigtl_peer, reference
 from tests.peers.pyigtl_peer import PyigtlPeer
 from tests.peers.reference import ENCODERS, JUNK, MAP_UINT16, STAMP_NS, ReferencePeer
+from tests.tables import all_hold
+from tests.wire import handmade
 
-CORPUS = Path(__file__).parents[3] / "shared" / "corpus"
-FILES = sorted(path.stem for name in ENCODERS for path in CORPUS.glob(f"{name}_v1_*.bin"))
+CORPUS = Path(__file__).parents[1] / "data" / "corpus"
+#: What the library wrote itself.
+FILES = sorted({path.stem for name in ENCODERS for path in CORPUS.glob(f"{name}_v1_*.bin")} - handmade.files().keys())
 TIMEOUT_S = 10.0
 
 needs_reference = pytest.mark.skipif(reference.available() is not None, reason=str(reference.available()))
-needs_corpus = pytest.mark.skipif(not FILES, reason="no corpus beside the project")
 
 
 def load(stem: str) -> tuple[bytes, Message]:
@@ -76,22 +78,13 @@ def pair() -> Iterator[Pair]:
         yield peer, link
 
 
-@pytest.fixture(scope="module")
-def shared_pair() -> Iterator[Pair]:
-    """One connection for all corpus files: each test also proves that the one before left the stream in step."""
-    with (
-        listener() as server,
-        ReferencePeer.client("127.0.0.1", server.getsockname()[1]) as peer,
-        accepted(server) as link,
-    ):
-        yield peer, link
-
-
 @needs_reference
-@needs_corpus
-@pytest.mark.parametrize("stem", FILES)
-def test_reference_decodes_the_corpus(shared_pair: Pair, stem: str) -> None:
-    peer, link = shared_pair
+def test_reference_decodes_the_corpus(pair: Pair) -> None:
+    """All files over one connection: each also shows that the one before left the stream in step."""
+    all_hold(FILES, lambda stem: decodes(*pair, stem))
+
+
+def decodes(peer: ReferencePeer, link: socket.socket, stem: str) -> None:
     wire, expected = load(stem)
     link.sendall(wire)
     got = peer.receive(expected["type"])
@@ -120,10 +113,12 @@ def flat(values: list[Any]) -> list[float]:
 
 
 @needs_reference
-@needs_corpus
-@pytest.mark.parametrize("stem", [stem for stem in FILES if stem != "POSITION_v1_s1"])  # a short form, see below
-def test_reference_encodes_the_corpus(shared_pair: Pair, stem: str) -> None:
-    peer, link = shared_pair
+def test_reference_encodes_the_corpus(pair: Pair) -> None:
+    """``POSITION_v1_s1`` is a short form, see below."""
+    all_hold([stem for stem in FILES if stem != "POSITION_v1_s1"], lambda stem: encodes(*pair, stem))
+
+
+def encodes(peer: ReferencePeer, link: socket.socket, stem: str) -> None:
     wire, message = load(stem)
     type_name = message["type"]
     content = dict(message["content"])
@@ -462,20 +457,16 @@ PYIGTL_FILES = [
 ]
 
 
-@pytest.fixture(scope="module")
-def pyigtl_pair() -> Iterator[tuple[PyigtlPeer, socket.socket]]:
+def test_pyigtl_agrees_with_the_corpus() -> None:
     with (
         listener() as server,
         PyigtlPeer.client("127.0.0.1", server.getsockname()[1]) as peer,
         accepted(server) as link,
     ):
-        yield peer, link
+        all_hold(PYIGTL_FILES, lambda stem: agrees(peer, link, stem))
 
 
-@needs_corpus
-@pytest.mark.parametrize("stem", PYIGTL_FILES)
-def test_pyigtl_agrees_with_the_corpus(pyigtl_pair: tuple[PyigtlPeer, socket.socket], stem: str) -> None:
-    peer, link = pyigtl_pair
+def agrees(peer: PyigtlPeer, link: socket.socket, stem: str) -> None:
     wire, expected = load(stem)
     link.sendall(wire)
     got = peer.receive(expected["type"])

@@ -21,10 +21,9 @@ from igtl_gateway.cli import decode
 from igtl_gateway.stamp import fraction_to_ns
 from igtl_gateway.wire.header import HEADER_VERSIONS
 from tests.files import write_anew
+from tests.wire.vectors import Vector, vectors
 
-OWN = Path(__file__).with_name("corpus")
-#: Material beside the project, absent where only the project was copied.
-SHARED = Path(__file__).parents[3] / "shared"
+CORPUS = Path(__file__).parents[1] / "data" / "corpus"
 
 #: In the JSON of the corpus, but about the library that wrote it.
 _LIBRARY = "lib"
@@ -66,9 +65,8 @@ class Result:
 
 
 def cases() -> list[Case]:
-    """All files that are here: corpus, vectors, our own."""
-    files = {path.stem: path for folder in (SHARED / "corpus", OWN) for path in sorted(folder.glob("*.bin"))}
-    return [_corpus(path) for path in files.values()] + _vectors(SHARED / "vectors" / "index.json")
+    """The corpus with our own files, and the vectors."""
+    return [_corpus(path) for path in sorted(CORPUS.glob("*.bin"))] + [_vector(vector) for vector in vectors()]
 
 
 def _corpus(path: Path) -> Case:
@@ -77,18 +75,10 @@ def _corpus(path: Path) -> Case:
     return Case(f"{path.parent.name}/{path.stem}", path.read_bytes(), expected, True)
 
 
-def _vectors(index: Path) -> list[Case]:
-    if not index.exists():
-        return []
-    found = []
-    for vector in json.loads(index.read_text("utf-8"))["vectors"]:
-        if vector["kind"] != "message":
-            continue
-        data = (index.parent / vector["file"]).read_bytes()[: vector["bytes_used"]]
-        keys = ("type", "header_version", "device_name", "crc_ok")
-        expected = {**{key: vector[key] for key in keys}, "content": _as_we_say(vector["expected"])}
-        found.append(Case(f"vectors/{vector['name']}", data, (expected,), False))
-    return found
+def _vector(vector: Vector) -> Case:
+    expected = {key: vector.told[key] for key in ("type", "header_version", "device_name")}
+    content = _as_we_say(vector.told["expected"])
+    return Case(f"vectors/{vector.name}", vector.data, ({**expected, "crc_ok": True, "content": content},), False)
 
 
 #: Keys of the vectors that repeat another key, in words or in other units.

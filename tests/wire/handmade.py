@@ -1,7 +1,7 @@
 """VIDEO, VIDEOMETA and odd queries, made field by field with ``struct``: nothing of our own codec is used.
 
 The reference library of the corpus was built without video.  According to its documents and code, it would write
-these files.  Run as a program, this module writes them into ``corpus/``.
+these files.  Run as a program, this module writes them into ``data/corpus``.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import struct
 from pathlib import Path
 from typing import Any
 
-CORPUS = Path(__file__).with_name("corpus")
+CORPUS = Path(__file__).parents[1] / "data" / "corpus"
 
 MATRIX = [0.0, 0.5, 0.0, -0.5, 0.0, 0.0, 0.0, 0.0, 2.0, 10.0, -20.5, 30.0]
 #: Of MATRIX, as bytes: written out, so that a column-wise mistake cannot hide.

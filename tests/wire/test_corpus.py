@@ -1,14 +1,15 @@
 """Messages of other implementations: read as their authors read them, written back bit for bit.
 
-``corpus/`` was encoded by the C++ library 3.1, with what it decodes beside it.  It is complete in the folder
-``shared`` beside the project, with the vectors of the C library and captured traffic of its example programs;
-these are read where they are there.
+``data/corpus`` was encoded by the C++ library 3.1, with what it decodes beside it; ``data/captures`` is what its
+example programs sent to each other.  ``vectors.py`` makes the C library's own test messages.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Iterator
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -21,19 +22,17 @@ from igtl_gateway.wire import decode, describe, encode
 from igtl_gateway.wire.framer import Framer
 from igtl_gateway.wire.query import QUERIES
 from igtl_gateway.wire.registry import BODIES
-from tests.conftest import SHARED
+from tests.tables import all_hold
 from tests.wire import handmade
+from tests.wire.vectors import Vector, vectors
 
-OWN = Path(__file__).with_name("corpus")
-CASES = sorted({path.stem: path for folder in (SHARED / "corpus", OWN) for path in folder.glob("*.bin")}.values())
+DATA = Path(__file__).parents[1] / "data"
+CORPUS = DATA / "corpus"
+CASES = {path.stem: path for path in sorted(CORPUS.glob("*.bin"))}
 #: The C++ library's data about itself, and the place of the message in its file.
 NOT_OURS = frozenset({"index", "offset"})
 #: Names that are read and never written.
 ALIASES = frozenset({"QTRANS", "COLORTABLE", "CAPABIL"})
-
-
-def ids(path: Path) -> str:
-    return path.stem
 
 
 def expected(path: Path) -> list[dict[str, Any]]:
@@ -60,7 +59,7 @@ def framed(data: bytes) -> list[bytes]:
 
 def test_the_corpus_is_here() -> None:
     """A file for every type that some library writes; of many queries the documents have the names only."""
-    types = {path.stem.partition("_v")[0] for path in OWN.glob("*.bin")}
+    types = {path.stem.partition("_v")[0] for path in CORPUS.glob("*.bin")}
     assert types >= BODIES.keys() - QUERIES.keys() - ALIASES
     assert len(types & QUERIES.keys()) >= 15
 
@@ -68,62 +67,73 @@ def test_the_corpus_is_here() -> None:
 def test_handmade_files() -> None:
     """The files of the types that the library of the corpus lacked are what their program makes."""
     for name, (data, meaning) in handmade.files().items():
-        path = OWN / f"{name}.bin"
+        path = CORPUS / f"{name}.bin"
         assert path.read_bytes() == data
         assert json.loads(path.with_suffix(".json").read_text("utf-8")) == [meaning]
 
 
-@pytest.mark.parametrize("path", CASES, ids=ids)
-def test_decoded_as_the_library_does(path: Path) -> None:
-    messages = framed(path.read_bytes())
-    wanted = expected(path)
-    assert len(messages) == len(wanted)
-    for data, want in zip(messages, wanted, strict=True):
-        shown = describe(data)
-        assert shown == want
+def test_decoded_as_the_library_does() -> None:
+    def check(path: Path) -> None:
+        messages = framed(path.read_bytes())
+        wanted = expected(path)
+        assert len(messages) == len(wanted)
+        for data, want in zip(messages, wanted, strict=True):
+            shown = describe(data)
+            assert shown == want
+
+    all_hold(CASES, check)
 
 
-@pytest.mark.parametrize("path", CASES, ids=ids)
-def test_written_back_bit_for_bit(path: Path) -> None:
-    for data in framed(path.read_bytes()):
-        message = decode(data)
-        assert join(encode(message)) == data
-        assert type(message.content) is BODIES[message.type]
+def test_written_back_bit_for_bit() -> None:
+    def check(path: Path) -> None:
+        for data in framed(path.read_bytes()):
+            message = decode(data)
+            assert join(encode(message)) == data
+            assert type(message.content) is BODIES[message.type]
+
+    all_hold(CASES, check)
 
 
-@pytest.mark.parametrize("path", [path for path in CASES if path.stat().st_size < 2000], ids=ids)
-def test_byte_by_byte_and_with_more_behind(path: Path) -> None:
-    data = path.read_bytes()
-    assert list(byte_by_byte(data + data)) == framed(data) * 2
-    framer = Framer()
-    assert [bytes(one) for one in framer.feed(data + data[:30])] == framed(data)
-    assert framer.pending == 30
+def test_byte_by_byte_and_with_more_behind() -> None:
+    def check(path: Path) -> None:
+        data = path.read_bytes()
+        assert list(byte_by_byte(data + data)) == framed(data) * 2
+        framer = Framer()
+        assert [bytes(one) for one in framer.feed(data + data[:30])] == framed(data)
+        assert framer.pending == 30
+
+    all_hold({name: path for name, path in CASES.items() if path.stat().st_size < 2000}, check)
 
 
-@pytest.mark.parametrize("path", CASES, ids=ids)
-def test_damage_is_noticed(path: Path) -> None:
+def test_damage_is_noticed() -> None:
     """A flipped bit in any body breaks the CRC; one byte less or more is no message."""
-    data = framed(path.read_bytes())[0]
-    with pytest.raises(WireError):
-        decode(data[:-1])
-    with pytest.raises(WireError):
-        decode(data + b"\x00")
-    if len(data) > 58:
-        bent = bytearray(data)
-        bent[-1] ^= 1
-        with pytest.raises(ChecksumMismatch):
-            decode(bytes(bent))
-        assert describe(bytes(bent))["crc_ok"] is False
+
+    def check(path: Path) -> None:
+        data = framed(path.read_bytes())[0]
+        with pytest.raises(WireError):
+            decode(data[:-1])
+        with pytest.raises(WireError):
+            decode(data + b"\x00")
+        if len(data) > 58:
+            bent = bytearray(data)
+            bent[-1] ^= 1
+            with pytest.raises(ChecksumMismatch):
+                decode(bytes(bent))
+            assert describe(bytes(bent))["crc_ok"] is False
+
+    all_hold(CASES, check)
 
 
-@pytest.mark.parametrize("path", sorted((SHARED / "data" / "igtl").glob("*.igtl")), ids=ids)
-def test_captured_traffic(path: Path) -> None:
-    data = path.read_bytes()
-    messages = framed(data)
-    assert messages
-    for one in messages:
-        assert join(encode(decode(one))) == one
-    assert b"".join(messages) == data
+def test_captured_traffic() -> None:
+    def check(path: Path) -> None:
+        data = path.read_bytes()
+        messages = framed(data)
+        assert messages
+        for one in messages:
+            assert join(encode(decode(one))) == one
+        assert b"".join(messages) == data
+
+    all_hold({path.name: path for path in sorted((DATA / "captures").glob("*.igtl"))}, check)
 
 
 def common(of: Any, other: Any) -> Any:
@@ -135,30 +145,25 @@ def common(of: Any, other: Any) -> Any:
     return of
 
 
-VECTORS = SHARED / "vectors" / "index.json"
-INDEX: list[dict[str, Any]] = json.loads(VECTORS.read_text("utf-8"))["vectors"] if VECTORS.exists() else []
+def test_vectors_of_the_c_library() -> None:
+    """What is made here is the library's message, and it means what the library's tests assert."""
 
+    def check(vector: Vector) -> None:
+        if vector.sha256 is not None:
+            assert hashlib.sha256(vector.data).hexdigest() == vector.sha256
+        message = decode(vector.data)
+        shown = describe(vector.data)
+        for key in ("type", "device_name", "header_version"):
+            assert shown[key] == vector.told[key]
+        assert shown["crc_ok"] is True
+        assert shown["timestamp"]["frac"] == vector.told["frac"]
+        assert shown.get("metadata") == vector.told.get("metadata")
+        assert join(encode(message)) == vector.data
+        want = deepcopy(vector.told["expected"])
+        for element in want.get("elements", ()):
+            if "timestamp_raw" in element:  # a tick word below one second
+                element["timestamp"] = {"sec": 0, "nanosec": fraction_to_ns(element.pop("timestamp_raw"))}
+        told = common(want, shown["content"])
+        assert told == common(shown["content"], want) != {}
 
-def vector_bytes(vector: dict[str, Any]) -> bytes:
-    data = (VECTORS.parent / vector["file"]).read_bytes()
-    return bytes(data[: vector["bytes_used"]])
-
-
-@pytest.mark.parametrize("vector", [one for one in INDEX if one["kind"] == "message"], ids=lambda one: one["name"])
-def test_vectors_of_the_c_library(vector: dict[str, Any]) -> None:
-    data = vector_bytes(vector)
-    message = decode(data, check_crc=vector["crc_ok"])
-    shown = describe(data)
-    assert (shown["type"], shown["device_name"]) == (vector["type"], vector["device_name"])
-    assert shown["crc_ok"] is vector["crc_ok"]
-    assert shown["timestamp"]["frac"] == vector["timestamp"]["frac"]
-    again = join(encode(message))
-    assert again[58:] == data[58:]
-    if vector["crc_ok"]:
-        assert again == data
-    want = vector["expected"]
-    for element in want.get("elements", ()):
-        if "timestamp_raw" in element:  # a tick word below one second
-            element["timestamp"] = {"sec": 0, "nanosec": fraction_to_ns(element.pop("timestamp_raw"))}
-    told = common(want, shown["content"])
-    assert told == common(shown["content"], want) != {}
+    all_hold({vector.name: vector for vector in vectors()}, check)
