@@ -1,4 +1,4 @@
-"""What every test shares: a ROS 2 of its own, Hypothesis profiles, the material beside the project.
+"""What every test shares: a ROS 2 of its own, Hypothesis profiles, the order of the files.
 
 The environment is set on import, before any test module can start ROS 2, and set firmly rather than by
 default: a test must never talk to the graph of a robot that happens to be configured in the user's shell.
@@ -20,9 +20,6 @@ import pytest
 from hypothesis import settings
 
 from tests import domains
-
-#: Vectors, captured traffic and other material that may not be copied into the project.
-SHARED = Path(__file__).parents[2] / "shared"
 
 _ros_log_dir = tempfile.mkdtemp(prefix="igtl-gateway-ros-log-")
 # Not a fixture: child processes of the last tests may still write there.
@@ -161,11 +158,3 @@ def _no_streams_left() -> Iterator[None]:
     yield
     if rerun := sys.modules.get("rerun"):
         rerun.bindings.flush_and_cleanup_orphaned_recordings()
-
-
-@pytest.fixture(scope="session")
-def shared_dir() -> Path:
-    """The folder with the material beside the project; the test is skipped where it is absent."""
-    if not SHARED.is_dir():
-        pytest.skip("no folder 'shared' beside the project")
-    return SHARED

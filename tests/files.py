@@ -13,6 +13,9 @@ import pytest
 from igtl_gateway.buffers import Buffer
 from igtl_gateway.untrusted import files
 
+#: What the example programs of the C++ library sent to each other, see ``data/README.md``.
+CAPTURES = Path(__file__).parent / "data" / "captures"
+
 
 def write_anew(path: Path, data: Buffer) -> None:
     """Write a file that may be there: for loops that damage a file in a thousand ways.

@@ -7,6 +7,7 @@ and no module has to be importable.
 from __future__ import annotations
 
 import ast
+import re
 import sys
 from collections.abc import Iterator
 from functools import cache
@@ -293,6 +294,7 @@ UNMIRRORED = (
     "test_ros_package.py",  # ros2/igtl_gateway_ros
     "test_notebooks.py",  # docs/notebooks
     "test_site.py",  # tools/site.py
+    "test_tables.py",  # tests/tables.py
     "test_release.py",  # tools/release.py, hatch_build.py
     "test_terms.py",  # tools/terms.py
     "test_try_release.py",  # tools/try_release.py, docs/start/install.md
@@ -450,15 +452,24 @@ def test_the_package_is_found() -> None:
     assert {TOP, "errors", "session.entry", "wire"} <= MODULES.keys()
 
 
-@pytest.mark.parametrize("module", MODULES, ids=lambda module: module or PACKAGE)
-def test_module_keeps_to_the_tables(module: str) -> None:
-    path = MODULES[module]
-    assert violations(module, path.read_text("utf-8"), is_package=path.name == "__init__.py") == []
+def test_modules_keep_to_the_tables() -> None:
+    found = [
+        fault
+        for module, path in MODULES.items()
+        for fault in violations(module, path.read_text("utf-8"), is_package=path.name == "__init__.py")
+    ]
+    assert found == []
 
 
-@pytest.mark.parametrize("module", MODULES, ids=lambda module: module or PACKAGE)
-def test_module_says_what_it_is(module: str) -> None:
-    assert ast.get_docstring(parsed(MODULES[module].read_text("utf-8")))
+def test_modules_say_what_they_are() -> None:
+    assert [name for name, path in MODULES.items() if not ast.get_docstring(parsed(path.read_text("utf-8")))] == []
+
+
+def test_a_clone_alone_has_what_the_tests_need() -> None:
+    """No test and no tool looks for data beside the project."""
+    beside = re.compile(r"""["'/]shared["'/]""")
+    files = [path for folder in ("tests", "tools", "lab") for path in (TESTS.parent / folder).rglob("*.py")]
+    assert [str(path) for path in files if beside.search(path.read_text("utf-8"))] == []
 
 
 def mirrored(test: Path) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,8 @@ from igtl_gateway.wire.image import BIG_ENDIAN, LPS, Image
 from igtl_gateway.wire.polydata import RGBA, Attribute, Cells, PolyData
 from igtl_gateway.wire.text import String
 from igtl_gateway.wire.transform import Transform
+from tests.foreign_bags import cdr_sqlite3, turtles
+from tests.plus_sequences import cropped
 
 ROS2 = get_typestore(Stores.ROS2_JAZZY)
 START = 1_700_000_000 * 10**9
@@ -338,9 +341,9 @@ def test_nothing_is_replaced(recording: Path, tmp_path: Path, capsys: pytest.Cap
     assert [file.name for file in (tmp_path / "full").iterdir()] == ["mine"]
 
 
-@pytest.mark.parametrize("name", ["bags/ros1/turtlesim_bz2.bag", "bags/ros2/rosbag2_sqlite3_cdr_test"])
-def test_real_recordings_come_back(shared_dir: Path, tmp_path: Path, name: str) -> None:
-    assert main(["import", str(shared_dir / "data" / name), "-o", str(tmp_path / "a.mcap")]) == 0
+@pytest.mark.parametrize(("write", "name"), [(turtles, "some.bag"), (cdr_sqlite3, "cdr")])
+def test_bags_of_robots_come_back(tmp_path: Path, write: Callable[[Path], Path], name: str) -> None:
+    assert main(["import", str(write(tmp_path / name)), "-o", str(tmp_path / "a.mcap")]) == 0
     exported(tmp_path / "a.mcap", "rosbag2", tmp_path / "bag")
     with Reader(tmp_path / "bag") as reader:
         read = {one.topic: 0 for one in reader.connections}
@@ -350,8 +353,8 @@ def test_real_recordings_come_back(shared_dir: Path, tmp_path: Path, name: str) 
     assert sum(read.values()) == len(entries(tmp_path / "a.mcap"))
 
 
-def test_a_real_sequence_comes_back(shared_dir: Path, tmp_path: Path) -> None:
-    source = shared_dir / "data/ultrasound/NwirePhantomFreehandCropped.igs.mha"
+def test_a_sequence_of_plus_comes_back(tmp_path: Path) -> None:
+    source = cropped(tmp_path / "0.igs.mha")
     for number, path in enumerate((source, tmp_path / "1.igs.mha")):
         assert main(["import", str(path), "-o", str(tmp_path / f"{number}.mcap")]) == 0
         exported(tmp_path / f"{number}.mcap", "igs.mha", tmp_path / f"{number + 1}.igs.mha")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sqlite3
 import zlib
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,9 @@ from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway.wire.text import String
+from tests.files import CAPTURES
+from tests.foreign_bags import humanoid, talker, topics_and_services
+from tests.plus_sequences import ultrasound
 from tests.sessionfile import conformance
 
 
@@ -139,18 +143,18 @@ def test_a_session_is_not_imported_again(tmp_path: Path, capsys: pytest.CaptureF
 
 
 @pytest.mark.parametrize(
-    ("name", "count"),
+    ("write", "name", "count"),
     [
-        ("bags/ros1/jsk_watercan.bag", 3533),
-        ("bags/ros2/rosbag2_mcap_talker", 20),
-        ("bags/ros2/topics_and_services.mcap", 7),
-        ("ultrasound/BoneUltrasound_L14.igs.mha", 84),
-        ("igtl/reference_mixed.pcap", 64),
+        (humanoid, "some.bag", 321),
+        (talker, "talker", 20),
+        (topics_and_services, "some.mcap", 7),
+        (ultrasound, "some.igs.mha", 84),
+        (lambda _: CAPTURES / "reference_mixed.pcap", "", 64),
     ],
 )
-def test_real_files(shared_dir: Path, tmp_path: Path, name: str, count: int) -> None:
+def test_files_of_others(tmp_path: Path, write: Callable[[Path], Path], name: str, count: int) -> None:
     out = tmp_path / "out.mcap"
-    assert main(["import", str(shared_dir / "data" / name), "-o", str(out)]) == 0
+    assert main(["import", str(write(tmp_path / name)), "-o", str(out)]) == 0
     assert sum(entry.kind in (Kind.IGTL_IN, Kind.ROS_IN) for entry in entries(out)) == count
 
 

@@ -31,6 +31,7 @@ from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.sensor import Sensor
 from igtl_gateway.wire.transform import Transform
+from tests.plus_sequences import water_tank_tracker, water_tank_video
 from tests.sync.trajectories import trajectory
 from tests.sync.worlds import stamps
 
@@ -237,11 +238,10 @@ def test_errors(recording: Path, words: list[str], text: str, capsys: pytest.Cap
     assert captured.out == ""
 
 
-def test_the_water_tank_of_plus(shared_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """The two sequences that PLUS publishes with their lag, -64.8 ms, imported."""
-    folder = shared_dir / "data/plus-temporal-calibration"
-    for name in ("Video", "Tracker"):
-        source = folder / f"WaterTankBottomTranslation{name}Buffer.igs.mha"
+def test_the_water_tank_of_plus(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two sequences with the signals of those that PLUS publishes with their lag, -64.8 ms, imported."""
+    for name, write in (("Video", water_tank_video), ("Tracker", water_tank_tracker)):
+        source = write(tmp_path / f"{name}.igs.mha")
         assert main(["import", str(source), "-o", str(tmp_path / f"{name}.mcap")]) == 0
     capsys.readouterr()
     streams = ("IMAGE/Image", "TRANSFORM/ProbeToTracker")

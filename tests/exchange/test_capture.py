@@ -17,6 +17,7 @@ from igtl_gateway.session.note import Note
 from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import String
+from tests.files import CAPTURES
 
 
 def message(text: str, stamp_ns: int = 0) -> bytes:
@@ -90,8 +91,8 @@ def test_other_bytes_are_refused(tmp_path: Path) -> None:
         Capture(tmp_path / "some.igtl")
 
 
-def test_real_captures_come_whole(shared_dir: Path) -> None:
-    files = sorted((shared_dir / "data/igtl").glob("*.igtl"))
+def test_real_captures_come_whole() -> None:
+    files = sorted(CAPTURES.glob("*.igtl"))
     assert files
     for path in files:
         items, source = read(path)

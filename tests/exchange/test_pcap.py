@@ -22,7 +22,7 @@ from igtl_gateway.session.entry import Kind
 from igtl_gateway.session.note import Note
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import String
-from tests.files import write_anew
+from tests.files import CAPTURES, write_anew
 
 FIN, SYN, RST, ACK = 1, 2, 4, 16
 CLIENT, SERVER = ("10.0.0.1", 50_000), ("10.0.0.2", 18_944)
@@ -243,8 +243,8 @@ def test_what_cannot_be_read_is_refused(tmp_path: Path) -> None:
         read(path)
 
 
-def test_the_real_capture_comes_whole(shared_dir: Path) -> None:
-    items, source = read(shared_dir / "data/igtl/reference_mixed.pcap")
+def test_the_real_capture_comes_whole() -> None:
+    items, source = read(CAPTURES / "reference_mixed.pcap")
     assert all(row.good for row in source.rows)
     counts = {(row.type, row.stream): row.taken for row in source.rows if row.type}
     assert counts == {

@@ -18,7 +18,7 @@ from igtl_gateway.exchange.pcap import Pcap
 from igtl_gateway.exchange.pcap_file import MAX_INTERFACES, MAX_PACKET
 from igtl_gateway.exchange.source import ImportedItem
 from tests.exchange.test_pcap import FRAMES, Talk, message, read, said, write
-from tests.files import write_anew
+from tests.files import CAPTURES, write_anew
 
 SECOND = 10**9
 ETHERNET, RAW, USB = 1, 101, 189
@@ -268,8 +268,8 @@ def test_mergecap_joins_files_of_two_link_types(tmp_path: Path) -> None:
     assert all(row.good for row in source.rows)
 
 
-def test_editcap_converts_the_real_capture(tmp_path: Path, shared_dir: Path) -> None:
-    path = shared_dir / "data/igtl/reference_mixed.pcap"
+def test_editcap_converts_the_real_capture(tmp_path: Path) -> None:
+    path = CAPTURES / "reference_mixed.pcap"
     wireshark("editcap", "-F", "pcapng", path, tmp_path / "some.pcapng")
     assert alike(read(tmp_path / "some.pcapng")[0]) == alike(read(path)[0])
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.exchange.rosbag1 import Rosbag1
 from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Kind
+from tests.foreign_bags import grid_map, humanoid, turtles
 from tests.integration.hostile_files.bags import bag1
 
 ROS1 = get_typestore(Stores.ROS1_NOETIC)
@@ -136,15 +138,15 @@ def test_a_bag_that_was_cut_off_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "counts"),
+    ("write", "counts"),
     [
-        ("jsk_watercan.bag", {"/tf": 3532, "/euclidean_cluster_indices_decomposer/output00": 1}),
-        ("grid_map.bag", {"/grid_map": 1}),
-        ("turtlesim_bz2.bag", {"/tf": 2688, "/tf_static": 1, "/rosout": 10, "/turtle1/pose": 1344}),
+        (humanoid, {"/tf": 320, "/clusters/output00": 1}),
+        (grid_map, {"/grid_map": 1}),
+        (turtles, {"/tf": 268, "/tf_static": 1, "/rosout": 10, "/turtle1/pose": 134}),
     ],
 )
-def test_real_bags_come_whole(shared_dir: Path, name: str, counts: dict[str, int]) -> None:
-    with closing(Rosbag1(shared_dir / "data/bags/ros1" / name)) as source:
+def test_bags_of_robots_come_whole(tmp_path: Path, write: Callable[[Path], Path], counts: dict[str, int]) -> None:
+    with closing(Rosbag1(write(tmp_path / "some.bag"))) as source:
         assert sum(1 for _ in source.items()) == sum(row.taken for row in source.rows)
     assert all(row.good and not row.left_out for row in source.rows)
     assert counts.items() <= {row.stream: row.taken for row in source.rows}.items()

@@ -18,6 +18,7 @@ from igtl_gateway.errors import DamagedRecording, RecordingError
 from igtl_gateway.exchange.rosbag1 import Rosbag1
 from igtl_gateway.exchange.rosbag1_file import BagFile
 from igtl_gateway.untrusted import limits
+from tests.foreign_bags import grid_map, humanoid, turtles
 
 MIB = 1 << 20
 PACK: dict[str, Callable[[bytes], bytes]] = {
@@ -82,8 +83,9 @@ def test_chunks_that_overlap_are_merged_by_time(tmp_path: Path) -> None:
         assert [found.time_ns // 10**9 for found in file.messages()] == [1, 3, 4, 5, 9]
 
 
-def test_what_rosbags_writes_is_read_alike(shared_dir: Path) -> None:
-    for path in sorted((shared_dir / "data/bags/ros1").glob("*.bag")):
+def test_what_rosbags_writes_is_read_alike(tmp_path: Path) -> None:
+    for write in (turtles, humanoid, grid_map):
+        path = write(tmp_path / f"{write.__name__}.bag")
         with Reader(path) as reader, closing(BagFile(path)) as file:
             expected = sorted((stamp, one.id, bytes(data)) for one, stamp, data in reader.messages())
             assert sorted((one.time_ns, one.connection, one.data) for one in file.messages()) == expected

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from igtl_gateway.errors import DamagedRecording, UnsupportedRecording
 from igtl_gateway.exchange.rosbag2 import Rosbag2
 from igtl_gateway.exchange.rosbag2_metadata import METADATA
 from igtl_gateway.exchange.source import ImportedItem, ImportedStream
+from tests.foreign_bags import cdr_mcap, cdr_sqlite3, dashing, talker, topics_and_services
 
 ROS2 = get_typestore(Stores.ROS2_JAZZY)
 STRING = "std_msgs/msg/String"
@@ -116,24 +118,26 @@ def test_a_directory_without_a_recording(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "counts"),
+    ("write", "name", "counts"),
     [
-        ("plotjuggler_rosbag2_test", {"/imu": 1565, "/pose": 1565, "/battery": 1565}),
-        ("rosbag2_mcap_cdr_test", {"/array_topic": 4, "/test_topic": 3}),
-        ("rosbag2_sqlite3_cdr_test", {"/array_topic": 4, "/test_topic": 3}),
-        ("rosbag2_mcap_talker", {"/topic": 10, "/rosout": 10}),
-        ("topics_and_services.mcap", {"/parameter_events": 7}),
+        (dashing, "old", {"/imu": 156, "/pose": 156}),
+        (cdr_mcap, "cdr", {"/array_topic": 4, "/test_topic": 3}),
+        (cdr_sqlite3, "cdr", {"/array_topic": 4, "/test_topic": 3}),
+        (talker, "talker", {"/topic": 10, "/rosout": 10}),
+        (topics_and_services, "some.mcap", {"/parameter_events": 7}),
     ],
 )
-def test_real_recordings_come_whole(shared_dir: Path, name: str, counts: dict[str, int]) -> None:
-    items, rows, _ = read(shared_dir / "data/bags/ros2" / name)
+def test_recordings_of_every_version_come_whole(
+    tmp_path: Path, write: Callable[[Path], Path], name: str, counts: dict[str, int]
+) -> None:
+    items, rows, _ = read(write(tmp_path / name))
     assert {row.stream: row.taken for row in rows if row.taken} == counts
     assert len(items) == sum(counts.values())
     assert all(row.good for row in rows)
 
 
-def test_service_events_are_left_out_by_name(shared_dir: Path) -> None:
-    _, rows, _ = read(shared_dir / "data/bags/ros2/topics_and_services.mcap")
+def test_service_events_are_left_out_by_name(tmp_path: Path) -> None:
+    _, rows, _ = read(topics_and_services(tmp_path / "some.mcap"))
     assert {(row.stream, row.left_out, row.why) for row in rows if row.left_out} == {
         ("/add_two_ints/_service_event", 6, "service events, not a topic")
     }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import zlib
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ from igtl_gateway.session.note import Note
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.transform import Transform
+from tests import plus_sequences
 
 WIDTH, HEIGHT, FRAMES = 4, 3, 3
 PIXELS = bytes(range(WIDTH * HEIGHT * FRAMES))
@@ -308,19 +310,22 @@ def test_stamps_out_of_range_are_an_error(tmp_path: Path, text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "transforms", "left_out", "images"),
+    ("write", "transforms", "left_out", "images"),
     [
-        ("ultrasound/BoneUltrasound_L14.igs.mha", 63, 0, 21),
-        ("ultrasound/NwirePhantomFreehandCropped.igs.mha", 60, 20, 20),
-        ("ultrasound/SpinePhantomFreehand.igs.mha", 63, 0, 21),
-        ("ultrasound/fCal_Test_Calibration_3NWires.igs.mha", 564, 0, 188),
-        ("tracking/ReferenceToRASCalibration.igs.mha", 186, 0, 0),
-        ("tracking/WaterTankBottomTranslationTrackerBuffer-trimmed.igs.mha", 2403, 0, 0),
-        ("lego/EightLandmarkPointsTrackedForPhantomRegistration.igs.mha", 2000, 0, 0),
+        (plus_sequences.ultrasound, 63, 0, 21),
+        (plus_sequences.cropped, 60, 20, 20),
+        (plus_sequences.ultrasound_of_old, 63, 0, 21),
+        (plus_sequences.tracked, 186, 0, 0),
+        (plus_sequences.numbered, 300, 0, 0),
+        (plus_sequences.water_tank_video, 0, 0, 201),
+        (plus_sequences.water_tank_tracker, 1580, 0, 0),
+        (plus_sequences.touches, 2000, 0, 0),
     ],
 )
-def test_real_sequences_come_whole(shared_dir: Path, name: str, transforms: int, left_out: int, images: int) -> None:
-    with closing(Sequence(shared_dir / "data" / name)) as source:
+def test_sequences_of_every_version_of_plus_come_whole(
+    tmp_path: Path, write: Callable[[Path], Path], transforms: int, left_out: int, images: int
+) -> None:
+    with closing(Sequence(write(tmp_path / "some.igs.mha"))) as source:
         found = [item.type for item in source.items() if item.kind is Kind.IGTL_IN]
     assert (found.count("TRANSFORM"), found.count("IMAGE")) == (transforms, images)
     *tracked, pictures = source.rows

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +25,7 @@ from tests.lerobot.sessions import (
     trial_messages,
     write_session,
 )
+from tests.plus_sequences import ultrasound_of_old
 
 FPS = 20
 STATISTICS = {"min", "max", "mean", "std", "count"}
@@ -227,11 +227,10 @@ def test_a_recipe_of_the_recording_works_as_it_is(name: str, tmp_path: Path) -> 
     assert main(["export", path, "--to", "lerobot", "--check", str(root)]) == 0
 
 
-@pytest.mark.skipif("IGTL_GATEWAY_REAL" not in os.environ, reason="opt-in: set IGTL_GATEWAY_REAL=1; takes a minute")
 @pytest.mark.parametrize("version", ["v2.1", "v3.0"])
-def test_a_real_sequence(version: str, shared_dir: Path, tmp_path: Path) -> None:
+def test_a_sequence_of_plus(version: str, tmp_path: Path) -> None:
     """Tracked ultrasound of PLUS: the frames are the recorded pictures and poses, and a shifted frame is found."""
-    source = shared_dir / "data" / "ultrasound" / "fCal_Test_Calibration_3NWires.igs.mha"
+    source = ultrasound_of_old(tmp_path / "some.igs.mha", 60)
     path, recipe, root = tmp_path / "real.mcap", tmp_path / "recipe.toml", tmp_path / "set"
     assert main(["import", str(source), "-o", str(path)]) == 0
     assert main(["export", str(path), "--to", "lerobot", "--write-recipe", str(recipe)]) == 0

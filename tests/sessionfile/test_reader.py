@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import random
 import tracemalloc
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from io import BytesIO
 from itertools import islice
 from pathlib import Path
@@ -22,6 +22,7 @@ from igtl_gateway.sessionfile import layout
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.writer import SessionWriter
 from tests.files import RefusingStream, write_anew
+from tests.foreign_bags import cdr_mcap, talker, topics_and_services
 from tests.record import samples
 from tests.sessionfile.test_index import DEFINITIONS, bag, messages
 from tools import mcap_build as build
@@ -385,14 +386,17 @@ def test_a_session_that_lost_its_metadata_is_still_ours(tmp_path: Path) -> None:
         assert [each.topic for each in file.skipped] == ["/b"]
 
 
-def recorded_bags(shared_dir: Path) -> Iterator[Path]:
-    """Recordings of the real rosbag2."""
-    return (shared_dir / "data" / "bags" / "ros2").rglob("*.mcap")
+def recorded_bags(folder: Path) -> list[Path]:
+    """Recordings as versions of rosbag2 write them."""
+    topics_and_services(folder / "services.mcap")
+    cdr_mcap(folder / "cdr")
+    talker(folder / "talker")
+    return sorted(folder.rglob("*.mcap"))
 
 
-def test_recordings_of_rosbag2_are_read_or_refused(shared_dir: Path) -> None:
+def test_recordings_of_rosbag2_are_read_or_refused(tmp_path: Path) -> None:
     read_files = 0
-    for path in recorded_bags(shared_dir):
+    for path in recorded_bags(tmp_path):
         try:
             with SessionFile.open(path) as file:
                 entries = list(islice(file.entries(), 10_000))

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from igtl_gateway.sync.lag import Verdict, measure_lag
 from igtl_gateway.sync.plus import line_height, plus_lag
-from igtl_gateway.sync.signal import Signal
+from tests.plus_sequences import water_tank, water_tank_pictures
 from tests.sync.worlds import pair_of_plus
 
 #: TrackerLagSec of TemporalCalibrationResultsBaseline.xml.
@@ -26,26 +23,23 @@ def test_the_bright_line_of_a_picture() -> None:
     assert np.isnan(line_height(np.zeros((200, 300))))
 
 
-def test_the_published_lag(shared_dir: Path) -> None:
-    fixed, moving = pair_of_plus(shared_dir)
+def test_the_published_lag() -> None:
+    fixed, moving = pair_of_plus()
     found = plus_lag(fixed, moving)
     assert found
     assert found.lag_s == pytest.approx(BASELINE_S, abs=0.001)
     assert found.error == pytest.approx(25.0423, abs=0.1)
 
 
-def test_our_estimate_of_it(shared_dir: Path) -> None:
+def test_our_estimate_of_it() -> None:
     """The delay of the video changes by 50 ms from window to window: the lag is 65 ms, give or take 20."""
-    fixed, moving = pair_of_plus(shared_dir)
+    fixed, moving = pair_of_plus()
     lag = measure_lag(fixed, moving)
     assert lag.verdict is Verdict.VARIES
     assert lag.lag_s == pytest.approx(BASELINE_S, abs=0.002)
     assert 0.012 < (lag.high_s - lag.low_s) / 2 < 0.025
 
 
-def test_the_signals_of_the_reference(shared_dir: Path) -> None:
-    folder = shared_dir / "data/plus-temporal-calibration"
-    signals = json.loads((folder / "signals.json").read_text())
-    fixed, _ = pair_of_plus(shared_dir)
-    assert np.abs(fixed.values[:, 0] - np.array(signals["fixed_px"])).max() < 2.0  # of 70 pixels of movement
-    assert isinstance(fixed, Signal)
+def test_the_line_is_found_in_noise() -> None:
+    found = np.array([line_height(picture) for picture in water_tank_pictures()])
+    assert np.abs(found - water_tank().line_px).max() < 0.5  # of 270 rows of movement

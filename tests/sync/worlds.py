@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import zlib
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.stamp import NS_PER_S
-from igtl_gateway.sync.plus import line_height
-from igtl_gateway.sync.signal import Floats, Signal, main_component
+from igtl_gateway.sync.signal import Floats, Signal
+from tests.plus_sequences import water_tank
 
 BEGIN_NS = 1_700_000_000 * NS_PER_S
 
@@ -95,36 +93,9 @@ def world(number: int) -> World:
     )
 
 
-def sequence_frames(path: Path) -> tuple[list[dict[str, str]], npt.NDArray[np.uint8]]:
-    """Return fields of the frames and pixels (frames, rows, columns) of a sequence of PLUS."""
-    text, _, raw = path.read_bytes().partition(b"ElementDataFile = LOCAL\n")
-    frames: dict[str, dict[str, str]] = {}
-    header = dict(line.split(" = ", 1) for line in text.decode().splitlines() if " = " in line)
-    for key, value in header.items():
-        if key.startswith("Seq_Frame"):
-            number, _, name = key.removeprefix("Seq_Frame").partition("_")
-            frames.setdefault(number, {})[name] = value.strip()
-    columns, rows, count = map(int, header["DimSize"].split())
-    pixels = zlib.decompress(raw) if header.get("CompressedData", "").strip() == "True" and raw else raw
-    shape = (count, rows, columns) if len(pixels) == count * rows * columns else (0, rows, columns)
-    return list(frames.values()), np.frombuffer(pixels, np.uint8, shape[0] * rows * columns).reshape(shape)
-
-
 @cache
-def pair_of_plus(shared_dir: Path) -> tuple[Signal, Signal]:
+def pair_of_plus() -> tuple[Signal, Signal]:
     """Return the signals of the water tank: rows of the line in the video, and mm of the tracker."""
-    folder = shared_dir / "data/plus-temporal-calibration"
-    frames, pixels = sequence_frames(folder / "WaterTankBottomTranslationVideoBuffer.igs.mha")
-    times = np.array([float(frame["Timestamp"]) for frame in frames])
-    video = Signal.of(stamps(times), [line_height(picture) for picture in pixels], "video", "px")
-    tracked, _ = sequence_frames(folder / "WaterTankBottomTranslationTrackerBuffer.igs.mha")
-    at, places = [], []
-    for frame in tracked:
-        poses = [f"{name}ToTrackerTransform" for name in ("Reference", "Probe")]
-        if all(frame[f"{pose}Status"] == "OK" for pose in poses):
-            reference, probe = (np.array(frame[pose].split(), float).reshape(4, 4) for pose in poses)
-            at.append(float(frame["Timestamp"]))
-            places.append((np.linalg.inv(reference) @ probe)[:3, 3])
-    seconds = np.array(at)
-    near = (seconds >= times[0] - 1) & (seconds <= times[-1] + 1)
-    return video, Signal.of(stamps(seconds[near]), main_component(np.array(places)[near]), "tracker", "mm")
+    tank = water_tank()
+    video = Signal.of(stamps(tank.video_s), tank.line_px, "video", "px")
+    return video, Signal.of(stamps(tank.tracker_s), tank.place_mm, "tracker", "mm")

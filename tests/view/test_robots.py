@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import struct
 from pathlib import Path
 from typing import Any
@@ -159,13 +160,66 @@ def test_links_are_where_independent_kinematics_puts_them(draw: Draw, seed: int)
     blueprints.blueprint("navigation", drawn.view.seen)
 
 
-@pytest.mark.parametrize("name", ["dvrk_psm1_classic", "dvrk_psm1_virtual", "dvrk_ecm_classic"])
-def test_arms_of_dvrk_move_as_rerun_moves_them(draw: Draw, shared_dir: Path, name: str) -> None:
+def moving(name: str, parent: str, child: str, place: str, turn: str, more: str = "", kind: str = "revolute") -> str:
+    """A joint about or along z."""
+    limit = '<limit effort="1000" lower="-0.78371" upper="1.157657" velocity="10"/>' if kind != "continuous" else ""
+    origin = f'<origin rpy="{turn}" xyz="{place}"/><axis xyz="0.0 0.0 1"/>'
+    return joint(name, parent, child, kind, origin + limit + more)
+
+
+def surgical_arm(*, bars: str, jaws: bool, alias: bool) -> str:
+    """An arm like those of a dVRK: a parallelogram holds a remote centre of motion, its bars mimic the pitch.
+
+    Args:
+        bars: type of the joints of the bars, ``revolute`` or ``continuous``.
+        jaws: a wrist, and two jaws that mimic half of a third one; else an endoscope.
+        alias: a second name of the remote centre, by a fixed joint from the base.
+    """
+    same, other = (f'<mimic joint="pitch" multiplier="{sign}"/>' for sign in ("1", "-1"))
+    joints = [
+        joint("rcm_fixed", "world", "rcm", "fixed", '<origin rpy="0.0 0.0 0.0" xyz="0.0 0.0 0.0"/>'),
+        joint("base_fixed", "rcm", "base", "fixed", '<origin xyz="-0.612599207482277 0.0 -0.10146"/>'),
+        moving("yaw", "base", "yaw_link", "0.0732 0.0 0.10146", "1.5707963267948966 0.0 1.5707963267948966"),
+        moving("pitch", "yaw_link", "bar1", "0.0 0.0 0.199", "3.141592653589793 -1.5707963267948966 0.0"),
+        moving("pitch_2", "bar1", "bar2", "-0.103 -0.2868 0.0", "0.0 0.0 0.0", other, bars),
+        moving("pitch_3", "bar2", "bar3", "0.3404 -0.000136 0.0", "0 0 0", same, bars),
+        moving("pitch_4", "bar2", "bar4", "0.1 0.0 0.0", "0 0 0.2", same, bars),
+        moving("pitch_5", "bar1", "bar5", "-0.05 -0.14 0.0", "0 0 -0.1", other, bars),
+        moving("insertion", "bar3", "carriage", "0.042 -0.086 0", "1.5707963267948966 -0.3 0", kind="prismatic"),
+        moving("roll", "carriage", "shaft", "0 0 0.4162", "0 0 3.1"),
+    ]
+    if jaws:
+        half, less = (f'<mimic joint="jaw" multiplier="{sign}"/>' for sign in ("0.5", "-0.5"))
+        joints += [
+            moving("wrist_pitch", "shaft", "wrist", "0 0 0.0091", "-1.5707963267948966 -1.5707963267948966 0"),
+            moving("wrist_yaw", "wrist", "grip", "0.0091 0 0", "-1.5707963267948966 -1.5707963267948966 0"),
+            joint("tool_tip", "grip", "tip", "fixed", '<origin rpy="0 -1.57 0" xyz="0 0 0.0102"/>'),
+            moving("jaw", "grip", "jaw_link", "0 0 0", "0 0 0"),
+            moving("jaw_1", "grip", "left", "0 0 0", "0 0 0", half),
+            moving("jaw_2", "grip", "right", "0 0 0", "0 0 0", less),
+        ]
+    else:
+        joints.append(joint("endoscope", "shaft", "tip", "fixed", '<origin rpy="0 0 0.5" xyz="0 0 0.38"/>'))
+    if alias:
+        joints.append(
+            joint("remote_center_alias", "base", "remote_center", "fixed", '<origin xyz="0.6126 0 0.10146"/>')
+        )
+    links = " ".join(re.findall(r'child link="(\w+)"', "".join(joints)))
+    bodies = f'{BALL}<visual><origin xyz="0.1 0 0" rpy="0 1.5 0"/><geometry><cylinder radius="0.004" length="0.3"/>'
+    return urdf(*joints, links=f"world {links}", body=f"{bodies}</geometry></visual>", name="PSM1")
+
+
+@pytest.mark.parametrize(
+    ("bars", "jaws", "alias"), [("revolute", True, False), ("continuous", True, True), ("revolute", False, True)]
+)
+def test_surgical_arms_move_as_rerun_moves_them(draw: Draw, tmp_path: Path, bars: str, jaws: bool, alias: bool) -> None:
     from rerun.urdf import UrdfTree
 
-    path = shared_dir / "data/dvrk-urdf" / f"{name}.urdf"
+    path = tmp_path / "arm.urdf"
+    path.write_text(surgical_arm(bars=bars, jaws=jaws, alias=alias))
     tree = UrdfTree.from_file_path(path)
     free = [each for each in tree.joints() if each.mimic is None and each.joint_type != "fixed"]
+    assert len(free) == 4 + 3 * jaws
     chance = np.random.default_rng(1)
     positions = {each.name: float(chance.uniform(each.limit_lower, each.limit_upper)) for each in free}
     message = states(*positions.values(), names=" ".join(positions))

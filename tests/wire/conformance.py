@@ -76,8 +76,8 @@ def _corpus(path: Path) -> Case:
 
 
 def _vector(vector: Vector) -> Case:
-    expected = {key: vector.told[key] for key in ("type", "header_version", "device_name")}
-    content = _as_we_say(vector.told["expected"])
+    expected = {key: vector.facts[key] for key in ("type", "header_version", "device_name")}
+    content = _as_we_say(vector.facts["expected"])
     return Case(f"vectors/{vector.name}", vector.data, ({**expected, "crc_ok": True, "content": content},), False)
 
 

@@ -154,12 +154,12 @@ def test_vectors_of_the_c_library() -> None:
         message = decode(vector.data)
         shown = describe(vector.data)
         for key in ("type", "device_name", "header_version"):
-            assert shown[key] == vector.told[key]
+            assert shown[key] == vector.facts[key]
         assert shown["crc_ok"] is True
-        assert shown["timestamp"]["frac"] == vector.told["frac"]
-        assert shown.get("metadata") == vector.told.get("metadata")
+        assert shown["timestamp"]["frac"] == vector.facts["frac"]
+        assert shown.get("metadata") == vector.facts.get("metadata")
         assert join(encode(message)) == vector.data
-        want = deepcopy(vector.told["expected"])
+        want = deepcopy(vector.facts["expected"])
         for element in want.get("elements", ()):
             if "timestamp_raw" in element:  # a tick word below one second
                 element["timestamp"] = {"sec": 0, "nanosec": fraction_to_ns(element.pop("timestamp_raw"))}

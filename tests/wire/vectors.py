@@ -28,13 +28,13 @@ class Vector:
         name: as the library calls its test.
         data: the bytes of the message.
         sha256: of the library's message; ``None`` where the pixels are our own.
-        told: type, header version, device name, fraction of the stamp, and ``expected``: the content.
+        facts: type, header version, device name, fraction of the stamp, and ``expected``: the content.
     """
 
     name: str
     data: bytes
     sha256: str | None
-    told: dict[str, Any]
+    facts: dict[str, Any]
 
 
 @cache
@@ -142,7 +142,7 @@ def _color_table(content: dict[str, Any]) -> bytes:
 
 
 def _command(content: dict[str, Any]) -> bytes:
-    text = content["command"].encode()
+    text = str(content["command"]).encode()
     name = _text(content["command_name"], 128)
     return struct.pack(">I", content["command_id"]) + name + struct.pack(">HI", content["encoding"], len(text)) + text
 
@@ -154,11 +154,11 @@ def _nd_array(content: dict[str, Any]) -> bytes:
 
 def _status(content: dict[str, Any]) -> bytes:
     head = struct.pack(">Hq", content["code"], content["subcode"]) + _text(content["error_name"], 20)
-    return head + content["status_string"].encode() + b"\0"
+    return head + str(content["status_string"]).encode() + b"\0"
 
 
 def _string(content: dict[str, Any]) -> bytes:
-    text = content["string"].encode()
+    text = str(content["string"]).encode()
     return _u16s([content["encoding"], len(text)]) + text
 
 

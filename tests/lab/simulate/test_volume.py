@@ -162,8 +162,26 @@ def test_which_volume_is_taken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         find_volume("ch2bet")
 
 
-def test_the_real_head(shared_dir: Path) -> None:
-    head = read_nifti_volume(shared_dir / "data/mri/ch2.nii.gz")
-    assert head.size == (181, 217, 181) and head.voxels.dtype == np.uint8
+def test_a_head_of_the_size_of_colin(tmp_path: Path) -> None:
+    """Colin27 as Debian's mricron-data has it: 1 mm, packed, both codes of the space, a name of it, bytes."""
+    size = (181, 217, 181)
+    x, y, z = np.ogrid[-90:91, -125:92, -71:110]
+    matter = ((x / 70) ** 2 + ((y + 18) / 90) ** 2 + ((z - 10) / 70) ** 2 < 1).astype("u1") * np.uint8(180)
+    matter[np.abs(x[:, 0, 0]) < 3] //= 4  # between the hemispheres
+    rows = (1, 0, 0, -90, 0, 1, 0, -125, 0, 0, 1, -71)
+    header = nifti(
+        code=2,
+        dtype="u1",
+        dim=(40, "8h", (3, *size, 1, 1, 1, 1)),
+        pixdim=(76, "8f", (1, 1, 1, 1, 0, 0, 0, 0)),
+        bits=(72, "h", (8,)),
+        units=(123, "B", (10,)),
+        description=(148, "80s", (b"Colin Holmes",)),
+        codes=(252, "2h", (4, 4)),
+        srow=(280, "12f", rows),
+    )[:352]
+    data = gzip.compress(header + matter.tobytes(order="F"), 1, mtime=0)
+    head = read_nifti_volume(written(tmp_path, data, "ch2.nii.gz"))
+    assert head.size == size and head.voxels.dtype == np.uint8
     assert head.affine.tolist() == [[1, 0, 0, -90], [0, 1, 0, -125], [0, 0, 1, -71]]
     assert value_at(head, (0, 0, 200 - 100)) < value_at(head, (25, -40, 30)), "white matter is bright"
