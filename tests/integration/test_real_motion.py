@@ -85,7 +85,7 @@ def tip(joints: Array) -> Array:
     yaw, pitch, depth, roll, wrist_pitch, wrist_yaw = joints.tolist()
     shaft = turn(1, yaw) @ turn(0, pitch)
     wrist = shaft @ turn(2, roll) @ turn(0, wrist_pitch) @ turn(1, wrist_yaw)
-    return np.c_[wrist, shaft @ (0, 0, -depth) + wrist @ (0, 0, -0.01)]
+    return np.asarray(np.c_[wrist, shaft @ (0, 0, -depth) + wrist @ (0, 0, -0.01)])
 
 
 @pytest.fixture
