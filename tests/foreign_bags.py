@@ -357,7 +357,7 @@ def talker(folder: Path) -> Path:
 
 
 def topics_and_services(path: Path) -> Path:
-    """MCAP alone, with the events of services, which are no topics, and rosbag2's metadata in it, at both ends."""
+    """MCAP alone, with the events of services, and rosbag2's metadata in it, at both ends."""
     event = "example_interfaces/srv/AddTwoInts_Event"
     quality = {"offered_qos_profiles": _qos(0, 1, (9223372036, 854775807))}
     header = {"stamp": ROS2.types["builtin_interfaces/msg/Time"](1, 2), "node": "/talker"}

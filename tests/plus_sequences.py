@@ -269,16 +269,16 @@ def phantom() -> Array:
 def touches(path: Path) -> Path:
     """A stylus that touches the landmarks one after the other: 1000 poses at 15 Hz.
 
-    It rests before the first and after the last one, and pivots about its tip while it touches: the tip is still within
+    It waits before the first and after the last one, and pivots about its tip while it touches: the tip is still within
     a tenth of a millimetre, and each landmark is missed by about 0.2 mm.
     """
     chance = np.random.default_rng(8)
     reference = pose(chance)
     stations = (phantom() @ np.c_[LANDMARKS, np.ones(8)].T).T[:, :3]
     stations = stations + chance.normal(0, 0.12, stations.shape)
-    rests = np.array([[180.0, 60, 120], [-150.0, -90, 90]])
+    idle = np.array([[180.0, 60, 120], [-150.0, -90, 90]])
     tips: list[Array] = []
-    way = [rests[0], *stations, rests[1]]
+    way = [idle[0], *stations, idle[1]]
     for number, station in enumerate(way):
         tips += [station] * 60
         if number + 1 < len(way):
