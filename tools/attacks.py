@@ -3,7 +3,8 @@
     python tools/attacks.py NAME PORT LINKS RATE SECONDS
 
 RATE: messages per second of all links together; 0: as fast as the bridge reads.  The bytes are made before the attack
-begins, so that it costs little, and answers are read and thrown away.  ``ATTACKS`` has all of them.
+begins, so that it costs little, and answers are read and thrown away.  ``ATTACKS`` has all of them.  It prints a line
+when its links are connected, and the number of messages at the end.
 """
 
 from __future__ import annotations
@@ -135,6 +136,7 @@ def flood(messages: list[bytes], port: int, links: int, rate: float, seconds: fl
     """Send for this time; return the number of messages that were sent."""
     per_chunk = 1_000 if not rate else max(1, round(rate * _TICK_S / links))
     flooders = [_Flooder(port, _chunks(messages, per_chunk)) for _ in range(links)]
+    print("ready", flush=True)
     begun, sent, turn = time.monotonic(), 0, 0
     while (now := time.monotonic()) < begun + seconds:
         sockets = [flooder.sock for flooder in flooders]
@@ -167,6 +169,7 @@ def churn(manner: str, port: int, links: int, rate: float, seconds: float) -> in
         "half a header": lambda sock: sock.sendall(bytes(29)),
         "a message and reset": _reset,
     }
+    print("ready", flush=True)
     begun, open_links = time.monotonic(), list[socket.socket]()
     for made in count(1):
         if time.monotonic() >= begun + seconds:
@@ -190,7 +193,6 @@ def _reset(sock: socket.socket) -> None:
 def main() -> None:
     name, port, links, rate, seconds = sys.argv[1:]
     where = (int(port), int(links), float(rate), float(seconds))
-    print("ready", flush=True)
     sent = churn(name, *where) if name in _MANNERS else flood(_attacks()[name], *where)
     print(sent, flush=True)
 

@@ -53,8 +53,9 @@ def echo() -> None:
     _say(server.getsockname()[1])
     sock, _ = server.accept()
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    while data := sock.recv(1 << 16):
-        sock.sendall(data)
+    with suppress(ConnectionError):
+        while data := sock.recv(1 << 16):
+            sock.sendall(data)
 
 
 def good(port: int, echo_port: int) -> None:
@@ -263,6 +264,7 @@ def measure(options: argparse.Namespace, folder: Path) -> bool:
                 idle, before = _phase(roles, options.seconds), log.stat().st_size
                 rate = options.rate * (links if options.each else 1)
                 command = [
+                    *(["chrt", "--idle", "0"] if options.elsewhere else []),
                     sys.executable,
                     str(ROOT / "tools/attacks.py"),
                     name,
@@ -296,6 +298,7 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=4.0, help="of each phase")
     parser.add_argument("--ros", action="store_true", help="with ROS, and a pose at 1 kHz to the peers")
     parser.add_argument("--record", action="store_true")
+    parser.add_argument("--elsewhere", action="store_true", help="attackers take only CPU time that nothing else wants")
     parser.add_argument("--bridge", action="append", default=[], help="a further word for the bridge")
     options = parser.parse_args()
     if options.role:

@@ -75,6 +75,9 @@ class BridgePassage:
     def link(self, number: int) -> Link | None:
         return self._tcp.native_link(number)
 
+    def ignore(self, channel: str, messages: int) -> None:
+        self._tcp.ignore(channel, messages)
+
     def max_body(self, igtl_type: str) -> int:
         return self._tcp.max_body(igtl_type)
 

@@ -87,6 +87,11 @@ class Peer:
         """Header version of messages to the peer: the highest version received, within the limits of its profile."""
         return min(max(self.profile.first_version, self.shown), self.profile.max_version)
 
+    @property
+    def gets(self) -> tuple[object, ...]:
+        """What decides which messages the peer gets, and in which form."""
+        return self.profile, self.chosen, self.version, self.shown > 1, len(self.knows)
+
     def may_send(self, igtl_type: str) -> bool:
         """Return whether messages of this type may be sent to the peer."""
         if self.profile.may_send(igtl_type):
@@ -165,12 +170,13 @@ class Peers:
     """All peers of open links, by link number.
 
     Attributes:
-        changed: called when a peer connects, disconnects, changes its version or profile, or requests streams of
-            another type: compiled streams (`igtl_gateway.gateway.fastpath`) are invalid then.
+        changed: called with the link of a peer that connects, disconnects, gets other messages than before, or
+            requests streams of another type: compiled streams (`igtl_gateway.gateway.fastpath`) to all peers and from
+            this one are invalid then.
     """
 
     def __init__(self, config: Config) -> None:
-        self.changed: Callable[[], None] = lambda: None
+        self.changed: Callable[[int], None] = lambda link: None
         self._config = config
         self._peers: dict[int, Peer] = {}
 

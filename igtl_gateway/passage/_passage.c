@@ -43,7 +43,8 @@
 #define MAX_LARGE_STREAMS 64
 #define MAX_LARGE_WAITING 3 /* messages; then TCP makes the peer wait */
 #define LOCK_NS 2000000 /* the longest wait of a thread of the middleware */
-#define PART 4 /* of its time that a turn costs which leaves nothing */
+#define BATCH_NS 500000 /* messages of ROS that wait pass with one taking of the sequence lock, for this time */
+#define PART 8 /* of its time that a turn costs which leaves nothing */
 #define QUANTUM_NS 100000 /* a turn of a link ends after the message with which it has lasted this long */
 
 /* As in guarded_stream.py and timing.py. */
@@ -284,6 +285,7 @@ struct output {
     char keep;                   /* a full send queue must not drop it */
     uint64_t number;             /* of its stream in the recorder's queue */
     uint64_t sent;               /* messages */
+    uint64_t ignored;            /* messages that a link took no more */
     Publisher *publisher;
     Link *links[MAX_LINKS];
     int link_count;
@@ -829,7 +831,7 @@ static int lock_links(Stream *stream)
                 unlock_links(stream, i, k);
                 return 0;
             }
-            if (link->muted || link->unsent_bytes > MOST_UNSENT) {
+            if (!link->muted && link->unsent_bytes > MOST_UNSENT) {
                 unlock_links(stream, i, k + 1);
                 return 0;
             }
@@ -839,9 +841,14 @@ static int lock_links(Stream *stream)
 }
 
 /* Send a message; what the kernel does not take is Python's, so that a link that is read slowly leaves the others native.
+ * A link that takes nothing any more, because its peer has left, is passed over likewise.
  * The caller has the lock of the link. */
-static void send_to_link(Link *self, const uint8_t *message, ssize_t size, const struct output *output)
+static void send_to_link(Link *self, const uint8_t *message, ssize_t size, struct output *output)
 {
+    if (self->muted) {
+        output->ignored++;
+        return;
+    }
     ssize_t sent = self->clear ? send(self->fd, message, size, MSG_DONTWAIT | MSG_NOSIGNAL) : 0;
     if (sent == size) {
         self->sent_messages++;
@@ -995,21 +1002,50 @@ static void count_received(Subscription *self)
     self->last_number = number;
 }
 
-/* Pass on a message that was taken; 0: it is Python's. */
-static int pass_taken(Subscription *self)
+/* Pass on a message that was taken; 0: it is Python's.  The caller has the sequence lock. */
+static int pass_taken(Subscription *self, int64_t begun_ns)
+{
+    if (!self->stream || !pass_to_igtl(self->passage, self->stream, self->message.buffer,
+                                       (ssize_t)self->message.length, self->info.source_ns, begun_ns))
+        return 0;
+    count_received(self);
+    return 1;
+}
+
+/* Pass on what was taken (`is_held`) and what is there, until nothing is left, which is RCL_RET_SUBSCRIPTION_TAKE_FAILED.
+ * Or return another code: RCL_RET_OK where a message is held for Python, or the sequence lock was not to be had.
+ *
+ * Several messages pass with one taking of the lock: where many want it, who takes it for each message waits each time.
+ * Only the taker of a subscription takes from it, so a thread that waits for the lock has no lock of the middleware that
+ * this one needs. */
+static int pass_all(Subscription *self, int is_of_middleware)
 {
     Passage *passage = self->passage;
-    int passed = 0;
-    int64_t begun_ns = clock_ns(CLOCK_MONOTONIC);
-    if (self->message.length <= LARGEST_INPUT && lock_sequence(passage)) {
-        Stream *stream = self->stream;
-        passed = stream && pass_to_igtl(passage, stream, self->message.buffer, (ssize_t)self->message.length,
-                                        self->info.source_ns, begun_ns);
+    for (;;) {
+        int code = RCL_RET_OK;
+        if (!self->is_held && (code = passage->take(self->pointer, &self->message, &self->info, NULL)) != RCL_RET_OK)
+            return code;
+        self->is_held = 1;
+        int64_t now_ns = clock_ns(CLOCK_MONOTONIC);
+        if (self->message.length > LARGEST_INPUT || !__atomic_load_n(&self->stream, __ATOMIC_RELAXED))
+            return RCL_RET_OK;
+        if (!is_of_middleware)
+            wait_for_sequence(passage);
+        else if (!lock_sequence(passage))
+            return RCL_RET_OK;
+        int64_t until_ns = clock_ns(CLOCK_MONOTONIC) + BATCH_NS; /* the time that it waited does not count */
+        while (self->message.length <= LARGEST_INPUT && pass_taken(self, now_ns)) {
+            self->is_held = 0;
+            now_ns = clock_ns(CLOCK_MONOTONIC);
+            if (now_ns >= until_ns ||
+                (code = passage->take(self->pointer, &self->message, &self->info, NULL)) != RCL_RET_OK)
+                break;
+            self->is_held = 1;
+        }
         unlock_sequence(passage);
+        if (self->is_held || code != RCL_RET_OK)
+            return code;
     }
-    if (passed)
-        count_received(self);
-    return passed;
 }
 
 /* A thread of the middleware has a message for the subscription: take it here if its stream is compiled. */
@@ -1033,18 +1069,12 @@ static void on_message(const void *user_data, size_t events)
         pthread_mutex_lock(&self->state);
         self->is_pending = 0;
         pthread_mutex_unlock(&self->state);
-        int code;
-        while ((code = passage->take(self->pointer, &self->message, &self->info, NULL)) == RCL_RET_OK)
-            if (!pass_taken(self)) {
-                self->is_held = 1;
-                passes = 0;
-                break;
-            }
+        int code = pass_all(self, 1);
         pthread_mutex_lock(&self->state);
-        if (code != RCL_RET_OK && code != RCL_RET_SUBSCRIPTION_TAKE_FAILED) {
-            self->failure = code;
+        if (code != RCL_RET_SUBSCRIPTION_TAKE_FAILED) {
+            self->failure = code == RCL_RET_OK ? 0 : code;
             passes = 0;
-        } else if (passes && !self->is_pending) {
+        } else if (!self->is_pending) {
             self->taker = IDLE;
             pthread_mutex_unlock(&self->state);
             return;
@@ -1098,22 +1128,23 @@ static PyObject *stream_remove(Stream *self, PyObject *nothing)
 static PyObject *stream_collect(Stream *self, PyObject *nothing)
 {
     (void)nothing;
-    PyObject *sent = PyTuple_New(self->output_count), *found = NULL;
-    if (!sent)
-        return NULL;
-    for (int i = 0; i < self->output_count; i++) {
-        PyTuple_SET_ITEM(sent, i, PyLong_FromUnsignedLongLong(self->outputs[i].sent));
-        self->outputs[i].sent = 0;
+    PyObject *sent = PyTuple_New(self->output_count), *ignored = PyTuple_New(self->output_count), *found = NULL;
+    for (int i = 0; sent && ignored && i < self->output_count; i++) {
+        struct output *output = &self->outputs[i];
+        PyTuple_SET_ITEM(sent, i, PyLong_FromUnsignedLongLong(output->sent));
+        PyTuple_SET_ITEM(ignored, i, PyLong_FromUnsignedLongLong(output->ignored));
+        output->sent = output->ignored = 0;
     }
     PyObject *latest = self->latest_seq ? Py_BuildValue("KLLy#", (unsigned long long)self->latest_seq,
                                                         (long long)self->latest_stamp_ns,
                                                         (long long)self->latest_source_ns, (const char *)self->latest,
                                                         (Py_ssize_t)self->latest_size)
                                         : Py_NewRef(Py_None);
-    if (latest)
-        found = Py_BuildValue("KKKOO", (unsigned long long)self->received, (unsigned long long)self->converted,
-                              (unsigned long long)self->unheard, sent, latest);
-    Py_DECREF(sent);
+    if (sent && ignored && latest)
+        found = Py_BuildValue("KKKOOO", (unsigned long long)self->received, (unsigned long long)self->converted,
+                              (unsigned long long)self->unheard, sent, ignored, latest);
+    Py_XDECREF(sent);
+    Py_XDECREF(ignored);
     Py_XDECREF(latest);
     if (found)
         self->received = self->converted = self->unheard = self->latest_seq = 0;
@@ -1795,15 +1826,13 @@ static PyObject *subscription_take(Subscription *self, PyObject *nothing)
     (void)nothing;
     int code = self->failure;
     self->failure = 0;
-    if (!self->is_held && !code) {
+    if (!code) {
         Py_BEGIN_ALLOW_THREADS
         for (;;) {
             pthread_mutex_lock(&self->state);
             self->is_pending = 0;
             pthread_mutex_unlock(&self->state);
-            while ((code = self->passage->take(self->pointer, &self->message, &self->info, NULL)) == RCL_RET_OK)
-                if (!pass_taken(self))
-                    break;
+            code = pass_all(self, 0);
             if (code != RCL_RET_SUBSCRIPTION_TAKE_FAILED)
                 break;
             pthread_mutex_lock(&self->state);
@@ -1925,6 +1954,7 @@ static PyObject *passage_wait_links(Passage *self, PyObject *nothing)
     Link *noted = NULL;
     int woken = 0;
     Py_BEGIN_ALLOW_THREADS
+    self->used_ns = clock_ns(CLOCK_THREAD_CPUTIME_ID); /* what Python did since the last turn is no link's */
     while (!noted && !woken) {
         struct epoll_event events[EVENTS];
         int count = epoll_wait(self->epoll, events, EVENTS, self->waiting ? 0 : -1);

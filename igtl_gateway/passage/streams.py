@@ -40,6 +40,10 @@ class NativeEdges(Protocol):
 
     def link(self, number: int) -> Link | None: ...
 
+    def ignore(self, channel: str, messages: int) -> None:
+        """Count messages to links that take nothing any more."""
+        ...
+
     def max_body(self, igtl_type: str) -> int:
         """Return the limit of the bodies of a type, in bytes."""
         ...
@@ -147,6 +151,10 @@ class PassageStreams:
         tries = self._tries[key] = self._tries.get(key, 0) + 1
         if tries & (tries - 1) and tries % _RETRY_AFTER:  # what is missing may come, such as a subscriber
             return
+        self._copy(key, stream)
+
+    def _copy(self, key: Key, stream: CompiledToRos | CompiledToIgtl) -> None:
+        """Copy a compiled stream, if that is possible now."""
         if isinstance(stream, CompiledToRos) and isinstance(key[0], int) and isinstance(key[1], bytes):
             copied = self._copy_to_ros(key[0], key[1], stream)
         elif isinstance(stream, CompiledToIgtl) and isinstance(key[0], str) and isinstance(key[1], str):
@@ -163,11 +171,18 @@ class PassageStreams:
         self._guards.set_all()
 
     def drop(self, key: Key) -> None:
+        self.replace(key, None)
+
+    def replace(self, key: Key, stream: CompiledToRos | CompiledToIgtl | None) -> None:
         self._tries.pop(key, None)
-        if copy := self._copies.pop(key, None):
-            self._collect(copy)
-            self._guards.collect(copy.compiled.watched)
-            copy.native.remove()
+        old = self._copies.pop(key, None)
+        if old:
+            self._collect(old)
+            self._guards.collect(old.compiled.watched)
+        if old and stream:
+            self._copy(key, stream)
+        if old:  # after the copy: a message that comes meanwhile waits for it, and does not go to Python
+            old.native.remove()
 
     def drop_all(self) -> None:
         for key in list(self._copies):
@@ -234,7 +249,7 @@ class PassageStreams:
 
     def _collect(self, copy: _Copy) -> None:
         """Take over the counts of a stream, its latest message, and the state of its guard."""
-        received, converted, unheard, sent, latest = copy.native.collect()
+        received, converted, unheard, sent, ignored, latest = copy.native.collect()
         if not received:
             return
         compiled = copy.compiled
@@ -246,8 +261,10 @@ class PassageStreams:
             self._on_passed(Kind.IGTL_IN, received)
             self._on_passed(Kind.ROS_OUT, sum(sent))
         else:
-            for (_, links, counter), number in zip(compiled.outputs, sent, strict=True):
+            for (output, links, counter), number, left in zip(compiled.outputs, sent, ignored, strict=True):
                 _add(counter, {"sent": number * links})
+                if left:
+                    self._edges.ignore(output.channel, left)
             if latest:
                 seq, stamp_ns, source_ns, cdr = latest
                 for peer in compiled.peers:

@@ -45,6 +45,7 @@ from igtl_gateway.wire.framer import Framer
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import PolyData
+from igtl_gateway.wire.query import EmptyQuery
 from igtl_gateway.wire.text import Status
 from igtl_gateway.wire.text import String as StringBody
 from igtl_gateway.wire.transform import Position, Transform
@@ -487,6 +488,114 @@ def test_a_peer_that_does_not_read_loses_what_python_counts(monkeypatch: pytest.
         link = here.bridge.tcp.native_link(1)
         assert link and link.clear
         peer.close()
+
+
+@contextmanager
+def counted_by_python(here: Scene) -> Iterator[list[str]]:
+    """Yield a list of the inputs that Python handles: their topics, and IGTL for messages of links."""
+    handled: list[str] = []
+    hub = here.bridge.hub
+    ros, igtl = hub.ros, hub.igtl
+
+    def from_ros(topic: str, *arguments: Any) -> None:
+        handled.append(topic)
+        ros(topic, *arguments)
+
+    def from_link(*arguments: Any) -> None:
+        handled.append("IGTL")
+        igtl(*arguments)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(hub, "ros", from_ros)
+        patch.setattr(hub, "igtl", from_link)
+        yield handled
+
+
+def test_poses_of_ros_stay_native_while_peers_come_and_go(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """In Python, all of them would wait for it each time that a peer connects, sends its first message, or leaves."""
+    path = tmp_path / "session.mcap"
+    with scene(monkeypatch, path=path) as here:
+        first = here.connect()
+        for number in range(20):
+            here.send_ros(pose(number))
+        wait_for(lambda: here.native == 1)
+        with counted_by_python(here) as handled:
+            for number in range(100, 400, 100):
+                other = here.connect()
+                for step in range(20):
+                    here.send_ros(pose(number + step))
+                other.send(join(encode(Message("GET_STATUS", "Other", EmptyQuery()))))
+                wait_for(lambda: any(b"STATUS" in one[:14] for one in other.received))  # noqa: B023 (it ends here)
+                here.send_ros(pose(number + 20))
+                here.disconnect(other)
+                here.send_ros(pose(number + 21))
+            wait_for(lambda: here.received("ros_in") == 20 + 3 * 22)
+        wait_for(lambda: sum(b"TRANSFORM" in one[:14] for one in first.received) == 20 + 3 * 22)
+        assert TOPIC not in handled
+    check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+
+
+def test_streams_of_a_peer_stay_native_while_others_come_and_go(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    path = tmp_path / "session.mcap"
+    with scene(monkeypatch, path=path) as here:
+        first = here.connect()
+        for number in range(100):
+            first.send(transform(number))
+            time.sleep(0.001)
+        wait_for(lambda: here.received("igtl_in") == 100)
+        assert here.native == 1
+        with counted_by_python(here) as handled:
+            for number in range(3):
+                other = here.connect()
+                here.disconnect(other)
+                first.send(transform(100 + number))
+            wait_for(lambda: here.received("igtl_in") == 103)
+        assert handled == []
+        assert here.native == 1
+    check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+
+
+def test_a_link_that_takes_nothing_any_more_leaves_the_others_native(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Such as that of a peer that has left, and whose last messages wait for their turn."""
+    with scene(monkeypatch) as here:
+        peer, gone = here.connect(), here.connect()
+        for number in range(20):
+            here.send_ros(pose(number))
+        wait_for(lambda: here.native == 1 and len(gone.received) == 20)
+        here.bridge.tcp._links[2].sender.mute("it has left")
+        with counted_by_python(here) as handled:
+            for number in range(20, 50):
+                here.send_ros(pose(number))
+            wait_for(lambda: len(peer.received) == 50)
+        assert handled == []
+        assert here.received("ros_in") == 50
+        assert here.bridge.ledger()["links"]["0"]["ignored"] == {"TRANSFORM/tool": 30}
+        assert len(gone.received) == 20
+
+
+def test_poses_that_waited_for_a_lock_pass_natively(monkeypatch: pytest.MonkeyPatch) -> None:
+    with scene(monkeypatch) as here:
+        peer = here.connect()
+        for number in range(20):
+            here.send_ros(pose(number))
+        wait_for(lambda: here.native == 1)
+
+        def send_rest() -> None:
+            for number in range(20, 50):
+                here.send_ros(pose(number))
+
+        with counted_by_python(here) as handled:
+            with here.bridge.hub.sequence:
+                sending = threading.Thread(target=send_rest)
+                sending.start()
+                time.sleep(0.1)  # more than a thread of the middleware waits
+            sending.join(TIMEOUT_S)
+            wait_for(lambda: len(peer.received) == 50)
+        assert handled == []
+        places = [struct.unpack_from(">f", message, len(message) - 12)[0] for message in peer.received]
+        assert places == sorted(places), "the order of the messages has changed"
 
 
 def test_messages_in_pieces_and_in_blocks_arrive_whole(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,7 +23,7 @@ def make_native(here: Scene, peer: Peer, device: str) -> None:
     """Send until the stream of the device passes natively."""
     before = here.native
     for number in range(200):
-        peer.send(transform(number, device=device))
+        peer.send(transform(1000.0 + number, device=device))  # of the size of those that follow: no jump
         time.sleep(0.002)
         if here.native > before:
             break

@@ -154,6 +154,10 @@ class TcpEdge:
         link = self._links.get(number)
         return link.native.link if link and link.native and not self._loop.stopping else None
 
+    def ignore(self, stream: str, messages: int) -> None:
+        """Count messages of a stream to links that take nothing any more."""
+        self._registry.ignore({stream: messages})
+
     def send(self, links: Sequence[int], buffers: Sequence[Buffer], stream: str, keep: bool) -> None:
         """Send one message, as buffers one after the other, to each of these links.
 

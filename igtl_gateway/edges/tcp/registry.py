@@ -5,7 +5,7 @@ from __future__ import annotations
 import socket
 import threading
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 from igtl_gateway.edges.tcp.dialer import Dialer
@@ -44,8 +44,8 @@ class LinkRegistry:
 
     # ── for any thread ────────────────────────────────────────────────────────────────────────────────────────
 
-    def ignore(self, streams: Sequence[str]) -> None:
-        """Count messages, one for each of these streams, that no link took."""
+    def ignore(self, streams: Sequence[str] | Mapping[str, int]) -> None:
+        """Count messages that no link took: one for each of these streams, or these numbers of them."""
         with self.changed:
             self._ignored.update(streams)
 

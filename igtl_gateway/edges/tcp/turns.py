@@ -7,7 +7,7 @@ all that are busy.  So a peer that asks for little waits for one turn at most, h
 and those that flood share what is left.
 
 Its taker limits a turn, see ``QUANTUM_NS``; what is left waits for the next one, behind it in the socket
-of the peer.  Who leaves nothing pays a part: beside twenty that flood, a peer that waits for each answer would
+of the peer.  Who leaves nothing pays an eighth: beside twenty that flood, a peer that waits for each answer would
 otherwise use more than one of them, and wait for all of them each time.
 """
 
@@ -20,7 +20,7 @@ from collections.abc import Callable
 QUANTUM_NS = 100_000
 
 #: The part of its time that a turn costs which leaves nothing to be done.
-_PART = 4
+_PART = 8
 
 
 class Turn:

@@ -78,9 +78,9 @@ class Links:
     def take(self, entry: Entry) -> Outcome:
         """Handle a link that went up or down."""
         event = Note.of(entry.data())
-        self._peers.changed()
         outcome = Outcome()
         for link in entry.links:
+            self._peers.changed(link)
             if event.code == LINK_UP:
                 peer = self._peers.up(link, event.data, entry.stamp_ns)
                 if peer.recent:

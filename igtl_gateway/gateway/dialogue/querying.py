@@ -47,7 +47,7 @@ class Queries:
         requested = peer.requested_types
         items = self._respond(entry, peer, message, *query)
         if peer.requested_types != requested:  # not with each query: all streams would be compiled again
-            self._peers.changed()
+            self._peers.changed(peer.link)
         return items
 
     def _respond(self, entry: Entry, peer: Peer, message: Message, prefix: str, igtl_type: str) -> list[Item]:

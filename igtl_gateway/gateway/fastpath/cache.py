@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from typing import Any
 
 from igtl_gateway.buffers import Buffer
@@ -26,8 +27,13 @@ from igtl_gateway.wire.header import HEADER_SIZE, NAMES
 #: Maximum number of compiled streams in each direction; further streams take the full path.
 MAX_STREAMS = 4_096
 
-#: Number of times that a stream is compiled until the peers change: if its messages never fit, it keeps the full path.
+#: Number of times that a stream is compiled until its peer changes, or, if it goes to the peers, any of them does:
+#: one whose messages never fit keeps the full path.
 MAX_COMPILED = 8
+
+#: Size of messages, and number of streams to peers, that are compiled again at once when the peers change.
+_LARGEST_LEARNED = 32 << 10
+_MOST_LEARNED = 32
 
 #: A compiled stream, and what it has converted a message to.
 Prepared = tuple[CompiledToIgtl | CompiledToRos | None, Any]
@@ -67,6 +73,9 @@ class FastPath:
         self.to_igtl: dict[ToIgtlKey, CompiledToIgtl] = {}
         self.native: NativeStreams | None = None
         self._compiled: dict[Key, int] = {}  # number of times
+        # what small streams to peers were compiled from, and those that are to be compiled again
+        self._learned: dict[Key, tuple[Entry, IgtlOrigin]] = {}
+        self._outdated: list[ToIgtlKey] = []
         self._common = CompileContext(config, ledger, qos, subscribers.waiting)
         self._peers = peers
         self._subscribers = subscribers
@@ -74,7 +83,7 @@ class FastPath:
         self._latest = latest
         self._frames_go_out = bool(config.tf_out)
         self._enabled = enabled
-        peers.changed = self.drop_compiled
+        peers.changed = self._peer_changed
 
     def take(
         self,
@@ -147,12 +156,24 @@ class FastPath:
             self.native.collect_all()
 
     def end_full_path(self) -> None:
-        """Inform the native passage of an input that took the full path."""
+        """Compile again what the input has made outdated, and inform the native passage of it."""
+        for key in self._outdated:
+            self._compile_again(key)
+        self._outdated.clear()
         if self.native:
             self.native.handled_in_full()
 
+    def _compile_again(self, key: ToIgtlKey) -> None:
+        """Compile a stream for the peers as they are now, from the message from which it was compiled before."""
+        entry, origin = self._learned.pop(key)
+        with suppress(ConversionError):
+            self._learn_to_igtl(entry, origin)
+        if self.native:
+            self.native.replace(key, self.to_igtl.get(key))
+
     def _drop(self, streams: dict[Any, Any], key: Key) -> None:
         del streams[key]
+        self._learned.pop(key, None)
         if self.native:
             self.native.drop(key)
 
@@ -180,6 +201,8 @@ class FastPath:
             peers = tuple(self._peers.all())
             compiled = compile_to_igtl.compile_to_igtl(entry, origin, self._common, self._latest, peers)
             self._store(self.to_igtl, key, compiled)
+            if compiled and entry.size <= _LARGEST_LEARNED and len(self._learned) < _MOST_LEARNED:
+                self._learned[key] = entry, origin
 
     def _may_compile(self, key: Key) -> bool:
         """Return whether a stream is not compiled and may be."""
@@ -194,13 +217,39 @@ class FastPath:
         if compiled:
             streams[key] = compiled
 
+    def _peer_changed(self, link: int) -> None:
+        """Drop the compiled streams from a peer, and those to all peers: each has a list of them.
+
+        Those from the other peers stay, and small streams to peers are compiled again at once: otherwise all of them
+        would take the full path at the same time, whenever a peer comes or goes.
+        """
+        if len(self._compiled) >= MAX_STREAMS:  # others have their chance
+            self.drop_compiled()
+            return
+        for topic_key in list(self.to_igtl):
+            if topic_key in self._learned:
+                del self.to_igtl[topic_key]
+                self._outdated.append(topic_key)
+            else:
+                self._drop(self.to_igtl, topic_key)
+        for device_key in [key for key in self.to_ros if key[0] == link]:
+            self._drop(self.to_ros, device_key)
+        self._compiled = {key: times for key, times in self._compiled.items() if _is_of_another(key, link)}
+
     def drop_compiled(self) -> None:
-        """Drop all compiled streams, because the peers or settings have changed."""
+        """Drop all compiled streams, because settings have changed."""
         self.to_ros.clear()
         self.to_igtl.clear()
         self._compiled.clear()
+        self._learned.clear()
+        self._outdated.clear()
         if self.native:
             self.native.drop_all()
+
+
+def _is_of_another(key: Key, link: int) -> bool:
+    """Return whether a stream comes from a peer, and not from this one."""
+    return isinstance(key[0], int) and key[0] != link
 
 
 def no_fast_path(*_input: object) -> None:

@@ -40,6 +40,9 @@ class NativeStreams(Protocol):
     def drop(self, key: Key) -> None:
         """The stream is no longer compiled."""
 
+    def replace(self, key: Key, stream: Any) -> None:
+        """The stream was compiled again; None: it could not be."""
+
     def drop_all(self) -> None:
         """No stream is compiled any more."""
 

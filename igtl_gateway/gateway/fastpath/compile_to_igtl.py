@@ -103,8 +103,9 @@ def compile_to_igtl(
         names = () if form in (TEXT, MESH) else _cloud_places(cdr)
     if names is None:
         return None
+    told = [replace(peer) for peer in peers]  # this sends nothing
     first, second = (
-        send(replace(out, ros_stamp_ns=stamp_ns if out.ros_stamp_ns else 0), peers, entry.stamp_ns)
+        send(replace(out, ros_stamp_ns=stamp_ns if out.ros_stamp_ns else 0), told, entry.stamp_ns)
         for stamp_ns in _TWO_STAMPS
     )
     if first.refused or first.warnings or not first.outputs:

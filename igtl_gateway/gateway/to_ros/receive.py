@@ -87,10 +87,11 @@ class IgtlReceiver:
 
     def _learned(self, entry: Entry, peer: Peer, message: Message) -> list[Item]:
         """Learn version and profile of the sender; return the findings."""
-        before = peer.profile
+        before, gets = peer.profile, peer.gets
         if not peer.learn_from(message):
             return []
-        self._peers.changed()
+        if peer.gets != gets:  # not with the first message of each peer: all streams would be compiled again
+            self._peers.changed(peer.link)
         items: list[Item] = [self._links.status(entry.stamp_ns)]
         if peer.profile is not before:
             items.append(_profile_detected(entry, peer))
