@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import shutil
+import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from html.parser import HTMLParser
@@ -144,3 +146,47 @@ def levels(entries: list[Any]) -> Iterator[int]:
 def test_no_level_of_the_navigation_has_more_than_eight_entries() -> None:
     text = "nav:\n" + (site.ROOT / "mkdocs.yml").read_text("utf-8").partition("\nnav:\n")[2]
     assert max(levels(YAML(typ="safe", pure=True).load(text)["nav"])) <= 8
+
+
+#: Types a word into the search, letter by letter, and leaves what the field and the results then have in the title.
+TYPING = """
+<script>
+addEventListener("load", async () => {
+  const wait = async (found) => {
+    for (;;) {
+      const roots = [document, ...[...document.querySelectorAll("*")].map((each) => each.shadowRoot).filter(Boolean)];
+      const each = roots.map(found).find(Boolean);
+      if (each) return each;
+      await new Promise((done) => setTimeout(done, 50));
+    }
+  };
+  const button = await wait((root) => root.querySelector(".md-search__button"));
+  button.click();
+  const field = await wait((root) => root.querySelector("input[role=combobox]"));
+  for (const letter of "verify") {
+    field.value += letter;
+    field.dispatchEvent(new Event("input", { bubbles: true }));
+    await new Promise((done) => setTimeout(done, 200));
+  }
+  await wait((root) => root.querySelector("a[href*='verbs.html'][href$='#verify']"));
+  document.title = `found ${field.value}`;
+});
+</script>
+"""
+
+
+@pytest.mark.skipif(not shutil.which("chromium"), reason="no chromium here")
+def test_the_search_finds_what_is_typed_in_a_page_that_is_opened_as_a_file(html: Path, tmp_path: Path) -> None:
+    page = html / "index.html"
+    text = page.read_text("utf-8")
+    typing = page.with_name("typing.html")
+    typing.write_text(text.replace("</body>", f"{TYPING}</body>"), "utf-8")
+    run = ["chromium", "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path}"]
+    try:
+        shown = subprocess.run(
+            [*run, "--virtual-time-budget=20000", "--timeout=60000", "--dump-dom", typing.as_uri()],
+            capture_output=True, text=True, check=True, timeout=120,
+        ).stdout  # fmt: skip
+    finally:
+        typing.unlink()
+    assert "<title>found verify</title>" in shown

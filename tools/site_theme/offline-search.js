@@ -11,7 +11,7 @@ if (location.protocol === "file:") {
       const inside = this.frame.contentWindow;
       inside.postMessage = (data) =>
         setTimeout(() => {
-          const event = new MessageEvent("message", { data });
+          const event = new MessageEvent("message", { data: structuredClone(data) });
           this.onmessage?.(event);
           this.dispatchEvent(event);
         });
@@ -26,7 +26,7 @@ if (location.protocol === "file:") {
     postMessage(data) {
       this.ready.then(() => {
         const inside = this.frame.contentWindow;
-        const event = new inside.MessageEvent("message", { data });
+        const event = new inside.MessageEvent("message", { data: structuredClone(data) });
         inside.onmessage?.(event);
         inside.dispatchEvent(event);
       });
