@@ -14,8 +14,10 @@ import numpy.typing as npt
 
 from igtl_gateway.edges.video.worker import MAX_PIXELS, THREADS, import_av
 from igtl_gateway.errors import DamagedRecording, Unavailable
+from igtl_gateway.lerobot.mp4_samples import check_samples
 from igtl_gateway.sessionfile.new_file import empty_file, make_folder
 from igtl_gateway.untrusted.files import open_file
+from igtl_gateway.untrusted.limits import Deadline
 
 Pixels = npt.NDArray[np.uint8]
 
@@ -88,9 +90,13 @@ def read_video(path: Path, size: tuple[int, int] | None = None) -> Iterator[tupl
     Raises:
         UnsupportedRecording: it is missing, or not an ordinary file.
         DamagedRecording: it is not a video of that size, or it cannot be decoded.
+        LimitExceeded: decoding it takes longer than a file of its size may take.
     """
     av = import_av()
     with open_file(path) as stream:
+        length = os.fstat(stream.fileno()).st_size
+        check_samples(stream, length, str(path))
+        deadline = Deadline(length)
         try:
             with av.open(stream, format="mp4") as file:
                 if not file.streams.video:
@@ -98,11 +104,16 @@ def read_video(path: Path, size: tuple[int, int] | None = None) -> Iterator[tupl
                 codec = file.streams.video[0].codec_context
                 codec.options = {"max_pixels": str(MAX_PIXELS), "err_detect": "explode"}
                 _check_size(path, (codec.height, codec.width), size)
-                for frame in file.decode(video=0):
-                    _check_size(path, (frame.height, frame.width), size)
-                    if frame.is_corrupt:
-                        raise DamagedRecording(f"{path}: cannot be decoded: found a damaged frame")
-                    yield float(frame.time or 0.0), frame.to_ndarray(format="rgb24")
+                for packet in file.demux(video=0):
+                    frames = packet.decode()
+                    deadline.check(str(path))
+                    for frame in frames:
+                        _check_size(path, (frame.height, frame.width), size)
+                        if frame.is_corrupt:
+                            raise DamagedRecording(f"{path}: cannot be decoded: found a damaged frame")
+                        picture = frame.to_ndarray(format="rgb24")
+                        with deadline.paused():
+                            yield float(frame.time or 0.0), picture
         except (av.FFmpegError, OSError, ValueError, OverflowError, MemoryError) as error:
             raise DamagedRecording(f"{path}: cannot be decoded: {_reason(error)}") from None
 

@@ -134,3 +134,12 @@ class Deadline:
         """Raise LimitExceeded after the deadline."""
         if self._clock.monotonic_ns() > self._end_ns:
             raise exceeded("seconds", f"more than {self._seconds} s of work", place, f"{self._seconds} s")
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Context manager: its time does not count, as that of a caller who works on what was read."""
+        began_ns = self._clock.monotonic_ns()
+        try:
+            yield
+        finally:
+            self._end_ns += self._clock.monotonic_ns() - began_ns
