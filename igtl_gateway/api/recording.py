@@ -25,10 +25,8 @@ from igtl_gateway.config import Config
 from igtl_gateway.errors import BeingRecorded, ConfigError, DamagedRecording, GatewayError
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.session.note import Note
-from igtl_gateway.sessionfile.copying import CopyWriter
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.remote import RemoteFile, is_url
-from igtl_gateway.sessionfile.salvage import Salvage
 from igtl_gateway.untrusted import limits as file_limits
 from igtl_gateway.untrusted.limits import FileLimits
 
@@ -363,20 +361,11 @@ def _open_file(path: str | Path, resources: ExitStack, warnings: list[str]) -> S
 
 def _salvaged(path: Path, resources: ExitStack, warnings: list[str]) -> SessionFile:
     """Copy what is whole in a file that was cut off to a temporary file, and open that."""
+    from igtl_gateway.sessionfile.recovery import copy_readable  # its readers take half a second to load
+
     folder = Path(resources.enter_context(tempfile.TemporaryDirectory(prefix="igtl-gateway-")))
     copy = folder / path.name
-    with Salvage.open(path) as damaged:
-        with CopyWriter(
-            copy, damaged.profile, damaged.library, damaged.recorded_session, compression=damaged.compression
-        ) as writer:
-            for metadata in damaged.metadata():
-                writer.add_metadata(metadata)
-            for attachment in damaged.attachments():
-                writer.add_attachment(attachment)
-            for each in damaged.read():
-                writer.write(each.schema, each.channel, each.message)
-            writer.close(damaged.ledger or {})
-        report = damaged.report
+    report = copy_readable(path, copy)
     warnings.append(
         f"{path}: was cut off after {report.size:,} bytes; {report.messages:,} messages are read, and it has no ledger "
         "of a finished session"

@@ -273,7 +273,14 @@ class _Plan:
         """Return the window of ``--view``.  Raises ViewerError without rerun."""
         if self._options.view and self.window is None:
             self.window = _window(self._config)
+            print_line(_READABLE, error=True)
         return self.window
+
+
+#: rerun's window has no access control for streams.
+_READABLE = (
+    "igtl-gateway bridge: --view: other users of this machine can read what the window shows (docs/how-to/security.md)"
+)
 
 
 class _Show:

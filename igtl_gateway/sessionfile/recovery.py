@@ -57,7 +57,7 @@ class _Disorder(Exception):
 
 
 def recover(source: Path, place: Path, progress: Callable[[Salvage], None] = lambda _: None) -> Recovery:
-    """Write the readable rest of a recording, and read it again.
+    """Write the readable rest of a recording, and read it again with every reader.
 
     Args:
         source: the damaged file, or a sound one.
@@ -67,14 +67,29 @@ def recover(source: Path, place: Path, progress: Callable[[Salvage], None] = lam
     Raises UnsupportedRecording (nothing of MCAP in it, a newer version), DamagedRecording if no file with all that is
     readable can be read again, RecordingError if the file cannot be written.
     """
+    return _recovered(source, place, progress, _check)
+
+
+def copy_readable(source: Path, place: Path) -> SalvageReport:
+    """As :func:`recover`, but only our reader will read the new file: what it refuses is found when it does."""
+    return _recovered(source, place, lambda _: None, lambda _place, _file: iter(())).report
+
+
+#: Reads the new file; yields which programs do not.
+_Reads = Callable[[Path, Salvage], Iterator[str]]
+
+
+def _recovered(source: Path, place: Path, progress: Callable[[Salvage], None], check: _Reads) -> Recovery:
     try:
-        return _attempt(source, place, progress, in_turn=True)
+        return _attempt(source, place, progress, check, in_turn=True)
     except (_Disorder, LimitExceeded):
         place.unlink(missing_ok=True)
-    return _attempt(source, place, progress, in_turn=False)
+    return _attempt(source, place, progress, check, in_turn=False)
 
 
-def _attempt(source: Path, place: Path, progress: Callable[[Salvage], None], *, in_turn: bool) -> Recovery:
+def _attempt(
+    source: Path, place: Path, progress: Callable[[Salvage], None], check: _Reads, *, in_turn: bool
+) -> Recovery:
     """Copy messages in turn, or in order of time and not compressed, which takes more room but no limit refuses it."""
     with Salvage.open(source) as file:
         compression: Compression = file.compression if in_turn else "none"
@@ -88,7 +103,7 @@ def _attempt(source: Path, place: Path, progress: Callable[[Salvage], None], *, 
                 file.report.add(loss)
             origin, ledger = _ledger(file)
             part = writer.close(ledger)
-        return Recovery(origin, file.report, part, tuple(_check(place, file)))
+        return Recovery(origin, file.report, part, tuple(check(place, file)))
 
 
 def _copy_beside(file: Salvage, writer: CopyWriter) -> Iterator[Loss]:

@@ -170,7 +170,8 @@ def test_bridge_with_a_window(server: list[Viewer], capfd: pytest.CaptureFixture
     assert main(["bridge", "--no-ros", "--view", "--listen", "127.0.0.1:0", "--duration", "0.1"]) == 0
     assert len(server) == 1
     assert server[0].ended
-    assert capfd.readouterr().err == ""
+    (line,) = capfd.readouterr().err.splitlines()
+    assert "--view: other users of this machine can read what the window shows" in line
 
 
 def test_bridge_with_a_window_that_cannot_start_leaves_none(server: list[Viewer]) -> None:
