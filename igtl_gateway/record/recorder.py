@@ -300,6 +300,7 @@ class Recorder:
 
     def _on_worker_end(self) -> None:
         """There is no worker any more."""
+        self._queue.release()
         with self._lock:
             waiting = list(self._snapshots)
         for number in waiting:

@@ -249,6 +249,15 @@ class QueueWriter(_QueueEnd):
         """Have the native writer put nothing any more."""
         self._counters[_CLOSED] = 1
 
+    def release(self) -> None:
+        """Give the memory of the records back to the system: there is no getter any more, so no entry is read.
+
+        To be called after ``close``.  The counters stay.
+        """
+        if sys.platform != "win32" and _REMOVE is not None:
+            with suppress(OSError):  # --lock-memory locks it
+                self._map.madvise(_REMOVE, _PAGE, self._size // _PAGE * _PAGE)
+
     def stream_number(self, kind: Kind, channel: str, type_name: str, links: tuple[int, ...]) -> int:
         """The stream by which the native writer names the entries with these fields; -1 if there is no room for it.
 

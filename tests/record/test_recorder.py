@@ -476,6 +476,32 @@ def test_when_the_worker_is_killed_it_is_told_and_the_process_goes_on(path: Path
         recorder.snapshot().result(DEADLINE_S)
 
 
+def _resident(name: str) -> int:
+    """Return the resident bytes of the mappings of this process whose name contains this one."""
+    found, counts = 0, False
+    for line in Path("/proc/self/smaps").read_text("ascii").splitlines():
+        if not line.split()[0].endswith(":"):
+            counts = name in line
+        elif counts and line.startswith("Rss:"):
+            found += int(line.split()[1]) << 10
+    return found
+
+
+def test_the_memory_of_the_queue_is_given_back_when_the_worker_is_killed(path: Path) -> None:
+    """Before, the bridge kept for its life what waited for the recorder then."""
+    told = threading.Event()
+    recorder = Recorder(path, {}, qos_of=lambda *_: None, on_note=lambda _: told.set(), clock=SystemClock())
+    (worker,) = workers(os.getpid())
+    os.kill(worker, signal.SIGSTOP)
+    for seq in range(1, 101):
+        recorder(replace(samples.igtl(seq), payload=(bytes(1 << 20),)))
+    assert _resident("igtl-gateway recorder") > 80 << 20
+    os.kill(worker, signal.SIGKILL)
+    assert told.wait(DEADLINE_S)
+    assert _resident("igtl-gateway recorder") < 20 << 20
+    assert sum(recorder.close({}).dropped.values()) + recorder.counters()["written_entries"] == 100
+
+
 def test_signals_to_all_processes_of_a_service_leave_the_end_to_the_bridge(path: Path) -> None:
     notes: list[Note] = []
     recorder = Recorder(path, {}, qos_of=lambda *_: None, on_note=notes.append, clock=SystemClock())
