@@ -2,6 +2,7 @@
 
     python tools/fair_shares.py                         every attack, one attacker and 20, without ROS
     python tools/fair_shares.py --ros --record          the same with a ROS stream of 1 kHz, recorded
+    python tools/fair_shares.py --ros --record --elsewhere      what of it the attackers' own programs cost
     python tools/fair_shares.py --attack GET_STATUS --attack COMMAND --rate 12500
 
 Every program is a process of its own (``attacks`` for the attackers).  The good peer sends a GET_STATUS, waits for the
