@@ -29,6 +29,10 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["ROS_DOMAIN_ID"] = str(domains.OWN)
 os.environ["ROS_LOG_DIR"] = _ros_log_dir
 
+# Several tests run at a time: with a thread for each core, numpy's small systems take twice the processor time, because
+# its idle threads wait in loops.  Set before numpy is imported, and inherited by the programs that tests start.
+os.environ["OPENBLAS_NUM_THREADS"] = "1"
+
 # Colours and live lines as on the usual terminal, whatever the shell or the gate has.
 os.environ["TERM"] = "xterm-256color"
 os.environ.pop("NO_COLOR", None)

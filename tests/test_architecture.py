@@ -13,9 +13,8 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
-import pytest
-
 from tests.conftest import LONGEST
+from tests.tables import table
 
 PACKAGE = "igtl_gateway"
 LABORATORY = "igtl_gateway_lab"
@@ -485,7 +484,7 @@ def test_tests_mirror_the_package() -> None:
     assert [str(test) for test in tests if not mirrored(test)] == []
 
 
-@pytest.mark.parametrize(
+@table(
     ("module", "source"),
     [
         ("stamp", "import math, struct"),
@@ -515,7 +514,7 @@ def test_what_is_allowed(module: str, source: str) -> None:
     assert violations(module, source) == []
 
 
-@pytest.mark.parametrize(
+@table(
     ("module", "source", "fault"),
     [
         # What Windows does not have

@@ -12,6 +12,7 @@ from igtl_gateway.config import Config, PeerRow, TfOutRow, ToIgtlRow, ToRosRow, 
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.globs import matches
 from igtl_gateway.qos import Qos
+from tests.tables import table
 
 EXAMPLE = """
 [gateway]
@@ -100,7 +101,7 @@ def test_a_message_is_always_stamped(source_ns: int) -> None:
     assert Config().pick_stamp(ToIgtlRow(), source_ns, 9) == 9
 
 
-@pytest.mark.parametrize(
+@table(
     ("values", "place"),
     [
         ({"unknown": 1}, "gateway.unknown"),
@@ -161,7 +162,7 @@ def test_a_file_that_is_not_there(tmp_path: Path) -> None:
         Config.from_toml(tmp_path)
 
 
-@pytest.mark.parametrize(
+@table(
     ("glob", "name", "fits"),
     [
         ("/a/*", "/a/b", True),

@@ -16,6 +16,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from tests.conftest import SLOW
+from tests.tables import table
 
 ROOT = Path(__file__).parents[1]
 MAKEFILE = (ROOT / "Makefile").read_text("utf-8")
@@ -69,7 +70,7 @@ def test_the_public_targets_are_rules_that_help_lists() -> None:
     assert set(phony.split()) == RULES
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@table("page", PAGES, ids=lambda page: page.name)
 def test_every_target_that_a_page_names_exists(page: Path) -> None:
     assert targets_in(page.read_text("utf-8")) <= RULES
 

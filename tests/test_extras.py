@@ -13,6 +13,7 @@ import pytest
 from igtl_gateway.cli.verbs import WITHOUT_LABORATORY
 from igtl_gateway.errors import Unavailable
 from igtl_gateway.extras import PURPOSES, in_use, missing
+from tests.tables import table
 
 ROOT = Path(__file__).parent.parent
 EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
@@ -101,7 +102,7 @@ next_of = "observation.state"
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("module", "words", "extra"), WITHOUT, ids=[f"{each[0]}: {each[1][:40]}" for each in WITHOUT])
+@table(("module", "words", "extra"), WITHOUT, ids=[f"{each[0]}: {each[1][:40]}" for each in WITHOUT])
 def test_a_verb_without_its_library_is_one_line(module: str, words: str, extra: str, tmp_path: Path) -> None:
     """In processes of their own, where the library cannot be imported, as after a plain installation."""
     (tmp_path / "RECIPE").write_text(RECIPE, "utf-8")

@@ -33,6 +33,7 @@ from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ticks_to_ns
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway.wire.message import Item
 from igtl_gateway.wire.text import String
+from tests.tables import table
 
 #: 2026-01-01T00:00:00Z, and a message every ten milliseconds.
 T0_NS, STEP_NS = 1_767_225_600 * NS_PER_S, 10 * NS_PER_MS
@@ -225,7 +226,7 @@ def test_the_document_has_every_fault() -> None:
         assert f"| `{row.name}` | {row.unit.value} | {row.meaning} |" in page
 
 
-@pytest.mark.parametrize(
+@table(
     ("told", "wrong"),
     [
         ("dely=5ms", "--fault: found 'dely', expected NAME=VALUE, one of delay, jitter, loss"),

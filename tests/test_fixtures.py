@@ -33,6 +33,7 @@ from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway.wire import Header, decode
 from igtl_gateway.wire.query import QUERIES
 from igtl_gateway.wire.registry import BODIES
+from tests.tables import table
 from tools.fixtures import Recipe, difference, make, packs_alike, recipes
 
 FIXTURES = Path(__file__).parent.parent / "fixtures"
@@ -65,7 +66,7 @@ def caused(log: list[Entry]) -> Iterator[tuple[Entry, Entry]]:
             yield cause, entry
 
 
-@pytest.mark.parametrize("name", NAMES)
+@table("name", NAMES)
 def test_todays_gateway_says_the_same_byte_for_byte(name: str) -> None:
     with SessionFile.open(FIXTURES / f"{name}.mcap") as file:
         report = verify(file.entries(), Config.from_dict(json.loads(file.session["config"])))
@@ -87,7 +88,7 @@ def test_verify_names_the_field_when_a_converter_constant_changes(
     assert "DIFFERENT" in told and re.search(r"(translation|content|points?)\S*: recorded \S+, computed ", told), told
 
 
-@pytest.mark.parametrize("name", NAMES)
+@table("name", NAMES)
 def test_they_are_labelled_synthetic(name: str) -> None:
     with SessionFile.open(FIXTURES / f"{name}.mcap") as file:
         assert "no robot" in file.session["synthetic"]

@@ -9,6 +9,7 @@ from random import Random
 import pytest
 
 from igtl_gateway.errors import GatewayError
+from tests.tables import table
 from tools import fuzz_values
 from tools.fuzz_files import Reader, run
 from tools.fuzz_values import FORMATS, case_of, cases, kinds, readers
@@ -28,14 +29,14 @@ FOUND = (
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("form", FORMATS)
+@table("form", FORMATS)
 def test_the_readers_stand(form: str) -> None:
     report = run(1, lambda done: not done, (form,), None, known=readers(0), size=CASES)[form]
     assert report.broken == {}
     assert report.cases == CASES
 
 
-@pytest.mark.parametrize("form", FORMATS)
+@table("form", FORMATS)
 def test_a_file_without_a_wrong_value_is_read(form: str, tmp_path: Path) -> None:
     """The wrong value is what a reader meets, not a mistake of the builder."""
     for seed in range(2):

@@ -20,6 +20,7 @@ from igtl_gateway.globs import MAX_LENGTH, matches
 from igtl_gateway.review.messages import _END
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile.writer import SessionWriter
+from tests.tables import table
 
 #: Few characters, so that most pieces of a pattern occur in a name, among them those with a meaning in either language.
 _NAMES = st.text("ab/.*?\n[\\", max_size=12)
@@ -55,7 +56,7 @@ def test_names_that_match(glob: str, data: st.DataObject) -> None:
     assert matches(glob, name + "b") is _expected(glob, name + "b")
 
 
-@pytest.mark.parametrize(
+@table(
     ("glob", "name", "fits"),
     [
         ("/" + "*a" * 60 + "*b", "/" + "a" * 250, False),

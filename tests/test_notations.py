@@ -10,6 +10,7 @@ from igtl_gateway import notations
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.notations import peer_address
 from igtl_gateway.realtime import cpus_text
+from tests.tables import table
 
 
 def test_addresses() -> None:
@@ -19,7 +20,7 @@ def test_addresses() -> None:
     assert notations.address("[::1]") == ("::1", 18944)
 
 
-@pytest.mark.parametrize(
+@table(
     ("read", "text", "value"),
     [
         (notations.network, "192.168.7.0/24", "192.168.7.0/24"),
@@ -42,7 +43,7 @@ def test_what_is_read(read: Callable[[str], object], text: str, value: object) -
     assert read(text) == value
 
 
-@pytest.mark.parametrize(
+@table(
     ("read", "texts", "expected"),
     [
         (notations.address, ("a:70000", "a:b", ":-1"), "HOST:PORT with a port from 0 to 65535"),

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.tables import table
+
 ROOT = Path(__file__).parents[1]
 TREES = (ROOT / "igtl_gateway", ROOT / "lab" / "igtl_gateway_lab")
 #: The place.
@@ -99,7 +101,7 @@ def test_one_place_creates_files() -> None:
     assert {(name, what) for name, (whats, _) in EXCEPTIONS.items() for what in whats} == used, "rows without a call"
 
 
-@pytest.mark.parametrize(
+@table(
     ("source", "what"),
     [
         ("open(path, 'w')", "open"),

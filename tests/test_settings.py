@@ -14,6 +14,7 @@ from igtl_gateway.errors import ConfigError
 from igtl_gateway.realtime import PRIORITIES
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.settings import BY_SETTING, GATEWAY, ROWS, SETTINGS, VIDEO_CODECS, Setting, of_table, parameters
+from tests.tables import table
 
 
 def test_the_table_has_the_fields_of_the_configuration_with_their_defaults() -> None:
@@ -37,7 +38,7 @@ def test_the_defaults_are_those_of_the_parts() -> None:
     assert BY_SETTING["realtime_priority"].most == PRIORITIES[-1]
 
 
-@pytest.mark.parametrize("row", SETTINGS, ids=lambda row: str(row.name))
+@table("row", SETTINGS, ids=lambda row: str(row.name))
 def test_every_row_is_whole(row: Setting) -> None:
     assert BY_SETTING[row.name] is row  # no name is there twice
     assert row.check(row.default) == row.default

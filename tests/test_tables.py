@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import os
+import sys
+from pathlib import Path
+
 import pytest
 
-from tests.tables import all_hold
+from tests.tables import all_hold, table
 
 
 def half(number: int) -> None:
@@ -36,6 +40,73 @@ def test_very_many_failures_are_counted() -> None:
         all_hold(range(1, 100, 2), half)
 
 
+def test_rows_that_are_skipped_hide_no_other() -> None:
+    def check(number: int) -> None:
+        if number < 3:
+            pytest.skip("too small")
+        assert number != 4
+
+    with pytest.raises(pytest.skip.Exception, match="too small"):
+        all_hold([1, 2], check)
+    with pytest.raises(pytest.fail.Exception, match=r"1 of 3 rows fail:\n--- 4"):
+        all_hold([1, 3, 4], check)
+    all_hold([1, 3], check)
+
+
 def test_a_table_without_rows_is_a_failure() -> None:
     with pytest.raises(AssertionError, match="a table without rows"):
         all_hold([], half)
+
+
+# -- instead of parametrize --------------------------------------------------------------------------------------------
+
+seen: list[tuple[int, str]] = []
+
+
+@table("number", [2, 4])
+@table(("text", "length"), [("a", 1), ("bc", 2)])
+def test_every_row_with_every_row(number: int, text: str, length: int) -> None:
+    seen.append((number, text))
+    assert len(text) == length
+
+
+def test_all_of_them_were_called() -> None:
+    assert sorted(seen) == [(2, "a"), (2, "bc"), (4, "a"), (4, "bc")]
+
+
+@table("name", ["a", "b"])
+def test_a_row_has_fixtures_of_its_own(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch(exist_ok=False)
+    assert "ROW" not in os.environ
+    monkeypatch.setenv("ROW", name)
+    assert capsys.readouterr().out == ""
+    sys.stdout.write(name)
+
+
+def test_rows_are_named_by_their_values_or_by_ids() -> None:
+    def check(number: int, text: str) -> None:
+        pytest.fail(f"{number} {text}")
+
+    rows = [(1, "a"), (1, "a"), (2, "b" * 100)]
+    with pytest.raises(pytest.fail.Exception) as caught:
+        table("number, text", rows)(check)()
+    text = str(caught.value)
+    assert "--- 1-'a'\n" in text and "--- 1-'a' (row 1)\n" in text and "--- 2-'bbb" in text and "…\n" in text
+    with pytest.raises(pytest.fail.Exception, match="--- one\n"):
+        table("number, text", rows[:1], ids=["one"])(check)()
+    with pytest.raises(pytest.fail.Exception, match="--- <1>-<a>\n"):
+        table("number, text", rows[:1], ids=lambda value: f"<{value}>")(check)()
+
+
+def test_rows_of_pytest_keep_their_ids() -> None:
+    with pytest.raises(pytest.fail.Exception, match="--- one\n"):
+        table("number, text", [pytest.param(1, "a", id="one")])(lambda number, text: pytest.fail(f"{number} {text}"))()
+    with pytest.raises(AssertionError, match="a row with marks"):
+        table("number", [pytest.param(1, marks=pytest.mark.slow)])
+
+
+def test_a_row_of_another_length_is_refused() -> None:
+    with pytest.raises(ValueError, match="argument 2"):
+        table("number, text", [(1, "a", 2)])

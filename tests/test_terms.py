@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.tables import table
 from tools import terms
 
 PYTHON = '''\
@@ -46,7 +47,7 @@ def test_c_has_prose_in_comments_and_strings() -> None:
     ]
 
 
-@pytest.mark.parametrize(
+@table(
     "text",
     [
         "there is none",

@@ -13,6 +13,7 @@ from igtl_gateway import Bridge
 from igtl_gateway.errors import ConfigError, NoReply, RecordingError, Refused, Unavailable
 from igtl_gateway.session.note import Note
 from tests.edges.zenoh.routers import free_port, router
+from tests.tables import table
 
 LOCAL = ["127.0.0.1:0"]
 
@@ -100,7 +101,7 @@ def test_rows_of_messages() -> None:
     bridge.stop()
 
 
-@pytest.mark.parametrize(
+@table(
     ("settings", "text"),
     [
         ({"listn": LOCAL}, r"^listn: unknown setting, expected one of .*listen"),

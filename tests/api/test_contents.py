@@ -13,6 +13,7 @@ from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway.wire.image import LPS, Image
 from igtl_gateway.wire.registry import ALIASES, BODIES
+from tests.tables import table
 
 #: A rotation by 90° about z, and (1, 2, 3) mm.
 POSE = np.array([[0.0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]])
@@ -45,8 +46,8 @@ def test_poses_by_name(type_name: str) -> None:
     np.testing.assert_allclose(message.poses["Probe"], POSE, atol=1e-7)
 
 
-@pytest.mark.parametrize("kind", ["i1", "u1", "<i2", ">u2", "<i4", ">u4", "<f4", ">f8"])
-@pytest.mark.parametrize("shape", [(3, 4), (2, 3, 4), (2, 3, 4, 3)])
+@table("kind", ["i1", "u1", "<i2", ">u2", "<i4", ">u4", "<f4", ">f8"])
+@table("shape", [(3, 4), (2, 3, 4), (2, 3, 4, 3)])
 def test_an_image(kind: str, shape: tuple[int, ...]) -> None:
     pixels = np.arange(np.prod(shape)).astype(kind).reshape(shape)
     message = received("IMAGE", pixels, matrix=POSE)
@@ -93,7 +94,7 @@ def test_points_and_surfaces() -> None:
     assert surface.describe()["polygons"] == [[0, 1, 2]]
 
 
-@pytest.mark.parametrize("type_name", sorted(BODIES.keys() - ALIASES.keys()))
+@table("type_name", sorted(BODIES.keys() - ALIASES.keys()))
 def test_every_type_takes_its_own_content_and_bytes(type_name: str) -> None:
     empty = content_of(type_name, None)
     assert content_of(type_name, empty) is empty
@@ -101,7 +102,7 @@ def test_every_type_takes_its_own_content_and_bytes(type_name: str) -> None:
     assert b"".join(encode(decode(data))) == data
 
 
-@pytest.mark.parametrize(
+@table(
     ("type_name", "value", "options", "text"),
     [
         ("TRANSFORM", np.eye(3), {}, "found shape (3, 3), expected numbers of shape (4, 4) or (3, 4)"),

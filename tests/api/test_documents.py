@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.tables import table
+
 ROOT = Path(__file__).parents[2]
 EXAMPLE = re.compile(r"```python\n([^`]*)```\n\n((?:    .*\n)+)")
 DOCUMENTS = sorted((ROOT / "docs" / "how-to").glob("python-*.md"))
@@ -19,7 +21,7 @@ EXAMPLES = [
 ]
 
 
-@pytest.mark.parametrize(("path", "code", "output"), EXAMPLES)
+@table(("path", "code", "output"), EXAMPLES)
 def test_an_example_prints_its_output(path: Path, code: str, output: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
     printed = io.StringIO()

@@ -9,12 +9,13 @@ from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire import Item, Message, Raw
 from igtl_gateway.wire.text import String
 from igtl_gateway.wire.transform import Transform
+from tests.tables import table
 
 TEXT = ReceivedMessage(Message("STRING", "Greeting", String.of("hello")), 7, 5)
 POSE = ReceivedMessage(Message("TRANSFORM", "Tool", Transform((0.0,) * 12)), 7, 5)
 
 
-@pytest.mark.parametrize("name", ["matrix", "position", "poses", "positions", "names", "array", "unit", "name"])
+@table("name", ["matrix", "position", "poses", "positions", "names", "array", "unit", "name"])
 def test_a_string_has_no(name: str) -> None:
     with pytest.raises(ConversionError, match=f"^STRING/Greeting: found a message without {name}, expected one of "):
         getattr(TEXT, name)

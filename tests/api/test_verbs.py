@@ -14,6 +14,7 @@ from igtl_gateway.cli import main
 from igtl_gateway.errors import ConfigError, DamagedRecording, GatewayError, UnsupportedRecording
 from igtl_gateway.review import Thresholds
 from tests.integration.bridge import ROOT
+from tests.tables import table
 
 FIXTURES = ROOT / "fixtures"
 STAR = FIXTURES / "star.mcap"
@@ -92,7 +93,7 @@ def test_replay_stops() -> None:
         igtl_gateway.replay(LEGO, listen=[("127.0.0.1", port)], stop=stop)
 
 
-@pytest.mark.parametrize(
+@table(
     ("options", "text"),
     [
         ({"rate": -1.0}, "rate: found -1.0, expected a number above 0"),

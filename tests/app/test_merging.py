@@ -16,6 +16,7 @@ from igtl_gateway.errors import ConfigError, DamagedRecording, GatewayError, Uns
 from igtl_gateway.sessionfile.merged import Digest
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sync.offsets import ClockOffset, Method, Piece
+from tests.tables import table
 from tools.merge_worlds import World, judge, record
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
@@ -37,7 +38,7 @@ WORLDS = {
 }
 
 
-@pytest.mark.parametrize("name", WORLDS)
+@table("name", WORLDS)
 def test_clocks_and_order_are_those_planted(name: str, tmp_path: Path) -> None:
     world = WORLDS[name]
     recordings = record(world, tmp_path, seed=1)

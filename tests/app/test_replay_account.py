@@ -5,8 +5,6 @@ from __future__ import annotations
 import threading
 from pathlib import Path
 
-import pytest
-
 from igtl_gateway.app.faulty import FaultyFeed
 from igtl_gateway.app.player import Player
 from igtl_gateway.app.replay_account import (
@@ -27,6 +25,7 @@ from igtl_gateway.faults import Faults
 from igtl_gateway.replay.source import FORMS, RECOMPUTED, STREAMS
 from igtl_gateway.session.entry import Entry
 from igtl_gateway.sessionfile.reader import SessionFile
+from tests.tables import table
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 TYPES = FIXTURES / "paper-types.mcap"
@@ -82,9 +81,9 @@ def played(
     return missed  # type: ignore[no-any-return]
 
 
-@pytest.mark.parametrize("to", ["igtl", "ros", "both"])
-@pytest.mark.parametrize("name", ["paper-types", "every-type", "acquisition", "lego"])
-@pytest.mark.parametrize("recompute", [False, True])
+@table("to", ["igtl", "ros", "both"])
+@table("name", ["paper-types", "every-type", "acquisition", "lego"])
+@table("recompute", [False, True])
 def test_all_of_a_recording_is_accounted_for(name: str, to: str, recompute: bool) -> None:
     missed = played(FIXTURES / f"{name}.mcap", to, recompute=recompute)
     assert not {NOT_REACHED, OUTSIDE, REFUSED, LOST} & set(missed), missed

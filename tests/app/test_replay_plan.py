@@ -34,6 +34,7 @@ from igtl_gateway.sessionfile.writer import SessionWriter
 from tests.files import BytesRead
 from tests.record import samples
 from tests.sessionfile.test_lookup import long_session
+from tests.tables import table
 
 TYPES = Path(__file__).parents[2] / "fixtures" / "paper-types.mcap"
 S = 1_000_000_000
@@ -61,8 +62,8 @@ def test_each_side_gets_what_it_heard_that_day(side: str, kinds: set[Kind]) -> N
         assert found == sorted(found) and found
 
 
-@pytest.mark.parametrize("glob", ["Foo", "TRANSFORM/Foo", "/nothing/**"])
-@pytest.mark.parametrize("side", ["igtl", "ros", "both"])
+@table("glob", ["Foo", "TRANSFORM/Foo", "/nothing/**"])
+@table("side", ["igtl", "ros", "both"])
 def test_streams_that_are_not_there_are_refused_before_anybody_waits(side: str, glob: str) -> None:
     with SessionFile.open(TYPES) as file:
         how = plan_replay(file, side, recompute=False)

@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.cli import main
+from tests.tables import table
 
 
-@pytest.mark.parametrize(
+@table(
     ("arguments", "message"),
     [
         (["info"], "found no source"),

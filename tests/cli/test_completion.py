@@ -15,6 +15,7 @@ import pytest
 from igtl_gateway.cli import main
 from igtl_gateway.cli.completion import SHELLS, script
 from igtl_gateway.cli.verbs import VERBS
+from tests.tables import table
 
 #: Words up to the cursor → what the last one can become; files are those of ``folder``.
 CASES = {
@@ -61,7 +62,7 @@ def output(command: list[str], folder: Path) -> list[str]:
     return done.stdout.splitlines()
 
 
-@pytest.mark.parametrize("line", CASES)
+@table("line", CASES)
 def test_bash(folder: Path, line: str) -> None:
     # Readline sets these variables; the function is the one that the script has registered.
     program = """
@@ -77,7 +78,7 @@ def test_bash(folder: Path, line: str) -> None:
     assert {word.strip() for word in found} == CASES[line]
 
 
-@pytest.mark.parametrize("line", CASES)
+@table("line", CASES)
 def test_fish(folder: Path, line: str) -> None:
     program = "source .fish; complete -C $argv[1]"
     found = output([needs("fish"), "--no-config", "-c", program, line], folder)

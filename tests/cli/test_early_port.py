@@ -12,11 +12,12 @@ from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.reserved import ReservedPorts
 from igtl_gateway.edges.tcp import TcpEdge
 from igtl_gateway.errors import Unavailable
+from tests.tables import table
 
 USUAL = ("127.0.0.1", 18944)
 
 
-@pytest.mark.parametrize(
+@table(
     ("words", "expected"),
     [
         ("", [USUAL]),

@@ -23,6 +23,7 @@ from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway_lab.cli.simulate import scenario_facts
 from tests.integration.hostile_cases import raw
 from tests.integration.hostile_files import bags, foreign, images, streams
+from tests.tables import table
 
 FIXTURE = Path(__file__).parents[2] / "fixtures" / "paper-types.mcap"
 
@@ -43,7 +44,7 @@ def test_without_a_verb_there_is_help(capsys: pytest.CaptureFixture[str]) -> Non
     assert all(verb in out for verb in verbs.available())
 
 
-@pytest.mark.parametrize("verb", verbs.available())
+@table("verb", verbs.available())
 def test_every_verb_has_help_with_examples(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = outcome(capsys, verb, "--help")
     assert code == 0
@@ -82,7 +83,7 @@ def bad_file(kind: str, folder: Path) -> Path:
 BAD = ("missing", "empty", "folder", "text", "foreign", "truncated", "short")
 
 
-@pytest.mark.parametrize(
+@table(
     ("verb", "kind"),
     # damage in the middle is met while reading on, so a replay meets it behind its first peer: see test_replay
     [(verb, kind) for verb in ("info", "verify") for kind in (*BAD, "flipped")] + [("replay", kind) for kind in BAD],
@@ -228,7 +229,7 @@ def test_limits_are_lowered_and_raised_for_each_verb(
     assert "--limit" not in err and code in (0, 1)
 
 
-@pytest.mark.parametrize("name", ["a.mha", "a.nrrd", "a.nii", "a.bag", "a.mcap", "a.pcap", "a.igtl", "a.db3"])
+@table("name", ["a.mha", "a.nrrd", "a.nii", "a.bag", "a.mcap", "a.pcap", "a.igtl", "a.db3"])
 def test_limits_of_an_import(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, hello = tmp_path / name, raw(b"STRING", b"A", b"\0\3\0\1x")
     contents: dict[str, Callable[[], bytes]] = {

@@ -19,6 +19,7 @@ from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.settings import GATEWAY, HOST, IGTL, NONE, RECORD, ROWS, SETTINGS, Setting, parameters
 from tests.integration.bridge import ROOT, Bridge, RawPeer, string
+from tests.tables import table
 
 EXAMPLE = ROOT / "examples" / "operating-room.toml"
 
@@ -89,7 +90,7 @@ def test_the_table_of_settings_without_effect_is_complete() -> None:
     assert set(WITHOUT_EFFECT) == {row.name for row in SETTINGS if row.needs and row.flag}
 
 
-@pytest.mark.parametrize("name", WITHOUT_EFFECT)
+@table("name", WITHOUT_EFFECT)
 def test_a_setting_without_effect_is_refused(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     flag = next(row.flag for row in SETTINGS if row.name == name)
     assert main(["bridge", *WITHOUT_EFFECT[name].split()]) == 2
@@ -214,7 +215,7 @@ def told(row: Setting, value: object) -> str:
 CASES = [(row, value) for row in SETTINGS for value in mistakes(row)]
 
 
-@pytest.mark.parametrize(("row", "value"), CASES, ids=[f"{row.name}={value}" for row, value in CASES])
+@table(("row", "value"), CASES, ids=[f"{row.name}={value}" for row, value in CASES])
 def test_a_mistake_has_the_same_message_everywhere(
     row: Setting, value: Any, path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -238,14 +239,14 @@ def test_a_mistake_has_the_same_message_everywhere(
 
 
 def test_the_keys_of_a_file_are_those_of_the_table(path: Path) -> None:
-    for table in (GATEWAY, IGTL, HOST, RECORD):
-        path.write_text(f"[{table}]\nno_such_key = 1\n")
+    for each in (GATEWAY, IGTL, HOST, RECORD):
+        path.write_text(f"[{each}]\nno_such_key = 1\n")
         with pytest.raises(ConfigError) as error:
             values("--config", str(path))
         place, _, names = str(error.value).partition(": unknown setting, expected one of ")
-        assert place == f"{path}: {table}.no_such_key"
+        assert place == f"{path}: {each}.no_such_key"
         named = set(names.split(", "))
-        rows = {row.name for row in SETTINGS if row.table == table or (table == GATEWAY and row.table == ROWS)}
+        rows = {row.name for row in SETTINGS if row.table == each or (each == GATEWAY and row.table == ROWS)}
         assert named == rows
     assert {row.table for row in SETTINGS} == {GATEWAY, IGTL, HOST, RECORD, ROWS, NONE}
 

@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.tables import table
+
 pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 
 import mcap.writer
@@ -77,7 +79,7 @@ def test_a_recording_that_became_no_ros_messages_is_drawn_by_what_they_would_be(
     assert counts(out)["/igtl/in/Greeting/string"] == 3
 
 
-@pytest.mark.parametrize(
+@table(
     ("arguments", "code", "sentence"),
     [
         (["--at", "3"], 2, "--at: found no --screenshot OUT.png, expected it"),

@@ -16,6 +16,7 @@ from igtl_gateway.convert import assembly
 from igtl_gateway.convert.assembly import MAX_VOLUME_BYTES, VolumeAssembler
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.image import SCALARS, Image
+from tests.tables import table
 
 Triple = tuple[int, int, int]
 _ORDER = {1: ">", 2: "<"}
@@ -87,8 +88,8 @@ def test_geometry_is_that_of_the_newest_message() -> None:
     assert (whole.coordinate, whole.wire_matrix) == (2, moved)
 
 
-@pytest.mark.parametrize("scalar", sorted(SCALARS))
-@pytest.mark.parametrize(("base", "update"), [(1, 2), (2, 1), (1, 1)])
+@table("scalar", sorted(SCALARS))
+@table(("base", "update"), [(1, 2), (2, 1), (1, 1)])
 def test_byte_orders_meet(scalar: int, base: int, update: int) -> None:
     values = numbered((3, 2, 2), 2)
     assembler = VolumeAssembler()

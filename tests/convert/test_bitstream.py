@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from igtl_gateway.convert.bitstream import is_key_frame
+from tests.tables import table
 
 SPS, PPS, SEI, IDR, SLICE = "00000001 67 42", "000001 68 ce", "000001 06 05", "000001 65 88", "00000001 41 9a"
 
 
-@pytest.mark.parametrize(
+@table(
     ("codec", "data", "expected"),
     [
         ("h264", f"{SPS} {PPS} {SEI} {IDR}", True),

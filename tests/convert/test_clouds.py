@@ -24,6 +24,7 @@ from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import CELL, NORMAL, RGBA, SCALAR, VECTOR, Attribute, PolyData
+from tests.tables import table
 
 XYZ = [[0.001, -0.002, 0.003], [1.0, 2.0, -3.0]]
 MM = [[1.0, -2.0, 3.0], [1000.0, 2000.0, -3000.0]]
@@ -82,9 +83,9 @@ def published(content: PolyData) -> dict[str, Any]:
     return {name: points[name].tolist() for name in layout.names or ()}
 
 
-@pytest.mark.parametrize("big", [False, True])
-@pytest.mark.parametrize("kind", ["f4", "f8"])
-@pytest.mark.parametrize("pad", [0, 4, 5])
+@table("big", [False, True])
+@table("kind", ["f4", "f8"])
+@table("pad", [0, 4, 5])
 def test_positions(big: bool, kind: str, pad: int) -> None:
     content = sent(cloud(xyz(), dict.fromkeys("xyz", kind), big=big, pad=pad))
     assert content.points.tolist() == MM  # the signs of x and y, too, which the original turned
@@ -123,9 +124,9 @@ def test_rows_with_padding_and_holes() -> None:
         assert content.vertices.lists() == [[0, 1]]
 
 
-@pytest.mark.parametrize("kind", ["f4", "u4"])
-@pytest.mark.parametrize("big", [False, True])
-@pytest.mark.parametrize(("field", "colour"), [("rgb", (10, 20, 30)), ("rgba", (10, 20, 30, 40))])
+@table("kind", ["f4", "u4"])
+@table("big", [False, True])
+@table(("field", "colour"), [("rgb", (10, 20, 30)), ("rgba", (10, 20, 30, 40))])
 def test_packed_colours(kind: str, big: bool, field: str, colour: tuple[int, ...]) -> None:
     """0xAARRGGBB in a word that is called float32 or uint32."""
     word = np.array([40 << 24 | 10 << 16 | 20 << 8 | 30] * 2, ">u4" if big else "<u4")
@@ -193,7 +194,7 @@ def test_no_points(columns: dict[str, Any]) -> None:
     assert len(cloud_to_points(cloud(columns), ToIgtlContext()).content.elements) == 0  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize(
+@table(
     "changes",
     [
         {"fields": ()},

@@ -15,6 +15,7 @@ from igtl_gateway.convert.igtl_msgs import Command, CommandReply, MetadataItem
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.wire import command as wire
 from igtl_gateway.wire.text import CODECS
+from tests.tables import table
 
 XML = '<Command Name="Start" Text="é"/>'
 SUCCESS, FAIL = CommandReply.SUCCESS, CommandReply.FAIL
@@ -60,8 +61,8 @@ def test_without_an_encoding_the_text_decides(text: str, encoding: int) -> None:
     assert (content.data, content.encoding, to.warnings) == (text.encode("utf-8", "surrogateescape"), encoding, [])
 
 
-@pytest.mark.parametrize("encoding", sorted(CODECS.keys() - {3, 1015}))
-@pytest.mark.parametrize("text", ["plain", "1 < 2"])
+@table("encoding", sorted(CODECS.keys() - {3, 1015}))
+@table("text", ["plain", "1 < 2"])
 def test_every_encoding_that_we_read_we_write(encoding: int, text: str) -> None:
     to = ToIgtlContext()
     content = sent(commands.command_to_igtl(command(content=text, encoding=encoding), to))
@@ -104,7 +105,7 @@ def test_what_stands_behind_a_nul_is_no_text() -> None:
 # -- replies ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+@table(
     ("status", "expected"),
     [
         *(("SUCCESS", SUCCESS), ("TRUE", SUCCESS), ("OK", SUCCESS), ("ok ", SUCCESS)),
@@ -136,7 +137,7 @@ def test_why_a_command_failed(pairs: dict[str, str], why: str) -> None:
     assert reply(Status="FAIL", **pairs).error_message == why
 
 
-@pytest.mark.parametrize(
+@table(
     ("text", "status", "why"),
     [
         ("", SUCCESS, ""),

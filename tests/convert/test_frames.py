@@ -18,6 +18,7 @@ from igtl_gateway.convert.frames import HISTORY_NS, FrameTree, TfRequest
 from igtl_gateway.convert.igtl_msgs import Pose
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.errors import ConfigError
+from tests.tables import table
 
 H = math.sqrt(0.5)
 S = 1_000_000_000
@@ -299,7 +300,7 @@ def test_bound_of_frames() -> None:
 # -- what is refused ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+@table(
     ("sample", "reason"),
     [
         (("", "x", 1, at(0.0)), "no_frame_name"),
@@ -365,7 +366,7 @@ def test_equal_version_means_equal_answer(
 # -- requests -----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+@table(
     ("text", "expected"),
     [
         ("tool:base", TfRequest(("tool",), "base", "toolTobase", "TRANSFORM")),
@@ -387,7 +388,7 @@ def test_requests(text: str, expected: TfRequest) -> None:
     assert TfRequest.parse(expected.text()) == expected
 
 
-@pytest.mark.parametrize(
+@table(
     ("text", "found"),
     [
         ("", "''"),

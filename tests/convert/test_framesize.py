@@ -7,6 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from igtl_gateway.convert.framesize import frame_size
+from tests.tables import table
 
 
 def pack(*fields: tuple[int, int] | str) -> bytes:
@@ -177,12 +178,12 @@ CASES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("codec", "data", "expected"), CASES.values(), ids=CASES.keys())
+@table(("codec", "data", "expected"), CASES.values(), ids=CASES.keys())
 def test_golden(codec: str, data: bytes, expected: tuple[int, int] | None) -> None:
     assert frame_size(codec, data) == expected
 
 
-@pytest.mark.parametrize(
+@table(
     ("codec", "data"), [case[:2] for case in CASES.values() if case[2]], ids=[name for name in CASES if CASES[name][2]]
 )
 def test_cut_off(codec: str, data: bytes) -> None:
@@ -197,7 +198,7 @@ def test_any_bytes(codec: str, data: bytes, first: int) -> None:
         assert size is None or all(0 < length < 65_536 for length in size)
 
 
-@pytest.mark.parametrize(
+@table(
     ("codec", "pixels"),
     [
         *(("h264", "yuv420p"), ("h264", "yuv422p"), ("h264", "yuv444p"), ("h264", "gray")),
@@ -205,7 +206,7 @@ def test_any_bytes(codec: str, data: bytes, first: int) -> None:
         *(("vp9", "yuv420p"), ("vp9", "yuv444p"), ("vp9", "gbrp"), ("av1", "yuv420p")),
     ],
 )
-@pytest.mark.parametrize("size", [(64, 64), (130, 98), (322, 246)])
+@table("size", [(64, 64), (130, 98), (322, 246)])
 def test_of_real_encoders(codec: str, pixels: str, size: tuple[int, int]) -> None:
     pytest.importorskip("av")
     from tests.convert.streams import frames

@@ -17,6 +17,7 @@ from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.structs import Struct
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.sessionfile.layout import OWN_TYPES
+from tests.tables import table
 
 DEFINITIONS = Path(__file__).parents[2] / "ros2" / "igtl_msgs" / "msg"
 CLASSES = {
@@ -52,7 +53,7 @@ def fields_of(path: Path) -> list[tuple[str, str]]:
     return [(line[0], line[1]) for line in lines if len(line) == 2 and "=" not in line[1]]
 
 
-@pytest.mark.parametrize("kind", CLASSES.values(), ids=lambda kind: kind.__name__)
+@table("kind", CLASSES.values(), ids=lambda kind: kind.__name__)
 def test_fields_are_those_of_the_definition(kind: type[Struct]) -> None:
     wanted = fields_of(DEFINITIONS / f"{kind.__name__}.msg")
     have = [
@@ -93,7 +94,7 @@ def sample(name: str, depth: int = 0) -> Any:
     return STORE.types[name](**fields)
 
 
-@pytest.mark.parametrize("kind", CLASSES.values(), ids=lambda kind: kind.__name__)
+@table("kind", CLASSES.values(), ids=lambda kind: kind.__name__)
 def test_read_and_written_byte_for_byte(kind: type[Struct]) -> None:
     theirs = bytes(STORE.serialize_cdr(sample(kind.TYPE), kind.TYPE))
     assert kind.unpack(theirs).pack() == theirs
@@ -101,7 +102,7 @@ def test_read_and_written_byte_for_byte(kind: type[Struct]) -> None:
     assert kind.unpack(foreign).pack() == theirs
 
 
-@pytest.mark.parametrize("kind", CLASSES.values(), ids=lambda kind: kind.__name__)
+@table("kind", CLASSES.values(), ids=lambda kind: kind.__name__)
 def test_cut_off_is_refused(kind: type[Struct]) -> None:
     whole = bytes(STORE.serialize_cdr(sample(kind.TYPE), kind.TYPE))
     for size in range(len(whole) - 1):

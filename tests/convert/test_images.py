@@ -14,6 +14,7 @@ from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.rosmsg import Image as RosImage
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.image import SCALARS, Image
+from tests.tables import table
 
 
 def to_ros() -> ToRosContext:
@@ -55,7 +56,7 @@ GOLDEN = [
 ]
 
 
-@pytest.mark.parametrize(("encoding", "scalar", "components", "data", "pixels"), GOLDEN, ids=[row[0] for row in GOLDEN])
+@table(("encoding", "scalar", "components", "data", "pixels"), GOLDEN, ids=[row[0] for row in GOLDEN])
 def test_encodings(encoding: str, scalar: int, components: int, data: bytes, pixels: bytes) -> None:
     image = sent(picture(encoding, 2, 1, data))
     assert (image.scalar_type, image.num_components, bytes(image.pixels)) == (scalar, components, pixels)
@@ -63,7 +64,7 @@ def test_encodings(encoding: str, scalar: int, components: int, data: bytes, pix
     assert image.wire_matrix == Image.IDENTITY
 
 
-@pytest.mark.parametrize(("encoding", "scalar", "components", "data", "pixels"), GOLDEN, ids=[row[0] for row in GOLDEN])
+@table(("encoding", "scalar", "components", "data", "pixels"), GOLDEN, ids=[row[0] for row in GOLDEN])
 def test_padded_rows(encoding: str, scalar: int, components: int, data: bytes, pixels: bytes) -> None:
     for tail in (b"###", b""):  # the last row may end with its pixels
         image = sent(picture(encoding, 2, 2, data + b"###" + data + tail, len(data) + 3))
@@ -87,8 +88,8 @@ def test_rows_and_columns() -> None:
     assert image.array[0, 1, 2, 0] == ord("f")
 
 
-@pytest.mark.parametrize("scalar", sorted(SCALARS))
-@pytest.mark.parametrize("components", [1, 2, 3, 4, 5])
+@table("scalar", sorted(SCALARS))
+@table("components", [1, 2, 3, 4, 5])
 def test_there_and_back(scalar: int, components: int) -> None:
     size = 6 * components * np.dtype(SCALARS[scalar]).itemsize
     content = Image((3, 2, 1), scalar, bytes(i % 251 for i in range(size)), components)
@@ -134,7 +135,7 @@ def test_volumes_and_parts_are_refused(content: Image) -> None:
         image_to_ros(content, to_ros())
 
 
-@pytest.mark.parametrize(
+@table(
     "changes",
     [
         {"encoding": "yuv422"},
@@ -174,8 +175,8 @@ def test_a_lying_step_costs_nothing() -> None:
     assert bytes(image.pixels) == b"ab"
 
 
-@pytest.mark.parametrize(("width", "height"), [(0, 0), (0, 3), (3, 0)])
-@pytest.mark.parametrize("encoding", ["mono8", "bgr8", "64FC2"])
+@table(("width", "height"), [(0, 0), (0, 3), (3, 0)])
+@table("encoding", ["mono8", "bgr8", "64FC2"])
 def test_empty_pictures(encoding: str, width: int, height: int) -> None:
     image = sent(RosImage(Header(), height, width, encoding, 0, 64, bytes(64 * height)))
     assert image.dimensions == (width, height, 1)

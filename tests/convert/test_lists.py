@@ -25,6 +25,7 @@ from igtl_gateway.wire.colort import ENTRIES, MAPS, ColorTable
 from igtl_gateway.wire.metalists import ImageMetaList, LabelMetaList, VideoMetaList
 from igtl_gateway.wire.tracking import TrackingData
 from tests import strategies
+from tests.tables import table
 
 ITEMS = (MetadataItem("key", 3, "value"),)
 TO = ToRosContext("Device", 7, "base", "", metadata=ITEMS)
@@ -244,9 +245,9 @@ def test_the_time_of_a_scan_beyond_2038_survives_the_signed_seconds_of_ros(ns: i
 # -- COLORT ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("index_type", ENTRIES)
-@pytest.mark.parametrize("map_type", MAPS)
-@pytest.mark.parametrize("big", [False, True])
+@table("index_type", ENTRIES)
+@table("map_type", MAPS)
+@table("big", [False, True])
 def test_colour_tables(index_type: int, map_type: int, big: bool) -> None:
     kind, values = MAPS[map_type]
     wanted = (np.arange(ENTRIES[index_type] * values) % 65_521).astype(kind)

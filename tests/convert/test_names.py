@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from igtl_gateway.convert.names import MAX_TOKEN, frames_of, name_hash, short_device_name, topic_token
+from tests.tables import table
 
 
 @pytest.mark.parametrize(
@@ -38,7 +39,7 @@ def test_names_without_limit_stay_apart() -> None:
     assert len(one) == MAX_TOKEN
 
 
-@pytest.mark.parametrize(
+@table(
     ("name", "frames"),
     [
         ("ProbeToTracker", ("Tracker", "Probe")),

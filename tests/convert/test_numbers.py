@@ -19,6 +19,7 @@ from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.ndarray import NDARRAY_SCALARS, NdArray
 from igtl_gateway.wire.sensor import Sensor, parse_unit
+from tests.tables import table
 
 ITEMS = (MetadataItem("key", 3, "value"),)
 TO = ToRosContext("Device", 7, "base", "", metadata=ITEMS)
@@ -68,7 +69,7 @@ def values_message(count: int) -> Any:
     return MULTI_ARRAYS["f8"](MultiArrayLayout(), np.arange(float(count)))
 
 
-@pytest.mark.parametrize(
+@table(
     ("convert", "make"),
     [
         (numbers.sensor_to_igtl, lambda count: igtl_msgs.Sensor(HEADER, 0, 0, "", np.arange(float(count)))),
@@ -76,7 +77,7 @@ def values_message(count: int) -> Any:
         (numbers.values_to_sensor, values_message),
     ],
 )
-@pytest.mark.parametrize("count", [0, 255, 256])
+@table("count", [0, 255, 256])
 def test_a_sensor_has_at_most_255_values(convert: Any, make: Any, count: int) -> None:
     if count > 255:
         with pytest.raises(ConversionError, match="found 256 values, expected at most 255"):
@@ -116,8 +117,8 @@ def test_the_bytes_of_an_array_are_not_copied() -> None:
     assert outgoing.content.data is data
 
 
-@pytest.mark.parametrize("scalar", sorted(NDARRAY_SCALARS))
-@pytest.mark.parametrize("big", [False, True])
+@table("scalar", sorted(NDARRAY_SCALARS))
+@table("big", [False, True])
 def test_both_byte_orders_of_every_type(scalar: int, big: bool) -> None:
     kind = np.dtype(NDARRAY_SCALARS[scalar])
     values = (np.arange(6).reshape(3, 2) + (2j if kind.kind == "c" else 0)).astype(kind)
@@ -149,7 +150,7 @@ def test_arrays_that_contradict_themselves_are_refused(scalar: int, size: tuple[
 # -- NDARRAY as std_msgs -------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("code", MULTI_ARRAYS)
+@table("code", MULTI_ARRAYS)
 def test_multi_arrays_there_and_back(code: str) -> None:
     values = np.arange(24).reshape(2, 3, 4).astype(code)
     message = MULTI_ARRAYS[code](
@@ -175,7 +176,7 @@ def multi(data: Any, *dims: tuple[int, int], offset: int = 0) -> Any:
     return MULTI_ARRAYS["i2"](layout, np.array(data, "<i2"))
 
 
-@pytest.mark.parametrize(
+@table(
     ("message", "size", "values"),
     [
         (multi([1, 2, 3]), (3,), [1, 2, 3]),
@@ -195,7 +196,7 @@ def test_layouts(message: Any, size: tuple[int, ...], values: list[int]) -> None
     assert (content.size, content.flat.tolist()) == (size, values)
 
 
-@pytest.mark.parametrize(
+@table(
     "message",
     [
         multi([1, 2, 3], offset=4),

@@ -19,6 +19,7 @@ from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.polydata import CELL, NORMAL, RGBA, SCALAR, TCOORDS, TENSOR, VECTOR, Attribute, Cells, PolyData
 from tests.strategies import finite32, polydatas
+from tests.tables import table
 
 ITEMS = (MetadataItem("key", 3, "value"),)
 POINTS = np.arange(12, dtype=">f4").reshape(4, 3)
@@ -133,8 +134,8 @@ def test_columns_and_foreign_byte_order() -> None:
     assert content.attributes[0].data.tolist() == [1.0, 2.0]
 
 
-@pytest.mark.parametrize("section", ["vertices", "lines", "polygons", "triangle_strips"])
-@pytest.mark.parametrize(
+@table("section", ["vertices", "lines", "polygons", "triangle_strips"])
+@table(
     "row",
     [[1], [3, 0, 1], [2, 0, 1, 5], [1, 4], [2, 0, 4, 2, 0, 1], [2**32 - 1], [0, 2**32 - 1, 0]],
     ids=str,
@@ -187,7 +188,7 @@ TRIANGLES = Cells.of([[0, 1, 2], [1, 2, 3]])
 SCALARS = Attribute.of(SCALAR, "depth", np.zeros((4, 1)))
 
 
-@pytest.mark.parametrize(
+@table(
     ("content", "wanted"),
     [
         (PolyData(POINTS), False),

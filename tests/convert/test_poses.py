@@ -24,6 +24,7 @@ from igtl_gateway.convert.rosmsg import Header, TransformStamped
 from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.transform import Position, Transform
+from tests.tables import table
 
 H = math.sqrt(0.5)
 Rows = list[list[float]]
@@ -59,7 +60,7 @@ ROTATIONS = [
 ]
 
 
-@pytest.mark.parametrize(("rows", "quaternion"), ROTATIONS)
+@table(("rows", "quaternion"), ROTATIONS)
 def test_golden_rotations(rows: Rows, quaternion: tuple[float, float, float, float]) -> None:
     message = transform_to_ros(transform(rows), to_ros())
     assert message.rotation == pytest.approx(quaternion, abs=1e-15)

@@ -23,6 +23,7 @@ from igtl_gateway.wire.query import (
     StartTracking,
     StartVideo,
 )
+from tests.tables import table
 
 ITEMS = (MetadataItem("key", 3, "value"),)
 
@@ -59,7 +60,7 @@ CONTENTS: dict[type[Body], Body] = {
 }
 
 
-@pytest.mark.parametrize("igtl_type", QUERIES)
+@table("igtl_type", QUERIES)
 def test_every_query_there_and_back(igtl_type: str) -> None:
     content = CONTENTS[QUERIES[igtl_type]]
     message = asked(igtl_type, content)
@@ -84,7 +85,7 @@ def test_kinds_and_types(igtl_type: str, kind: int, base: str) -> None:
     assert (message.resolution, message.coordinate_name, message.codec, message.status) == (0, "", "", 0)
 
 
-@pytest.mark.parametrize(
+@table(
     ("igtl_type", "content", "fields"),
     [
         ("STT_TDATA", StartTracking(50, "Base\x00junk"), (50, "Base", "", 0)),

@@ -14,6 +14,7 @@ from igtl_gateway.convert.rosmsg import RosMessage
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.stamp import ns_to_ros
 from tests import strategies
+from tests.tables import table
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 CLASSES: list[type[RosMessage]] = [
@@ -107,7 +108,7 @@ def test_every_type_has_a_strategy() -> None:
     assert TYPES.keys() == strategies.ros_messages().keys()
 
 
-@pytest.mark.parametrize("name", sorted(TYPES))
+@table("name", sorted(TYPES))
 def test_bytes_are_those_of_rosbags(name: str) -> None:
     @given(strategies.ros_messages(strategies.finite64)[name])
     def run(message: RosMessage) -> None:
@@ -116,8 +117,8 @@ def test_bytes_are_those_of_rosbags(name: str) -> None:
     run()
 
 
-@pytest.mark.parametrize("little", [True, False], ids=["little", "big"])
-@pytest.mark.parametrize("name", sorted(TYPES))
+@table("little", [True, False], ids=["little", "big"])
+@table("name", sorted(TYPES))
 def test_reading_both_byte_orders(name: str, little: bool) -> None:
     @given(strategies.ros_messages(strategies.finite64)[name])
     def run(message: RosMessage) -> None:
@@ -127,7 +128,7 @@ def test_reading_both_byte_orders(name: str, little: bool) -> None:
     run()
 
 
-@pytest.mark.parametrize("name", sorted(TYPES))
+@table("name", sorted(TYPES))
 def test_garbage_raises_only_conversion_errors(name: str) -> None:
     @given(strategies.packed(name))
     def run(data: bytes) -> None:
@@ -141,7 +142,7 @@ def test_garbage_raises_only_conversion_errors(name: str) -> None:
 
 
 @pytest.mark.ros
-@pytest.mark.parametrize("name", sorted(TYPES))
+@table("name", sorted(TYPES))
 def test_what_rclpy_serialises_is_read(name: str) -> None:
     """Its padding is not zero, so the values count, not the bytes."""
     serialization = pytest.importorskip("rclpy.serialization")

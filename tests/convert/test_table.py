@@ -14,6 +14,7 @@ from igtl_gateway.convert.table import TO_IGTL, TO_ROS, ConversionToIgtl, Conver
 from igtl_gateway.ros_interfaces.definitions import definition_folder
 from igtl_gateway.wire.registry import BODIES
 from tests import strategies
+from tests.tables import table
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 for _package in ("igtl_msgs", "foxglove_msgs", "crtk_msgs"):
@@ -21,7 +22,7 @@ for _package in ("igtl_msgs", "foxglove_msgs", "crtk_msgs"):
         STORE.register(get_types_from_msg(_path.read_text("utf-8"), f"{_package}/msg/{_path.stem}"))
 
 
-@pytest.mark.parametrize("row", TO_ROS, ids=lambda row: f"{row.igtl_types[0]}-{row.kind}")
+@table("row", TO_ROS, ids=lambda row: f"{row.igtl_types[0]}-{row.kind}")
 def test_rows_to_ros_name_what_exists(row: ConversionToRos) -> None:
     assert row.message.TYPE in STORE.types
     contents = row.content if isinstance(row.content, tuple) else (row.content,)
@@ -31,7 +32,7 @@ def test_rows_to_ros_name_what_exists(row: ConversionToRos) -> None:
         assert row in rows_to_ros(name)
 
 
-@pytest.mark.parametrize("row", TO_IGTL, ids=lambda row: f"{row.message.TYPE}-{row.igtl_type}")
+@table("row", TO_IGTL, ids=lambda row: f"{row.message.TYPE}-{row.igtl_type}")
 def test_rows_to_igtl_name_what_exists(row: ConversionToIgtl) -> None:
     assert row.message.TYPE in STORE.types
     assert row.igtl_type in BODIES

@@ -10,6 +10,7 @@ from igtl_gateway.convert.rosmsg import DiagnosticStatus
 from igtl_gateway.convert.rosmsg import String as RosString
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.text import CODES, Status, String
+from tests.tables import table
 
 TO = ToRosContext("Robot", 0, "", "")
 
@@ -39,9 +40,7 @@ def test_the_longest_string() -> None:
             texts.string_to_igtl(RosString(text), ToIgtlContext())
 
 
-@pytest.mark.parametrize(
-    ("code", "level"), [(1, 0), (6, 1), (13, 1), (14, 1), (15, 1), (19, 1), (0, 2), (2, 2), (65535, 2)]
-)
+@table(("code", "level"), [(1, 0), (6, 1), (13, 1), (14, 1), (15, 1), (19, 1), (0, 2), (2, 2), (65535, 2)])
 def test_levels(code: int, level: int) -> None:
     message = texts.status_to_ros(Status(code), TO)
     assert message.level == level

@@ -25,6 +25,7 @@ from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.tracking import TOOL_3D, TOOL_5D, TOOL_6D, TRACKER, QuaternionTrackingData, TrackingData
 from igtl_gateway.wire.transform import Position, Transform
 from tests import strategies
+from tests.tables import table
 
 H = math.sqrt(0.5)
 ITEMS = (MetadataItem("Status", 3, "OK"),)
@@ -151,7 +152,7 @@ def test_a_long_name_is_cut_with_a_warning() -> None:
     assert [code for code, _ in to.warnings] == ["text_cut"]
 
 
-@pytest.mark.parametrize(
+@table(
     "pose",
     [
         (math.nan, 0, 0, 0, 0, 0, 1),
@@ -194,8 +195,8 @@ def test_scale_is_taken_off_with_a_warning_that_names_the_tool(convert: Callable
     assert "TDATA 'Tracker', tool 'Big'" in text
 
 
-@pytest.mark.parametrize("convert", TO_ROS)
-@pytest.mark.parametrize(
+@table("convert", TO_ROS)
+@table(
     "content",
     [
         tdata((b"Good", 2, (*TURN, 0, 0, 0)), (b"Bad", 2, (-1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0))),

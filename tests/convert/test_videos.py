@@ -31,6 +31,7 @@ from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.image import BIG_ENDIAN, LPS, Image
 from igtl_gateway.wire.video import KEY_FRAME, Video
 from tests.strategies import any32, finite32, videos
+from tests.tables import table
 
 ITEMS = (MetadataItem("key", 3, "value"),)
 #: 0.5 × 0.5 × 2 mm, centred at 10, 20, 30 mm.
@@ -152,7 +153,7 @@ def test_raw_and_unknown_pictures_have_none(codec: str) -> None:
     assert not is_compressed(Video(codec, (4, 4, 1), b"frame"))
 
 
-@pytest.mark.parametrize(
+@table(
     ("named", "codec"),
     [
         *(("h264", "H264"), ("H264", "H264"), ("H.264", "H264"), ("avc", "H264"), ("h264_nvenc", "H264")),
@@ -171,9 +172,7 @@ def test_ways_to_write_a_format(named: str, codec: str) -> None:
         assert (content.codec, bytes(content.data), content.wire_matrix) == (codec, IDR, Image.IDENTITY)
 
 
-@pytest.mark.parametrize(
-    "named", ["jpeg", "png", "rgb8; jpeg compressed bgr8", "16UC1; compressedDepth png", "", "vp8", "h26", "xh264"]
-)
+@table("named", ["jpeg", "png", "rgb8; jpeg compressed bgr8", "16UC1; compressedDepth png", "", "vp8", "h26", "xh264"])
 def test_pictures_are_no_video(named: str) -> None:
     with pytest.raises(ConversionError, match=r"sensor_msgs/msg/CompressedImage: .*expected one of .*h264.* not VIDEO"):
         compressed_image_to_igtl(CompressedImage(Header(), named, b"\xff\xd8"), ToIgtlContext())

@@ -26,6 +26,7 @@ from igtl_gateway.convert.volumes import (
 from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.image import BIG_ENDIAN, LITTLE_ENDIAN, LPS, RAS, SCALARS, Image
 from tests.strategies import images
+from tests.tables import table
 
 ITEMS = (MetadataItem("key", 3, "value"),)
 #: 0.5 × 0.5 × 2 mm, centred at 10, 20, 30 mm.
@@ -78,9 +79,9 @@ def test_numbers_are_ras_and_the_flag_keeps_what_the_wire_says() -> None:
     assert there_and_back(content) == replace(content, subvol_size=None)
 
 
-@pytest.mark.parametrize("scalar", sorted(SCALARS))
-@pytest.mark.parametrize("endian", [BIG_ENDIAN, LITTLE_ENDIAN])
-@pytest.mark.parametrize("components", [1, 3, 254])
+@table("scalar", sorted(SCALARS))
+@table("endian", [BIG_ENDIAN, LITTLE_ENDIAN])
+@table("components", [1, 3, 254])
 def test_pixels_of_every_kind_come_back(scalar: int, endian: int, components: int) -> None:
     size = 8 * components * np.dtype(SCALARS[scalar]).itemsize
     content = Image((2, 2, 2), scalar, bytes(i % 251 for i in range(size)), components, endian, wire_matrix=MATRIX)
@@ -140,7 +141,7 @@ def test_a_matrix_that_is_not_finite_does_not_cost_the_pixels(number: float) -> 
         volume_to_image(message, ToIgtlContext())
 
 
-@pytest.mark.parametrize(
+@table(
     ("content", "wanted"),
     [
         (Image((2, 1, 1), 3, b"ab"), False),
@@ -157,7 +158,7 @@ def test_what_a_picture_does_not_hold(content: Image, wanted: bool) -> None:
     assert exceeds_picture(content) is wanted
 
 
-@pytest.mark.parametrize(
+@table(
     "changes",
     [
         {"size": (2, 2, 2)},

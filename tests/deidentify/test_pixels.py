@@ -18,6 +18,7 @@ from igtl_gateway.deidentify.profile import Profile
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway.wire.image import BIG_ENDIAN, SCALARS, Image
 from igtl_gateway.wire.video import Video
+from tests.tables import table
 
 CORNER = Mask("**", (Rectangle(0, 0, 24, 16),), value=7)
 TEXT = b"PlantedName"
@@ -57,7 +58,7 @@ def shown(name: str, frames: list[bytes]) -> list[Any]:
     return [picture.to_ndarray(format="rgb24").astype(int) for picture in found]
 
 
-@pytest.mark.parametrize("scalar", sorted(SCALARS))
+@table("scalar", sorted(SCALARS))
 def test_every_scalar_type_is_masked(scalar: int) -> None:
     dtype = np.dtype(SCALARS[scalar]).newbyteorder(">")
     pixels = np.arange(1, 2 * 64 * 96 * 2 + 1).reshape(2, 64, 96, 2).astype(dtype)

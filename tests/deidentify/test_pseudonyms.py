@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from igtl_gateway.deidentify.pseudonyms import Pseudonyms
+from tests.tables import table
 
 KEY = b"0123456789abcdef"
 
@@ -39,8 +40,8 @@ def test_many_parts(name: str) -> None:
     assert new.name(name) == "To".join([first] + [part] * name.count("To"))
 
 
-@pytest.mark.parametrize("end", ["", "-", "To"])
-@pytest.mark.parametrize("repeats", [85, 5_000, 150_000])
+@table("end", ["", "-", "To"])
+@table("repeats", [85, 5_000, 150_000])
 def test_a_name_that_no_frame_has_is_replaced_as_a_whole(repeats: int, end: str) -> None:
     new = names(kept=("Probe*",))
     found = new.name("A" + "ToB" * repeats + end)

@@ -28,6 +28,7 @@ from igtl_gateway.wire.text import Status, String
 from igtl_gateway.wire.tracking import TRACKING_DTYPE, TrackingData
 from igtl_gateway.wire.transform import Position, Transform
 from tests.script import T0_NS
+from tests.tables import table
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 PEER = "10.0.0.2:50000"
@@ -189,7 +190,7 @@ CASES: dict[str, tuple[Callable[[], Scene], list[str]]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", CASES)
+@table("name", CASES)
 def test_the_findings_of_each_case(name: str) -> None:
     make, expected = CASES[name]
     assert make().found == expected

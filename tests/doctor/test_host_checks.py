@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import pytest
-
 from igtl_gateway.doctor.host_checks import HOST_CHECKS, Status
 from igtl_gateway.doctor.host_facts import CpuTimes, HostFacts, IdleState
 from igtl_gateway.doctor.host_probe import Delays, HostMeasurement
 from igtl_gateway.doctor.rules import Severity
+from tests.tables import table
 
 #: A machine without a finding.
 GOOD = HostFacts(
@@ -112,7 +111,7 @@ def test_a_good_machine() -> None:
     assert all(check.judge(GOOD, MEASURED).status is Status.OK for check in HOST_CHECKS)
 
 
-@pytest.mark.parametrize(("name", "changed", "found"), BAD)
+@table(("name", "changed", "found"), BAD)
 def test_each_finding(name: str, changed: dict[str, Any], found: str) -> None:
     assert findings(replace(GOOD, **changed)) == {name: found}
 

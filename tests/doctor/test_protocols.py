@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import pytest
-
 from igtl_gateway.doctor.protocols import is_openigtlink, protocol_of
 from igtl_gateway.wire import Header
+from tests.tables import table
 
 
-@pytest.mark.parametrize(
+@table(
     ("head", "name"),
     [
         (b"SSH-2.0-OpenSSH_9.2p1\r\n", "SSH"),

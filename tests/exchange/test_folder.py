@@ -11,6 +11,7 @@ from igtl_gateway.exchange.account import ExportAccount
 from igtl_gateway.exchange.folder import FileNames, file_name, new_folder
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile.beside import written_folder
+from tests.tables import table
 
 NAMES = [
     "../../x",
@@ -36,7 +37,7 @@ def entry(channel: str, kind: Kind = Kind.IGTL_IN) -> Entry:
     return Entry(1, 1, kind, channel, channel.partition("/")[0])
 
 
-@pytest.mark.parametrize("device", NAMES)
+@table("device", NAMES)
 def test_a_name_stays_in_its_folder(tmp_path: Path, device: str) -> None:
     for kind, channel in (
         (Kind.IGTL_IN, f"STRING/{device}"),

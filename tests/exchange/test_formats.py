@@ -8,9 +8,10 @@ import pytest
 
 from igtl_gateway.errors import UnsupportedRecording
 from igtl_gateway.exchange.formats import FORMATS, open_source
+from tests.tables import table
 
 
-@pytest.mark.parametrize(
+@table(
     ("start", "name"),
     [
         (b"#ROSBAG V2.0\n", "rosbag1"),

@@ -16,6 +16,7 @@ from igtl_gateway.wire.transform import Transform
 from tests.exchange import plus
 from tests.exchange.itk import MICROMETRE, OBLIQUE, corners, images_of, itk_corners, orientations, orthonormal, read
 from tests.exchange.memory import InMemory, sent
+from tests.tables import table
 
 DOCS = Path(__file__).parents[2] / "docs" / "reference" / "formats.md"
 POSE = Transform((1, 0, 0, 0, 1, 0, 0, 0, 1, 1.5, 2.5, 3.5))
@@ -40,9 +41,9 @@ def exported(path: Path, images: list[Image], session: dict[str, str] | None = N
     return path
 
 
-@pytest.mark.parametrize("frames", [1, 3])
-@pytest.mark.parametrize("size", [(5, 4, 1), (5, 4, 3)])
-@pytest.mark.parametrize(("scalar", "components"), [*((scalar, 1) for scalar in SCALARS), (3, 3), (3, 4), (10, 2)])
+@table("frames", [1, 3])
+@table("size", [(5, 4, 1), (5, 4, 3)])
+@table(("scalar", "components"), [*((scalar, 1) for scalar in SCALARS), (3, 3), (3, 4), (10, 2)])
 def test_plus_can_read_what_we_write(
     tmp_path: Path, frames: int, size: tuple[int, int, int], scalar: int, components: int
 ) -> None:
@@ -92,8 +93,8 @@ def test_the_orientation_of_the_source_is_kept(
     assert (fields["UltrasoundImageOrientation"], fields["UltrasoundImageType"]) == (orientation, kind)
 
 
-@pytest.mark.parametrize("coordinate", [RAS, LPS])
-@pytest.mark.parametrize(("size", "frames"), [((5, 4, 3), 1), ((5, 4, 3), 2), ((5, 4, 1), 1), ((5, 4, 1), 2)])
+@table("coordinate", [RAS, LPS])
+@table(("size", "frames"), [((5, 4, 3), 1), ((5, 4, 3), 2), ((5, 4, 1), 1), ((5, 4, 1), 2)])
 def test_itk_sees_images_where_they_were(
     tmp_path: Path, size: tuple[int, int, int], frames: int, coordinate: int
 ) -> None:
@@ -109,8 +110,8 @@ def test_itk_sees_images_where_they_were(
         ] * frames
 
 
-@pytest.mark.parametrize("scalar", SCALARS)
-@pytest.mark.parametrize("endian", [LITTLE_ENDIAN, BIG_ENDIAN])
+@table("scalar", SCALARS)
+@table("endian", [LITTLE_ENDIAN, BIG_ENDIAN])
 def test_itk_sees_the_same_values(tmp_path: Path, scalar: int, endian: int) -> None:
     one = image((5, 4, 3), scalar, 3, endian=endian)
     found = read(exported(tmp_path / "some.igs.mha", [one]))

@@ -27,6 +27,7 @@ from tests.exchange.itk import (
     read,
     sitk,
 )
+from tests.tables import table
 
 nib: Any = pytest.importorskip("nibabel", reason="nibabel writes the files")
 SIZE = (5, 4, 3)
@@ -86,9 +87,9 @@ def test_without_both_it_lies_where_itk_puts_it(tmp_path: Path) -> None:
     assert any("neither sform nor qform" in note for note in notes_of(tmp_path / "some.nii"))
 
 
-@pytest.mark.parametrize("scalar", SCALARS.values())
-@pytest.mark.parametrize("version", [1, 2])
-@pytest.mark.parametrize("order", ["<", ">"])
+@table("scalar", SCALARS.values())
+@table("version", [1, 2])
+@table("order", ["<", ">"])
 def test_every_type_of_both_versions_and_orders(tmp_path: Path, scalar: str, version: int, order: str) -> None:
     kind = nib.Nifti1Image if version == 1 else nib.Nifti2Image
     values = np.arange(60).reshape(SIZE).astype(order + scalar)
@@ -140,7 +141,7 @@ def test_without_nibabel_the_error_says_what_to_install(tmp_path: Path, monkeypa
         open_source(path)
 
 
-@pytest.mark.parametrize(
+@table(
     ("offset", "data", "text"),
     [
         (40, b"\x00\x00", "expected 2 … 7"),

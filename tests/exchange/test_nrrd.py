@@ -14,12 +14,13 @@ from igtl_gateway.session.entry import Kind
 from igtl_gateway.wire.image import Image
 from tests.exchange.itk import MICROMETRE, corners, images_of, itk_corners, read
 from tests.exchange.test_pixels import nrrd
+from tests.tables import table
 
 VOLUME = ("type: uchar", "dimension: 3", "sizes: 4 3 2", "kinds: domain domain domain")
 OBLIQUE = "space directions: (0.3,0.4,0) (-0.8,0.6,0.1) (0,0.5,2.5)"
 
 
-@pytest.mark.parametrize(
+@table(
     "space",
     [
         *("right-anterior-superior", "left-anterior-superior", "left-posterior-superior", "RAS", "LAS", "LPS"),
@@ -86,7 +87,7 @@ def test_sequences_of_slicer(tmp_path: Path, first: bool) -> None:
         assert image.wire_matrix == (0.5, 0, 0, 0, 0, 2, 0, 1.5, 0, 1.75, 2.75, 5)
 
 
-@pytest.mark.parametrize(
+@table(
     ("lines", "text"),
     [
         (("sizes: 4 3 2", "dimension: 4"), "dimension '4'"),

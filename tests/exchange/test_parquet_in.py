@@ -17,6 +17,7 @@ from pyarrow import parquet
 from igtl_gateway.errors import DamagedRecording, GatewayError, LimitExceeded
 from igtl_gateway.exchange.parquet_in import read_parquet, read_parquet_schema
 from igtl_gateway.untrusted.limits import FileLimits, limits_in_force
+from tests.tables import table
 
 MIB = 1 << 20
 #: Small limits, so that small bombs are above them.
@@ -48,8 +49,8 @@ def good_tables() -> dict[str, pa.Table]:
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", good_tables())
-@pytest.mark.parametrize(
+@table("name", good_tables())
+@table(
     "options",
     [
         {},
@@ -125,7 +126,7 @@ BOMBS: list[Callable[[Path], None]] = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("bomb", BOMBS, ids=lambda each: each.__name__)
+@table("bomb", BOMBS, ids=lambda each: each.__name__)
 def test_a_bomb_ends_at_a_limit_and_takes_no_memory(bomb: Callable[[Path], None], tmp_path: Path) -> None:
     path = tmp_path / "bomb.parquet"
     bomb(path)

@@ -23,6 +23,7 @@ from igtl_gateway.session.note import Note
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import String
 from tests.files import CAPTURES, write_anew
+from tests.tables import table
 
 FIN, SYN, RST, ACK = 1, 2, 4, 16
 CLIENT, SERVER = ("10.0.0.1", 50_000), ("10.0.0.2", 18_944)
@@ -110,8 +111,8 @@ def said(items: list[ImportedItem]) -> list[bytes]:
     return [bytes(item.payload) for item in items if item.kind is Kind.IGTL_IN]
 
 
-@pytest.mark.parametrize("link", FRAMES)
-@pytest.mark.parametrize("ends", [(CLIENT, SERVER), (CLIENT_6, SERVER_6)])
+@table("link", FRAMES)
+@table("ends", [(CLIENT, SERVER), (CLIENT_6, SERVER_6)])
 def test_both_directions_of_a_connection(tmp_path: Path, link: int, ends: tuple[End, End]) -> None:
     talk = Talk(*ends).open().say(message("a") + message("b"), 40).say(message("c"), by_server=True).close()
     items, source = read(write(tmp_path / "some.pcap", talk.packets, link=link))

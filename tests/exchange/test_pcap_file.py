@@ -19,6 +19,7 @@ from igtl_gateway.exchange.pcap_file import MAX_INTERFACES, MAX_PACKET
 from igtl_gateway.exchange.source import ImportedItem
 from tests.exchange.test_pcap import FRAMES, Talk, message, read, said, write
 from tests.files import CAPTURES, write_anew
+from tests.tables import table
 
 SECOND = 10**9
 ETHERNET, RAW, USB = 1, 101, 189
@@ -79,8 +80,8 @@ def alike(items: Sequence[ImportedItem]) -> list[tuple[int, str, bytes, tuple[in
     return [(item.time_ns, item.kind.name, bytes(item.payload), item.links) for item in items]
 
 
-@pytest.mark.parametrize("order", "<>")
-@pytest.mark.parametrize("link", FRAMES)
+@table("order", "<>")
+@table("link", FRAMES)
 def test_the_same_items_as_of_pcap(tmp_path: Path, order: str, link: int) -> None:
     expected, _ = read(write(tmp_path / "some.pcap", talk(), link=link))
     file = Pcapng(order).interface(link)
@@ -93,8 +94,8 @@ def test_the_same_items_as_of_pcap(tmp_path: Path, order: str, link: int) -> Non
     assert source.notes == []
 
 
-@pytest.mark.parametrize("order", "<>")
-@pytest.mark.parametrize(
+@table("order", "<>")
+@table(
     ("resolution", "ticks", "expected_ns"),
     [
         (None, 1_700_000_000_123_456, 1_700_000_000_123_456_000),
@@ -210,8 +211,8 @@ def test_a_damaged_block_is_named(tmp_path: Path, block: bytes, reason: str) -> 
     assert "block 3" in str(caught.value)
 
 
-@pytest.mark.parametrize("code", [9, 14])
-@pytest.mark.parametrize("size", [0, 2, 3, 7, 9])
+@table("code", [9, 14])
+@table("size", [0, 2, 3, 7, 9])
 def test_an_option_of_an_interface_with_another_length_is_named(tmp_path: Path, code: int, size: int) -> None:
     file = Pcapng()
     file.interface(options=file.option(code, b"\6" * size))
@@ -248,8 +249,8 @@ def wireshark(program: str, *arguments: str | Path) -> None:
     subprocess.run([program, *map(str, arguments)], check=True, capture_output=True, timeout=60)
 
 
-@pytest.mark.parametrize("nanoseconds", [False, True])
-@pytest.mark.parametrize("link", FRAMES)
+@table("nanoseconds", [False, True])
+@table("link", FRAMES)
 def test_editcap_converts_to_a_file_with_the_same_items(tmp_path: Path, link: int, nanoseconds: bool) -> None:
     path = write(tmp_path / "some.pcap", talk(), link=link, nanoseconds=nanoseconds)
     wireshark("editcap", "-F", "pcapng", path, tmp_path / "some.pcapng")

@@ -16,6 +16,7 @@ from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.exchange.sequence import Sequence
 from igtl_gateway.wire.image import BIG_ENDIAN, LITTLE_ENDIAN
 from tests.exchange.itk import images_of, sitk
+from tests.tables import table
 
 NRRD = {
     **{"i1": "int8", "u1": "uchar", "i2": "short", "u2": "uint16", "i4": "int", "u4": "unsigned int"},
@@ -35,9 +36,9 @@ def nrrd(path: Path, data: bytes, *lines: str, encoding: str = "raw") -> Path:
     return path
 
 
-@pytest.mark.parametrize("dtype", NRRD)
-@pytest.mark.parametrize("order", ["<", ">"])
-@pytest.mark.parametrize("suffix", ["mha", "nrrd"])
+@table("dtype", NRRD)
+@table("order", ["<", ">"])
+@table("suffix", ["mha", "nrrd"])
 def test_every_type_and_byte_order_comes_in_as_itk_reads_it(
     tmp_path: Path, dtype: str, order: str, suffix: str
 ) -> None:

@@ -15,6 +15,7 @@ import zstandard
 from igtl_gateway.errors import DamagedRecording, RecordingError
 from igtl_gateway.exchange.rosbag2 import Rosbag2
 from igtl_gateway.exchange.rosbag2_metadata import METADATA, read_metadata
+from tests.tables import table
 
 STRING = "std_msgs/msg/String"
 CDR = b"\0\1\0\0\4\0\0\0abc\0"
@@ -55,7 +56,7 @@ WRONG: dict[str, tuple[Any, ...]] = {
 }
 
 
-@pytest.mark.parametrize(("field", "value"), [(name, value) for name, values in WRONG.items() for value in values])
+@table(("field", "value"), [(name, value) for name, values in WRONG.items() for value in values])
 def test_other_shapes_are_named_with_their_place(tmp_path: Path, field: str, value: Any) -> None:
     folder = bag(tmp_path / "bag", **{field: value})
     storage(folder / "x.db3")
@@ -71,9 +72,7 @@ def test_other_documents_are_refused(tmp_path: Path, text: str) -> None:
         read_metadata(tmp_path)
 
 
-@pytest.mark.parametrize(
-    "name", ["../../etc/passwd", "/etc/passwd", "..", "", ".", "pipe", "link", "x\0y", "a" * 300, "sub"]
-)
+@table("name", ["../../etc/passwd", "/etc/passwd", "..", "", ".", "pipe", "link", "x\0y", "a" * 300, "sub"])
 def test_files_lie_in_the_folder(tmp_path: Path, name: str) -> None:
     folder = bag(tmp_path / "bag", relative_file_paths=[name])
     storage(tmp_path / "outside.db3")

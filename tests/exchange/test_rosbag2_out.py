@@ -21,6 +21,7 @@ from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.writer import SessionWriter
+from tests.tables import table
 
 STRING = "std_msgs/msg/String"
 ROS2 = get_typestore(Stores.ROS2_JAZZY)
@@ -100,8 +101,8 @@ HOSTILE = {
 }
 
 
-@pytest.mark.parametrize("name", HOSTILE)
-@pytest.mark.parametrize("to", ["rosbag2", "csv"])
+@table("name", HOSTILE)
+@table("to", ["rosbag2", "csv"])
 def test_hostile_definitions_cost_their_own_messages(tmp_path: Path, name: str, to: str) -> None:
     with (tmp_path / "foreign.mcap").open("wb") as stream:
         writer = Writer(stream)

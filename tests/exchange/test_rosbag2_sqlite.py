@@ -13,6 +13,7 @@ import pytest
 from igtl_gateway.errors import DamagedRecording, LimitExceeded, RecordingError
 from igtl_gateway.exchange.rosbag2 import Rosbag2
 from igtl_gateway.exchange.rosbag2_sqlite import NO_TIME, Message, SqliteStorage
+from tests.tables import table
 
 STRING = "std_msgs/msg/String"
 CDR = b"\0\1\0\0\4\0\0\0abc\0"
@@ -58,7 +59,7 @@ HOSTILE = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("statements", "reason"), HOSTILE.values(), ids=HOSTILE)
+@table(("statements", "reason"), HOSTILE.values(), ids=HOSTILE)
 def test_hostile_files_are_refused_at_once(tmp_path: Path, statements: tuple[str, ...], reason: str) -> None:
     path, start = made(tmp_path / "x.db3", *statements), time.monotonic()
     with pytest.raises(DamagedRecording, match=reason) as found:

@@ -20,6 +20,7 @@ from igtl_gateway.wire import decode
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.transform import Transform
 from tests import plus_sequences
+from tests.tables import table
 
 WIDTH, HEIGHT, FRAMES = 4, 3, 3
 PIXELS = bytes(range(WIDTH * HEIGHT * FRAMES))
@@ -235,7 +236,7 @@ SHAPES = {
 }
 
 
-@pytest.mark.parametrize("shape", SHAPES)
+@table("shape", SHAPES)
 def test_headers_of_plus_are_what_they_are(tmp_path: Path, shape: str) -> None:
     header, (size, components, count) = SHAPES[shape]
     total = size[0] * size[1] * size[2] * components * count
@@ -309,7 +310,7 @@ def test_stamps_out_of_range_are_an_error(tmp_path: Path, text: str) -> None:
         list(source.items())
 
 
-@pytest.mark.parametrize(
+@table(
     ("write", "transforms", "left_out", "images"),
     [
         (plus_sequences.ultrasound, 63, 0, 21),

@@ -29,6 +29,7 @@ from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.wire.polydata import CELL, Attribute, PolyData
 from tests.exchange import mutants
 from tests.exchange.judges import Shape, by_meshio, by_vtk, entries_of_tables, messages_in
+from tests.tables import table
 from tests.test_fixtures import FIXTURES, NAMES
 
 #: Recordings with several IMAGE streams: of which one a sequence is made.
@@ -82,7 +83,7 @@ def test_declared_is_written_and_left_out(exported: Export, name: str, to: str) 
         assert counted == messages_in(FIXTURES / f"{name}.mcap")
 
 
-@pytest.mark.parametrize("name", NAMES)
+@table("name", NAMES)
 def test_tables_hold_what_the_account_says(exported: Export, entries: Any, name: str) -> None:
     folder, account = exported(name, "csv")
     found: Counter[tuple[str, str]] = Counter()
@@ -152,7 +153,7 @@ def test_surfaces_are_read_by_others(exported: Export, entries: Any, name: str, 
         assert sum(len(shape.of_points) + len(shape.of_cells) for shape in found) == told["attributes"]
 
 
-@pytest.mark.parametrize("name", NAMES)
+@table("name", NAMES)
 def test_volumes_are_read_by_others(exported: Export, name: str) -> None:
     nrrd = pytest.importorskip("nrrd")
     folder, account = exported(name, "nrrd")
@@ -204,7 +205,7 @@ def are_same(found: dict[str, Any], expected: dict[str, Any]) -> bool:
     return found.keys() == expected.keys() and all(np.array_equal(found[name], expected[name]) for name in found)
 
 
-@pytest.mark.parametrize("to", TARGETS)
+@table("to", TARGETS)
 def test_flipped_bits_cost_their_own_messages(to: str) -> None:
     for name, data in islice(mutants.mutants(7), 10):
         outcome = mutants.export(data, to, "--json")

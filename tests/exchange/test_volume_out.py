@@ -29,6 +29,7 @@ from igtl_gateway.wire.image import SCALARS, Image
 from tests.exchange import plus
 from tests.exchange.itk import MICROMETRE, corners, images_of, itk_corners, read, sitk
 from tests.exchange.memory import InMemory, sent
+from tests.tables import table
 
 #: Images of a stream that are judged: the others differ in pixels only.
 EACH = 3
@@ -64,7 +65,7 @@ def judge(path: Path, image: Image) -> None:
     assert header["kinds"][-3:] == ["domain"] * 3
 
 
-@pytest.mark.parametrize("fixture", FIXTURES, ids=lambda path: path.stem)
+@table("fixture", FIXTURES, ids=lambda path: path.stem)
 def test_others_read_each_exported_image_of_a_fixture(tmp_path: Path, fixture: Path) -> None:
     sitk()
     names, judged = FileNames(), Counter[str]()
@@ -87,7 +88,7 @@ def test_others_read_each_exported_image_of_a_fixture(tmp_path: Path, fixture: P
     assert all(row.good or "part of an image" in row.why or "no pixels" in row.why for row in account.rows)
 
 
-@pytest.mark.parametrize("fixture", FIXTURES, ids=lambda path: path.stem)
+@table("fixture", FIXTURES, ids=lambda path: path.stem)
 def test_others_read_the_sequence_of_a_fixture(tmp_path: Path, fixture: Path) -> None:
     sitk()
     with SessionFile.open(fixture) as file:
@@ -142,7 +143,7 @@ def whole_images(file: SessionFile, stream: str) -> Iterator[Image]:
             yield content
 
 
-@pytest.mark.parametrize(
+@table(
     ("matrix", "note"),
     [
         ((1.0, 0, 0, 0, 1, 0, 0, 0, 0, 5, 6, 7), "1 slices without a third axis"),
@@ -152,7 +153,7 @@ def whole_images(file: SessionFile, stream: str) -> Iterator[Image]:
         ((1.0, 0, 0, 0, 1, 0, 0, 0, 1, 5, 6, 7), ""),
     ],
 )
-@pytest.mark.parametrize("components", [1, 3])
+@table("components", [1, 3])
 def test_itk_reads_images_without_a_place_and_the_account_says_so(
     tmp_path: Path, matrix: tuple[float, ...], note: str, components: int
 ) -> None:

@@ -34,6 +34,7 @@ from igtl_gateway.wire.sensor import Sensor
 from igtl_gateway.wire.text import String as Text
 from igtl_gateway.wire.transform import Position, Transform
 from tests.script import T0_NS, Script
+from tests.tables import table
 
 STAMP_NS = T0_NS + 7 * NS_PER_S
 POSE = (0.1, -0.02, 0.123456789, 0.0, 0.0, math.sin(0.2), math.cos(0.2))
@@ -85,8 +86,8 @@ def send(script: Script, name: str, content: Body, igtl_type: str) -> list[str]:
 # -- states -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("row", STATES, ids=lambda row: row.name)
-@pytest.mark.parametrize("base", ["PSM1", "ECM/jaw"])
+@table("row", STATES, ids=lambda row: row.name)
+@table("base", ["PSM1", "ECM/jaw"])
 def test_each_state_goes_to_peers_and_from_peers_to_its_topic(row: crtk.CrtkName, base: str) -> None:
     device, message = f"{base}/{row.name}", MESSAGES[row.ros_type]
     script = Script(Config(profile="crtk"))
@@ -182,7 +183,7 @@ GOOD: dict[str, tuple[str, Body]] = {
 }
 
 
-@pytest.mark.parametrize("row", COMMANDS, ids=lambda row: row.name)
+@table("row", COMMANDS, ids=lambda row: row.name)
 def test_a_command_reaches_the_robot_only_if_it_is_allowed(row: crtk.CrtkName) -> None:
     igtl_type, content = GOOD[row.name]
     device = f"PSM1/{row.name}"
@@ -280,7 +281,7 @@ BAD: tuple[tuple[str, str, Body, float | None, dict[str, Any], str], ...] = (
 )
 
 
-@pytest.mark.parametrize(("name", "igtl_type", "content", "age_ms", "limits", "code"), BAD)
+@table(("name", "igtl_type", "content", "age_ms", "limits", "code"), BAD)
 def test_a_bad_command_is_refused_with_its_reason_and_nothing_is_published(
     name: str, igtl_type: str, content: Body, age_ms: float | None, limits: dict[str, Any], code: str
 ) -> None:
@@ -367,7 +368,7 @@ ODD = (
 )
 
 
-@pytest.mark.parametrize("device", [*ODD, "igtl/servo_cp", "1/servo_cp", "PSM1/servo_cp\n"])
+@table("device", [*ODD, "igtl/servo_cp", "1/servo_cp", "PSM1/servo_cp\n"])
 def test_an_odd_name_is_no_device_of_a_robot(device: str) -> None:
     script = Script(Config(profile="crtk", allow_in=("**",)))
     script.up(1)

@@ -21,6 +21,7 @@ from igtl_gateway.wire.text import String
 from igtl_gateway.wire.transform import Transform
 from tests.gateway.robot_worlds import World
 from tests.script import T0_NS, Script
+from tests.tables import table
 
 #: Worlds of the gate, and of a search: IGTL_GATEWAY_WORLDS=10000.
 WORLDS = int(os.environ.get("IGTL_GATEWAY_WORLDS", "40"))
@@ -169,8 +170,8 @@ def test_a_pause_counts_as_a_tenth_of_a_second() -> None:
         assert robot.servo(x, now_ns, now_ns) == code, (pause_ms, x)
 
 
-@pytest.mark.parametrize("stamps_ms", [10, 1, 200])
-@pytest.mark.parametrize("arrivals_ms", [10, 1, 200])
+@table("stamps_ms", [10, 1, 200])
+@table("arrivals_ms", [10, 1, 200])
 def test_of_two_clocks_the_shorter_time_counts(stamps_ms: int, arrivals_ms: int) -> None:
     most_mm = min(stamps_ms, arrivals_ms, 100) * 0.25
     for off, code in ((-0.01, ""), (0.01, "command_speed")):

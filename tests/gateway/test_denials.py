@@ -25,6 +25,7 @@ from igtl_gateway.wire.text import Status, String
 from igtl_gateway.wire.transform import Transform
 from tests.gateway.test_relay import Relay, codes
 from tests.script import T0_NS, Script
+from tests.tables import table
 
 POSE = Transform((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 10.0, 20.0, 30.0))
 TOOL = rosmsg.TransformStamped(Header(T0_NS, "base"), "tool", (0.1, 0.2, 0.3), (0.0, 0.0, 0.0, 1.0))
@@ -40,7 +41,7 @@ def query(name: str) -> Message:
     return Message(name, "Tool", QUERIES[name].unpack(memoryview(b"")))
 
 
-@pytest.mark.parametrize(
+@table(
     ("globs", "igtl_type", "denied"),
     [
         ("TRANSFORM", "TRANSFORM", True),

@@ -24,6 +24,7 @@ from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.query import EmptyQuery, StartTracking
 from igtl_gateway.wire.transform import Transform
 from tests.script import T0_NS, Script
+from tests.tables import table
 
 ROTATION = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 WATCHING = Config(watch=True)
@@ -245,7 +246,7 @@ def test_metres_for_millimetres_are_seen_and_the_episode_ends() -> None:
     assert "2 times" in TEXTS[0]
 
 
-@pytest.mark.parametrize(
+@table(
     ("before", "after", "jumps"),
     [
         ((0.3, 0.1, 0.0), (300.0, 100.0, 0.0), True),

@@ -28,6 +28,7 @@ from igtl_gateway.wire.text import Status, String
 from igtl_gateway.wire.transform import Transform
 from tests.peers.plus_like import FACTORY, PLACE, PlusReceiver, client_info, failed_reply, frame
 from tests.script import T0_NS, Script
+from tests.tables import table
 
 LIVE = Config().watched()
 
@@ -70,7 +71,7 @@ def test_a_plus_server_that_nobody_named_keeps_its_command_channel() -> None:
     assert made.tick(0.3) == ["igtl GET_STATUS/ v2 to 1"]
 
 
-@pytest.mark.parametrize("igtl_type", sorted({*BODIES, "MYTYPE"}))
+@table("igtl_type", sorted({*BODIES, "MYTYPE"}))
 def test_no_type_reaches_an_unrecognised_peer_at_which_it_loses_the_stream(igtl_type: str) -> None:
     made = script()
     data = join(encode(Message(igtl_type, "D", Raw(b""))))

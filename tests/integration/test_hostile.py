@@ -39,6 +39,7 @@ from tests.integration.bridge import (
 from tests.integration.hostile_cases import CASES, MARK, OTHERS, PAGE, Case, Manner, page
 from tests.peers import reference
 from tests.peers.reference import ReferencePeer
+from tests.tables import table
 
 pytestmark = [
     pytest.mark.ros,
@@ -182,7 +183,7 @@ def dribbles(peer: RawPeer, over: threading.Event) -> None:
                 return
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+@table("case", CASES, ids=lambda case: case.name)
 def test_what_is_answered_while_the_good_ones_go_on(scene: Scene, case: Case) -> None:
     scene.play(case)
     if case.manner is not Manner.RESETS:
@@ -366,7 +367,7 @@ def told(scene: Scene) -> Told:
     return Told(scene.bridge.events, last["ledger"], notes, rounds, links)
 
 
-@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+@table("case", CASES, ids=lambda case: case.name)
 def test_what_is_noted_and_counted(told: Told, case: Case) -> None:
     number = told.links[case.name]
     assert set(told.noted(case.name)) == set(case.noted)

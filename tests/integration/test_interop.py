@@ -30,6 +30,7 @@ from tests.integration.bridge import (
 from tests.peers import reference
 from tests.peers.pyigtl_peer import PyigtlPeer
 from tests.peers.reference import SCALARS, ReferencePeer
+from tests.tables import table
 
 pytestmark = [
     pytest.mark.ros,
@@ -212,7 +213,7 @@ PICTURES = [
 ]
 
 
-@pytest.mark.parametrize(("scalar", "components", "endian"), PICTURES)
+@table(("scalar", "components", "endian"), PICTURES)
 def test_image_to_ros(world: World, scalar: int, components: int, endian: int) -> None:
     width, height = 5, 3
     sent = (np.arange(width * height * components) * 7 - (40 if SCALARS[scalar][0] in "if" else 0)).astype(
@@ -396,8 +397,8 @@ ENCODINGS = [
 ]
 
 
-@pytest.mark.parametrize(("encoding", "scalar", "components"), ENCODINGS)
-@pytest.mark.parametrize("order", [LITTLE, BIG])
+@table(("encoding", "scalar", "components"), ENCODINGS)
+@table("order", [LITTLE, BIG])
 def test_image_to_igtl(world: World, encoding: str, scalar: int, components: int, order: int) -> None:
     """With rows that are padded, as cameras send them."""
     width, height, padding = 4, 3, 8

@@ -49,6 +49,7 @@ from igtl_gateway.wire.transform import Position, Transform
 from tests.peers import only, pyigtl_peer, reference
 from tests.peers.pyigtl_peer import PyigtlPeer
 from tests.peers.reference import ENCODERS, ReferencePeer
+from tests.tables import table
 
 TIMEOUT_S = 20.0
 #: A name that fills its field, and a stamp whose fraction no conversion may touch.
@@ -600,7 +601,7 @@ def clean(body: Body) -> Body:
 
 
 @needs_reference
-@pytest.mark.parametrize("case", [case for case in CASES if case.to_us], ids=str)
+@table("case", [case for case in CASES if case.to_us], ids=str)
 def test_what_the_library_encodes_is_what_we_decode(cpp: tuple[Ours, ReferencePeer], case: Case) -> None:
     ours, peer = cpp
     peer.send(case.type, DEVICE, case.content, SEC, FRAC)
@@ -614,7 +615,7 @@ def test_what_the_library_encodes_is_what_we_decode(cpp: tuple[Ours, ReferencePe
 
 
 @needs_reference
-@pytest.mark.parametrize("case", [case for case in CASES if case.from_us], ids=str)
+@table("case", [case for case in CASES if case.from_us], ids=str)
 def test_what_we_encode_is_what_the_library_unpacks(cpp: tuple[Ours, ReferencePeer], case: Case) -> None:
     ours, peer = cpp
     ours.send(case)
@@ -666,7 +667,7 @@ def check_pyigtl(case: Case, described: dict[str, Any]) -> None:
     assert only(described, expected) == expected
 
 
-@pytest.mark.parametrize("case", [case for case in PYIGTL_CASES if case.content.get("endian", 2) == 2], ids=str)
+@table("case", [case for case in PYIGTL_CASES if case.content.get("endian", 2) == 2], ids=str)
 def test_what_pyigtl_encodes_is_what_we_decode(py: tuple[Ours, PyigtlPeer], case: Case) -> None:
     ours, peer = py
     peer.send(case.type, DEVICE, case.content, SEC, FRAC)
@@ -677,7 +678,7 @@ def test_what_pyigtl_encodes_is_what_we_decode(py: tuple[Ours, PyigtlPeer], case
     assert join(encode(message)) == frame
 
 
-@pytest.mark.parametrize("case", PYIGTL_CASES, ids=str)
+@table("case", PYIGTL_CASES, ids=str)
 def test_what_we_encode_is_what_pyigtl_reads(py: tuple[Ours, PyigtlPeer], case: Case) -> None:
     ours, peer = py
     ours.send(case)

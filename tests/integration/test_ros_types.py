@@ -23,6 +23,7 @@ from igtl_gateway.wire.registry import describe_content
 from tests.integration.bridge import Bridge, RawPeer, RosClient, Wire, extended, free_port, header, unextended
 from tests.peers import only, reference
 from tests.peers.reference import ReferencePeer
+from tests.tables import table
 
 pytestmark = pytest.mark.ros
 
@@ -1426,7 +1427,7 @@ def check(told: Json, wanted: Json) -> None:
     assert rounded(only(told, wanted)) == rounded(only(wanted, told)) == rounded(wanted)
 
 
-@pytest.mark.parametrize("one", OUTGOING, ids=str)
+@table("one", OUTGOING, ids=str)
 def test_what_the_node_publishes_is_what_peers_get(world: World, one: Sent) -> None:
     world.ros.publish(one.topic, one.fields)
     got = world.listener.receive(one.device, one.type)

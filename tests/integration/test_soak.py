@@ -20,6 +20,7 @@ from typing import Any
 import pytest
 
 from tests.integration.bridge import SECOND_DOMAIN, environment
+from tests.tables import table
 from tools import soak_guests, soak_judge
 from tools.soak_findings import Found, Settings
 from tools.soak_judge import judge, trend
@@ -124,7 +125,7 @@ def _stopped(*path: str, value: Any) -> Callable[[Found], None]:
     return change
 
 
-@pytest.mark.parametrize(
+@table(
     ("change", "name"),
     [
         (_leak("gateway", "rss_mb", 0.05), "memory (RSS) of the gateway is flat"),

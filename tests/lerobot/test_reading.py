@@ -19,6 +19,7 @@ from igtl_gateway.lerobot.checking import check_rules
 from igtl_gateway.lerobot.export import export_lerobot
 from igtl_gateway.untrusted.limits import FileLimits, limits_in_force
 from tests.lerobot.sessions import Sent, arm, bars, write_session
+from tests.tables import table
 
 MIB = 1 << 20
 VERSIONS = ("v2.1", "v3.0")
@@ -108,7 +109,7 @@ INFO: list[tuple[Callable[[dict[str, Any]], None], str]] = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(
+@table(
     ("change", "text", "version"),
     [(*each, VERSIONS[number % 2]) for number, each in enumerate(INFO)],
     ids=[text[:40] for _, text in INFO],
@@ -146,7 +147,7 @@ def test_info_that_is_no_info(text: str, expected: str, sets: Path, tmp_path: Pa
 # --- lines and tables -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
+@table(
     ("name", "line", "text"),
     [
         ("episodes", '{"episode_index": 0, "tasks": ["sew"], "length": 9999999999}', "frames of all episodes: found"),
@@ -185,7 +186,7 @@ WRONG_STATS = {
 }
 
 
-@pytest.mark.parametrize("name", WRONG_STATS)
+@table("name", WRONG_STATS)
 def test_statistics_of_any_form(name: str, sets: Path, tmp_path: Path) -> None:
     root = shutil.copytree(sets / "v3.0", tmp_path / "set")
     path = root / "meta" / "stats.json"
@@ -231,7 +232,7 @@ COLUMNS: list[tuple[str, pa.Array | None, str]] = [
 ]
 
 
-@pytest.mark.parametrize(
+@table(
     ("name", "values", "text", "version"),
     [(*each, VERSIONS[number % 2]) for number, each in enumerate(COLUMNS)],
     ids=[text[:40] for _, _, text in COLUMNS],
@@ -269,7 +270,7 @@ EPISODE_COLUMNS: list[tuple[str, pa.Array | None, str]] = [
 ]
 
 
-@pytest.mark.parametrize(("name", "values", "text"), EPISODE_COLUMNS, ids=[text[:40] for _, _, text in EPISODE_COLUMNS])
+@table(("name", "values", "text"), EPISODE_COLUMNS, ids=[text[:40] for _, _, text in EPISODE_COLUMNS])
 def test_episodes_of_version_30(
     name: str, values: pa.Array | None, text: str, sets: Path, tmp_path: Path
 ) -> None:  # fmt: skip
@@ -325,7 +326,7 @@ def nothing(path: Path) -> None:
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="a system with FIFOs")
-@pytest.mark.parametrize(
+@table(
     ("place", "text"),
     [
         (fifo, "found a FIFO, expected a file"),
@@ -338,7 +339,7 @@ def nothing(path: Path) -> None:
         (nothing, "cannot be decoded"),
     ],
 )
-@pytest.mark.parametrize("version", VERSIONS)
+@table("version", VERSIONS)
 def test_a_video_that_is_none(
     place: Callable[[Path], None], text: str, version: str, sets: Path, tmp_path: Path,
     capsys: pytest.CaptureFixture[str],

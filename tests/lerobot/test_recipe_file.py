@@ -8,6 +8,7 @@ import pytest
 
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.lerobot.recipe_file import read_recipe
+from tests.tables import table
 
 GOOD = {
     "dataset": 'fps = 30\ntask = "sew"',
@@ -33,7 +34,7 @@ def test_a_good_one(tmp_path: Path) -> None:
     assert recipe.names == ["observation.state", "action"] and recipe.has_next
 
 
-@pytest.mark.parametrize(
+@table(
     ("changes", "text"),
     [
         ({"dataset": 'task = "a"'}, "dataset: found no fps, expected an integer from 1 to 1000"),

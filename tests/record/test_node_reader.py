@@ -24,6 +24,7 @@ from rosbags.typesys.store import Typestore
 
 from igtl_gateway.exchange.targets import export_to
 from igtl_gateway.sessionfile.reader import SessionFile
+from tests.tables import table
 from tests.test_fixtures import NAMES
 
 FOLDER = Path(os.environ.get("IGTL_GATEWAY_NODE", ""))
@@ -35,7 +36,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-@pytest.mark.parametrize("name", NAMES)
+@table("name", NAMES)
 def test_every_message_is_parsed(name: str) -> None:
     path = FIXTURES / f"{name}.mcap"
     counts, samples = by_foxglove(path)
@@ -47,7 +48,7 @@ def test_every_message_is_parsed(name: str) -> None:
     assert_same(samples, path)
 
 
-@pytest.mark.parametrize("name", NAMES)
+@table("name", NAMES)
 def test_every_message_of_a_bag_is_parsed(name: str, tmp_path: Path) -> None:
     with SessionFile.open(FIXTURES / f"{name}.mcap") as file:
         account = export_to("rosbag2", file, tmp_path / "bag", ())

@@ -20,6 +20,7 @@ from igtl_gateway.record.shared_queue import QueueReader
 from igtl_gateway.sessionfile.chunk_rows import add_rows
 from tests.record.native_queue import native_library
 from tests.record.ring_model import ALL_ROWS, LARGE_BYTES, ONE_ROW, RingModel, Sizes, small_ring
+from tests.tables import table
 
 pytestmark = pytest.mark.skipif(add_rows is None, reason="installed without the C part")
 
@@ -98,8 +99,8 @@ RINGS: dict[str, tuple[Sizes, tuple[Step, ...]]] = {
 }
 
 
-@pytest.mark.parametrize("compiled", [True, False], ids=["in C", "in Python"])
-@pytest.mark.parametrize("name", RINGS)
+@table("compiled", [True, False], ids=["in C", "in Python"])
+@table("name", RINGS)
 def test_every_order_of_steps_in_a_small_ring(library: ctypes.CDLL, name: str, compiled: bool) -> None:
     sizes, steps = RINGS[name]
     assert search(library, sizes, steps, STATES, compiled=compiled) or STATES < 1_000_000

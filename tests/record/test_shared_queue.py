@@ -23,6 +23,7 @@ from igtl_gateway.record.shared_queue import ENTRY_BYTES, QueueReader, QueueSlot
 from igtl_gateway.session.entry import Entry, Kind
 from tests.record import samples
 from tests.record.native_queue import HEADER, native_library
+from tests.tables import table
 
 
 class Pair:
@@ -96,7 +97,7 @@ def test_streams_beyond_those_that_have_numbers(monkeypatch: pytest.MonkeyPatch)
 ROWS = np.arange(12, dtype=np.uint8).reshape(3, 4)
 
 
-@pytest.mark.parametrize(
+@table(
     ("part", "data"),
     [
         (memoryview(array.array("H", [1, 2, 3])), array.array("H", [1, 2, 3]).tobytes()),

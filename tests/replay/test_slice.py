@@ -19,6 +19,7 @@ from igtl_gateway.replay.verify import DeclaredLosses, verify
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Note
 from igtl_gateway.sessionfile.reader import SessionFile
+from tests.tables import table
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 NAMES = ("star", "paper-types", "every-type")
@@ -45,8 +46,8 @@ def content(entry: Entry) -> object:
     return (entry.stamp_ns, entry.kind, entry.channel, entry.links, entry.data())
 
 
-@pytest.mark.parametrize("part", PARTS)
-@pytest.mark.parametrize("name", NAMES)
+@table("part", PARTS)
+@table("name", NAMES)
 def test_a_slice_verifies_and_holds_what_was_recorded(name: str, part: tuple[float, float]) -> None:
     entries, config = recorded(name)
     wanted = window(entries, part)

@@ -14,6 +14,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from igtl_gateway.replay.stamp_places import StampPlaces
 from igtl_gateway.ros_interfaces.definitions import SHARES, definition_folder
+from tests.tables import table
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 for _package in ("igtl_msgs", "foxglove_msgs", "crtk_msgs"):
@@ -77,9 +78,9 @@ class Made:
         return items
 
 
-@pytest.mark.parametrize("ros_type", sorted(TYPES))
-@pytest.mark.parametrize("little", [True, False])
-@pytest.mark.parametrize("fixed", [True, False])
+@table("ros_type", sorted(TYPES))
+@table("little", [True, False])
+@table("fixed", [True, False])
 def test_all_stamps_and_nothing_else(ros_type: str, fixed: bool, little: bool) -> None:
     for seed in range(1 if fixed else 4):
         made = Made(Random(seed), fixed)

@@ -13,6 +13,7 @@ from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.writer import SessionWriter
 from tests.record import samples
+from tests.tables import table
 
 S = 1_000_000_000
 #: Jumps of an hour, noticed at 3,610.05 s and 7,230.05 s: ten and twenty-ten seconds have passed.
@@ -30,7 +31,7 @@ def test_without_jumps_it_is_gateway_time() -> None:
     assert SessionTimeline([ClockStep(-3600 * S, 0, 3600 * S, 5 * S)]).passed_ns(9 * S) == 9 * S
 
 
-@pytest.mark.parametrize(
+@table(
     ("recorded_s", "passed_s"),
     [(5, 5), (10, 10), (2000, 10.05), (3610, 10.05), (3610.05, 10.05), (3620, 20), (7229, 30.05), (7240, 40)],
 )

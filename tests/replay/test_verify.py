@@ -33,6 +33,7 @@ from igtl_gateway_lab.simulate.scenario import Scenario
 from tests.files import write_anew
 from tests.gateway.test_guard import pose
 from tests.script import Script
+from tests.tables import table
 
 FIXTURES = Path(__file__).parents[2] / "fixtures"
 SCENARIO: Scenario = SCENARIOS["paper-types"]
@@ -78,7 +79,7 @@ def test_another_configuration_is_named(entries: list[Entry]) -> None:
     assert "header.frame_id: recorded 'igtl', computed 'elsewhere'" in " ".join(map(str, report.differences))
 
 
-@pytest.mark.parametrize(
+@table(
     ("channel", "at", "field"),
     [
         ("TRANSFORM/ToolToBase", 58 + 36, "content.matrix[0][3]"),
@@ -109,14 +110,14 @@ def test_bytes_that_do_not_decode_are_compared_as_bytes(entries: list[Entry]) ->
     assert report.differences[0].field.startswith("byte ")
 
 
-@pytest.mark.parametrize("cut", [1, 20, 58, 60])
-@pytest.mark.parametrize("channel", ["IMAGE/Mono8", "POLYDATA/Surface", "STRING/Greeting"])
+@table("cut", [1, 20, 58, 60])
+@table("channel", ["IMAGE/Mono8", "POLYDATA/Surface", "STRING/Greeting"])
 def test_a_message_that_was_cut_is_a_difference_not_a_failure(entries: list[Entry], channel: str, cut: int) -> None:
     report = verify(changed(entries, lambda e: is_out(e, channel), lambda d: d[:-cut]), SCENARIO.config)
     assert report.differing == 1
 
 
-@pytest.mark.parametrize("bit", range(0, 58 * 8, 3))
+@table("bit", range(0, 58 * 8, 3))
 def test_any_bit_of_a_header_is_a_difference_not_a_failure(entries: list[Entry], bit: int) -> None:
     def flip(data: bytes) -> bytes:
         return data[: bit // 8] + bytes([data[bit // 8] ^ 1 << bit % 8]) + data[bit // 8 + 1 :]
@@ -159,7 +160,7 @@ def test_a_missing_input_excuses_its_outputs_and_no_others(entries: list[Entry])
     assert verify(worse, SCENARIO.config, declared(gone)).by_stream == {"/igtl/in/Grey/image": 1}
 
 
-@pytest.mark.parametrize("index", range(0, 121, 7))
+@table("index", range(0, 121, 7))
 def test_no_entry_goes_missing_unseen(entries: list[Entry], index: int) -> None:
     cut = entries[:index] + entries[index + 1 :]
     report = verify(cut, SCENARIO.config)
@@ -212,7 +213,7 @@ def test_what_was_cut_off_is_excused_where_nobody_counted(entries: list[Entry]) 
     assert report.good and report.lost >= 1
 
 
-@pytest.mark.parametrize(
+@table(
     ("session", "ledger", "losses"),
     [
         ({}, {"streams": {}}, DeclaredLosses()),

@@ -8,6 +8,7 @@ import pytest
 from igtl_gateway.review.axes import BODY, OPTICAL, axes_of
 from igtl_gateway.review.model import Array
 from tests.review.sessions import dome_clouds, rays
+from tests.tables import table
 
 _CLOUD = dome_clouds(1)[0].points
 
@@ -22,8 +23,8 @@ def test_to_optical_and_from_optical_are_inverse() -> None:
     np.testing.assert_array_equal(BODY.from_optical(np.array([[1.0, 2.0, 3.0]])), [[3.0, -1.0, -2.0]])
 
 
-@pytest.mark.parametrize("frame", ["camera", "camera_optical_frame", "base_link", ""])
-@pytest.mark.parametrize("shape", [np.asarray, _list])
+@table("frame", ["camera", "camera_optical_frame", "base_link", ""])
+@table("shape", [np.asarray, _list])
 def test_an_optical_cloud_has_no_note(frame: str, shape: object) -> None:
     assert callable(shape)
     assert axes_of(shape(_CLOUD), frame) == (OPTICAL, "")

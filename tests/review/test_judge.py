@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import pytest
-
 from igtl_gateway.review import judge
 from igtl_gateway.review.model import EndReview, Level, Thresholds
+from tests.tables import table
 
 _GOOD = EndReview(
     (0.0, 0.0, 0.25),
@@ -27,7 +26,7 @@ def _level(change: dict[str, Any]) -> Level:
     return judge.worst_level(list(judge.of_end("entry", replace(_GOOD, **change), _LIMITS)))[0]
 
 
-@pytest.mark.parametrize(
+@table(
     ("change", "level"),
     [
         ({}, Level.OK),

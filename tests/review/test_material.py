@@ -23,6 +23,7 @@ from tests.review.sessions import (
     pose_message,
     xyz,
 )
+from tests.tables import table
 
 _FIRST = np.stack([on_dome(x, -3) for x in (-3, 0, 3)])
 _LAST = np.stack([on_dome(x, 3) for x in (-3, 0, 3)])
@@ -170,8 +171,8 @@ def test_a_session_without_a_plan_is_an_error() -> None:
         named.versions(named.scene()[0])
 
 
-@pytest.mark.parametrize("arrival_ns", [(1 << 62) - 1, (1 << 63) - 1, 1 << 63, (1 << 64) - 1])
-@pytest.mark.parametrize("first_ns", [-(1 << 31) * SECOND, 1, SECOND])
+@table("arrival_ns", [(1 << 62) - 1, (1 << 63) - 1, 1 << 63, (1 << 64) - 1])
+@table("first_ns", [-(1 << 31) * SECOND, 1, SECOND])
 def test_times_may_be_centuries_apart(first_ns: int, arrival_ns: int) -> None:
     """A pose between two others is between them, whatever their times are: no difference exceeds 64 bits."""
     material = Material()

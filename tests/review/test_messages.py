@@ -14,6 +14,7 @@ from igtl_gateway.errors import ConversionError
 from igtl_gateway.review.messages import DrawnPlan, cloud_of, plan_of, poses_of
 from igtl_gateway.wire.trajectory import ENTRY_AND_TARGET, ENTRY_ONLY
 from tests.review.sessions import cloud_message, entry, plan_message, pose_message, xyz
+from tests.tables import table
 
 _FIRST = np.array([[0.0, -0.0035, 0.25], [0.003, -0.0035, 0.25], [0.006, -0.0035, 0.25]])
 _LAST = _FIRST + np.array([0, 0.007, 0])
@@ -60,7 +61,7 @@ _MESSAGES: dict[str, RosMessage] = {
 }
 
 
-@pytest.mark.parametrize("name", _MESSAGES)
+@table("name", _MESSAGES)
 def test_a_plan_is_read_from(name: str) -> None:
     drawn = _plan(_MESSAGES[name])
     assert drawn is not None
@@ -82,7 +83,7 @@ def test_the_pose_of_a_marker_counts() -> None:
 _LINES = plan_message(_FIRST, _LAST, 5)
 
 
-@pytest.mark.parametrize(
+@table(
     "message",
     [
         replace(_LINES, type=Marker.LINE_STRIP),

@@ -7,12 +7,13 @@ import pytest
 
 from igtl_gateway.review import noise, steps
 from tests.review.sensors import Camera, disparity, quantised, shots, surface, white
+from tests.tables import table
 
 _RANDOM = np.random.default_rng(3)
 
 
-@pytest.mark.parametrize("kind", ["flat", "tilted", "curved"])
-@pytest.mark.parametrize("distance", [0.06, 0.25, 1.0])
+@table("kind", ["flat", "tilted", "curved"])
+@table("distance", [0.06, 0.25, 1.0])
 def test_integer_millimetres_are_detected(kind: str, distance: float) -> None:
     camera = Camera()
     points = shots(camera, surface(kind, distance).depth(camera.rays()), quantised, 2, _RANDOM)
@@ -63,8 +64,8 @@ def test_ambiguous_noise_before_rounding_is_the_smallest_possible() -> None:
     assert steps.share_before_rounding(readings.var(axis=0), readings.mean(axis=0)) == pytest.approx(0.4, abs=0.04)
 
 
-@pytest.mark.parametrize("sigma", [0.0, 0.1, 0.3])
-@pytest.mark.parametrize("slope", [0.0, 0.02, 0.2])
+@table("sigma", [0.0, 0.1, 0.3])
+@table("slope", [0.0, 0.02, 0.2])
 def test_the_bias_is_that_of_the_mean_of_many_readings(sigma: float, slope: float) -> None:
     """Without noise it is a sawtooth, approximated by six harmonics."""
     place = slope * np.arange(30.0)

@@ -10,6 +10,7 @@ from igtl_gateway.review.surface import TissueSurface, fit
 from igtl_gateway_lab.simulate import star_scene
 from tests.review.conftest import SEEDS
 from tests.review.sessions import dome_clouds, on_dome
+from tests.tables import table
 
 WINDOW = 0.004
 
@@ -20,8 +21,8 @@ def _fit(scene: DepthScene, point: np.ndarray) -> TissueSurface:
     return surface
 
 
-@pytest.mark.parametrize("place", [(0, 0), (6, 0), (3, -7), (-8, 5)])
-@pytest.mark.parametrize("off_mm", [-2.0, 0.0, 0.7, 3.0])
+@table("place", [(0, 0), (6, 0), (3, -7), (-8, 5)])
+@table("off_mm", [-2.0, 0.0, 0.7, 3.0])
 def test_the_distance_is_perpendicular_to_the_tissue(place: tuple[float, float], off_mm: float) -> None:
     """Away from the centre of the sphere is the camera's side of the tissue."""
     scene = DepthScene.of(dome_clouds(8))

@@ -18,6 +18,7 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from igtl_gateway.ros_interfaces.definitions import PACKAGES, interface_files
+from tests.tables import table
 
 pytest.importorskip("ros_wheels_bootstrapper", reason="the packages are compiled for the ROS wheels only")
 pytestmark = pytest.mark.ros
@@ -170,13 +171,13 @@ def decoded(here: Here, there: subprocess.Popen[str]) -> dict[str, Any]:
     return decoded
 
 
-@pytest.mark.parametrize("name", TYPES)
+@table("name", TYPES)
 def test_another_program_reads_and_writes_equal_values(name: str, here: Here, decoded: dict[str, Any]) -> None:
     assert decoded[name] == plain(SAMPLES[name])
     assert plain(STORE.deserialize_cdr(here.back[name], name)) == plain(SAMPLES[name])
 
 
-@pytest.mark.parametrize("name", TYPES)
+@table("name", TYPES)
 def test_the_graph_has_the_type_hash_of_the_definition(name: str, here: Here, decoded: dict[str, Any]) -> None:
     (endpoint,) = here.node.get_publishers_info_by_topic(topic(name) + "/back")
     assert endpoint.topic_type == name

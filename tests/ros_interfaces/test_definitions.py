@@ -12,6 +12,7 @@ import pytest
 from igtl_gateway import __version__
 from igtl_gateway.ros_interfaces.definitions import PACKAGES, SHARES, definition_folder, interface_files
 from igtl_gateway.sessionfile.schemas import RosTypes
+from tests.tables import table
 
 ROOT = Path(__file__).parents[2]
 IGTL_MSGS = ROOT / "ros2" / "igtl_msgs"
@@ -37,7 +38,7 @@ def test_the_wheel_contains_the_definitions_and_the_search_path() -> None:
     assert path_file.read_text().strip() in wheel["dev-mode-dirs"]
 
 
-@pytest.mark.parametrize("path", [path for package in PACKAGES for path in interface_files(package)], ids=str)
+@table("path", [path for package in PACKAGES for path in interface_files(package)], ids=str)
 def test_ros_reads_the_definition(path: Path) -> None:
     parser = pytest.importorskip("rosidl_adapter.parser", reason="needs the generators of ROS 2")
     package = path.parents[1].name
@@ -47,7 +48,7 @@ def test_ros_reads_the_definition(path: Path) -> None:
         assert parser.parse_service_file(package, path).srv_name == path.stem  # a service may have no fields
 
 
-@pytest.mark.parametrize(
+@table(
     "name",
     [
         f"{package}/msg/{path.stem}"

@@ -10,11 +10,12 @@ from igtl_gateway.session.clocksteps import CLOCK_STEP, ClockStep, without_jump
 from igtl_gateway.session.entry import Entry, Kind
 from igtl_gateway.session.note import Level, Note
 from igtl_gateway.stamp import NS_PER_S
+from tests.tables import table
 
 HOUR_NS = 3600 * NS_PER_S
 
 
-@pytest.mark.parametrize(
+@table(
     ("step", "words"),
     [
         (ClockStep.after(-HOUR_NS, 0), "back by 3,600.000 s: gateway time goes on, 3,600.000 s ahead of it"),

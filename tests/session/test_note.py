@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from igtl_gateway.session.note import UNREADABLE, Level, Note
+from tests.tables import table
 
 GOOD = {"level": "WARN", "code": "bad_crc", "text": "a fact", "stream": "IMAGE/probe", "data": {}}
 
@@ -21,7 +22,7 @@ def test_a_note_comes_back() -> None:
     assert Note.unpack(note.pack()) == Note.of(note.pack()) == note
 
 
-@pytest.mark.parametrize(
+@table(
     "payload",
     [
         b"", b"{}", b"[1]", b'"text"', b"\xff\0", b"5", b"[" * 100_000, b"9" * 5000,

@@ -9,6 +9,7 @@ from igtl_gateway.qos import Qos
 from igtl_gateway.session.entry import Kind
 from igtl_gateway.sessionfile import layout
 from igtl_gateway.sessionfile.channels import ChannelSummary, is_marked, kind_of, next_seq
+from tests.tables import table
 
 STRING = Schema(id=1, data=b"string data", encoding="ros2msg", name="std_msgs/msg/String")
 RAW = Schema(id=2, data=b"", encoding="ros2msg", name=layout.RAW_MESSAGE_TYPE)
@@ -19,7 +20,7 @@ def channel(kind: str = "", encoding: str = "cdr", **facts: str) -> Channel:
     return Channel(id=1, topic="/a", message_encoding=encoding, metadata=metadata, schema_id=1)
 
 
-@pytest.mark.parametrize(
+@table(
     ("given", "schema", "foreign", "expected"),
     [
         (channel("ros_in"), STRING, False, Kind.ROS_IN),

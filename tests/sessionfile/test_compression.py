@@ -12,6 +12,7 @@ import zstandard
 
 from igtl_gateway.sessionfile.compression import COMPRESSIONS, NAMES, Compression, compress, declared_size, decompress
 from igtl_gateway.sessionfile.records import Malformed
+from tests.tables import table
 
 DATA = b"a chunk of records" * 100
 
@@ -31,8 +32,8 @@ def test_what_was_packed_comes_back(name: str) -> None:
     assert decompress(compression, pack(DATA), len(DATA), zlib.crc32(DATA)) == DATA
 
 
-@pytest.mark.parametrize("name", PACKED)
-@pytest.mark.parametrize("size", [0, 10, len(DATA) - 1, len(DATA) + 1, 1 << 20])
+@table("name", PACKED)
+@table("size", [0, 10, len(DATA) - 1, len(DATA) + 1, 1 << 20])
 def test_a_size_that_lies_is_found_out(name: str, size: int) -> None:
     compression, pack = PACKED[name]
     with pytest.raises(Malformed, match=f"expected {size}"):

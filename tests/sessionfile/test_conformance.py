@@ -16,6 +16,7 @@ from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.sessionfile.salvage import Salvage
 from tests.files import write_anew
 from tests.sessionfile import conformance
+from tests.tables import table
 
 FILES = list(conformance.files())
 #: In the gate every verb reads one of this number of files; all of them with CONFORMANCE=all.
@@ -81,7 +82,7 @@ VERBS: dict[str, tuple[list[str], set[int]]] = {
 }
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@table("verb", VERBS)
 def test_every_verb_reads_them_or_says_why_not(tmp_path: Path, capsys: pytest.CaptureFixture[str], verb: str) -> None:
     arguments, codes = VERBS[verb]
     outcomes: Counter[int] = Counter()

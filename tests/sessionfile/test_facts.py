@@ -9,6 +9,7 @@ import pytest
 
 from igtl_gateway.errors import DamagedRecording
 from igtl_gateway.sessionfile import facts
+from tests.tables import table
 from tools.mcap_mutations import LEDGER
 
 
@@ -16,7 +17,7 @@ def test_a_ledger_with_every_section_passes() -> None:
     assert facts.ledger(json.dumps(LEDGER), "a.mcap") == LEDGER
 
 
-@pytest.mark.parametrize(
+@table(
     ("found", "words"),
     [
         ([], r"a.mcap: ledger: found \[\], expected an object"),
@@ -45,7 +46,7 @@ def test_a_ledger_that_is_no_json_is_damage(found: str) -> None:
         facts.ledger(found, "a.mcap")
 
 
-@pytest.mark.parametrize(
+@table(
     ("item", "value", "expected"),
     [
         ("part", "-1", "a number of at most 64 bits"),

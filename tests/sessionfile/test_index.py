@@ -14,6 +14,7 @@ from igtl_gateway.sessionfile.contents import Index
 from igtl_gateway.sessionfile.index import read_index
 from igtl_gateway.untrusted import limits
 from tests.files import RefusingStream
+from tests.tables import table
 from tools import mcap_build as build
 from tools.mcap_build import Assembly, Chunk, Record
 
@@ -53,7 +54,7 @@ def test_a_summary_is_taken_as_it_is() -> None:
     assert [place.name for place in (*found.attachments, *found.metadata)] == ["a", "m"]
 
 
-@pytest.mark.parametrize(
+@table(
     "missing",
     [
         {build.SCHEMA}, {build.CHANNEL}, {build.SCHEMA, build.CHANNEL}, {build.STATISTICS}, {build.CHUNK_INDEX},
@@ -61,7 +62,7 @@ def test_a_summary_is_taken_as_it_is() -> None:
     ],
     ids=str,
 )  # fmt: skip
-@pytest.mark.parametrize("crc", [None, 0])
+@table("crc", [None, 0])
 def test_what_a_summary_leaves_out_is_looked_for(missing: set[int], crc: int | None) -> None:
     whole = index_of(TWO_CHUNKS.finish())
     rest = [each for each in TWO_CHUNKS.summary if each[0] not in missing]
@@ -132,8 +133,8 @@ def test_a_record_that_reaches_beyond_the_data_is_damage() -> None:
         index_of(build.finish(bytes(data), []))
 
 
-@pytest.mark.parametrize("compression", ["lz4", "zstd"])
-@pytest.mark.parametrize("size", [None, 10, 1 << 31, 2**64 - 1])
+@table("compression", ["lz4", "zstd"])
+@table("size", [None, 10, 1 << 31, 2**64 - 1])
 def test_a_bomb_is_refused_without_an_index_too(compression: str, size: int | None) -> None:
     chunk = Chunk(((0x80, bytes(300_000_000)),), compression, size=size)
     chunk = replace(chunk, packed=build.COMPRESS[compression](chunk.plain()), crc=0)

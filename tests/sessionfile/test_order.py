@@ -18,6 +18,7 @@ from igtl_gateway.sessionfile.order import message_rows
 from igtl_gateway.sessionfile.records import Malformed
 from igtl_gateway.untrusted import limits
 from tests.sessionfile.test_index import DEFINITIONS, bag, messages
+from tests.tables import table
 from tools import mcap_build as build
 from tools.mcap_build import Chunk
 
@@ -34,8 +35,8 @@ def by_library(data: bytes, from_ns: int = 0) -> list[tuple[int, int]]:
     return [(message.log_time, message.sequence) for _, _, message in found]
 
 
-@pytest.mark.parametrize("small", [0, 8 << 20])
-@pytest.mark.parametrize("seed", range(8))
+@table("small", [0, 8 << 20])
+@table("seed", range(8))
 def test_the_order_is_that_of_the_library(monkeypatch: pytest.MonkeyPatch, small: int, seed: int) -> None:
     for module in (chunks, order):
         monkeypatch.setattr(module, "SMALL_BYTES", small)
@@ -80,8 +81,8 @@ def test_chunks_that_only_claim_to_overlap_are_not_held_together() -> None:
     assert peak < 15_000_000  # of 60 MB
 
 
-@pytest.mark.parametrize("small", [0, 8 << 20])
-@pytest.mark.parametrize("tail", [b"\5", b"\5" + bytes(8), build.record(build.MESSAGE, b"", 30), b"\x80" + b"\xff" * 8])
+@table("small", [0, 8 << 20])
+@table("tail", [b"\5", b"\5" + bytes(8), build.record(build.MESSAGE, b"", 30), b"\x80" + b"\xff" * 8])
 def test_records_that_do_not_fit_their_chunk(monkeypatch: pytest.MonkeyPatch, small: int, tail: bytes) -> None:
     for module in (chunks, order):
         monkeypatch.setattr(module, "SMALL_BYTES", small)

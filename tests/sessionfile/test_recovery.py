@@ -26,6 +26,7 @@ from igtl_gateway.sessionfile.recovery import recover
 from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway.untrusted.limits import limits_in_force, parse_limits
 from tests.record import samples
+from tests.tables import table
 from tools import mcap_build as build
 from tools import mcap_mutations
 from tools.mcap_build import Chunk, Record
@@ -73,8 +74,8 @@ def _check_every_reader(out: Path, found: recovery.Recovery) -> None:
             assert sum(1 for _ in bag.messages()) == found.report.messages
 
 
-@pytest.mark.parametrize("numbers", [(20,), (5, 6, 7), (1,), tuple(range(30, 40))])
-@pytest.mark.parametrize("by_ns", [10**15, -(10**15), 1 << 62])
+@table("numbers", [(20,), (5, 6, 7), (1,), tuple(range(30, 40))])
+@table("by_ns", [10**15, -(10**15), 1 << 62])
 def test_times_out_of_order_cost_only_these_entries(tmp_path: Path, numbers: tuple[int, ...], by_ns: int) -> None:
     entries = _shifted(*numbers, by_ns=by_ns)
     found, out = _recovered(tmp_path, _session({}, entries))
@@ -90,7 +91,7 @@ def test_times_out_of_order_cost_only_these_entries(tmp_path: Path, numbers: tup
     assert not again.report.lost and again.facts["earlier"] == found.facts
 
 
-@pytest.mark.parametrize(
+@table(
     ("key", "text"),
     [
         *(

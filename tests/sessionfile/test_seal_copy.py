@@ -11,6 +11,7 @@ from igtl_gateway.seal.keys import SigningKey
 from igtl_gateway.sessionfile.seal_check import SEALED, check_seal
 from igtl_gateway.sessionfile.seal_copy import seal_copy
 from igtl_gateway.sessionfile.sealing import SealSeries
+from tests.tables import table
 from tools import mcap_build as build
 
 _PARTS = [
@@ -32,7 +33,7 @@ _STATISTICS = {
 }
 
 
-@pytest.mark.parametrize("name", _STATISTICS)
+@table("name", _STATISTICS)
 def test_statistics_of_a_file_are_read_before_the_copy_is_written(name: str, tmp_path: Path) -> None:
     content, reason = _STATISTICS[name]
     made = build.assemble(_PARTS)

@@ -15,6 +15,7 @@ from igtl_gateway.sync.signal import Floats, Signal
 from igtl_gateway.sync.statistics import chi_squared, student
 from tests.sync.trajectories import trajectory
 from tests.sync.worlds import irregular, stamps, world
+from tests.tables import table
 
 #: Random cases; the table in docs/how-to/sync.md is of 300.
 CASES = int(os.environ.get("SYNC_CASES", "6"))
@@ -93,8 +94,8 @@ REFUSED = [
 ]
 
 
-@pytest.mark.parametrize("noise", [0.001, 0.01, 0.1])
-@pytest.mark.parametrize(("movement", "verdict"), [row[1:] for row in REFUSED], ids=[row[0] for row in REFUSED])
+@table("noise", [0.001, 0.01, 0.1])
+@table(("movement", "verdict"), [row[1:] for row in REFUSED], ids=[row[0] for row in REFUSED])
 def test_what_the_data_cannot_tell_is_refused(
     movement: Callable[[Floats], Floats], verdict: Verdict, noise: float
 ) -> None:

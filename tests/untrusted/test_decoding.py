@@ -17,6 +17,7 @@ from igtl_gateway.errors import DamagedRecording, LimitExceeded
 from igtl_gateway.untrusted import limits
 from igtl_gateway.untrusted.decoding import MessageDecoder, new_store, register_types
 from igtl_gateway.untrusted.definitions import parse_definition
+from tests.tables import table
 
 RULE = "=" * 80 + "\n"
 MANY = f"p/E[] e\n{RULE}MSG: p/E\n"
@@ -61,7 +62,7 @@ def test_a_bad_definition_is_parsed_once() -> None:
     assert asked == ["p/msg/A"]
 
 
-@pytest.mark.parametrize(
+@table(
     ("text", "data"),
     [
         (MANY, struct.pack("<I", 8_000_000) + bytes(8_000_000)),
@@ -70,7 +71,7 @@ def test_a_bad_definition_is_parsed_once() -> None:
         (f"float64[] x\np/E[] e\n{RULE}MSG: p/E\nuint8[] x\n", struct.pack("<II", 0, 1_000_000) + bytes(4_000_000)),
     ],
 )
-@pytest.mark.parametrize("order", [1, 0])
+@table("order", [1, 0])
 def test_a_message_of_many_objects_is_refused_before_it_is_decoded(text: str, data: bytes, order: int) -> None:
     if not order:
         data = struct.pack(">I", struct.unpack_from("<I", data)[0]) + data[4:]
@@ -110,7 +111,7 @@ def test_the_definitions_of_a_file_have_a_limit_together() -> None:
 PAYLOAD = "__import__('builtins').injected = 1"
 
 
-@pytest.mark.parametrize(
+@table(
     "fields",
     [
         "int8[] class\n",

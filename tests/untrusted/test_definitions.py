@@ -17,6 +17,7 @@ from igtl_gateway.errors import DamagedRecording, LimitExceeded
 from igtl_gateway.sessionfile.schemas import RosTypes
 from igtl_gateway.untrusted import limits
 from igtl_gateway.untrusted.definitions import IDL, PLACEHOLDER, definition_text, parse_definition, type_hash
+from tests.tables import table
 from tools.import_mutations import Bend, definition
 
 PACKAGE = Path(__file__).resolve().parents[2] / "igtl_gateway"
@@ -79,7 +80,7 @@ def whole(types: Mapping[str, Any]) -> dict[str, Any]:
     return {name: (constants, fields or [PLACEHOLDER]) for name, (constants, fields) in types.items()}
 
 
-@pytest.mark.parametrize(("text", "reason"), HOSTILE.values(), ids=HOSTILE)
+@table(("text", "reason"), HOSTILE.values(), ids=HOSTILE)
 def test_hostile_definitions_are_refused_at_once(text: str, reason: str) -> None:
     start = time.monotonic()
     if reason:
@@ -92,7 +93,7 @@ def test_hostile_definitions_are_refused_at_once(text: str, reason: str) -> None
     assert time.monotonic() - start < 5
 
 
-@pytest.mark.parametrize(("text", "reason"), HOSTILE_IDL.values(), ids=HOSTILE_IDL)
+@table(("text", "reason"), HOSTILE_IDL.values(), ids=HOSTILE_IDL)
 def test_hostile_idl_is_refused_at_once(text: str, reason: str) -> None:
     start = time.monotonic()
     with pytest.raises(DamagedRecording, match=reason):

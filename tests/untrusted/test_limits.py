@@ -8,6 +8,7 @@ from igtl_gateway.clock import ManualClock
 from igtl_gateway.errors import ConfigError, LimitExceeded
 from igtl_gateway.untrusted import limits
 from igtl_gateway.untrusted.limits import Deadline, FileLimits
+from tests.tables import table
 
 S = 1_000_000_000
 
@@ -40,7 +41,7 @@ def test_parse_replaces_what_is_named() -> None:
     assert limits.parse_limits([]) == limits.current_limits()
 
 
-@pytest.mark.parametrize("word", ["", "memory", "memory=", "memory=-1", "memory=0", "size=5", "depth=1e3", "depth=²"])
+@table("word", ["", "memory", "memory=", "memory=-1", "memory=0", "size=5", "depth=1e3", "depth=²"])
 def test_parse_refuses(word: str) -> None:
     with pytest.raises(ConfigError, match="--limit: found"):
         limits.parse_limits([word])

@@ -19,6 +19,7 @@ from igtl_gateway.qos import Qos
 from igtl_gateway.sessionfile.layout import parse_qos_yaml
 from igtl_gateway.untrusted.numbers import MOST, check_numbers, whole_number
 from igtl_gateway.untrusted.text import parse_json, parse_toml
+from tests.tables import table
 
 PACKAGE = Path(__file__).parents[2] / "igtl_gateway"
 #: More digits than Python converts.
@@ -36,9 +37,7 @@ def test_whole_numbers(text: str, number: int) -> None:
     assert number == 0 or whole_number(text, number - 1) is None
 
 
-@pytest.mark.parametrize(
-    "text", ["", "-1", "+1", "1.0", "1_0", " 1", "1\n", "²", "١", "0x1", str(MOST + 1), LARGE, LONG, None, 5, b"5"]
-)
+@table("text", ["", "-1", "+1", "1.0", "1_0", " 1", "1\n", "²", "١", "0x1", str(MOST + 1), LARGE, LONG, None, 5, b"5"])
 def test_what_is_no_whole_number(text: object) -> None:
     assert whole_number(text) is None
 

@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 
 from igtl_gateway.errors import DamagedRecording, LimitExceeded
 from igtl_gateway.untrusted.text import json_line, parse_json, parse_toml, printable
+from tests.tables import table
 
 
-@pytest.mark.parametrize(
+@table(
     ("text", "shown"),
     [
         ("Sonde Ü 探", "Sonde Ü 探"),
@@ -62,7 +63,7 @@ def test_toml_within_the_limits() -> None:
     assert len(parse_toml(f"a = [{frames}, 1.5, 2.5]".encode(), "x.toml")["a"]) == 502
 
 
-@pytest.mark.parametrize(
+@table(
     ("data", "told"),
     [
         (b"a = " + b"[" * 100_000, "x.toml: found 65, expected at most 64 .--limit depth=64"),

@@ -13,6 +13,7 @@ import zstandard
 
 from igtl_gateway.errors import DamagedRecording, LimitExceeded
 from igtl_gateway.untrusted import limits, unpack
+from tests.tables import table
 
 MIB = 1 << 20
 PACKINGS: list[tuple[unpack.Packing, Callable[[bytes], bytes]]] = [
@@ -46,8 +47,8 @@ def test_a_size_that_is_too_large_or_a_lie(packing: unpack.Packing, packed: Call
         unpacked(packing, packed(b"12345"), 9, "a chunk")
 
 
-@pytest.mark.parametrize("packing", ["bz2", "lz4", "zstd"])
-@pytest.mark.parametrize("data", [b"", b"\0" * 40, b"BZh91AY&SY" + b"\xff" * 30, b"\x28\xb5\x2f\xfd\xff\xff\xff"])
+@table("packing", ["bz2", "lz4", "zstd"])
+@table("data", [b"", b"\0" * 40, b"BZh91AY&SY" + b"\xff" * 30, b"\x28\xb5\x2f\xfd\xff\xff\xff"])
 def test_what_is_not_packed_is_refused(packing: unpack.Packing, data: bytes) -> None:
     with pytest.raises(DamagedRecording, match="a chunk"):
         unpacked(packing, data, 10, "a chunk")

@@ -8,6 +8,7 @@ import pytest
 
 from igtl_gateway.errors import DamagedRecording, LimitExceeded
 from igtl_gateway.untrusted.yaml_text import parse_yaml
+from tests.tables import table
 
 GOOD = """\
 rosbag2:   # what rosbag2 writes
@@ -60,7 +61,7 @@ def test_values_stay_texts() -> None:
     assert parse_yaml("only a string", "x.yaml") == "only a string"
 
 
-@pytest.mark.parametrize("text", HOSTILE.values(), ids=HOSTILE)
+@table("text", HOSTILE.values(), ids=HOSTILE)
 def test_hostile_documents_are_refused_at_once(text: str) -> None:
     start = time.monotonic()
     with pytest.raises(DamagedRecording, match=r"^x\.yaml: ") as found:

@@ -9,6 +9,7 @@ import pytest
 
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.view.contents import EntityKind, SessionContents, ShownTopic, path_of
+from tests.tables import table
 
 rr = pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 
@@ -88,8 +89,8 @@ def test_a_plan_that_lies_elsewhere_makes_no_suturing_session() -> None:
     assert blueprints.choose(TWO_TREES) != "star"
 
 
-@pytest.mark.parametrize("name", blueprints.NAMES)
-@pytest.mark.parametrize("session", SESSIONS.values(), ids=SESSIONS)
+@table("name", blueprints.NAMES)
+@table("session", SESSIONS.values(), ids=SESSIONS)
 def test_every_blueprint_takes_every_session(
     name: str, session: SessionContents, monkeypatch: pytest.MonkeyPatch
 ) -> None:

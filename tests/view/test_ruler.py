@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from igtl_gateway.view.eye import HALF_HEIGHT, HALF_WIDTH, Eye
+from tests.tables import table
 
 pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 
@@ -22,7 +23,7 @@ EYES = {
 }
 
 
-@pytest.mark.parametrize(
+@table(
     ("most", "length"),
     [(1.0, 1.0), (1.9, 1.0), (2.0, 2.0), (4.99, 2.0), (5.0, 5.0), (9.9, 5.0), (72.0, 50.0), (0.3, 0.2)],
 )

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.tables import table
+
 pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 pytest.importorskip("datafusion", reason="datafusion is not installed (rerun-sdk[catalog])")
 
@@ -57,7 +59,7 @@ def said(name: str, topic: str = "") -> list[Entry]:
         return [entry for entry in file.entries() if entry.kind in _OF_ROS and topic in ("", entry.channel)]
 
 
-@pytest.mark.parametrize("name", NAMES)
+@table("name", NAMES)
 def test_nothing_is_static_and_has_rows(name: str, judge: Judge) -> None:
     from rerun.chunk import RrdReader
 
@@ -69,7 +71,7 @@ def test_nothing_is_static_and_has_rows(name: str, judge: Judge) -> None:
     assert found[True] & found[False] == set()
 
 
-@pytest.mark.parametrize("name", NAMES)
+@table("name", NAMES)
 def test_every_message_is_a_row(name: str, judge: Judge) -> None:
     expected = Counter(entry.channel for entry in said(name))
     assert {topic: judge.table(name, topic, "entry").num_rows for topic in expected} == expected

@@ -33,6 +33,7 @@ from igtl_gateway.wire.tracking import TOOL_6D, QuaternionTrackingData, Tracking
 from igtl_gateway.wire.trajectory import ENTRY_AND_TARGET, Trajectories
 from igtl_gateway.wire.transform import Position, Transform
 from tests import strategies
+from tests.tables import table
 
 #: One type name of every class of contents: many queries share theirs.
 KINDS = sorted({body: kind for kind, body in BODIES.items()}.values())
@@ -134,14 +135,14 @@ GOLDEN: list[tuple[str, Body, bytes]] = [
 ]
 
 
-@pytest.mark.parametrize(("body", "data"), [case[1:] for case in GOLDEN], ids=[case[0] for case in GOLDEN])
+@table(("body", "data"), [case[1:] for case in GOLDEN], ids=[case[0] for case in GOLDEN])
 def test_golden_bytes(body: Body, data: bytes) -> None:
     assert join(body.pack()) == data
     assert join(type(body).unpack(memoryview(data)).pack()) == data
     json.dumps(body.describe())  # JSON values
 
 
-@pytest.mark.parametrize(("body", "data"), [case[1:] for case in GOLDEN], ids=[case[0] for case in GOLDEN])
+@table(("body", "data"), [case[1:] for case in GOLDEN], ids=[case[0] for case in GOLDEN])
 def test_every_truncation_is_a_wire_error_or_a_shorter_form(body: Body, data: bytes) -> None:
     for size in range(len(data)):
         try:
@@ -235,7 +236,7 @@ def image_content(**changes: Any) -> bytes:
     )
 
 
-@pytest.mark.parametrize(
+@table(
     "changes",
     [
         {"components": 0},
@@ -274,8 +275,8 @@ def test_sub_volume() -> None:
     assert (image.dimensions, image.subvol_offset, image.sub_size) == ((2, 3, 4), (1, 1, 2), (1, 2, 1))
 
 
-@pytest.mark.parametrize("scalar", sorted(SCALARS))
-@pytest.mark.parametrize(("endian", "order"), [(1, ">"), (2, "<")])
+@table("scalar", sorted(SCALARS))
+@table(("endian", "order"), [(1, ">"), (2, "<")])
 def test_pixels_in_both_byte_orders(scalar: int, endian: int, order: str) -> None:
     """i runs fastest, then j, then k; components are interleaved."""
     values = np.arange(2 * 3 * 4 * 2).reshape(4, 3, 2, 2).astype(order + SCALARS[scalar])
@@ -398,7 +399,7 @@ BAD: list[tuple[type[Body], bytes, type[WireError], str]] = [
 ]
 
 
-@pytest.mark.parametrize(("kind", "content", "error", "named"), BAD)
+@table(("kind", "content", "error", "named"), BAD)
 def test_bad_contents(kind: type[Body], content: bytes, error: type[WireError], named: str) -> None:
     with pytest.raises(error) as raised:
         kind.unpack(memoryview(content))
@@ -406,7 +407,7 @@ def test_bad_contents(kind: type[Body], content: bytes, error: type[WireError], 
     assert named in str(raised.value)
 
 
-@pytest.mark.parametrize(
+@table(
     "body",
     [
         Sensor(np.zeros(256)),
@@ -433,7 +434,7 @@ def test_what_the_layout_cannot_hold(body: Body) -> None:
         body.pack()
 
 
-@pytest.mark.parametrize("scalar", sorted(NDARRAY_SCALARS))
+@table("scalar", sorted(NDARRAY_SCALARS))
 def test_arrays_in_rows(scalar: int) -> None:
     """Big-endian, the last index fastest."""
     values = np.arange(24).reshape(2, 3, 4).astype(NDARRAY_SCALARS[scalar])
@@ -478,7 +479,7 @@ def test_capability_without_types() -> None:
 EXACT = [*(kind.NAME for kind in LISTS), "SENSOR", "NDARRAY", "COLORT", "CAPABILITY"]
 
 
-@pytest.mark.parametrize("kind", EXACT)
+@table("kind", EXACT)
 def test_what_is_decoded_equals_what_was_encoded(kind: str) -> None:
     @given(strategies.bodies()[kind], st.sampled_from([1, 2]))
     def run(body: Body, version: int) -> None:
@@ -488,7 +489,7 @@ def test_what_is_decoded_equals_what_was_encoded(kind: str) -> None:
     run()
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@table("kind", KINDS)
 def test_round_trip_of_every_body(kind: str) -> None:
     @given(strategies.bodies(strategies.finite32)[kind])
     def run(body: Body) -> None:
@@ -503,7 +504,7 @@ def test_round_trip_of_every_body(kind: str) -> None:
     run()
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@table("kind", KINDS)
 def test_arbitrary_content_raises_only_wire_errors(kind: str) -> None:
     @given(st.binary(max_size=150) | strategies.damaged(strategies.bodies()[kind].map(lambda b: join(b.pack())), 0))
     def run(data: bytes) -> None:
@@ -517,7 +518,7 @@ def test_arbitrary_content_raises_only_wire_errors(kind: str) -> None:
     run()
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@table("kind", KINDS)
 def test_ones_all_over_cost_nothing(kind: str) -> None:
     """Every count and size at its maximum: refused or read, without the memory that they announce."""
     contents = [b"\xff" * size for size in (1, 12, 28, 40, 48, 72, 136, 1000)]

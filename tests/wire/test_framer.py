@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from igtl_gateway.errors import MessageTooLarge
 from igtl_gateway.wire.framer import DEFAULT_MAX_BODY, Framer
 from igtl_gateway.wire.header import HEADER_SIZE
+from tests.tables import table
 
 CHUNK = 64 * 2**10
 EAGER = 16 * 2**20
@@ -40,7 +41,7 @@ SIZES = [0, 1, 48, CHUNK - HEADER_SIZE - 1, CHUNK - HEADER_SIZE, CHUNK - HEADER_
 LARGE = [EAGER - HEADER_SIZE - 1, EAGER - HEADER_SIZE, EAGER - HEADER_SIZE + 1, 2 * EAGER + 5, 4 * EAGER]
 
 
-@pytest.mark.parametrize("size", SIZES + LARGE)
+@table("size", SIZES + LARGE)
 def test_whole(size: int) -> None:
     framer = Framer()
     (only,) = framer.feed(message(size))
@@ -48,7 +49,7 @@ def test_whole(size: int) -> None:
     assert framer.pending == 0
 
 
-@pytest.mark.parametrize("size", SIZES)
+@table("size", SIZES)
 def test_byte_by_byte(size: int) -> None:
     sent = [message(size, 1), message(0), message(48, 2)]
     framer = Framer()
@@ -56,8 +57,8 @@ def test_byte_by_byte(size: int) -> None:
     assert framer.pending == 0
 
 
-@pytest.mark.parametrize("size", SIZES)
-@pytest.mark.parametrize("piece", [57, 58, 59, CHUNK - 1, CHUNK + 1])
+@table("size", SIZES)
+@table("piece", [57, 58, 59, CHUNK - 1, CHUNK + 1])
 def test_pieces_around_the_boundaries_and_trailing_data(size: int, piece: int) -> None:
     trailing = HEADER_SIZE + 19
     sent = [message(48, 1), message(size, 2), message(size, 3), message(48, 4)]
@@ -122,8 +123,8 @@ def test_nothing_much_is_reserved_for_what_is_only_announced() -> None:
     assert framer.pending == HEADER_SIZE
 
 
-@pytest.mark.parametrize("size", [1001, 2**62, 2**63, 2**64 - 1])
-@pytest.mark.parametrize("piece", [1, 58, 1000])
+@table("size", [1001, 2**62, 2**63, 2**64 - 1])
+@table("piece", [1, 58, 1000])
 def test_too_large(size: int, piece: int) -> None:
     framer = Framer(max_body=1000)
     assert in_pieces(framer, message(1000), [piece]) == [message(1000)]

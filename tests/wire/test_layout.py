@@ -22,12 +22,13 @@ from igtl_gateway.wire import (
 from igtl_gateway.wire.elements import Elements
 from igtl_gateway.wire.layout import CODES, Field, Layout, compile_struct, of_dtype, offset_of
 from igtl_gateway.wire.registry import ALIASES, BODIES
+from tests.tables import table
 
 PAIR = np.dtype([("a", "S3"), ("b", ">u2", 2)])
 CLASSES = sorted(set(BODIES.values()), key=lambda one: one.__name__)
 
 
-@pytest.mark.parametrize(
+@table(
     ("layout", "size"),
     [
         (transform.Transform.LAYOUT, 48),

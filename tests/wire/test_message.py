@@ -23,6 +23,7 @@ from igtl_gateway.wire.message import MAX_METADATA_ACCEPTED, MAX_METADATA_SENT, 
 from igtl_gateway.wire.text import Status, String
 from igtl_gateway.wire.video import Video
 from tests import strategies
+from tests.tables import table
 
 #: The worked example of the protocol reference, §2.
 EXAMPLE = bytes.fromhex(
@@ -162,7 +163,7 @@ def test_sorted_items() -> None:
     assert sorted_items(apart) == (apart[1], apart[0])
 
 
-@pytest.mark.parametrize(
+@table(
     ("body", "error"),
     [
         (b"", TruncatedMessage),
@@ -203,7 +204,7 @@ def test_an_empty_body_of_a_known_type_is_raw() -> None:
     assert len(decode(framed(b"", 1, b"POINT")).content.elements) == 0  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize(
+@table(
     "message",
     [
         Message("T" * 13, "d", Raw(b"")),
@@ -266,8 +267,8 @@ def test_round_trip_with_nan_and_infinity(message: Message) -> None:
     describe(data)
 
 
-@pytest.mark.parametrize("word", ["7fa00001", "ffa00001", "7f800001", "7fc00000", "ffffffff", "7f800000", "80000001"])
-@pytest.mark.parametrize("kind", ["TRANSFORM", "POSITION", "IMAGE", "VIDEO"])
+@table("word", ["7fa00001", "ffa00001", "7f800001", "7fc00000", "ffffffff", "7f800000", "80000001"])
+@table("kind", ["TRANSFORM", "POSITION", "IMAGE", "VIDEO"])
 def test_every_bit_of_a_nan_is_kept(kind: str, word: str) -> None:
     """Signalling ones too, which processors make quiet when they convert them."""
     content = {

@@ -29,6 +29,7 @@ from igtl_gateway.wire.polydata import (
     PolyData,
 )
 from tests import strategies
+from tests.tables import table
 
 XYZ = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], ">f4")
 
@@ -92,9 +93,9 @@ def head(**changes: int) -> bytes:
 HUGE = 2**32 - 1
 
 
-@pytest.mark.parametrize("name", ["points", "vertices", "vertex_bytes", "lines", "line_bytes", "polygons",
+@table("name", ["points", "vertices", "vertex_bytes", "lines", "line_bytes", "polygons",
                                   "polygon_bytes", "strips", "strip_bytes", "attributes"])  # fmt: skip
-@pytest.mark.parametrize("value", [0, 1, 2, 3, 5, 2**31, HUGE - 3, HUGE])
+@table("value", [0, 1, 2, 3, 5, 2**31, HUGE - 3, HUGE])
 def test_lying_counts(name: str, value: int) -> None:
     """No count is trusted: neither memory nor time is spent on it."""
     data = head(**{name: value})
@@ -160,7 +161,7 @@ def test_mixed_cells_take_no_more_memory_than_they_are() -> None:
     assert peak < 4 * mixed.nbytes
 
 
-@pytest.mark.parametrize(
+@table(
     ("kind", "real"),
     [
         (RGBA, 4),

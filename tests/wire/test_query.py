@@ -25,6 +25,7 @@ from igtl_gateway.wire.query import (
     split_query,
 )
 from igtl_gateway.wire.registry import BODIES
+from tests.tables import table
 
 
 def read(kind: str, content: bytes, version: int = 1) -> Body:
@@ -63,8 +64,8 @@ CASES: list[tuple[str, bytes, Body]] = [
 ]
 
 
-@pytest.mark.parametrize(("kind", "content", "body"), CASES)
-@pytest.mark.parametrize("version", [1, 2])
+@table(("kind", "content", "body"), CASES)
+@table("version", [1, 2])
 def test_golden_bytes(kind: str, content: bytes, body: Body, version: int) -> None:
     assert read(kind, content, version) == body
     assert join(body.pack()) == content
@@ -104,7 +105,7 @@ def test_all_as_the_reference_library_asks_for_it(stray: bytes, version: int) ->
     assert read("STT_BIND", bytes(12)) == StartBind(0, (), bytes(12))
 
 
-@pytest.mark.parametrize(
+@table(
     ("kind", "content"),
     [
         ("STT_TDATA", bytes(35)),
@@ -125,7 +126,7 @@ def test_contents_of_no_known_layout(kind: str, content: bytes) -> None:
         read(kind, content)
 
 
-@pytest.mark.parametrize(
+@table(
     "body",
     [
         StartTracking(2**31),
@@ -153,7 +154,7 @@ def test_an_empty_start_of_video_is_no_start() -> None:
         StartBind.unpack(memoryview(b"\0"))
 
 
-@pytest.mark.parametrize(
+@table(
     ("name", "parts"),
     [
         ("GET_TRANS", ("GET", "TRANSFORM")),

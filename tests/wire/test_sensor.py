@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from igtl_gateway.buffers import join
 from igtl_gateway.wire.sensor import PREFIXES, UNITS, Sensor, parse_unit, unit_parts, unit_text, unit_word
 from tests import strategies
+from tests.tables import table
 
 NONE = (0, 0)
 
@@ -30,7 +31,7 @@ EXAMPLES = [
 ]
 
 
-@pytest.mark.parametrize(("prefix", "parts", "word", "text"), EXAMPLES, ids=[case[3] or "none" for case in EXAMPLES])
+@table(("prefix", "parts", "word", "text"), EXAMPLES, ids=[case[3] or "none" for case in EXAMPLES])
 def test_examples(prefix: int, parts: list[tuple[int, int]], word: int, text: str) -> None:
     assert unit_word(prefix, parts) == word
     assert unit_parts(word) == (prefix, (*parts, *[NONE] * (6 - len(parts))))
@@ -45,7 +46,7 @@ def test_the_torque_of_the_document_is_shown_as_it_was_meant() -> None:
     assert parse_unit("N.m") == 0x02C4110000000000  # and never written so
 
 
-@pytest.mark.parametrize(
+@table(
     ("prefix", "parts", "text"),
     [
         (0x3, [(0x03, -1)], "10^3.s^-1"),  # ks^-1 would be 1/(1000 s)
@@ -82,7 +83,7 @@ def test_codes_that_do_not_exist_are_shown_as_a_number(word: int) -> None:
     assert parse_unit(unit_text(word)) == word
 
 
-@pytest.mark.parametrize(
+@table(
     ("text", "same"),
     [
         ("  m/s^2 ", "m/s^2"),
@@ -112,7 +113,7 @@ def test_other_ways_to_write_a_unit(text: str, same: str) -> None:
     assert parse_unit(text) == parse_unit(same)
 
 
-@pytest.mark.parametrize(
+@table(
     "text",
     [
         "furlong",
@@ -152,8 +153,8 @@ def test_no_units(text: str) -> None:
         parse_unit(text)
 
 
-@pytest.mark.parametrize("prefix", sorted(PREFIXES))
-@pytest.mark.parametrize("unit", range(1, len(UNITS) + 1))
+@table("prefix", sorted(PREFIXES))
+@table("unit", range(1, len(UNITS) + 1))
 def test_every_unit_with_every_prefix(prefix: int, unit: int) -> None:
     word = unit_word(prefix, [(unit, 1)])
     assert unit_text(word) == PREFIXES[prefix][0] + UNITS[unit - 1]

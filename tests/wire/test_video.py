@@ -9,6 +9,7 @@ from igtl_gateway.buffers import join
 from igtl_gateway.errors import MalformedBody, TruncatedMessage
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway.wire.video import Video
+from tests.tables import table
 from tests.wire.handmade import MATRIX, video
 
 CONTENT, MEANING = video(b"H264", 1, b"frame")
@@ -22,7 +23,7 @@ def test_golden_bytes() -> None:
     assert again.sub_size == frame.sub_size == (64, 48, 1)
 
 
-@pytest.mark.parametrize(
+@table(
     ("frame_type", "is_key", "is_grey"),
     [(0, False, False), (1, True, False), (2, False, False), (0xFF, False, False), (0x100, True, True),
      (0x101, True, True), (0x200, False, True), (0x2FF, False, True)],

@@ -14,6 +14,7 @@ from igtl_gateway.edges.ros.parameters import description, overrides
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.settings import SETTINGS, Setting, parameters
 from tests.cli.test_settings import mistakes, told
+from tests.tables import table
 
 pytest.importorskip("rclpy", reason='needs ROS 2: pip install "igtl-gateway[ros]", or source an installation')
 
@@ -146,7 +147,7 @@ def test_an_empty_list_is_a_list_of_strings(other: Other) -> None:
 CASES = [(row, value) for row in SETTINGS if row.parameter for value in mistakes(row)]
 
 
-@pytest.mark.parametrize(("row", "value"), CASES, ids=[f"{row.name}={value}" for row, value in CASES])
+@table(("row", "value"), CASES, ids=[f"{row.name}={value}" for row, value in CASES])
 def test_a_mistake_has_the_message_that_it_has_everywhere(other: Other, row: Setting, value: Any) -> None:
     assert other.set(row.name, value) == (False, f"{row.name}: {told(row, value)}")
 

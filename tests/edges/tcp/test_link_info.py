@@ -8,9 +8,10 @@ from igtl_gateway.edges.tcp import PeerLimits
 from igtl_gateway.errors import ConfigError
 from igtl_gateway.globs import matches
 from igtl_gateway.wire.framer import DEFAULT_MAX_BODY
+from tests.tables import table
 
 
-@pytest.mark.parametrize(
+@table(
     "name",
     [
         "max_clients",

@@ -12,6 +12,7 @@ import pytest
 from igtl_gateway.edges.tcp.sockets import AllowList, unanswered_s, unconfirmed_bytes
 from igtl_gateway.errors import ConfigError, Unavailable
 from tests.edges.tcp.world import HERE, World, until
+from tests.tables import table
 
 
 def test_port_in_use(world: World) -> None:
@@ -62,7 +63,7 @@ def test_allow_list_with_nonsense(world: World) -> None:
         world.edge(allow=["192.168.1.5/24"])
 
 
-@pytest.mark.parametrize(
+@table(
     ("allow", "host", "allowed"),
     [
         ([], "127.0.0.1", True),

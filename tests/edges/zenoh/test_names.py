@@ -14,13 +14,14 @@ from igtl_gateway.edges.zenoh import names
 from igtl_gateway.edges.zenoh.names import Entity, Kind, Node, read_attachment, read_token
 from igtl_gateway.edges.zenoh.types import TypeHashes
 from igtl_gateway.qos import Qos
+from tests.tables import table
 
 VECTORS = json.loads(Path(__file__).with_name("vectors.json").read_text("utf-8"))
 _NAME = st.from_regex(r"(/[A-Za-z_][A-Za-z0-9_]{0,8}){1,4}", fullmatch=True)
 _QOS = st.builds(Qos, st.integers(1, 10_000), st.booleans(), st.booleans())
 
 
-@pytest.mark.parametrize("vector", VECTORS["tokens"], ids=lambda vector: f"{vector['kind']} {vector.get('topic', '')}")
+@table("vector", VECTORS["tokens"], ids=lambda vector: f"{vector['kind']} {vector.get('topic', '')}")
 def test_tokens_keys_hashes_and_gids_are_those_of_the_vectors(vector: dict[str, Any]) -> None:
     token = vector["token"]
     entity = read_token(token)
@@ -75,7 +76,7 @@ def test_an_endless_token_is_refused() -> None:
         read_token(f"{names.SPACE}/7/ab/0/0/NN/%/%/{'n' * 10_000}")
 
 
-@pytest.mark.parametrize("topic", ["", "/", "chatter", "/a/*", "/a//b", "/a/$x", "/@adv", "/é", "/a b", "/a\n", "/a/"])
+@table("topic", ["", "/", "chatter", "/a/*", "/a//b", "/a/$x", "/@adv", "/é", "/a b", "/a\n", "/a/"])
 def test_names_that_mean_something_in_a_key_are_refused(topic: str) -> None:
     with pytest.raises(ValueError, match="found the topic"):
         names.data_key(0, topic, "std_msgs/msg/String", "RIHS01_" + 64 * "0")

@@ -22,6 +22,7 @@ from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.query import QUERIES, EmptyQuery, QueryReply, StartTracking, StartVideo
 from igtl_gateway.wire.text import Status
 from tests.script import T0_NS, Script
+from tests.tables import table
 
 POSE = (0.1, 0.2, 0.3, 0.0, 0.0, 0.0, 1.0)
 
@@ -246,7 +247,7 @@ def test_devices_that_commands_name_fill_no_memory(monkeypatch: pytest.MonkeyPat
     assert names.device("B") == "B" and len(names._devices) == 3
 
 
-@pytest.mark.parametrize("name", sorted(QUERIES))
+@table("name", sorted(QUERIES))
 def test_every_query_is_published_and_leaves_the_peer_well(name: str) -> None:
     script = Script()
     script.up(1)
@@ -260,7 +261,7 @@ def test_every_query_is_published_and_leaves_the_peer_well(name: str) -> None:
 # -- what a peer must not be sent ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", sorted(QUERIES))
+@table("name", sorted(QUERIES))
 def test_no_query_and_no_reply_that_would_crash_slicer(name: str) -> None:
     script = Script(Config(profile="slicer"))
     script.up(1)

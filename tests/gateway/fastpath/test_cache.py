@@ -32,6 +32,7 @@ from igtl_gateway.wire.query import EmptyQuery, StartTracking
 from igtl_gateway.wire.text import Status
 from igtl_gateway.wire.text import String as StringBody
 from igtl_gateway.wire.transform import Position, Transform
+from tests.tables import table
 
 T0_NS = 1_700_000_000 * NS_PER_S
 
@@ -558,8 +559,8 @@ def test_large_contents_are_converted_as_on_the_full_path(version: int) -> None:
 
 
 @pytest.mark.usefixtures("vectors")
-@pytest.mark.parametrize("topic", ["/igtl/out/C", "/igtl/out/POINT"])
-@pytest.mark.parametrize(("names", "step"), [("xyz", 12), ("xyz", 16), ("xyz", 20), ("zyx", 12), ("yxz", 32)])
+@table("topic", ["/igtl/out/C", "/igtl/out/POINT"])
+@table(("names", "step"), [("xyz", 12), ("xyz", 16), ("xyz", 20), ("zyx", 12), ("yxz", 32)])
 def test_large_clouds_are_converted_as_on_the_full_path(topic: str, names: str, step: int) -> None:
     shown = join(encode(Message("STATUS", "Peer", Status(1), header_version=2)))
     steps: list[Step] = [("igtl", shown, 1)]  # peers of both header versions
@@ -616,8 +617,8 @@ def test_a_surface_waits_for_the_first_subscriber_of_its_other_topic(heard: set[
 
 
 @pytest.mark.usefixtures("vectors")
-@pytest.mark.parametrize("encoding", ["rgb8", "bgr8"])
-@pytest.mark.parametrize("width", [1, 2, 5, 6, 253])
+@table("encoding", ["rgb8", "bgr8"])
+@table("width", [1, 2, 5, 6, 253])
 def test_large_pictures_are_converted_as_on_the_full_path(encoding: str, width: int) -> None:
     steps: list[Step] = []
     for begin in range(3):

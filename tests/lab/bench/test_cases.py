@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import pytest
-
 from igtl_gateway_lab.bench.cases import CASES, FLOOD, PAYLOADS, TABLE_1, Direction
+from tests.tables import table
 
 
-@pytest.mark.parametrize("name", CASES)
+@table("name", CASES)
 def test_every_stream_has_a_name_of_its_own(name: str) -> None:
     streams = CASES[name].streams
     devices = [stream.device(direction) for stream in streams for direction in Direction]

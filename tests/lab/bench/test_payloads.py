@@ -10,6 +10,7 @@ from igtl_gateway.session.entry import Kind
 from igtl_gateway.wire import decode
 from igtl_gateway_lab.bench.cases import PAYLOADS, BenchStream, Direction, payload
 from tests.script import Script
+from tests.tables import table
 
 #: Those of tens of megabytes differ from their smaller kin in nothing but size.
 KINDS = [kind for kind in PAYLOADS if kind not in ("image-4k", "image-hd", "image-xga")]
@@ -23,7 +24,7 @@ def script(kind: str) -> Script:
     return made
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@table("kind", KINDS)
 def test_the_number_goes_to_openigtlink(kind: str) -> None:
     made, gateway = payload(kind), script(kind)
     make, topic = made.ros_maker(), BenchStream(kind, 30.0).topic(Direction.ROS_TO_IGTL)
@@ -34,7 +35,7 @@ def test_the_number_goes_to_openigtlink(kind: str) -> None:
         assert decode(frame).device_name == BenchStream(kind, 30.0).device(Direction.ROS_TO_IGTL)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@table("kind", KINDS)
 def test_the_number_goes_to_ros(kind: str) -> None:
     made, gateway = payload(kind), script(kind)
     stream = BenchStream(kind, 30.0)
@@ -46,7 +47,7 @@ def test_the_number_goes_to_ros(kind: str) -> None:
         assert made.forms[0].number(entry.data()) == number
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@table("kind", KINDS)
 def test_both_sides_say_the_same(kind: str) -> None:
     # else the sizes of the floor would not be those of what goes through the gateway
     made, gateway = payload(kind), script(kind)

@@ -14,6 +14,7 @@ from igtl_gateway_lab.bench.probe import lacks_probe
 from igtl_gateway_lab.bench.runner import BenchPlan, Runner
 from igtl_gateway_lab.bench.sweeps import SWEEPS
 from igtl_gateway_lab.bench.works import WORKS
+from tests.tables import table
 
 FIGURES = {"p50_ms": 0.5, "p99_ms": 1.0, "p999_ms": 1.5, "mean_ms": 0.6, "sd_ms": 0.1, "max_ms": 2.0}
 
@@ -40,7 +41,7 @@ def plans(monkeypatch: pytest.MonkeyPatch) -> list[BenchPlan]:
     return asked
 
 
-@pytest.mark.parametrize(
+@table(
     ("words", "fault"),
     [
         ([], "nothing to measure"),

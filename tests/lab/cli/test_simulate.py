@@ -17,6 +17,7 @@ from igtl_gateway_lab.cli import stage
 from igtl_gateway_lab.simulate.catalogue import SCENARIOS
 from igtl_gateway_lab.simulate.star_topics import CAMERA_INFO
 from igtl_gateway_lab.stage.live import StageEnd, StageOutcome, StagePlan
+from tests.tables import table
 
 
 def test_a_recording_verifies_and_is_always_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -43,7 +44,7 @@ def test_scenarios_without_actors_are_written_as_ever(tmp_path: Path, capsys: py
     assert set(json.loads(capsys.readouterr().out)) == {"file", "entries", "bytes", "sha256", "good"}
 
 
-@pytest.mark.parametrize("name", SCENARIOS)
+@table("name", SCENARIOS)
 def test_the_configuration_can_be_given_to_a_bridge(
     name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -79,7 +80,7 @@ def test_a_duration_that_is_refused_costs_no_file(tmp_path: Path, capsys: pytest
     assert out.read_bytes() == b"precious"
 
 
-@pytest.mark.parametrize(
+@table(
     ("words", "told"),
     [
         ("acquisition --out x --duration 0", "--duration: found 0.0, expected more than 0"),

@@ -26,6 +26,7 @@ from igtl_gateway_lab.simulate.registration import (
     stops,
 )
 from tests.plus_sequences import LANDMARKS, TIP_MM, phantom, touches
+from tests.tables import table
 
 Array = npt.NDArray[Any]
 
@@ -48,8 +49,8 @@ def by_svd(moving: Array, fixed: Array) -> Array:
     return np.asarray(vt.T @ np.diag([1, 1, np.sign(np.linalg.det(vt.T @ u.T))]) @ u.T)
 
 
-@pytest.mark.parametrize("landmarks", [FLAT, SOLID], ids=["flat", "solid"])
-@pytest.mark.parametrize(("axis", "degrees"), [((1, 0, 0), 0), ((1, 2, 3), 20), ((0, 0, 1), 180), ((1, -1, 0), 179.99)])
+@table("landmarks", [FLAT, SOLID], ids=["flat", "solid"])
+@table(("axis", "degrees"), [((1, 0, 0), 0), ((1, 2, 3), 20), ((0, 0, 1), 180), ((1, -1, 0), 179.99)])
 def test_a_known_pose_is_found(landmarks: Array, axis: tuple[float, float, float], degrees: float) -> None:
     truth = pose(axis, degrees, (215.0, -3.0, 12.0))
     found = register(landmarks, truth.apply(landmarks))

@@ -23,6 +23,7 @@ from igtl_gateway_lab.simulate.volume import (
     read_nifti_volume,
     synthetic_head,
 )
+from tests.tables import table
 
 SIZE = (4, 3, 2)
 SROW = (0, -2, 0, 10, 3, 0, 0, -20, 0, 0, 5, 7)
@@ -53,9 +54,9 @@ def written(folder: Path, data: bytes, name: str = "head.nii") -> Path:
     return path
 
 
-@pytest.mark.parametrize("order", "<>")
-@pytest.mark.parametrize("packed", [False, True])
-@pytest.mark.parametrize(("code", "dtype"), [(2, "u1"), (4, "i2"), (8, "i4"), (16, "f4"), (64, "f8"), (512, "u2")])
+@table("order", "<>")
+@table("packed", [False, True])
+@table(("code", "dtype"), [(2, "u1"), (4, "i2"), (8, "i4"), (16, "f4"), (64, "f8"), (512, "u2")])
 def test_voxels_of_every_kind_come_in_their_order(
     tmp_path: Path, order: str, packed: bool, code: int, dtype: str
 ) -> None:
@@ -87,7 +88,7 @@ def test_a_quaternion_places_where_there_are_no_rows(tmp_path: Path) -> None:
     assert bare.affine.tolist() == [[-3, 0, 0, 4.5], [0, 2, 0, -2], [0, 0, 5, -2.5]], "nibabel's: centred, left first"
 
 
-@pytest.mark.parametrize(
+@table(
     ("data", "told"),
     [
         (b"", "Empty file"),
