@@ -5,7 +5,7 @@ READY := .venv/.ready
 WORKERS := 3
 PARALLEL := -q -n $(WORKERS) --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 # The folders whose branches `make coverage` holds to a floor, in per cent.
-COVERED := igtl_gateway/gateway/*,igtl_gateway/convert/*,igtl_gateway/sessionfile/*
+COVERED := igtl_gateway/gateway/*,igtl_gateway/convert/*,igtl_gateway/record/sessionfile/*
 FLOOR := 98
 
 # $(call run_tests,SELECTION): a failed test runs again alone.  Exit code 1 of pytest means that tests have failed.
@@ -105,7 +105,7 @@ site: $(READY)
 release: $(READY)
 	@$(BIN)/python -m tools.release $(PYTHONS:%=--python %)
 
-$(READY): pyproject.toml lab/pyproject.toml constraints.txt igtl_gateway/__init__.py hatch_build.py $(wildcard igtl_gateway/*/_*.[ch] igtl_gateway/edges/*/_*.h)
+$(READY): pyproject.toml lab/pyproject.toml constraints.txt igtl_gateway/base/version.py hatch_build.py $(wildcard igtl_gateway/native/_*.[ch])
 	@tools/setup.sh venv
 	@touch $@
 

@@ -4,7 +4,7 @@ What these parts do, Python does with the same results, only slower.  ``IGTL_GAT
 wheel of machines that the compiled wheels do not fit.
 
 ``IGTL_GATEWAY_AHEAD=FOLDER`` adds the ROS packages that were compiled ahead to a wheel with C parts
-(:mod:`igtl_gateway.ros_interfaces.ahead`).
+(:mod:`igtl_gateway.edges.ros_interfaces.ahead`).
 
 The result does not depend on the folder of the build: an editable installation has it beside the source; a wheel
 is made from a temporary folder, so that it never contains the result for another Python.
@@ -23,10 +23,10 @@ from typing import Any
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
 SOURCES = (
-    Path("igtl_gateway/convert/_express.c"),
-    Path("igtl_gateway/passage/_passage.c"),
-    Path("igtl_gateway/record/_queue.c"),
-    Path("igtl_gateway/sessionfile/_chunk.c"),
+    Path("igtl_gateway/native/_express.c"),
+    Path("igtl_gateway/native/_passage.c"),
+    Path("igtl_gateway/native/_queue.c"),
+    Path("igtl_gateway/native/_chunk.c"),
 )
 #: Results have to be those of Python's floats: no fused or reordered arithmetic.  No -march: the wheel is for every
 #: processor of its architecture, and the parts with AVX2 are chosen at run time.
@@ -71,7 +71,7 @@ class Hook(BuildHookInterface[Any]):
             build_data["infer_tag"] = True
             build_data["force_include"][str(target)] = str(target.relative_to(folder))
         if ahead := os.environ.get("IGTL_GATEWAY_AHEAD"):
-            build_data["force_include"][ahead] = "igtl_gateway/ros_interfaces/compiled"
+            build_data["force_include"][ahead] = "igtl_gateway/edges/ros_interfaces/compiled"
 
     def finalize(self, version: str, build_data: dict[str, Any], artifact_path: str) -> None:
         """Remove the temporary folder."""

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import sys
 
+from igtl_gateway.base.version import __version__
+
 TYPE_CHECKING = False  # as typing has it, whose import takes longer than all else here
 
 if TYPE_CHECKING:
@@ -22,8 +24,6 @@ if TYPE_CHECKING:
     from igtl_gateway.api.recording import Recording, open
     from igtl_gateway.api.stream import Stream
     from igtl_gateway.api.verbs import diff, replay, review, verify
-
-__version__ = "0.1.0"
 
 __all__ = [
     "Bridge",

@@ -58,22 +58,22 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fast"))
 SLOW = (
     # the longest first
     "integration/test_live_faults.py",
-    "review/test_assess.py",
+    "addons/review/test_assess.py",
     "integration/test_cli_bridge.py",
     "test_gateway_fuzz.py",
-    "exchange/test_targets.py",
-    "exchange/test_arrow_out.py",
+    "addons/exchange/test_targets.py",
+    "addons/exchange/test_arrow_out.py",
     "cli/test_replay.py",
     "test_fixtures.py",
-    "cli/test_review.py",
+    "addons/review/test_verb.py",
     "cli/test_exit_codes.py",
     "cli/test_slice.py",
     "integration/test_recording_faults.py",
     "integration/test_replay_ros.py",
     "integration/test_rosbag2_folder.py",
     "lab/simulate/test_star.py",
-    "view/test_shots.py",
-    "review/test_error.py",
+    "addons/view/test_shots.py",
+    "addons/review/test_error.py",
     "integration/test_simulate.py",
     "integration/test_crash.py",
     "integration/test_relay.py",
@@ -92,7 +92,7 @@ SLOW = (
     "lab/bench/test_native.py",
     "lab/bench/test_peers.py",
     "lab/bench/test_works.py",
-    "view/test_stream.py",
+    "addons/view/test_stream.py",
 )
 
 #: Where several workers take files in turn, these go first: none of them must be left for the end.
@@ -101,16 +101,16 @@ LONGEST = (
     "integration/test_hostile_files.py",
     *SLOW,
     "wire/test_bodies.py",
-    "sessionfile/test_salvage.py",
+    "record/sessionfile/test_salvage.py",
     "cli/test_main.py",
     "record/test_recorder.py",
     "edges/ros/test_edge.py",
     "edges/tcp/test_edge.py",
     "replay/test_verify.py",
     "test_architecture.py",
-    "sessionfile/test_reader.py",
-    "sessionfile/test_lookup.py",
-    "cli/test_view.py",
+    "record/sessionfile/test_reader.py",
+    "record/sessionfile/test_lookup.py",
+    "addons/view/test_verb.py",
 )
 
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.buffers import Buffer
-from igtl_gateway.untrusted import files
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.untrusted import files
 
 #: What the example programs of the C++ library sent to each other, see ``data/README.md``.
 CAPTURES = Path(__file__).parent / "data" / "captures"

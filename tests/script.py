@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from igtl_gateway.buffers import Buffer, join
-from igtl_gateway.config import Config
+from igtl_gateway.base.buffers import Buffer, join
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.rosmsg import RosMessage
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP, LINKS_TOPIC, TICK, Gateway, Session
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.wire import Header, Message, decode, encode
 
 #: An arbitrary moment: 2026-01-01T00:00:00Z.

@@ -8,7 +8,8 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+
+from tests.places import ROOT
 
 _CALLS = """
 import contextlib, io, json, sys
@@ -39,7 +40,7 @@ def outcomes(calls: Sequence[Sequence[str]], timeout_s: float = 60.0) -> list[Ou
         text=True,
         check=False,
         timeout=timeout_s,
-        env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[1])},
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
     )
     assert (ended.returncode, ended.stderr) == (0, ""), ended.stderr
     found = [Outcome(*json.loads(line)) for line in ended.stdout.splitlines()]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from hypothesis import strategies as st
 
-from igtl_gateway.buffers import join
+from igtl_gateway.base.buffers import join
 from igtl_gateway.convert import common_msgs, igtl_msgs, robot_msgs, rosmsg
 from igtl_gateway.convert.structs import OCTETS, Struct
 from igtl_gateway.wire import Item, Message, Raw, encode

@@ -31,96 +31,46 @@ TOP = ""
 #: Unit → level.  A module belongs to the longest unit that it lies in; names are relative to the package.
 LEVELS = {
     TOP: 0,
-    "buffers": 0,
-    "clock": 0,
-    "errors": 0,
-    "extras": 0,
-    "globs": 0,
-    "once": 0,
-    "qos": 0,
-    "stamp": 0,
-    "systems": 0,  # what Linux, macOS and Windows do differently
-    "values": 0,
-    "seal": 1,
-    "session": 1,
-    "untrusted": 1,
+    "base": 0,  # what everything stands on
     "wire": 1,
-    "wire.header": 1,  # the places of its fields, for modules that need no whole message
-    "faults": 1,
-    "passage": 1,  # the part in C; without it, nothing
-    "config": 2,
-    "notations": 1,  # of settings: addresses, sizes, CPUs
-    "sync": 2,  # lags, on arrays
-    "settings": 2,  # one table for options, files and parameters
+    "native": 1,  # every part in C
+    "gateway.log": 1,  # the session log
     "convert": 2,
-    "gateway": 3,
-    "review": 3,  # of a plan, on arrays
-    "ros_interfaces.definitions": 3,  # files of definitions, for modules that read or compile them
-    "doctor": 4,
-    "edges": 4,  # the helpers that its edges share
-    "edges.ros": 4,
-    "edges.zenoh": 4,
-    "edges.tcp": 4,
-    "edges.tcp.http_server": 4,  # for counts and pages
-    "exchange": 4,
-    "keeping": 4,  # retention and upload of closed recordings
-    "realtime": 4,
-    "record": 4,
-    "replay": 4,
-    "ros_interfaces": 4,
-    "sessionfile": 4,
-    "view": 4,
-    "child": 4,
-    "passage.streams": 4,
-    "passage.times": 2,
-    "app": 5,
-    "api": 6,
-    "lerobot": 6,  # training sets, of recordings as arrays
-    "deidentify": 6,
-    "cohort": 6,  # many sessions, on Dask
-    "cli": 6,
-    "testing": 6,
-    "__main__": 8,
-    "start": 7,  # the entry point, which imports nothing early
-    "ros_interfaces.__main__": 7,
+    "config": 3,
+    "gateway": 4,
+    "edges": 5,  # the helpers that its edges share
+    "edges.ros": 5,
+    "edges.tcp": 5,
+    "edges.tcp.http_server": 5,  # for counts and pages
+    "edges.video": 5,
+    "edges.ros_interfaces": 5,
+    "record": 5,
+    "doctor": 5,
+    "replay": 6,
+    "app": 7,
+    "api": 8,
+    "testing": 9,
+    "cli": 9,
+    "addons": 10,
+    "start": 11,  # the entry point, which imports nothing early
+    "__main__": 12,
     "lab": 0,
-    "lab.simulate": 4,
-    "lab.programs": 5,
-    "lab.bench": 6,
-    "lab.stage": 6,
-    "lab.verbs": 7,
-    "lab.cli": 7,
-    "lab.demo": 7,
-    "lab.bench.__main__": 7,
+    "lab.simulate": 5,
+    "lab.programs": 7,
+    "lab.bench": 8,
+    "lab.stage": 8,
+    "lab.verbs": 10,
+    "lab.cli": 10,
+    "lab.demo": 10,
+    "lab.bench.__main__": 10,
 }
 
 #: Programs that play foreign software: of our modules they may use only their own, of outside libraries any.
 STRANGERS = ("lab.demo",)
 
-#: Unit → another unit that it may use although its level is not lower: a configuration names conversions, and what a
-#: recording states about itself is checked like everything that is foreign.
+#: Unit → another unit that it may use although its level is not lower.
 SIBLINGS: dict[str, str | tuple[str, ...]] = {
-    TOP: "api",  # the public names, imported at their first use
-    "cli": ("api", "cohort", "deidentify", "lerobot"),  # verbs that need a recording as arrays
-    "clock": "systems",
-    "extras": "errors",  # what is missing is an error
-    "cohort": "api",
-    "lerobot": "api",
-    "config": ("convert", "settings"),
-    "settings": "convert",  # names of units and profiles
-    "seal": "untrusted",
-    "session": "untrusted",
-    "faults": "wire.header",
-    "notations": "untrusted",
-    "wire": "wire.header",
-    "doctor": "realtime",  # which permissions a process has
-    "edges.zenoh": ("edges.ros", "sessionfile", "ros_interfaces"),  # reports and graph; definitions, as in recordings
-    "exchange": "sessionfile",
-    "keeping": "sessionfile",
-    "record": ("keeping", "sessionfile"),
-    "replay": "sessionfile",
-    "edges.tcp.http_server": "edges.tcp",
-    "view": ("child", "edges.tcp.http_server"),  # the session of a page
+    TOP: ("api", "base"),  # the public names, imported at their first use; the version
 }
 
 #: What makes code of ROS definitions.
@@ -144,89 +94,91 @@ HOMES: dict[str, tuple[str, ...]] = {
     "selectors": ("edges.tcp.loop",),
     # What not every system has
     "fcntl": (
-        "systems.files",
+        "base.systems.files",
         "edges.tcp.sockets",  # what a peer has not confirmed, of Linux
-        "ros_interfaces.cache",
+        "edges.ros_interfaces.cache",
     ),
     "termios": ("cli.keys",),
-    "msvcrt": ("cli.keys", "systems.files"),
-    "resource": ("realtime", "systems.processes"),
+    "msvcrt": ("cli.keys", "base.systems.files"),
+    "resource": ("base.realtime", "base.systems.processes"),
     **dict.fromkeys(("grp", "posix", "pty", "pwd", "syslog", "tty", "winreg", "_winapi"), ()),
     "socket": (
         "edges.tcp",
         "edges.reserved",
-        "systems.signals",
+        "base.systems.signals",
         "lab.bench",
     ),  # a measurement has a peer that costs nothing, and a port for any bridge
     "socketserver": (),
     "ssl": ("edges.tcp.tls",),
-    "http": ("edges.tcp.http_server", "keeping.s3"),
+    "http": ("edges.tcp.http_server", "addons.upload.s3"),
     "rclpy": ("edges.ros.middleware",),
     # Time and chance: the core is a pure function of its inputs
-    "time": ("clock",),
+    "time": ("base.clock",),
     "random": ("lab.simulate",),
     "secrets": (),
     "uuid": (),
     # Libraries
     "av": ("edges.video",),
-    "cryptography": ("seal.keys", "seal.time_stamps"),
-    "dask": ("cohort.scheduler",),
-    "duckdb": ("cohort.query",),
-    "blake3": ("seal.digest",),
-    "rfc3161_client": ("seal.time_stamps",),
-    "fastcrc": ("wire", "sessionfile"),
-    "lz4": ("sessionfile.compression", "untrusted.unpack"),
+    "cryptography": ("record.seal.keys", "record.seal.time_stamps"),
+    "dask": ("addons.cohort.scheduler",),
+    "duckdb": ("addons.cohort.query",),
+    "blake3": ("record.seal.digest",),
+    "rfc3161_client": ("record.seal.time_stamps",),
+    "fastcrc": ("wire", "record.sessionfile"),
+    "lz4": ("record.sessionfile.compression", "base.untrusted.unpack"),
     "pyigtl": ("lab.bench.pyigtl_side",),  # a peer of another project
-    "mcap": ("exchange", "sessionfile"),
-    "obstore": ("cohort.objects",),
-    "nibabel": ("exchange.nifti", "lab.simulate.volume"),
-    "matplotlib": ("lab.bench.plot", "sync.plot"),
+    "mcap": ("addons.exchange", "addons.merge.writer", "record.sessionfile"),
+    "obstore": ("addons.cohort.objects",),
+    "nibabel": ("addons.exchange.nifti", "lab.simulate.volume"),
+    "matplotlib": ("lab.bench.plot", "addons.sync.plot"),
     "pandas": ("api",),
-    "pyarrow": ("api", "exchange.arrow_tables", "exchange.arrow_out", "exchange.parquet_in", "lerobot", "cohort"),
-    "pcapng": ("exchange.pcap_file",),
+    "pyarrow": (
+        "api",
+        "addons.exchange.arrow_tables",
+        "addons.exchange.arrow_out",
+        "addons.exchange.parquet_in",
+        "addons.lerobot",
+        "addons.cohort",
+    ),
+    "pcapng": ("addons.exchange.pcap_file",),
     "numpy": (
         "wire",
         "convert",
-        "deidentify",
         "doctor",
         "gateway",
         "edges",
-        "exchange",
         "record",
         "replay",
-        "review",
-        "ros_interfaces.build",
-        "sessionfile",
-        "sync",
-        "view",
         "api",
         "cli",
-        "lerobot",
+        "addons",
         "lab",
     ),
     "pytest": ("testing.plugin",),
-    "rerun": ("view",),
-    **dict.fromkeys(GENERATORS, ("ros_interfaces.build",)),
+    "rerun": ("addons.view",),
+    **dict.fromkeys(GENERATORS, ("edges.ros_interfaces.build",)),
     "rosbags": (
-        "deidentify.ros",
-        "exchange",
+        "addons.deidentify.ros",
+        "addons.exchange",
         "replay",
-        "sessionfile.recovery",
-        "sessionfile.schemas",
-        "untrusted",
+        "record.sessionfile.recovery",
+        "record.sessionfile.schemas",
+        "base.untrusted",
     ),
-    "ruamel": ("untrusted.yaml_text",),  # brought by rosbags, as zstandard is by mcap
-    "xxhash": ("edges.zenoh.library",),
-    "zenoh": ("edges.zenoh.library",),
+    "ruamel": ("base.untrusted.yaml_text",),  # brought by rosbags, as zstandard is by mcap
+    "xxhash": ("addons.zenoh.library",),
+    "zenoh": ("addons.zenoh.library",),
     "shtab": ("cli.completion",),
-    "zstandard": ("sessionfile.compression", "untrusted.unpack"),
+    "zstandard": ("record.sessionfile.compression", "base.untrusted.unpack"),
 }
 
 #: What the levels up to the gateway may not use, on top: the environment, other threads, other processes.
 IMPURE = frozenset({"ctypes", "multiprocessing", "os", "signal", "subprocess", "threading"})
-HIGHEST_PURE_LEVEL = 3
-#: Who does that below, for all others.
-SYSTEM = "systems"
+HIGHEST_PURE_LEVEL = 4
+#: What Linux, macOS and Windows do differently.
+SYSTEM = "base.systems"
+#: Who does that below, for all others: the system, programs in processes of their own, priority and memory of threads.
+BELOW = (SYSTEM, "base.child", "base.realtime")
 
 #: What Windows does not have, of modules that it has, and who uses it: where it is not needed, or only on Linux.
 ABSENT: dict[str, frozenset[str]] = {
@@ -247,7 +199,7 @@ ABSENT: dict[str, frozenset[str]] = {
     "time": frozenset("CLOCK_BOOTTIME CLOCK_MONOTONIC CLOCK_REALTIME clock_gettime clock_gettime_ns tzset".split()),
 }
 ABSENT_HOMES: dict[str, tuple[str, ...]] = {
-    "os": (SYSTEM, "cli.keys", "edges.ros.env", "realtime", "record.shared_queue"),
+    "os": (SYSTEM, "cli.keys", "edges.ros.env", "base.realtime", "record.shared_queue"),
     "signal": (SYSTEM,),
     "socket": ("edges.tcp.sockets",),
     "select": ("edges.tcp.sender",),
@@ -260,7 +212,7 @@ DYNAMIC_IMPORTERS = ("edges.ros.middleware", "cli")
 #: Who may print or write to the standard streams: whatever else prints does it by ``cli.terminal``, which escapes.
 PRINTERS = ("cli.terminal",)
 #: Programs that report to our own process what they do, and one line of our own beside the work of a compiler.
-STREAM_WRITERS = (*PRINTERS, "lab.bench.programs", "ros_interfaces.cache")
+STREAM_WRITERS = (*PRINTERS, "lab.bench.programs", "edges.ros_interfaces.cache")
 CLOCK_CALLS = frozenset({"now", "today", "utcnow"})
 
 #: Tests of no single module, relative to the folder of tests; a folder stands for all that is in it.
@@ -269,9 +221,9 @@ UNMIRRORED = (
     "record/test_node_reader.py",  # our files in a reader of another language
     "integration",
     "peers",
-    "passage/test_turns.py",  # turns of links in _passage.c
-    "exchange/test_import_memory.py",  # any importer
-    "exchange/test_import_mutations.py",  # tools/import_mutations.py
+    "native/test_turns.py",  # turns of links in _passage.c
+    "addons/exchange/test_import_memory.py",  # any importer
+    "addons/exchange/test_import_mutations.py",  # tools/import_mutations.py
     "cli/test_file_modes.py",  # outputs of every verb
     "cli/test_exit_codes.py",  # every verb's, docs/reference/command-line.md
     "cli/test_main.py",  # the verbs' common entry, cli/__init__.py
@@ -299,8 +251,8 @@ UNMIRRORED = (
     "test_try_release.py",  # tools/try_release.py, docs/start/install.md
     "test_words.py",  # tools/words.py
     "test_workflows.py",  # .github, CITATION.cff
-    "sessionfile/test_conformance.py",  # MCAP's conformance set through readers and verbs
-    "sessionfile/test_mcap_fuzz.py",  # tools/mcap_mutations.py
+    "record/sessionfile/test_conformance.py",  # MCAP's conformance set through readers and verbs
+    "record/sessionfile/test_mcap_fuzz.py",  # tools/mcap_mutations.py
     "wire/test_bodies.py",  # every type of message against one list of checks
     "wire/test_conformance.py",  # every type of message through the command line
     "wire/test_corpus.py",
@@ -397,7 +349,7 @@ def violations(module: str, source: str, *, is_package: bool = False) -> list[st
 def _import_fault(module: str, unit: str, name: str) -> str | None:
     """Why ``module`` may not import ``name``, or None."""
     if (imported := ours(name)) is not None:
-        return _level_fault(unit, imported)
+        return None if module in TO_TURN else _level_fault(unit, imported)
     library = name.partition(".")[0]
     if name == "?":
         return None if module == TOP or _is_home(module, DYNAMIC_IMPORTERS) else "imports a module chosen at run time"
@@ -407,9 +359,30 @@ def _import_fault(module: str, unit: str, name: str) -> str | None:
         return f"imports {library}, whose home is {' and '.join(HOMES[library]) or 'nowhere'}"
     if library not in sys.stdlib_module_names:
         return f"imports {library}, which has no home"
-    if library in IMPURE and LEVELS[unit] <= HIGHEST_PURE_LEVEL and unit != SYSTEM:
+    if library in IMPURE and LEVELS[unit] <= HIGHEST_PURE_LEVEL and not _is_home(module, BELOW):
         return f"imports {library}, but level {LEVELS[unit]} is pure"
     return None
+
+
+#: Arrows from the core to an add-on, which are turned round one by one.
+TO_TURN = (
+    "api.alignment",
+    "api.images",
+    "api.lags",
+    "api.poses",
+    "api.posing",
+    "api.source",
+    "api.verbs",
+    "app.bridge",
+    "cli.bridge",
+    "cli.bridge_session",
+    "cli.decode",
+    "cli.info_source",
+    "cli.merge_output",
+    "edges.ros_interfaces.__main__",
+    "lab.bench.zenoh_side",
+    "record.sessionfile.merged",
+)
 
 
 def _level_fault(unit: str, imported: str) -> str | None:
@@ -448,7 +421,7 @@ MODULES = modules()
 
 
 def test_the_package_is_found() -> None:
-    assert {TOP, "errors", "session.entry", "wire"} <= MODULES.keys()
+    assert {TOP, "base.errors", "gateway.log.entry", "wire"} <= MODULES.keys()
 
 
 def test_modules_keep_to_the_tables() -> None:
@@ -487,27 +460,30 @@ def test_tests_mirror_the_package() -> None:
 @table(
     ("module", "source"),
     [
-        ("stamp", "import math, struct"),
-        ("clock", "import time"),
-        ("session.entry", "from igtl_gateway.buffers import Buffer"),
+        ("base.stamp", "import math, struct"),
+        ("base.clock", "import time"),
+        ("gateway.log.entry", "from igtl_gateway.base.buffers import Buffer"),
         ("wire.message", "import numpy as np\nimport fastcrc\nfrom igtl_gateway.wire.body import Body"),
-        ("wire.message", "from .body import Body\nfrom ..errors import WireError"),
-        ("convert.table", "from igtl_gateway.session.entry import Entry\nfrom igtl_gateway import wire"),
-        ("config", "from igtl_gateway.convert.units import Lengths"),
+        ("wire.message", "from .body import Body\nfrom ..base.errors import WireError"),
+        ("convert.table", "from igtl_gateway.gateway.log.entry import Entry\nfrom igtl_gateway import wire"),
+        ("config.configuration", "from igtl_gateway.convert.units import Lengths"),
         ("gateway", "from igtl_gateway import __version__, convert"),
         ("edges.tcp.loop", "import selectors, socket, threading"),
         ("edges.tcp.sender", "import select\nfrom igtl_gateway.edges.tcp.loop import Loop"),
         ("edges.ros.middleware", "import rclpy.node\nfrom igtl_gateway.edges.ros import env"),
         ("edges.ros.middleware", "import importlib\nimportlib.import_module(name)"),
-        ("sessionfile.writer", "from mcap.writer import Writer"),
+        ("record.sessionfile.writer", "from mcap.writer import Writer"),
         ("replay.verify", "from igtl_gateway.gateway import Gateway\nfrom rosbags.typesys import Stores"),
         ("lab.simulate.star", "import random"),
-        ("lab.stage.live", "from igtl_gateway.config import Config\nfrom igtl_gateway_lab.simulate import scenario"),
+        (
+            "lab.stage.live",
+            "from igtl_gateway.config.configuration import Config\nfrom igtl_gateway_lab.simulate import scenario",
+        ),
         ("app", "from igtl_gateway.record.recorder import Recorder\nfrom igtl_gateway.edges import ros, tcp"),
         ("cli.bridge", "def run():\n    from igtl_gateway.app import App\n    return App()"),
         ("__main__", "from igtl_gateway.cli import main"),
         ("lab.demo.ros_node", "import rclpy, time\nfrom igtl_gateway_lab.demo import pattern\nprint(time.time())"),
-        ("stamp", "from datetime import datetime, timezone\ndatetime.fromtimestamp(0, timezone.utc)"),
+        ("base.stamp", "from datetime import datetime, timezone\ndatetime.fromtimestamp(0, timezone.utc)"),
     ],
 )
 def test_what_is_allowed(module: str, source: str) -> None:
@@ -518,53 +494,54 @@ def test_what_is_allowed(module: str, source: str) -> None:
     ("module", "source", "fault"),
     [
         # What Windows does not have
-        ("keeping.stored", "import fcntl", "imports fcntl, whose home is systems.files"),
+        ("record.retention.stored", "import fcntl", "imports fcntl, whose home is base.systems.files"),
         (
             "record.host",
             "import signal\nsignal.SIGHUP",
             "record.host:2: uses signal.SIGHUP, which Windows does not have",
         ),
         # Upwards
-        ("stamp", "import igtl_gateway.wire.message", "imports wire (level 1)"),
+        ("base.stamp", "import igtl_gateway.wire.message", "imports wire (level 1)"),
         ("wire.message", "from igtl_gateway.convert import table", "imports convert (level 2)"),
-        ("wire.message", "from igtl_gateway import gateway", "imports gateway (level 3)"),
-        ("gateway", "from igtl_gateway.edges import tcp", "imports edges.tcp (level 4)"),
-        ("record.recorder", "from igtl_gateway.app import App", "imports app (level 5)"),
-        ("app", "from igtl_gateway.cli import main", "imports cli (level 6)"),
+        ("wire.message", "from igtl_gateway import gateway", "imports gateway (level 4)"),
+        ("gateway", "from igtl_gateway.edges import tcp", "imports edges.tcp (level 5)"),
+        ("record.recorder", "from igtl_gateway.app import App", "imports app (level 7)"),
+        ("app", "from igtl_gateway.cli import main", "imports cli (level 9)"),
         ("cli.info", "from igtl_gateway_lab.simulate import star", "does without its laboratory"),
-        ("lab.simulate.star", "from igtl_gateway_lab.stage import live", "imports lab.stage (level 6)"),
+        ("lab.simulate.star", "from igtl_gateway_lab.stage import live", "imports lab.stage (level 8)"),
         # Programs that play foreign software
         (
             "lab.demo.igtl_client",
             "from igtl_gateway.wire import encode",
             "demo.igtl_client:1: imports igtl_gateway.wire",
         ),
-        ("lab.demo.igtl_client", "from igtl_gateway import errors", "imports igtl_gateway.errors"),
+        ("lab.demo.igtl_client", "from igtl_gateway.base import errors", "imports igtl_gateway.base.errors"),
         # Sideways
-        ("errors", "from igtl_gateway.stamp import ns_to_ros", "imports stamp (level 0)"),
-        ("wire.message", "from igtl_gateway.session.entry import Entry", "imports session (level 1)"),
-        ("session.entry", "from igtl_gateway.wire import Message", "imports wire (level 1)"),
-        ("convert.table", "from igtl_gateway.config import Config", "imports config (level 2)"),
-        ("edges.tcp", "from igtl_gateway.edges.ros.edge import Node", "imports edges.ros (level 4)"),
-        ("edges.ros", "from . import tcp", "imports edges.tcp (level 4)"),
-        ("edges.ros", "from igtl_gateway.edges.tcp.loop import Loop", "imports edges.tcp (level 4)"),
-        ("edges.video.worker", "from igtl_gateway.edges import ros", "imports edges.ros (level 4)"),
-        ("record.recorder", "from igtl_gateway.replay import verify", "imports replay (level 4)"),
-        ("replay.verify", "from ..record import rostypes", "imports record (level 4)"),
-        ("view.log", "from igtl_gateway.edges.tcp import Link", "imports edges.tcp (level 4)"),
+        ("wire.message", "from igtl_gateway.gateway.log.entry import Entry", "imports gateway.log (level 1)"),
+        ("gateway.log.entry", "from igtl_gateway.wire import Message", "imports wire (level 1)"),
+        ("convert.table", "from igtl_gateway.config.configuration import Config", "imports config (level 3)"),
+        ("edges.tcp", "from igtl_gateway.edges.ros.edge import Node", "imports edges.ros (level 5)"),
+        ("edges.ros", "from . import tcp", "imports edges.tcp (level 5)"),
+        ("edges.ros", "from igtl_gateway.edges.tcp.loop import Loop", "imports edges.tcp (level 5)"),
+        ("edges.video.worker", "from igtl_gateway.edges import ros", "imports edges.ros (level 5)"),
+        ("record.recorder", "from igtl_gateway.replay import verify", "imports replay (level 6)"),
+        ("edges.ros", "from igtl_gateway.record import recorder", "imports record (level 5)"),
+        # The core does without its add-ons
+        ("app.hub", "from igtl_gateway.addons.view import live", "imports addons (level 10)"),
+        ("cli.info", "from igtl_gateway.addons import merge", "imports addons (level 10)"),
         # Wherever it is written
         ("wire.message", "def f():\n    import igtl_gateway.gateway", "wire.message:2: imports gateway"),
         ("wire.message", "if TYPE_CHECKING:\n    from igtl_gateway.app import App", "wire.message:2: imports app"),
-        ("view.log", "__import__('rclpy')", "imports rclpy"),
-        ("view.log", "from importlib import import_module\nimport_module('mcap.reader')", "imports mcap"),
-        ("view.log", "import importlib\nimportlib.import_module(name)", "chosen at run time"),
+        ("addons.view.log", "__import__('rclpy')", "imports rclpy"),
+        ("addons.view.log", "from importlib import import_module\nimport_module('mcap.reader')", "imports mcap"),
+        ("addons.view.log", "import importlib\nimportlib.import_module(name)", "chosen at run time"),
         # Homes
         ("app", "import rclpy", "imports rclpy, whose home is edges.ros.middleware"),
         ("edges.video", "from rclpy.node import Node", "imports rclpy"),
         ("app", "import rerun as rr", "imports rerun"),
         ("record.recorder", "from mcap.writer import Writer", "imports mcap"),
         ("convert.cdr", "from rosbags.typesys import Stores", "imports rosbags"),
-        ("session.entry", "import numpy", "imports numpy"),
+        ("gateway.log.entry", "import numpy", "imports numpy"),
         ("wire.framer", "import socket", "imports socket"),
         ("edges.ros", "import socket", "imports socket, whose home is edges.tcp"),
         ("edges.tcp.edge", "import selectors", "imports selectors, whose home is edges.tcp.loop"),
@@ -601,9 +578,9 @@ def test_relative_imports_of_a_package_start_at_itself() -> None:
 
 
 def test_a_test_without_its_module_is_seen() -> None:
-    assert mirrored(Path("session/test_entry.py"))
+    assert mirrored(Path("gateway/log/test_entry.py"))
     assert mirrored(Path("peers/test_reference.py"))
-    assert not mirrored(Path("session/test_wire.py"))
+    assert not mirrored(Path("gateway/log/test_wire.py"))
     assert not mirrored(Path("test_entry.py"))
 
 

@@ -10,11 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from igtl_gateway.buffers import join
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.stamp import ns_to_ticks
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.igtl_msgs import PointList
 from igtl_gateway.convert.rosmsg import Header, Image, Mesh
-from igtl_gateway.stamp import ns_to_ticks
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire import image as wire
 from igtl_gateway.wire.header import crc64

@@ -18,18 +18,18 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
-from igtl_gateway.config import Config
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.igtl_msgs import CommandReply, LinkStatusList
 from igtl_gateway.convert.profiles import BY_NAME
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS
 from igtl_gateway.convert.units import UNITS
 from igtl_gateway.gateway import LINKS_TOPIC
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.replay.verify import verify
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Note
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway.wire import Header, decode
 from igtl_gateway.wire.query import QUERIES
 from igtl_gateway.wire.registry import BODIES

@@ -9,8 +9,8 @@ from random import Random
 
 import pytest
 
+from igtl_gateway.base.errors import DamagedRecording
 from igtl_gateway.cli import main
-from igtl_gateway.errors import DamagedRecording
 from tools import fuzz_files
 from tools.fuzz_files import READERS, Broken, Fuzzer, Reader, run, verb
 from tools.import_mutations import Case

@@ -8,7 +8,7 @@ from random import Random
 
 import pytest
 
-from igtl_gateway.errors import GatewayError
+from igtl_gateway.base.errors import GatewayError
 from tests.tables import table
 from tools import fuzz_values
 from tools.fuzz_files import Reader, run

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from igtl_gateway.buffers import join
-from igtl_gateway.config import Config, ToIgtlRow
+from igtl_gateway.base.buffers import join
+from igtl_gateway.config.configuration import Config, ToIgtlRow
 from igtl_gateway.convert.express import COMPILED
 from igtl_gateway.convert.igtl_msgs import CommandReply, LinkStatusList, Metadata, RawMessage
 from igtl_gateway.convert.rosmsg import RosMessage
@@ -19,10 +19,10 @@ from igtl_gateway.convert.table import TO_IGTL, TO_ROS, ConversionToIgtl
 from igtl_gateway.gateway import LINK_UP, Gateway, Session
 from igtl_gateway.gateway.dialogue import answers
 from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.ledger import Ledger
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.to_igtl import sender
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.ledger import Ledger
-from igtl_gateway.session.note import Level, Note
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway.wire.text import Status
 from tests import strategies

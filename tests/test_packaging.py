@@ -12,12 +12,12 @@ from typing import Any
 import pytest
 from packaging.requirements import Requirement
 
-from igtl_gateway import __version__
+from igtl_gateway.base.version import __version__
 from igtl_gateway.cli.verbs import GROUP, LABORATORY, Verb
 from igtl_gateway_lab import __version__ as lab_version
+from tests.places import ROOT
 from tools import core
 
-ROOT = Path(__file__).parents[1]
 #: The Python of this test run, which imports all modules anyway.
 OWN = f"python{sys.version_info[0]}.{sys.version_info[1]}"
 

@@ -17,14 +17,14 @@ from pathlib import Path
 import pytest
 
 from hatch_build import SOURCES, compiled
-from igtl_gateway import __version__
+from igtl_gateway.base.version import __version__
+from tests.places import ROOT
 from tools import hashes
 from tools import release as module
 from tools.constraints import EXTRAS, HEADER
 from tools.release import SUMS, ReleaseError, release, sha256
 from tools.sbom import NAME
 
-ROOT = Path(__file__).parents[1]
 #: A packager runs the tests with the recordings; one of these files more, and the sdist is too large to fetch.
 LARGEST_SDIST = 20_000_000
 PURE = "-py3-none-any.whl"
@@ -75,7 +75,7 @@ def test_the_sums_are_those_of_all_files(folder: Path) -> None:
 def test_the_wheels_have_the_package_and_nothing_of_this_machine(folder: Path) -> None:
     wheel = names(folder, f"igtl_gateway-*{PURE}")
     assert {"igtl_gateway/cli/bridge.py", "igtl_gateway/py.typed", "igtl_gateway_ros_interfaces.pth"} <= wheel
-    assert "igtl_gateway/ros_interfaces/definitions/igtl_msgs/msg/RawMessage.msg" in wheel
+    assert "igtl_gateway/convert/interfaces/igtl_msgs/msg/RawMessage.msg" in wheel
     assert {name.partition("/")[0] for name in wheel} == {
         "igtl_gateway",
         "igtl_gateway_ros_interfaces.pth",
@@ -147,7 +147,7 @@ def test_the_sbom_has_the_files_and_all_that_users_install(folder: Path) -> None
 def test_the_folder_of_a_build_leaves_no_trace(tmp_path: Path) -> None:
     if not Path(sysconfig.get_path("include"), "Python.h").is_file():
         pytest.skip("no Python headers here")
-    source = Path("igtl_gateway/record/_queue.c")
+    source = Path("igtl_gateway/native/_queue.c")
     results = []
     for name in ("one", "a second folder"):
         root = tmp_path / name / "source"

@@ -17,11 +17,11 @@ from xml.etree import ElementTree
 import pytest
 from ruamel.yaml import YAML
 
-from igtl_gateway import __version__
+from igtl_gateway.base.version import __version__
 from igtl_gateway.cli import complete
 from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT
 from igtl_gateway.cli.verbs import VERBS
-from igtl_gateway.settings import parameters
+from igtl_gateway.config.settings import parameters
 from tests.integration.bridge import ROOT, START_S, Program, RawPeer, RosClient, environment, string
 from tests.launch_commands import commands
 from tests.launch_files import LaunchFile, every, read

@@ -58,7 +58,7 @@ def out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureF
 
     ``capsys``, because a file would take what the verbs print, and no more of that than of the rest.
     """
-    monkeypatch.setattr("igtl_gateway.sync.plot.lag_chart", lambda *_: "<svg/>" * 20)  # it takes five seconds
+    monkeypatch.setattr("igtl_gateway.addons.sync.plot.lag_chart", lambda *_: "<svg/>" * 20)  # it takes five seconds
     monkeypatch.setattr(sys, "dont_write_bytecode", True)  # a truncated module would outlive the test
     (tmp_path / "here").mkdir()
     (tmp_path / "here" / "copy.mcap").write_bytes(SMALL.read_bytes())
@@ -120,7 +120,7 @@ def test_a_program_that_is_ended(tmp_path: Path, number: signal.Signals) -> None
     out.write_bytes(_OLD)
     code = (
         "import sys, time\n"
-        "from igtl_gateway.sessionfile import beside\n"
+        "from igtl_gateway.record.sessionfile import beside\n"
         "def wait(*_, **__):\n"
         "    print('now', flush=True)\n"
         "    time.sleep(60)\n"

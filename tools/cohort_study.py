@@ -28,14 +28,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.buffers import join
-from igtl_gateway.cohort.columns import TABLES
-from igtl_gateway.cohort.results import Results
-from igtl_gateway.config import Config
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.writer import SessionWriter
-from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.addons.cohort.columns import TABLES
+from igtl_gateway.addons.cohort.results import Results
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway_lab.simulate.stage import play_offline
 from igtl_gateway_lab.simulate.star_planner import SuturePlanner
 from igtl_gateway_lab.simulate.star_robot import SutureRobot

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from igtl_gateway.deidentify.pseudonyms import MIN_KEY_BYTES
-from igtl_gateway.deidentify.rules import NOT_COVERED, OPTIONS, RULES
+from igtl_gateway.addons.deidentify.pseudonyms import MIN_KEY_BYTES
+from igtl_gateway.addons.deidentify.rules import NOT_COVERED, OPTIONS, RULES
 
 TITLE = "# De-identification of sessions"
 

@@ -23,15 +23,20 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.addons.cohort.columns import TABLES
 from igtl_gateway.app.commands import SERVICE
 from igtl_gateway.app.metrics import METRICS
 from igtl_gateway.app.recording import PAUSE, RESUME, SNAPSHOT
 from igtl_gateway.app.recording import TYPE as TRIGGER
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.stamp import NS_PER_MS
+from igtl_gateway.base.untrusted.limits import MEANINGS, FileLimits
 from igtl_gateway.cli import complete
 from igtl_gateway.cli.options import argument_name
 from igtl_gateway.cli.verbs import Verb, available
-from igtl_gateway.cohort.columns import TABLES
-from igtl_gateway.config import Config
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.config.faults import FAULTS
+from igtl_gateway.config.settings import ROWS, SETTINGS, Setting, of_table
 from igtl_gateway.convert import crtk
 from igtl_gateway.convert.commands import ERROR_MESSAGE, STATUS
 from igtl_gateway.convert.names import MAX_TOKEN, frames_of, short_device_name, topic_token
@@ -42,16 +47,11 @@ from igtl_gateway.doctor.observer import MAX_STREAMS
 from igtl_gateway.doctor.protocols import PROTOCOLS
 from igtl_gateway.doctor.rules import RULES, Rule
 from igtl_gateway.edges.ros.parameters import constraints, description
-from igtl_gateway.faults import FAULTS
 from igtl_gateway.gateway import metadata
 from igtl_gateway.gateway.command_guard import CODES as CODES_OF_COMMANDS
 from igtl_gateway.gateway.diagnostics import DIAGNOSTICS_TOPIC
 from igtl_gateway.gateway.dialogue import answers
 from igtl_gateway.gateway.dialogue.links import LINKS_TOPIC
-from igtl_gateway.qos import Qos
-from igtl_gateway.settings import ROWS, SETTINGS, Setting, of_table
-from igtl_gateway.stamp import NS_PER_MS
-from igtl_gateway.untrusted.limits import MEANINGS, FileLimits
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.elements import Elements
 from igtl_gateway.wire.header import Header

@@ -23,8 +23,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
 
-from igtl_gateway.buffers import join
-from igtl_gateway.errors import MessageTooLarge, TruncatedMessage, WireError
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import MessageTooLarge, TruncatedMessage, WireError
 from igtl_gateway.wire import Message, decode, describe, encode
 from igtl_gateway.wire.bind import Bind
 from igtl_gateway.wire.body import Body

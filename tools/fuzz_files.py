@@ -30,16 +30,16 @@ from pathlib import Path
 from random import Random
 from types import FrameType
 
+from igtl_gateway.addons.exchange.formats import open_source
 from igtl_gateway.app.settings import of_file
+from igtl_gateway.base.errors import GatewayError
+from igtl_gateway.base.untrusted.text import printable
 from igtl_gateway.cli import main as command_line
-from igtl_gateway.config import Config
-from igtl_gateway.errors import GatewayError
-from igtl_gateway.exchange.formats import open_source
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.gateway.log.ledger import gaps
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.salvage import Salvage
 from igtl_gateway.replay.recorded_config import config_to_run
-from igtl_gateway.session.ledger import gaps
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.salvage import Salvage
-from igtl_gateway.untrusted.text import printable
 from tools import image_mutations, import_mutations, mcap_mutations
 from tools.import_mutations import Case
 

@@ -40,8 +40,10 @@ from typing import Any
 
 import numpy as np
 
-from igtl_gateway.buffers import join
-from igtl_gateway.config import Config, TfOutRow, ToIgtlRow, ToRosRow
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import MessageTooLarge
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.config.configuration import Config, TfOutRow, ToIgtlRow, ToRosRow
 from igtl_gateway.convert import express
 from igtl_gateway.convert.clouds import polydata_to_cloud
 from igtl_gateway.convert.common_msgs import PoseStamped, TFMessage
@@ -52,15 +54,13 @@ from igtl_gateway.convert.rosmsg import Image as RosImage
 from igtl_gateway.convert.rosmsg import RosMessage, TransformStamped
 from igtl_gateway.convert.rosmsg import String as RosString
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS, Role
-from igtl_gateway.errors import MessageTooLarge
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP, LISTENED, TICK, Gateway, Session
 from igtl_gateway.gateway.live_settings import LiveSettings
-from igtl_gateway.session.changes import SETTINGS
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.ledger import gaps
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.gateway.log.changes import SETTINGS
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.ledger import gaps
+from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.wire import Item, Message, decode, encode
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.framer import Framer

@@ -22,12 +22,12 @@ from functools import cache
 from pathlib import Path
 from random import Random
 
-from igtl_gateway.deidentify.profile import read_profile
-from igtl_gateway.lerobot.recipe_file import read_recipe
-from igtl_gateway.seal.keys import load_trusted
-from igtl_gateway.untrusted.files import read_bytes
-from igtl_gateway.untrusted.text import printable
-from igtl_gateway.view.urdf import parse_urdf
+from igtl_gateway.addons.deidentify.profile import read_profile
+from igtl_gateway.addons.lerobot.recipe_file import read_recipe
+from igtl_gateway.addons.view.urdf import parse_urdf
+from igtl_gateway.base.untrusted.files import read_bytes
+from igtl_gateway.base.untrusted.text import printable
+from igtl_gateway.record.seal.keys import load_trusted
 from tools import fuzz_files
 from tools.fuzz_files import Reader, Report, read_configuration, read_import, run, verb
 from tools.import_mutations import Case

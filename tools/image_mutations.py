@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from functools import cache
 from random import Random
 
-from igtl_gateway.config import Config
+from igtl_gateway.config.configuration import Config
 from tools.import_mutations import EDGES, TEXTS, Bend, Case
 
 #: Words that stand where numbers do, and numbers that no image has.

@@ -20,10 +20,10 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.sessionfile import layout
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.writer import SessionWriter
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.record.sessionfile import layout
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from tests.record import samples
 from tools import mcap_build as build
 from tools.mcap_build import Chunk, Record

@@ -19,15 +19,15 @@ from typing import Any
 
 import numpy as np
 
-from igtl_gateway.app.merging import Source, merge
-from igtl_gateway.config import Config
-from igtl_gateway.errors import GatewayError
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile import layout
-from igtl_gateway.sessionfile.merged import PART_NAME_KEY
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.schemas import RosTypes
-from igtl_gateway.sessionfile.writer import SessionWriter
+from igtl_gateway.addons.merge.merging import Source, merge
+from igtl_gateway.base.errors import GatewayError
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile import layout
+from igtl_gateway.record.sessionfile.merged import PART_NAME_KEY
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.schemas import RosTypes
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 
 START_NS = 1_767_225_600_000_000_000
 _TYPE = "geometry_msgs/msg/PoseStamped"

@@ -19,9 +19,9 @@ from pathlib import Path
 
 import av
 
+from igtl_gateway.addons.view.shots import HeadlessViewer
+from igtl_gateway.base.errors import GatewayError
 from igtl_gateway.cli import main as igtl_gateway
-from igtl_gateway.errors import GatewayError
-from igtl_gateway.view.shots import HeadlessViewer
 
 ROOT = Path(__file__).parent.parent
 PICTURES = ROOT / "docs" / "pictures"

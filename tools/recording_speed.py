@@ -22,9 +22,9 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 import igtl_gateway
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile.writer import SessionWriter
-from igtl_gateway.untrusted import files
+from igtl_gateway.base.untrusted import files
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.wire.header import crc64
 from igtl_gateway.wire.message import Message, encode
 from igtl_gateway.wire.transform import Transform

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hatch_build import SOURCES
-from igtl_gateway import __version__
+from igtl_gateway.base.version import __version__
 from tools.sbom import write_sbom
 
 ROOT = Path(__file__).parents[1]
@@ -104,7 +104,7 @@ class Build:
         options = ["--quiet", "--disable-pip-version-check"]
         ours = f"igtl-gateway[ros] @ {sdist.as_uri()}"
         self._run([own, "-m", "pip", "install", *options, "hatchling", ours], folder, {"IGTL_GATEWAY_PURE": "1"})
-        self._run([own, "-m", "igtl_gateway.ros_interfaces", "--ahead", ahead], folder)
+        self._run([own, "-m", "igtl_gateway.edges.ros_interfaces", "--ahead", ahead], folder)
         self._wheel(own, sdist, result, {"IGTL_GATEWAY_AHEAD": str(ahead)})
         (wheel,) = result.iterdir()
         with zipfile.ZipFile(wheel) as file:

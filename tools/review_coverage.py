@@ -2,8 +2,8 @@
 
     python tools/review_coverage.py --scenes 20 --points 6
 
-For each kind of sensor (``tests/review/sensors.py``) and each distance, over flat, tilted and curved surfaces: the
-share of true points within 1.96 standard errors, and the root mean square of distance / error (1 where errors are
+For each kind of sensor (``tests/addons/review/sensors.py``) and each distance, over flat, tilted and curved surfaces:
+the share of true points within 1.96 standard errors, and the root mean square of distance / error (1 where errors are
 right).
 """
 
@@ -17,8 +17,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1]))  # the simulated cameras are those of the tests
 
-from tests.review.coverage import covered
-from tests.review.sensors import DISTANCES_MM, SENSORS, SURFACES
+from tests.addons.review.coverage import covered
+from tests.addons.review.sensors import DISTANCES_MM, SENSORS, SURFACES
 
 
 def main() -> None:

@@ -17,10 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from igtl_gateway.review import Level, Thresholds, judge
-from igtl_gateway.review.model import Array, EndReview
-from igtl_gateway.review.scene import DepthCloud, DepthScene
-from igtl_gateway.review.surface import fit
+from igtl_gateway.addons.review import Level, Thresholds, judge
+from igtl_gateway.addons.review.model import Array, EndReview
+from igtl_gateway.addons.review.scene import DepthCloud, DepthScene
+from igtl_gateway.addons.review.surface import fit
 
 _MM = 1000.0
 _CANDIDATES, _LEAST, _APART_M = 3000, 150, 0.008

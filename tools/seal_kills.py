@@ -15,12 +15,12 @@ import threading
 import time
 from pathlib import Path
 
-from igtl_gateway.clock import SystemClock
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
-from igtl_gateway.seal.keys import SigningKey
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile.seal_check import CUT, SealReport, check_seal
+from igtl_gateway.record.seal.keys import SigningKey
+from igtl_gateway.record.sessionfile.seal_check import CUT, SealReport, check_seal
 
 #: The recorder flushes, and so seals, at this interval.
 FLUSH_S = 0.02

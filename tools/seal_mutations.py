@@ -20,14 +20,14 @@ from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 
-from igtl_gateway.seal.keys import SigningKey
-from igtl_gateway.sessionfile import records
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.seal_check import CHANGED, CUT, SEALED, UNSEALED, SealReport, check_seal
-from igtl_gateway.sessionfile.sealing import SealSeries
-from igtl_gateway.sessionfile.seals import has_name_of_seal
-from igtl_gateway.sessionfile.units import FoundUnit, units
-from igtl_gateway.sessionfile.writer import SessionWriter
+from igtl_gateway.record.seal.keys import SigningKey
+from igtl_gateway.record.sessionfile import records
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.seal_check import CHANGED, CUT, SEALED, UNSEALED, SealReport, check_seal
+from igtl_gateway.record.sessionfile.sealing import SealSeries
+from igtl_gateway.record.sessionfile.seals import has_name_of_seal
+from igtl_gateway.record.sessionfile.units import FoundUnit, units
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 
 ROOT = Path(__file__).parent.parent
 SOURCE = ROOT / "fixtures" / "every-type.mcap"

@@ -124,7 +124,7 @@ if not Path(sysconfig.get_path("include"), "Python.h").is_file():
 EOF
     )
     [ "${#packages[@]}" -eq 0 ] || apt "${packages[@]}" || true
-    if ! "$VENV/bin/python" -m igtl_gateway.ros_interfaces >/dev/null; then
+    if ! "$VENV/bin/python" -m igtl_gateway.edges.ros_interfaces >/dev/null; then
         say "Going on without: programs and tests that import these packages will not run."
     fi
 }

@@ -22,9 +22,9 @@ from typing import Any
 
 import numpy as np
 
-from igtl_gateway.app.merging import Source, merge
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.addons.merge.merging import Source, merge
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from tests.integration.netns import Lines, Weather
 
 RATE = 1_250_000

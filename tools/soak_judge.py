@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from igtl_gateway.session.ledger import gaps
+from igtl_gateway.gateway.log.ledger import gaps
 from igtl_gateway_lab.bench.plot import to_svg
 from tools.soak_findings import Check, Found, Sample, Settings
 from tools.soak_guests import MANNERS, MOST_GUESTS

@@ -15,7 +15,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from igtl_gateway.notations import UploadPlace, upload_place
+from igtl_gateway.config.notations import UploadPlace, upload_place
 from tests.record import samples
 from tests.record.test_parts import record
 

@@ -6,7 +6,7 @@ python command_client.py [--host 127.0.0.1] [--port 18944]
 import argparse
 
 import igtl_gateway
-from igtl_gateway.errors import Refused
+from igtl_gateway.base.errors import Refused
 
 parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 parser.add_argument("--host", default="127.0.0.1")

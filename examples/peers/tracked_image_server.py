@@ -11,7 +11,7 @@ import time
 import numpy as np
 
 import igtl_gateway
-from igtl_gateway.errors import LinkClosed, NoReply
+from igtl_gateway.base.errors import LinkClosed, NoReply
 
 parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
 parser.add_argument("--port", type=int, default=18944)

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from igtl_gateway.api.moments import tolerance_ns
 from igtl_gateway.api.poses import Poses, between_poses
 from igtl_gateway.api.stream import Stream, to_frame
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.base.errors import ConfigError
 
 if TYPE_CHECKING:
     import pandas
@@ -94,7 +94,7 @@ class Aligned:
         Raises:
             Unavailable: pyarrow is not installed; the extra ``arrow`` installs it.
         """
-        from igtl_gateway.exchange import arrow_tables  # pyarrow is an extra
+        from igtl_gateway.addons.exchange import arrow_tables  # pyarrow is an extra
 
         columns: dict[str, tuple[Any, str]] = {"time_ns": (self.times, "ns")}
         tables = {}

@@ -16,14 +16,14 @@ from igtl_gateway.app.bridge_options import bridge_options
 from igtl_gateway.app.entry_watch import EntryWatch
 from igtl_gateway.app.recording import pause, resume, snapshot
 from igtl_gateway.app.settings import declared, settled
-from igtl_gateway.clock import SystemClock
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.errors import NoReply, RecordingError
+from igtl_gateway.config.notations import ros_middleware
 from igtl_gateway.edges.ros.env import prepare_environment
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.tcp import LinkInfo
-from igtl_gateway.errors import NoReply, RecordingError
-from igtl_gateway.notations import ros_middleware
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 
 _NOTES = 100
 

@@ -12,13 +12,13 @@ import numpy.typing as npt
 from igtl_gateway.api.display import as_array, html_line, shape_text
 from igtl_gateway.api.images import find_row
 from igtl_gateway.api.source import Source
+from igtl_gateway.base.errors import ConfigError, MalformedBody
 from igtl_gateway.convert.clouds import CloudColumns
 from igtl_gateway.convert.igtl_msgs import PointList
 from igtl_gateway.convert.rosmsg import Marker, PointCloud2, PointStamped
-from igtl_gateway.errors import ConfigError, MalformedBody
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.sessionfile.bulk import MessageBlock
-from igtl_gateway.sessionfile.channels import ChannelSummary
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.record.sessionfile.bulk import MessageBlock
+from igtl_gateway.record.sessionfile.channels import ChannelSummary
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.fields import decode_text
 from igtl_gateway.wire.point import Points

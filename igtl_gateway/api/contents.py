@@ -11,8 +11,8 @@ from typing import Any, cast
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.poses import determinant, distance_from_rotation, rotation_quaternion
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.body import Body, Raw
 from igtl_gateway.wire.capability import Capability
 from igtl_gateway.wire.client_info import ClientInfo

@@ -20,16 +20,16 @@ from typing import Any, Literal, TypeVar
 from igtl_gateway.api.contents import content_of
 from igtl_gateway.api.inbox import Inbox
 from igtl_gateway.api.received import ReceivedMessage, items_of
-from igtl_gateway.buffers import Buffer, join, total_size
-from igtl_gateway.clock import SystemClock
+from igtl_gateway.base.buffers import Buffer, join, total_size
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.errors import ConfigError, LinkClosed, NoReply, Refused, WireError
+from igtl_gateway.base.globs import matches
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.convert.commands import reply_result
 from igtl_gateway.convert.igtl_msgs import CommandReply as RosReply
 from igtl_gateway.convert.igtl_msgs import MetadataItem
 from igtl_gateway.edges.tcp import LinkInfo, PeerLimits, TcpEdge, TlsFiles
-from igtl_gateway.errors import ConfigError, LinkClosed, NoReply, Refused, WireError
-from igtl_gateway.globs import matches
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.wire import Item, Message, decode, encode
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.command import Command

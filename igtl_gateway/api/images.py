@@ -9,16 +9,16 @@ from typing import Any, overload
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.addons.exchange.placement import ImagePlacement
 from igtl_gateway.api.display import as_array, html_line, shape_text
 from igtl_gateway.api.source import Source
+from igtl_gateway.base.errors import ConfigError, MalformedBody
 from igtl_gateway.convert.igtl_msgs import Volume
 from igtl_gateway.convert.images import pixel_layout
 from igtl_gateway.convert.rosmsg import Image as RosImage
-from igtl_gateway.errors import ConfigError, MalformedBody
-from igtl_gateway.exchange.placement import ImagePlacement
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.sessionfile.bulk import MessageBlock
-from igtl_gateway.sessionfile.channels import ChannelSummary
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.record.sessionfile.bulk import MessageBlock
+from igtl_gateway.record.sessionfile.channels import ChannelSummary
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.image import SCALARS
 from igtl_gateway.wire.image import Image as WireImage

@@ -6,7 +6,7 @@ from collections import Counter, OrderedDict, deque
 from collections.abc import Callable
 
 from igtl_gateway.api.received import ReceivedMessage
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.base.errors import ConfigError
 
 
 class Inbox:

@@ -9,8 +9,8 @@ from os import PathLike, fspath
 from typing import Any
 
 from igtl_gateway.app.rows import rows_of
-from igtl_gateway.errors import ConfigError, RecordingError, Unavailable
-from igtl_gateway.settings import BY_SETTING, ROWS, SETTINGS, Setting, unknown
+from igtl_gateway.base.errors import ConfigError, RecordingError, Unavailable
+from igtl_gateway.config.settings import BY_SETTING, ROWS, SETTINGS, Setting, unknown
 
 BEGIN = "--ros-args"
 

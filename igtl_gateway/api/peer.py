@@ -25,9 +25,9 @@ from igtl_gateway.api.conversation import (
 )
 from igtl_gateway.api.keywords import texts
 from igtl_gateway.api.received import ReceivedMessage
+from igtl_gateway.base.errors import LinkClosed
 from igtl_gateway.edges.tcp import LinkInfo, PeerLimits, TlsFiles
-from igtl_gateway.errors import LinkClosed
-from igtl_gateway.session.note import Note
+from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.query import EmptyQuery
 

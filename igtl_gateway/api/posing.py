@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.addons.exchange.cdr_columns import NotColumns, ros_columns
+from igtl_gateway.addons.exchange.columns import name_ros_fields
+from igtl_gateway.addons.exchange.igtl_columns import POSE_TYPES, pose_rows
 from igtl_gateway.api.poses import Poses, matrices_of
 from igtl_gateway.api.source import Source
+from igtl_gateway.base.errors import ConfigError, DamagedRecording, GatewayError
 from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
 from igtl_gateway.convert.names import frames_of
-from igtl_gateway.errors import ConfigError, DamagedRecording, GatewayError
-from igtl_gateway.exchange.cdr_columns import NotColumns, ros_columns
-from igtl_gateway.exchange.columns import name_ros_fields
-from igtl_gateway.exchange.igtl_columns import POSE_TYPES, pose_rows
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.sessionfile.bulk import MessageBlock
-from igtl_gateway.sessionfile.channels import ChannelSummary
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.record.sessionfile.bulk import MessageBlock
+from igtl_gateway.record.sessionfile.channels import ChannelSummary
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.fields import decode_text
 from igtl_gateway.wire.tracking import QuaternionTrackingData, TrackingData

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.stamp import ticks_to_ns
 from igtl_gateway.convert.poses import rotation_matrix, unit_quaternion
-from igtl_gateway.errors import ConversionError
-from igtl_gateway.stamp import ticks_to_ns
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.body import Body, Raw
 from igtl_gateway.wire.command import Command

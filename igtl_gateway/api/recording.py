@@ -21,14 +21,14 @@ from igtl_gateway.api.moments import Moment
 from igtl_gateway.api.source import Source
 from igtl_gateway.api.stream import STREAM_HEAD, Stream, narrowed
 from igtl_gateway.api.transforms import TransformTree
-from igtl_gateway.config import Config
-from igtl_gateway.errors import BeingRecorded, ConfigError, DamagedRecording, GatewayError
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.session.note import Note
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.remote import RemoteFile, is_url
-from igtl_gateway.untrusted import limits as file_limits
-from igtl_gateway.untrusted.limits import FileLimits
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.base.errors import BeingRecorded, ConfigError, DamagedRecording, GatewayError
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.remote import RemoteFile, is_url
+from igtl_gateway.base.untrusted import limits as file_limits
+from igtl_gateway.base.untrusted.limits import FileLimits
 
 if TYPE_CHECKING:
     import pandas
@@ -361,7 +361,7 @@ def _open_file(path: str | Path, resources: ExitStack, warnings: list[str]) -> S
 
 def _salvaged(path: Path, resources: ExitStack, warnings: list[str]) -> SessionFile:
     """Copy what is whole in a file that was cut off to a temporary file, and open that."""
-    from igtl_gateway.sessionfile.recovery import copy_readable  # its readers take half a second to load
+    from igtl_gateway.record.sessionfile.recovery import copy_readable  # its readers take half a second to load
 
     folder = Path(resources.enter_context(tempfile.TemporaryDirectory(prefix="igtl-gateway-")))
     copy = folder / path.name

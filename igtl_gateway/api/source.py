@@ -7,16 +7,16 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from igtl_gateway.config import Config
-from igtl_gateway.errors import ClosedRecording, ConfigError, DamagedRecording
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.sessionfile import facts
-from igtl_gateway.sessionfile.bulk import MessageBlock
-from igtl_gateway.sessionfile.channels import ChannelSummary
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.untrusted import definitions
-from igtl_gateway.untrusted.decoding import MessageDecoder
-from igtl_gateway.untrusted.limits import FileLimits, limits_in_force
+from igtl_gateway.base.errors import ClosedRecording, ConfigError, DamagedRecording
+from igtl_gateway.base.untrusted import definitions
+from igtl_gateway.base.untrusted.decoding import MessageDecoder
+from igtl_gateway.base.untrusted.limits import FileLimits, limits_in_force
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.record.sessionfile import facts
+from igtl_gateway.record.sessionfile.bulk import MessageBlock
+from igtl_gateway.record.sessionfile.channels import ChannelSummary
+from igtl_gateway.record.sessionfile.reader import SessionFile
 
 if TYPE_CHECKING:
     import pyarrow
@@ -108,7 +108,7 @@ class Source:
 
     def table(self, channel: ChannelSummary, blocks: Iterable[MessageBlock]) -> pyarrow.Table:
         """Return the messages of a stream as an Arrow table.  Raises Unavailable without pyarrow."""
-        from igtl_gateway.exchange import arrow_tables  # pyarrow is an extra
+        from igtl_gateway.addons.exchange import arrow_tables  # pyarrow is an extra
 
         name = channel.stream or channel.topic
         definitions = self.file.definitions

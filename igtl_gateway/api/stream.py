@@ -17,12 +17,12 @@ from igtl_gateway.api.moments import Moment, to_ns
 from igtl_gateway.api.poses import Poses
 from igtl_gateway.api.posing import read_poses
 from igtl_gateway.api.source import Source
-from igtl_gateway.errors import ConfigError, Unavailable
-from igtl_gateway.extras import missing
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.sessionfile.bulk import MessageBlock
-from igtl_gateway.sessionfile.channels import ChannelSummary
-from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.base.errors import ConfigError, Unavailable
+from igtl_gateway.base.extras import missing
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.record.sessionfile.bulk import MessageBlock
+from igtl_gateway.record.sessionfile.channels import ChannelSummary
 from igtl_gateway.wire import decode
 
 if TYPE_CHECKING:

@@ -14,10 +14,10 @@ from igtl_gateway.api.poses import between_poses, inverse, ratio
 from igtl_gateway.api.posing import transforms_of
 from igtl_gateway.api.source import Source
 from igtl_gateway.api.stream import Stream
+from igtl_gateway.base.errors import ConfigError, GatewayError
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.frames import frame_id
 from igtl_gateway.convert.rosmsg import TransformStamped
-from igtl_gateway.errors import ConfigError, GatewayError
 
 Array = npt.NDArray[Any]
 Times = npt.NDArray[np.int64]

@@ -1,6 +1,6 @@
 """The verbs of the command line as functions: ``replay``, ``verify``, ``review``, ``diff``.
 
-Each calls the function that its verb calls.  Nothing prints; a failure is an exception of `igtl_gateway.errors`.
+Each calls the function that its verb calls.  Nothing prints; a failure is an exception of `igtl_gateway.base.errors`.
 """
 
 from __future__ import annotations
@@ -12,22 +12,22 @@ from os import PathLike
 from pathlib import Path
 from typing import get_args
 
+from igtl_gateway.addons.review import Review, Thresholds
+from igtl_gateway.addons.review.material import CLOUDS
+from igtl_gateway.addons.review.recorded import ReviewSelection, checked_thresholds, review_session
 from igtl_gateway.api.keywords import addresses, numbers, of_a_replay, one_of, ros_arguments, texts
 from igtl_gateway.api.peer import HOST, PORT
 from igtl_gateway.api.recording import Recording, session_of
 from igtl_gateway.app.comparison import RecordingDiff, compare_sessions
 from igtl_gateway.app.replay_sides import ReplayOptions, To
 from igtl_gateway.app.replaying import ReplayEvents, ReplayResult, run_replay
-from igtl_gateway.app.reviewing import ReviewSelection, checked_thresholds, review_session
 from igtl_gateway.app.verification import Verification, verify_session
+from igtl_gateway.base.errors import ConfigError, GatewayError
+from igtl_gateway.config.settings import PROFILE_NAMES
 from igtl_gateway.convert.profiles import AUTO
 from igtl_gateway.edges.tcp import TlsFiles
-from igtl_gateway.errors import ConfigError, GatewayError
 from igtl_gateway.replay.compare import Tolerance
 from igtl_gateway.replay.restamp import MODES, Mode
-from igtl_gateway.review import Review, Thresholds
-from igtl_gateway.review.material import CLOUDS
-from igtl_gateway.settings import PROFILE_NAMES
 
 Address = tuple[str, int]
 AnyPath = str | PathLike[str]

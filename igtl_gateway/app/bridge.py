@@ -17,7 +17,6 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from igtl_gateway import __version__
 from igtl_gateway.app.commands import SERVICE, SERVICE_TYPE, CommandService
 from igtl_gateway.app.hub import LARGE_BYTES, Hub, Rest, Sink
 from igtl_gateway.app.passage import BridgePassage, make_passage
@@ -25,8 +24,17 @@ from igtl_gateway.app.recording import serve_recording
 from igtl_gateway.app.ros_log import NOTED, RosLog
 from igtl_gateway.app.timer import Timer
 from igtl_gateway.app.video import VideoCodecs
-from igtl_gateway.clock import Clock
-from igtl_gateway.config import Config
+from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.errors import RosError, Unavailable
+from igtl_gateway.base.globs import matches
+from igtl_gateway.base.once import Once
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.realtime import RealtimeOptions
+from igtl_gateway.base.stamp import NS_PER_MS
+from igtl_gateway.base.systems.memory import IdleMemory
+from igtl_gateway.base.version import __version__
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.config.notations import UploadPlace
 from igtl_gateway.convert.common_msgs import CompressedImage, DiagnosticArray, TFMessage
 from igtl_gateway.convert.igtl_msgs import Command, CommandReply, LinkStatusList, MetadataItem
 from igtl_gateway.edges.interface import RosSide
@@ -35,28 +43,20 @@ from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.tcp import PeerLimits, TcpEdge, TlsFiles
 from igtl_gateway.edges.video import VideoOptions
-from igtl_gateway.errors import RosError, Unavailable
 from igtl_gateway.gateway import CUT, LINKS_TOPIC, LISTENED, Session, make_core
 from igtl_gateway.gateway.diagnostics import DIAGNOSTICS_TOPIC, Diagnostics, PeerFacts
+from igtl_gateway.gateway.fastpath.passage_streams import OnPassed
 from igtl_gateway.gateway.live_settings import LiveSettings
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.ledger import gaps
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.to_igtl.tf_out import TF_QOS
-from igtl_gateway.globs import matches
-from igtl_gateway.notations import UploadPlace
-from igtl_gateway.once import Once
-from igtl_gateway.passage import Passage
-from igtl_gateway.passage.streams import OnPassed
-from igtl_gateway.qos import Qos
-from igtl_gateway.realtime import RealtimeOptions
+from igtl_gateway.native.passage import Passage
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.selection import StateInputRule
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.ledger import gaps
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.stamp import NS_PER_MS
-from igtl_gateway.systems.memory import IdleMemory
 
 if TYPE_CHECKING:
-    from igtl_gateway.app.uploads import BridgeUploads
+    from igtl_gateway.addons.upload.live import BridgeUploads
     from igtl_gateway.record.recorder import Recorder
     from igtl_gateway.record.worker import RecordingSummary
 
@@ -244,8 +244,8 @@ class Bridge:
                 host=host,
                 passage=passage,
             )
-        from igtl_gateway.edges.zenoh.edge import ZenohEdge  # here: it needs an extra
-        from igtl_gateway.edges.zenoh.traffic import Traffic
+        from igtl_gateway.addons.zenoh.edge import ZenohEdge  # here: it needs an extra
+        from igtl_gateway.addons.zenoh.traffic import Traffic
 
         return ZenohEdge(
             node_name=name,
@@ -296,7 +296,7 @@ class Bridge:
                     lock=self._passage.recorder_lock if self._passage else None,
                 )
                 if self.options.upload:
-                    from igtl_gateway.app.uploads import BridgeUploads  # its modules are a tenth of the start
+                    from igtl_gateway.addons.upload.live import BridgeUploads  # its modules are a tenth of the start
 
                     self.uploads = BridgeUploads(
                         self.options.record, self.options.upload, self.options.upload_rate, self._on_edge_note

@@ -8,12 +8,10 @@ from typing import Any
 
 from igtl_gateway.app.bridge import BridgeOptions, SiteOptions
 from igtl_gateway.app.settings import config_of
-from igtl_gateway.config import Config
-from igtl_gateway.edges.reserved import ReservedPorts
-from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
-from igtl_gateway.edges.video import VideoOptions
-from igtl_gateway.errors import ConfigError
-from igtl_gateway.notations import (
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.realtime import RealtimeOptions
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.config.notations import (
     DEFAULT_HOST,
     DEFAULT_PORT,
     cpus,
@@ -25,10 +23,12 @@ from igtl_gateway.notations import (
     size_by_type,
     upload_place,
 )
-from igtl_gateway.realtime import RealtimeOptions
+from igtl_gateway.config.settings import SETTINGS, check_needs
+from igtl_gateway.edges.reserved import ReservedPorts
+from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
+from igtl_gateway.edges.video import VideoOptions
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.selection import Selection
-from igtl_gateway.settings import SETTINGS, check_needs
 
 _NEVER = TlsFiles()
 

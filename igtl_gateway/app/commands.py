@@ -10,11 +10,11 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from igtl_gateway.config import OUT_PREFIX
+from igtl_gateway.config.configuration import OUT_PREFIX
 from igtl_gateway.convert.igtl_msgs import Command, CommandReply, MetadataItem
 from igtl_gateway.convert.names import topic_token
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.gateway.log.entry import Entry, Kind
 
 SERVICE = "~/send_command"
 SERVICE_TYPE = "igtl_msgs/srv/SendCommand"

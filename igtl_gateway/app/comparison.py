@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.convert.units import LengthUnits
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.compare import LeafDecoder, Tolerance
 from igtl_gateway.replay.diff import DiffInput, StreamDiff, diff
 from igtl_gateway.replay.recorded_config import config_to_run
-from igtl_gateway.sessionfile.reader import SessionFile
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,11 +7,11 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
-from igtl_gateway.session.clocksteps import ClockStep, without_jump
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.session.timing import StampTiming, best
-from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.gateway.log.clocksteps import ClockStep, without_jump
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.gateway.log.timing import StampTiming, best
 
 _MESSAGES = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT, Kind.ROS_IN, Kind.ROS_OUT})
 #: A gap is a pause of more than this number of mean intervals, and of more than a second.

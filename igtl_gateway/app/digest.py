@@ -6,7 +6,7 @@ import hashlib
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
-from igtl_gateway.buffers import Buffer
+from igtl_gateway.base.buffers import Buffer
 
 #: Size in bytes from which a part is hashed in the second thread; for shorter parts the switch takes longer.
 _LARGE = 1 << 18

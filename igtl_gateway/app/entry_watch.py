@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import Counter, deque
 
 from igtl_gateway.app.note_rate import Event, NoteRate
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 
 _MAX_EVENTS = 1000  # notes waiting to be taken; a flood of them must not cost memory
 _NOTES = frozenset({Kind.LINK, Kind.EDGE_NOTE, Kind.NOTE})

@@ -11,19 +11,19 @@ import threading
 from dataclasses import dataclass, field
 
 from igtl_gateway.app.hub import Hub
-from igtl_gateway.clock import Clock
-from igtl_gateway.config import Config
+from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.errors import ConfigError, Unavailable
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.doctor.graph import Graph
 from igtl_gateway.doctor.observer import ExpectedLinks, Observer
 from igtl_gateway.doctor.protocols import is_openigtlink
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.tcp import TcpEdge, TlsFiles
-from igtl_gateway.errors import ConfigError, Unavailable
 from igtl_gateway.gateway import Gateway, Session
 from igtl_gateway.gateway.dialogue.probing import PROBE, PROBE_DEVICE
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.wire import Message, encode
 
 #: Share of the time after which a silent peer is sent a STATUS, or the other TCP role is tried if no peer is connected.

@@ -12,10 +12,10 @@ from dataclasses import replace
 from threading import Event
 
 from igtl_gateway.app.replay_plan import Send, SendAll
+from igtl_gateway.config.faults import DELAY, Fate, FaultLine, Faults
 from igtl_gateway.edges.tcp import TcpEdge
-from igtl_gateway.faults import DELAY, Fate, FaultLine, Faults
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.stamps import moved
-from igtl_gateway.session.entry import Entry, Kind
 
 #: Marks an entry after which the connections are closed, in place of its links: no link has this number.
 DISCONNECT = (0,)

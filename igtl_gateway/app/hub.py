@@ -13,14 +13,14 @@ from collections.abc import Callable, Sequence
 
 from igtl_gateway.app.sequence import PythonSequence
 from igtl_gateway.app.sequence import Sequence as InputSequence
-from igtl_gateway.buffers import Buffer
-from igtl_gateway.clock import Clock
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.once import Once
 from igtl_gateway.gateway import TICK, Session
 from igtl_gateway.gateway.fastpath import Prepared
-from igtl_gateway.once import Once
-from igtl_gateway.session.clocksteps import LEAST_NS, ClockStep
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
+from igtl_gateway.gateway.log.clocksteps import LEAST_NS, ClockStep
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 
 #: What a sink leaves to be done without the lock, such as the copy of a picture.
 Rest = Callable[[], None]

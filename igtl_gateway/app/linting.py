@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.doctor.observer import Observer
+from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.salvage import Salvage
 from igtl_gateway.replay.recorded_config import config_to_run
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.salvage import Salvage
 
 
 def observe(

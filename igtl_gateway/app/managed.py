@@ -10,8 +10,8 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import Generic, Protocol, TypeVar
 
+from igtl_gateway.base.errors import GatewayError, RosError
 from igtl_gateway.edges.ros.host import NodeHost
-from igtl_gateway.errors import GatewayError, RosError
 
 
 class OpenBridge(Protocol):

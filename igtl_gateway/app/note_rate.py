@@ -11,9 +11,9 @@ import threading
 from collections import OrderedDict
 from dataclasses import dataclass, field, replace
 
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.session.note import Note
-from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.log.note import Note
 
 #: The same note again after this time.
 EVERY_NS = NS_PER_S

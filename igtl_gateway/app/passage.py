@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from igtl_gateway.clock import Clock, SystemClock
+from igtl_gateway.base.clock import Clock, SystemClock
 from igtl_gateway.edges.interface import RosSide
 from igtl_gateway.edges.tcp import TcpEdge
 from igtl_gateway.gateway import Gateway
 from igtl_gateway.gateway.core import is_kept
+from igtl_gateway.gateway.fastpath.passage_streams import OnPassed, PassageStreams
+from igtl_gateway.gateway.fastpath.passage_times import times_of
+from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.session import Core
-from igtl_gateway.passage import Link, Lock, Passage, Publisher, Subscription, is_compiled
-from igtl_gateway.passage.streams import OnPassed, PassageStreams
-from igtl_gateway.passage.times import times_of
-from igtl_gateway.session.entry import Kind
+from igtl_gateway.native.passage import Link, Lock, Passage, Publisher, Subscription, is_compiled
 
 if TYPE_CHECKING:
     from igtl_gateway.record.recorder import Recorder

@@ -12,15 +12,15 @@ from enum import Enum, auto
 from typing import Literal
 
 from igtl_gateway.app.digest import Digest
-from igtl_gateway.buffers import total_size
-from igtl_gateway.clock import Clock
-from igtl_gateway.errors import ConfigError, RosError
+from igtl_gateway.base.buffers import total_size
+from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.errors import ConfigError, RosError
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.replay.playback import PlaybackClock, checked_rate
 from igtl_gateway.replay.restamp import Restamper
 from igtl_gateway.replay.simclock import is_tick
 from igtl_gateway.replay.timeline import SessionTimeline
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.stamp import NS_PER_S
 
 #: Interval of the checks of the stop event, and of the ticks of simulated time during a pause.
 _POLL_S = 0.1

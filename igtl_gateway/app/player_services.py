@@ -6,9 +6,9 @@ import threading
 from typing import Any
 
 from igtl_gateway.app.player import Player
+from igtl_gateway.base.errors import RosError
+from igtl_gateway.base.stamp import ros_to_ns
 from igtl_gateway.edges.ros.edge import RosEdge
-from igtl_gateway.errors import RosError
-from igtl_gateway.stamp import ros_to_ns
 
 PACKAGE = "rosbag2_interfaces"
 

@@ -9,10 +9,10 @@ from typing import Any
 
 from igtl_gateway.app.player import PlaybackCounts
 from igtl_gateway.app.replay_plan import ReplayPlan
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.record.sessionfile.layout import NOTE_KINDS
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.source import FORMS, RECOMPUTED, RELAY, STREAMS
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.sessionfile.layout import NOTE_KINDS
-from igtl_gateway.sessionfile.reader import SessionFile
 
 NOTES, UNREAD, LOST, NO_PEER, NOT_FOR_PEER, REFUSED, LEFT, OUTSIDE, NOT_REACHED = (
     "notes",

@@ -14,13 +14,13 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
-from igtl_gateway.buffers import Buffer, join
-from igtl_gateway.config import Config
+from igtl_gateway.base.buffers import Buffer, join
+from igtl_gateway.base.errors import WireError
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.profiles import AUTO, DEFAULT, UNRECOGNISED, PeerProfile
-from igtl_gateway.errors import WireError
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.gateway.peers import Peer, Peers
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Note
 from igtl_gateway.wire import Message, Raw, decode, encode
 from igtl_gateway.wire.query import split_query
 from igtl_gateway.wire.registry import BODIES

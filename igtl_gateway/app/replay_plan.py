@@ -10,15 +10,15 @@ from itertools import chain, groupby
 from operator import itemgetter
 
 from igtl_gateway.app.replay_listeners import Listeners
-from igtl_gateway.config import Config
+from igtl_gateway.base.errors import ConfigError, RosError
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.tcp import TcpEdge
-from igtl_gateway.errors import ConfigError, RosError
-from igtl_gateway.qos import Qos
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.latched import latched_state_rule, part_of_session
 from igtl_gateway.replay.source import first_form_only, is_stream_of, one_side_of_relay, select_entries, through_gateway
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile.reader import SessionFile
 
 #: QoS of topics without one in the file.
 PLAYED_QOS = Qos(depth=100)

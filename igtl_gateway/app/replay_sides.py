@@ -22,19 +22,19 @@ from igtl_gateway.app.replay_plan import (
     igtl_sender_of_many,
     ros_sender,
 )
-from igtl_gateway.clock import SystemClock
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.stamp import NS_PER_MS
 from igtl_gateway.convert.profiles import AUTO
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.ros.env import prepare_environment
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.tcp import TcpEdge, TlsFiles
+from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.restamp import Mode
 from igtl_gateway.replay.simclock import CLOCK_TOPIC, CLOCK_TYPE
 from igtl_gateway.replay.source import matches_any
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.session.note import Note
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.stamp import NS_PER_MS
 
 _FLUSH_S = 30.0
 _LOOK_S = 0.2

@@ -15,19 +15,19 @@ from igtl_gateway.app.replay_account import ReplayAccount
 from igtl_gateway.app.replay_plan import check_streams, plan_replay, planned_entries
 from igtl_gateway.app.replay_sides import ReplayOptions, ReplaySides, open_sides
 from igtl_gateway.app.sends import with_sends
-from igtl_gateway.clock import SystemClock
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.errors import ConfigError, GatewayError
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.config.faults import CLOCK_STEP, LOSS, Fate, Faults
 from igtl_gateway.convert.profiles import AUTO
-from igtl_gateway.errors import ConfigError, GatewayError
-from igtl_gateway.faults import CLOCK_STEP, LOSS, Fate, Faults
+from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.moment import moment
 from igtl_gateway.replay.playback import checked_rate
 from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.replay.restamp import Restamper
 from igtl_gateway.replay.simclock import period_ns, with_ticks
 from igtl_gateway.replay.timeline import SessionTimeline, clock_steps_of
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.stamp import NS_PER_S
 
 #: A year: longer than a session, shorter than what a clock of the system cannot wait for.
 _LONGEST_S = 366 * 86_400.0

@@ -6,10 +6,10 @@ from collections import deque
 from collections.abc import Callable
 
 from igtl_gateway.app.note_rate import Event, NoteRate
+from igtl_gateway.base.once import Once
 from igtl_gateway.gateway import FAULT, TICK
-from igtl_gateway.once import Once
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 
 #: Called with level, text and time (UTC ns).
 Log = Callable[[Level, str, int], None]

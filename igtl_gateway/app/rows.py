@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from igtl_gateway.app.sends import send_row
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.config.settings import PROFILE_NAMES, Setting
 from igtl_gateway.convert.frames import TfRequest
 from igtl_gateway.convert.table import TO_ROS
-from igtl_gateway.errors import ConfigError
-from igtl_gateway.settings import PROFILE_NAMES, Setting
 
 
 def rows_of(setting: Setting, texts: Iterable[str]) -> tuple[dict[str, Any], ...]:

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.errors import GatewayError
-from igtl_gateway.keeping.side_files import closed_part
-from igtl_gateway.sessionfile.side_file import SIDE_FILE, side_file_text
-from igtl_gateway.untrusted import files
-from igtl_gateway.untrusted.yaml_text import parse_yaml
+from igtl_gateway.base.errors import GatewayError
+from igtl_gateway.base.untrusted import files
+from igtl_gateway.base.untrusted.yaml_text import parse_yaml
+from igtl_gateway.record.retention.side_files import closed_part
+from igtl_gateway.record.sessionfile.side_file import SIDE_FILE, side_file_text
 
 _ROOT = "rosbag2_bagfile_information"
 _TOPICS = "topics_with_message_count"

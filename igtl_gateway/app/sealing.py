@@ -9,17 +9,17 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.app.sealed_folder import side_file_state, strange_file
-from igtl_gateway.clock import SystemClock
-from igtl_gateway.errors import ConfigError, UnsupportedRecording
-from igtl_gateway.seal.keys import SigningKey, load_trusted
-from igtl_gateway.seal.time_stamps import load_authorities
-from igtl_gateway.sessionfile.beside import written
-from igtl_gateway.sessionfile.seal_check import CHANGED, CUT, SEALED, UNSEALED, UNTRUSTED, SealReport, check_seal
-from igtl_gateway.sessionfile.seal_copy import seal_copy
-from igtl_gateway.sessionfile.sealing import SealSeries
-from igtl_gateway.sessionfile.side_file import SIDE_FILE
-from igtl_gateway.sessionfile.stamped import stamped_copy
-from igtl_gateway.untrusted.files import is_same
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.errors import ConfigError, UnsupportedRecording
+from igtl_gateway.base.untrusted.files import is_same
+from igtl_gateway.record.seal.keys import SigningKey, load_trusted
+from igtl_gateway.record.seal.time_stamps import load_authorities
+from igtl_gateway.record.sessionfile.beside import written
+from igtl_gateway.record.sessionfile.seal_check import CHANGED, CUT, SEALED, UNSEALED, UNTRUSTED, SealReport, check_seal
+from igtl_gateway.record.sessionfile.seal_copy import seal_copy
+from igtl_gateway.record.sessionfile.sealing import SealSeries
+from igtl_gateway.record.sessionfile.side_file import SIDE_FILE
+from igtl_gateway.record.sessionfile.stamped import stamped_copy
 
 #: State of a recording that is sealed, but without an accepted time stamp, although one is asked for.
 UNTIMED = "untimed"

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from igtl_gateway.config import Config
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.config.configuration import Config
 
 
 def with_sends(config: Config, sends: Sequence[str]) -> Config:

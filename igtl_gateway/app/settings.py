@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.app.rows import rows_of
-from igtl_gateway.config import LIVE, Config, read_toml
-from igtl_gateway.errors import ConfigError
-from igtl_gateway.settings import (
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.config.configuration import LIVE, Config, read_toml
+from igtl_gateway.config.settings import (
     GATEWAY,
     HOST,
     IGTL,

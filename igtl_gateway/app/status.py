@@ -10,11 +10,11 @@ from collections import deque
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-from igtl_gateway import __version__
 from igtl_gateway.app.bridge import Bridge
-from igtl_gateway.clock import Clock
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.stamp import NS_PER_S, utc_text
+from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.stamp import NS_PER_S, utc_text
+from igtl_gateway.base.version import __version__
+from igtl_gateway.gateway.log.entry import Kind
 
 #: Time over which rates are averaged, in seconds.
 RATES_OVER_S = 5.0

@@ -11,8 +11,8 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 
-from igtl_gateway.clock import Clock
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
+from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 
 #: Between two looks.  Where the system does not report that the clock is set, each tick has to see it.
 _LOOK_NS, _BLIND_LOOK_NS = NS_PER_S, 50 * NS_PER_MS

@@ -6,14 +6,14 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway import __version__
-from igtl_gateway.config import Config
+from igtl_gateway.base.errors import UnsupportedRecording
+from igtl_gateway.base.version import __version__
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.units import LengthUnits
-from igtl_gateway.errors import UnsupportedRecording
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.compare import LeafDecoder
 from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.replay.verify import DeclaredLosses, Difference, VerifyReport, verify
-from igtl_gateway.sessionfile.reader import SessionFile
 
 #: Key of the version that recorded the session.
 _VERSION = "igtl_gateway_version"

@@ -10,13 +10,13 @@ from __future__ import annotations
 from typing import Any
 
 from igtl_gateway.app.hub import Hub
-from igtl_gateway.config import Config
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.common_msgs import CompressedImage
 from igtl_gateway.convert.rosmsg import Image
 from igtl_gateway.edges.interface import RosSide
 from igtl_gateway.edges.video import VideoDecoder, VideoEncoder, VideoOptions
-from igtl_gateway.qos import Qos
-from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.gateway.log.entry import Entry, Kind
 
 _IMAGES = Qos(depth=5)
 _ENCODED = "compressed_image"

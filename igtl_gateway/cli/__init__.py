@@ -16,17 +16,18 @@ import importlib
 import sys
 from collections.abc import Callable, Sequence
 
-from igtl_gateway import extras, notations
+from igtl_gateway.base import extras
+from igtl_gateway.base.errors import ConfigError, GatewayError, OutputError, UnsupportedRecording
+from igtl_gateway.base.systems.signals import endings_interrupt
+from igtl_gateway.base.untrusted import limits
 from igtl_gateway.cli.early_port import early_ports
 from igtl_gateway.cli.options import HelpFormatter, add_file_mode, add_limits_of_files, shorten_usage
 from igtl_gateway.cli.ros_arguments import without_ros_arguments
 from igtl_gateway.cli.terminal import Parser, discard_outputs, flush_outputs, open_outputs, print_line
 from igtl_gateway.cli.verbs import LABORATORY, VERBS, WITHOUT_LABORATORY, Verb, available
 from igtl_gateway.cli.versions import VersionAction
-from igtl_gateway.errors import ConfigError, GatewayError, OutputError, UnsupportedRecording
-from igtl_gateway.sessionfile.new_file import files_with_mode
-from igtl_gateway.systems.signals import endings_interrupt
-from igtl_gateway.untrusted import limits
+from igtl_gateway.config import notations
+from igtl_gateway.record.sessionfile.new_file import files_with_mode
 
 FAILURE, USAGE = 1, 2
 

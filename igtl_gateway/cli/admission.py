@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from igtl_gateway.cli.options import Options
 from igtl_gateway.cli.settings import add_settings
-from igtl_gateway.config import Config
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.edges.tcp import TlsFiles
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.wire.registry import BODIES

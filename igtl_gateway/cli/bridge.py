@@ -14,6 +14,10 @@ from igtl_gateway.app.bridge_options import bridge_options
 from igtl_gateway.app.interpreter import tune_interpreter
 from igtl_gateway.app.managed import ManagedBridge
 from igtl_gateway.app.settings import declared
+from igtl_gateway.base.clock import Clock, SystemClock
+from igtl_gateway.base.errors import ConfigError, ViewerError
+from igtl_gateway.base.extras import missing
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.cli import admission, recording
 from igtl_gateway.cli.bridge_output import BridgeOutput, JsonOutput, TextOutput
 from igtl_gateway.cli.bridge_session import BridgeSession, PlainRunner, options_of_session
@@ -23,17 +27,13 @@ from igtl_gateway.cli.ros_arguments import add_ros_arguments
 from igtl_gateway.cli.settings import add_faults, add_settings, given, settled
 from igtl_gateway.cli.terminal import is_terminal, print_line
 from igtl_gateway.cli.type_tables import types
-from igtl_gateway.clock import Clock, SystemClock
-from igtl_gateway.config import Config
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.config.notations import DDS, address, ros_middleware
 from igtl_gateway.edges.ros.env import prepare_environment, tune_malloc
 from igtl_gateway.edges.ros.host import NodeHost
-from igtl_gateway.errors import ConfigError, ViewerError
-from igtl_gateway.extras import missing
-from igtl_gateway.notations import DDS, address, ros_middleware
-from igtl_gateway.stamp import NS_PER_S
 
 if TYPE_CHECKING:
-    from igtl_gateway.view.live import LiveWindow
+    from igtl_gateway.addons.view.live import LiveWindow
 
 EXAMPLES = """\
   # OpenIGTLink server on 127.0.0.1:18944, ROS 2 node /igtl_gateway
@@ -349,6 +349,6 @@ class _Show:
 def _window(config: Config) -> LiveWindow:
     if find_spec("rerun") is None:
         raise ViewerError(missing("rerun"))
-    from igtl_gateway.view.live import LiveWindow
+    from igtl_gateway.addons.view.live import LiveWindow
 
     return LiveWindow(config)

@@ -6,22 +6,22 @@ from collections import Counter
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Protocol
 
-from igtl_gateway import __version__
 from igtl_gateway.app.bridge import Bridge
 from igtl_gateway.app.entry_watch import EntryWatch
 from igtl_gateway.app.note_rate import Event
 from igtl_gateway.app.ros_log import is_routine, note_text
+from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.stamp import utc_text
+from igtl_gateway.base.version import __version__
 from igtl_gateway.cli import admission
 from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.losses import losses
 from igtl_gateway.cli.terminal import clear_live_line, live_line, print_json, print_line
 from igtl_gateway.cli.type_tables import mapping, profiles
-from igtl_gateway.clock import Clock
-from igtl_gateway.config import Config
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway import FAULT
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.session.note import Level
-from igtl_gateway.stamp import utc_text
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.log.note import Level
 
 if TYPE_CHECKING:
     from igtl_gateway.app.metrics import MetricsServer

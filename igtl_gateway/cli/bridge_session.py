@@ -11,13 +11,13 @@ from igtl_gateway.app.bridge import Bridge, BridgeOptions
 from igtl_gateway.app.entry_watch import EntryWatch
 from igtl_gateway.app.note_rate import NoteRate
 from igtl_gateway.app.status import BridgeStatus
-from igtl_gateway.clock import Clock
-from igtl_gateway.config import Config
+from igtl_gateway.base.clock import Clock
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.edges.ros.host import NodeHost
 
 if TYPE_CHECKING:
+    from igtl_gateway.addons.view.live import LiveWindow
     from igtl_gateway.app.metrics import MetricsServer
-    from igtl_gateway.view.live import LiveWindow
 
 
 class BridgeSession:

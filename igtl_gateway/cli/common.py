@@ -11,19 +11,19 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.base.systems.signals import ENDINGS, KEPT_IGNORED, signals_in_thread
 from igtl_gateway.cli.terminal import print_line
-from igtl_gateway.stamp import NS_PER_S
-from igtl_gateway.systems.signals import ENDINGS, KEPT_IGNORED, signals_in_thread
 
 if TYPE_CHECKING:
-    from igtl_gateway.config import Config
+    from igtl_gateway.config.configuration import Config
 
 _NS_PER_MS = 1_000_000
 
 
 def load_config(path: Path | None) -> Config:
     """The configuration of a file, or the default one."""
-    from igtl_gateway.config import Config  # here: it imports all conversions
+    from igtl_gateway.config.configuration import Config  # here: it imports all conversions
 
     return Config.from_toml(path) if path else Config()
 

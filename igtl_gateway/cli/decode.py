@@ -9,14 +9,14 @@ from contextlib import ExitStack, contextmanager
 from io import BufferedReader, BufferedWriter, FileIO
 from pathlib import Path
 
-from igtl_gateway.buffers import Buffer
+from igtl_gateway.addons.exchange.formats import IGTL, START, format_of
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.errors import ConfigError, GatewayError, MessageTooLarge, WireError
+from igtl_gateway.base.untrusted.files import is_same
 from igtl_gateway.cli.options import add_overwrite, default
 from igtl_gateway.cli.terminal import print_json, print_line
-from igtl_gateway.errors import ConfigError, GatewayError, MessageTooLarge, WireError
-from igtl_gateway.exchange.formats import IGTL, START, format_of
-from igtl_gateway.sessionfile.beside import written
-from igtl_gateway.sessionfile.new_file import open_new
-from igtl_gateway.untrusted.files import is_same
+from igtl_gateway.record.sessionfile.beside import written
+from igtl_gateway.record.sessionfile.new_file import open_new
 from igtl_gateway.wire import decode, describe, encode
 from igtl_gateway.wire.framer import DEFAULT_MAX_BODY, Framer
 from igtl_gateway.wire.header import HEADER_VERSIONS

@@ -7,10 +7,10 @@ import math
 from pathlib import Path
 
 from igtl_gateway.app.comparison import RecordingDiff, compare_recordings
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.cli.common import count_text
 from igtl_gateway.cli.options import RECORDING_OR_BAG, add_json, add_streams, default
 from igtl_gateway.cli.terminal import aligned, print_json, print_line
-from igtl_gateway.errors import ConfigError
 from igtl_gateway.replay.compare import Tolerance
 from igtl_gateway.replay.diff import StreamDiff
 

@@ -6,15 +6,15 @@ import argparse
 
 from igtl_gateway.app import bridge_options
 from igtl_gateway.app.examine import ExamineOptions, examine
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.cli import admission
 from igtl_gateway.cli.common import load_config, stop_event
 from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT, add_config, add_json, default, peer_address
 from igtl_gateway.cli.settings import add_settings
 from igtl_gateway.cli.terminal import print_json, print_line
-from igtl_gateway.clock import SystemClock
 from igtl_gateway.doctor.host_report import HostReport, examine_host
 from igtl_gateway.doctor.report import DoctorReport
-from igtl_gateway.errors import ConfigError
 
 EXAMPLES = """\
   # connect to a server, observe it for 5 seconds, report problems

@@ -8,6 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.app.content_summary import ContentSummary, StreamSummary
+from igtl_gateway.base.errors import BeingRecorded, DamagedRecording, LimitExceeded
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.base.untrusted.text import parse_json
 from igtl_gateway.cli.common import count_text, print_damaged_indexes, size_text, utc_text
 from igtl_gateway.cli.info_source import recording_of
 from igtl_gateway.cli.losses import DIRECTIONS, losses
@@ -16,18 +19,15 @@ from igtl_gateway.cli.next_steps import info_steps, print_next
 from igtl_gateway.cli.options import add_file, add_json
 from igtl_gateway.cli.recover import print_losses
 from igtl_gateway.cli.terminal import cell, print_json, print_line, width
-from igtl_gateway.errors import BeingRecorded, DamagedRecording, LimitExceeded
-from igtl_gateway.session.changes import SETTING
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.session.ledger import gaps
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.sessionfile import facts, layout
-from igtl_gateway.sessionfile.index import recover_hint
-from igtl_gateway.sessionfile.reader import PartSummary, SessionFile
-from igtl_gateway.sessionfile.salvage import Salvage
-from igtl_gateway.sessionfile.seals import stated_seals
-from igtl_gateway.stamp import NS_PER_S
-from igtl_gateway.untrusted.text import parse_json
+from igtl_gateway.gateway.log.changes import SETTING
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.log.ledger import gaps
+from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.record.sessionfile import facts, layout
+from igtl_gateway.record.sessionfile.index import recover_hint
+from igtl_gateway.record.sessionfile.reader import PartSummary, SessionFile
+from igtl_gateway.record.sessionfile.salvage import Salvage
+from igtl_gateway.record.sessionfile.seals import stated_seals
 
 EXAMPLES = """\
   # streams, rates, gaps, errors, losses, peers, configuration

@@ -9,14 +9,14 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from igtl_gateway.cli.import_ import import_facts
-from igtl_gateway.errors import ConfigError, UnsupportedRecording
-from igtl_gateway.exchange.formats import open_source
-from igtl_gateway.exchange.source import numbered
-from igtl_gateway.sessionfile.new_file import open_new
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.side_file import SIDE_FILE
-from igtl_gateway.sessionfile.writer import SessionWriter
+from igtl_gateway.addons.exchange.formats import open_source
+from igtl_gateway.addons.exchange.import_verb import import_facts
+from igtl_gateway.addons.exchange.source import numbered
+from igtl_gateway.base.errors import ConfigError, UnsupportedRecording
+from igtl_gateway.record.sessionfile.new_file import open_new
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.side_file import SIDE_FILE
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 
 STANDARD_INPUT = Path("-")
 

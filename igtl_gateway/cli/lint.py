@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 
 from igtl_gateway.app.linting import observe
+from igtl_gateway.base.errors import DamagedRecording
 from igtl_gateway.cli.common import count_text
 from igtl_gateway.cli.options import add_config, add_file, add_json
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.doctor.report import DoctorReport
-from igtl_gateway.errors import DamagedRecording
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.salvage import Salvage
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.salvage import Salvage
 
 EXAMPLES = """\
   # findings about stamps, names, units, CRCs, header versions, losses

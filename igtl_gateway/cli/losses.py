@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 from igtl_gateway.cli.common import count_text
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.session.ledger import PEERS, gaps
-from igtl_gateway.sessionfile import layout
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.log.ledger import PEERS, gaps
+from igtl_gateway.record.sessionfile import layout
 
 #: What the log calls it → what people call it.
 DIRECTIONS = {

@@ -9,9 +9,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
-from igtl_gateway import notations
-from igtl_gateway.errors import ConfigError
-from igtl_gateway.untrusted import limits
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.untrusted import limits
+from igtl_gateway.config import notations
 
 T = TypeVar("T")
 

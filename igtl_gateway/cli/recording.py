@@ -7,11 +7,11 @@ from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
 from igtl_gateway.app.recording import pause, resume, snapshot
+from igtl_gateway.base.systems.signals import PAUSE as PAUSE_SIGNAL
+from igtl_gateway.base.systems.signals import SAVE, signals_in_thread
 from igtl_gateway.cli.keys import NEXT, PAUSE, can_read_keys, keyboard
 from igtl_gateway.cli.options import Options
 from igtl_gateway.cli.settings import add_settings
-from igtl_gateway.systems.signals import PAUSE as PAUSE_SIGNAL
-from igtl_gateway.systems.signals import SAVE, signals_in_thread
 
 if TYPE_CHECKING:
     from igtl_gateway.record.recorder import Recorder

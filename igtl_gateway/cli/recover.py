@@ -6,17 +6,17 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.base.errors import ConfigError, UnsupportedRecording
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.base.untrusted.files import is_same
 from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.options import add_file, add_json, add_overwrite, default, new_recording
 from igtl_gateway.cli.terminal import clear_live_line, is_terminal, live_line, print_json, print_line
-from igtl_gateway.errors import ConfigError, UnsupportedRecording
-from igtl_gateway.sessionfile.beside import written, written_folder
-from igtl_gateway.sessionfile.recovery import Recovery, recover
-from igtl_gateway.sessionfile.salvage import Salvage
-from igtl_gateway.sessionfile.salvage_report import Loss, SalvageReport
-from igtl_gateway.sessionfile.side_file import SIDE_FILE, write_side_file
-from igtl_gateway.stamp import NS_PER_S
-from igtl_gateway.untrusted.files import is_same
+from igtl_gateway.record.sessionfile.beside import written, written_folder
+from igtl_gateway.record.sessionfile.recovery import Recovery, recover
+from igtl_gateway.record.sessionfile.salvage import Salvage
+from igtl_gateway.record.sessionfile.salvage_report import Loss, SalvageReport
+from igtl_gateway.record.sessionfile.side_file import SIDE_FILE, write_side_file
 
 EXAMPLES = """\
   # after a crash: write out.recovered.mcap, closed and with an index

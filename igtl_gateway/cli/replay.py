@@ -13,6 +13,7 @@ from igtl_gateway.app.player import Jump, Player
 from igtl_gateway.app.player_services import PlayerServices
 from igtl_gateway.app.replay_sides import ReplayOptions, ReplaySides
 from igtl_gateway.app.replaying import ReplayEvents, run_replay, since_text
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.cli import admission
 from igtl_gateway.cli.common import stop_event
 from igtl_gateway.cli.keys import FASTER, HELP, NEXT, PAUSE, QUIT, SLOWER, can_read_keys, keyboard, read_lines
@@ -28,15 +29,14 @@ from igtl_gateway.cli.replay_report import print_report
 from igtl_gateway.cli.ros_arguments import add_ros_arguments
 from igtl_gateway.cli.settings import add_faults, add_settings
 from igtl_gateway.cli.terminal import print_json, print_line
+from igtl_gateway.config.faults import Fate
+from igtl_gateway.config.settings import PROFILE_NAMES
 from igtl_gateway.convert.profiles import AUTO
 from igtl_gateway.edges.ros.edge import RosEdge
-from igtl_gateway.errors import ConfigError
-from igtl_gateway.faults import Fate
+from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.restamp import MODES
 from igtl_gateway.replay.simclock import DEFAULT_HZ
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.settings import PROFILE_NAMES
 
 EXAMPLES = """\
   # serve the session to the first client

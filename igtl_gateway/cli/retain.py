@@ -6,15 +6,15 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.errors import RecordingError
 from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.options import add_json, parser_of
 from igtl_gateway.cli.terminal import cell, print_json, print_line, width
-from igtl_gateway.clock import SystemClock
-from igtl_gateway.errors import RecordingError
-from igtl_gateway.keeping.retention import Choice, Retention, RetentionReport
-from igtl_gateway.keeping.stored import StoredRecording
-from igtl_gateway.keeping.upload_state import UploadProtection
-from igtl_gateway.notations import retention
+from igtl_gateway.config.notations import retention
+from igtl_gateway.record.retention.retention import Choice, Retention, RetentionReport
+from igtl_gateway.record.retention.stored import StoredRecording
+from igtl_gateway.record.retention.upload_state import UploadProtection
 
 EXAMPLES = """\
   # which recordings would be deleted, and which are kept although they are old

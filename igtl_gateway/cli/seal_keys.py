@@ -8,10 +8,10 @@ from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.cli.terminal import print_line
-from igtl_gateway.errors import ConfigError
-from igtl_gateway.seal.keys import SigningKey, key_id, load_trusted
-from igtl_gateway.sessionfile.beside import write_error
+from igtl_gateway.record.seal.keys import SigningKey, key_id, load_trusted
+from igtl_gateway.record.sessionfile.beside import write_error
 
 EXAMPLES = """\
   # write the private key recorder.key (mode 0600) and recorder.key.pub

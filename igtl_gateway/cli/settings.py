@@ -9,8 +9,8 @@ from typing import Any
 from igtl_gateway.app import settings as app_settings
 from igtl_gateway.app.rows import rows_of
 from igtl_gateway.cli.options import Options, default, definitions, parser_of
-from igtl_gateway.faults import FAULTS
-from igtl_gateway.settings import BY_SETTING, ROWS, SETTINGS, Setting
+from igtl_gateway.config.faults import FAULTS
+from igtl_gateway.config.settings import BY_SETTING, ROWS, SETTINGS, Setting
 
 
 class Usual(tuple[str, ...]):

@@ -7,21 +7,21 @@ import json
 from itertools import chain
 from pathlib import Path
 
-from igtl_gateway import __version__
+from igtl_gateway.base.errors import ConfigError, UnsupportedRecording
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.base.untrusted.files import is_same
+from igtl_gateway.base.version import __version__
 from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.options import add_config, add_file, add_json, add_overwrite, add_streams, default, new_recording
 from igtl_gateway.cli.terminal import print_json, print_line
-from igtl_gateway.errors import ConfigError, UnsupportedRecording
-from igtl_gateway.qos import Qos
+from igtl_gateway.record.sessionfile import layout
+from igtl_gateway.record.sessionfile.beside import written
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.replay.moment import moment
 from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.replay.slice import Slice, SliceReport, SliceWindow
-from igtl_gateway.sessionfile import layout
-from igtl_gateway.sessionfile.beside import written
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.writer import SessionWriter
-from igtl_gateway.stamp import NS_PER_S
-from igtl_gateway.untrusted.files import is_same
 
 EXAMPLES = """\
   # seconds 12 to 15

@@ -13,8 +13,8 @@ import sys
 from collections.abc import Iterable, Sequence
 from typing import Any, TextIO
 
-from igtl_gateway.errors import OutputError
-from igtl_gateway.untrusted.text import json_line, printable
+from igtl_gateway.base.errors import OutputError
+from igtl_gateway.base.untrusted.text import json_line, printable
 
 #: Longer lines are cut: a name of a megabyte must not bury the rest.  ``--json`` has everything.
 LONGEST_LINE = 4000

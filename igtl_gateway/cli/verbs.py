@@ -37,34 +37,36 @@ def _own(name: str, text: str, *, reads_files: bool = True, writes_files: bool =
     return Verb(text, f"igtl_gateway.cli.{name}", reads_files, writes_files)
 
 
+def _of(addon: str, text: str, module: str = "verb", *, reads_files: bool = True, writes_files: bool = False) -> Verb:
+    return Verb(text, f"igtl_gateway.addons.{addon}.{module}", reads_files, writes_files)
+
+
 VERBS = {
     "bridge": _own("bridge", "run the gateway between OpenIGTLink and ROS 2", reads_files=False),
     "replay": _own("replay", "send a recording to OpenIGTLink peers, to ROS 2 or to both"),
     "verify": _own("verify", "check that the outputs of a recording follow from its inputs, byte for byte"),
     "diff": _own("diff", "compare two recordings stream by stream, in millimetres and degrees"),
-    "sync": _own("sync", "measure the lags between streams from what moves in them", writes_files=True),
+    "sync": _of("sync", "measure the lags between streams from what moves in them", writes_files=True),
     "slice": _own("slice", "cut a part out of a recording, by time and stream; the part verifies", writes_files=True),
-    "merge": _own("merge", "make one session of several recorders; each part verifies", writes_files=True),
-    "deidentify": _own(
+    "merge": _of("merge", "make one session of several recorders; each part verifies", writes_files=True),
+    "deidentify": _of(
         "deidentify", "write a session without names, text and dates of persons; it verifies", writes_files=True
     ),
-    "import": _own("import_", "convert a recording of another program to a session", writes_files=True),
-    "export": _own("export", "convert a session to formats of other programs", writes_files=True),
+    "import": _of("exchange", "convert a recording of another program to a session", "import_verb", writes_files=True),
+    "export": _of("exchange", "convert a session to formats of other programs", "export_verb", writes_files=True),
     "recover": _own("recover", "repair a damaged recording and report what is lost", writes_files=True),
     "seal": _own("seal", "sign a recording, so that verify --seal finds every change", writes_files=True),
     "keys": _own("seal_keys", "make, rotate and show the keys of seals", reads_files=False),
     "retain": _own("retain", "delete recordings of a directory by age and by size"),
-    "upload": _own("upload", "copy the recordings of a directory to an object store"),
+    "upload": _of("upload", "copy the recordings of a directory to an object store"),
     "info": _own("info", "show the contents of a recording"),
     "doctor": _own("doctor", "connect to a peer, or wait for one, and diagnose the connection", reads_files=False),
     "lint": _own("lint", "check a recording with the rules of doctor"),
-    "view": _own("view", "show a session in rerun: in a window, as a file, web page or image", writes_files=True),
-    "review": _own("review", "check each stitch of a suture plan against the measured tissue"),
-    "cohort": _own("cohort", "info, lint, verify, review or sync over many sessions, as tables", writes_files=True),
+    "view": _of("view", "show a session in rerun: in a window, as a file, web page or image", writes_files=True),
+    "review": _of("review", "check each stitch of a suture plan against the measured tissue"),
+    "cohort": _of("cohort", "info, lint, verify, review or sync over many sessions, as tables", writes_files=True),
     "decode": _own("decode", "print the messages of a raw OpenIGTLink byte stream as JSON lines"),
-    "zenoh-router": _own(
-        "zenoh_router", "run a router of Zenoh, which ROS nodes with rmw_zenoh need", reads_files=False
-    ),
+    "zenoh-router": _of("zenoh", "run a router of Zenoh, which ROS nodes with rmw_zenoh need", reads_files=False),
     "completion": _own("completion", "print a script that completes words in bash, zsh or fish", reads_files=False),
 }
 

@@ -8,12 +8,12 @@ from pathlib import Path
 
 from igtl_gateway.app.sealing import UNTIMED, SealVerification, verify_seal
 from igtl_gateway.app.verification import RECORDED, Verification, verify_parts, verify_recording
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.cli.common import count_text, print_damaged_indexes, utc_text
 from igtl_gateway.cli.options import add_config, add_file, add_json
 from igtl_gateway.cli.terminal import print_json, print_line
-from igtl_gateway.errors import ConfigError
-from igtl_gateway.sessionfile.seal_check import CHANGED, CUT, SEALED, UNSEALED, UNTRUSTED, SealReport
-from igtl_gateway.sessionfile.side_file import SIDE_FILE
+from igtl_gateway.record.sessionfile.seal_check import CHANGED, CUT, SEALED, UNSEALED, UNTRUSTED, SealReport
+from igtl_gateway.record.sessionfile.side_file import SIDE_FILE
 
 EXAMPLES = """\
   # exit code 0: all outputs are equal; 1: print the first difference

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from importlib.util import find_spec
 from typing import Any
 
-from igtl_gateway import __version__
+from igtl_gateway.base.version import __version__
 from igtl_gateway.cli.terminal import print_line
 
 #: What the program calls a library → names of distributions that contain it.
@@ -26,7 +26,7 @@ _LIBRARIES = {
 #: Equal to ``sessionfile.layout.FORMAT_VERSION`` and ``wire.header.HEADER_VERSIONS``, as a test ensures: the import of
 #: these modules takes longer than everything else here.
 FORMAT_VERSION, HEADER_VERSIONS = 1, "1 and 2"
-_C_PART = "igtl_gateway.convert._express"
+_C_PART = "igtl_gateway.native._express"
 
 
 class VersionAction(argparse.Action):

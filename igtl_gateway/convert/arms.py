@@ -6,10 +6,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.globs import matches
 from igtl_gateway.convert.crtk import namespaces, row_of
 from igtl_gateway.convert.units import UNITS
-from igtl_gateway.errors import ConfigError
-from igtl_gateway.globs import matches
 
 #: Value of the setting ``profile``: all namespaces, or ``crtk:`` and a glob of them.
 PROFILE = "crtk"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.errors import ConversionError
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.wire.image import BIG_ENDIAN, SCALARS, Image
 
 #: Limit for announced volumes: a header can announce 65,535³ voxels.

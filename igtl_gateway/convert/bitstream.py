@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from igtl_gateway.buffers import Buffer
+from igtl_gateway.base.buffers import Buffer
 
 _START_CODE = b"\x00\x00\x01"
 #: The headers of a frame precede its first slice, which is searched for in this number of bytes.

@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.buffers import Buffer
-from igtl_gateway.errors import ConversionError
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.errors import ConversionError
 
 _ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR_LE, no options
 _HEADER_SIZE = 4

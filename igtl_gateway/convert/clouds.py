@@ -16,12 +16,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.buffers import Buffer
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.rosmsg import POINT_FIELD_DTYPES, Header, PointCloud2, PointField, PointStamped
 from igtl_gateway.convert.scaling import all_finite, into_igtl, into_ros
 from igtl_gateway.convert.units import ieee_754
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.point import POINT_DTYPE, Points
 from igtl_gateway.wire.polydata import (

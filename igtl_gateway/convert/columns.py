@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.context import ToIgtlContext
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.fields import cut_text, decode_text, visible
 
 Array = npt.NDArray[Any]

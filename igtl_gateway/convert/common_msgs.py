@@ -12,7 +12,8 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.buffers import Buffer
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.stamp import ns_to_ros
 from igtl_gateway.convert.cdr import CdrReader, CdrWriter, stamped_pose
 from igtl_gateway.convert.igtl_msgs import HEADER, Pose
 from igtl_gateway.convert.rosmsg import DiagnosticStatus, Header
@@ -30,7 +31,6 @@ from igtl_gateway.convert.structs import (
     sequence_of,
     struct_of,
 )
-from igtl_gateway.stamp import ns_to_ros
 
 Array = npt.NDArray[Any]
 

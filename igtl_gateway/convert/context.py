@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import field
 from typing import Any
 
+from igtl_gateway.base.values import value
 from igtl_gateway.convert.igtl_msgs import MetadataItem
 from igtl_gateway.convert.units import LengthUnits
-from igtl_gateway.values import value
 from igtl_gateway.wire.body import Body
 
 

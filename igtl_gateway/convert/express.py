@@ -21,6 +21,8 @@ import struct
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
+from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.stamp import ns_to_ros, ns_to_ticks, ros_to_ns, ticks_to_ns
 from igtl_gateway.convert.poses import (
     BEYOND_FLOAT32,
     ROUNDING,
@@ -31,8 +33,6 @@ from igtl_gateway.convert.poses import (
     rotation_quaternion,
     unit_quaternion,
 )
-from igtl_gateway.errors import ConversionError
-from igtl_gateway.stamp import ns_to_ros, ns_to_ticks, ros_to_ns, ticks_to_ns
 from igtl_gateway.wire.header import BODY_SIZE_AT, CRC_AT, HEADER_SIZE, TICKS_AT, U64, crc64
 from igtl_gateway.wire.message import MESSAGE_ID_AT
 
@@ -208,7 +208,7 @@ bulk_to_igtl: Fill | None = None
 
 if not TYPE_CHECKING:
     try:
-        from igtl_gateway.convert._express import bulk_to_igtl, bulk_to_ros, pose_to_igtl, pose_to_ros  # noqa: F401
+        from igtl_gateway.native._express import bulk_to_igtl, bulk_to_ros, pose_to_igtl, pose_to_ros  # noqa: F401
 
         COMPILED = True
     except ImportError:  # pragma: no cover - installed without the C part

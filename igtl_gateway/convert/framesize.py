@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 
-from igtl_gateway.buffers import Buffer
+from igtl_gateway.base.buffers import Buffer
 
 _START_CODE = b"\x00\x00\x01"
 #: The headers precede the first slice; they are searched for in this number of bytes.

@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.units import LengthUnits
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.image import LPS
 
 Triple = tuple[float, float, float]

@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar, Self
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.buffers import Buffer
+from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.convert.cdr import CdrReader, CdrWriter
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.structs import (

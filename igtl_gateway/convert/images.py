@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.rosmsg import Image as RosImage
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.image import BIG_ENDIAN, LITTLE_ENDIAN, SCALARS, Image
 
 #: ROS encodings of (scalar type, components); all others have the OpenCV names below.

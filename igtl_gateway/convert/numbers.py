@@ -13,6 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from igtl_gateway.base.errors import ConversionError, MalformedBody
 from igtl_gateway.convert import igtl_msgs
 from igtl_gateway.convert.common_msgs import (
     MULTI_ARRAYS,
@@ -24,7 +25,6 @@ from igtl_gateway.convert.common_msgs import (
 )
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.errors import ConversionError, MalformedBody
 from igtl_gateway.wire.ndarray import NDARRAY_SCALARS, NdArray
 from igtl_gateway.wire.sensor import MAX_VALUES, Sensor, parse_unit, unit_text
 

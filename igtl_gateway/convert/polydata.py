@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.base.errors import ConversionError, MalformedBody
 from igtl_gateway.convert import igtl_msgs, surfaces
 from igtl_gateway.convert.columns import fit_texts
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.scaling import all_finite, into_igtl, into_ros
 from igtl_gateway.convert.units import ieee_754
-from igtl_gateway.errors import ConversionError, MalformedBody
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.polydata import (
     F4,

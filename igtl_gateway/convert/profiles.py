@@ -12,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.geometry import flip_lps_ras
 from igtl_gateway.convert.plus_signs import is_any_plus, is_recent_plus
-from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.fields import decode_text
 from igtl_gateway.wire.image import LPS, RAS, Image

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.stamp import NS_PER_MS
 from igtl_gateway.convert.columns import fit_texts
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import Query
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.errors import ConversionError
-from igtl_gateway.stamp import NS_PER_MS
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.query import (

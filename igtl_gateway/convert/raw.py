@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from igtl_gateway.buffers import Buffer
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.errors import ConversionError, WireError
+from igtl_gateway.base.stamp import ticks_to_ns
 from igtl_gateway.convert.igtl_msgs import RawMessage
-from igtl_gateway.errors import ConversionError, WireError
-from igtl_gateway.stamp import ticks_to_ns
 from igtl_gateway.wire import Header, decode
 from igtl_gateway.wire.fields import visible
 

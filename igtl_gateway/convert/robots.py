@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.common_msgs import JointState, PoseStamped
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import MetadataItem
@@ -26,7 +27,6 @@ from igtl_gateway.convert.robot_msgs import (
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.rosmsg import String as RosString
 from igtl_gateway.convert.texts import string_to_igtl
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.ndarray import NdArray
 from igtl_gateway.wire.sensor import MAX_VALUES, Sensor
 from igtl_gateway.wire.text import String

@@ -14,9 +14,9 @@ from typing import Any, ClassVar, Protocol, Self
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.buffers import Buffer
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.stamp import ns_to_ros, ros_to_ns
 from igtl_gateway.convert.cdr import CdrReader, CdrWriter, stamped_pose
-from igtl_gateway.stamp import ns_to_ros, ros_to_ns
 
 Array = npt.NDArray[Any]
 

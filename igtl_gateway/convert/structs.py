@@ -13,10 +13,10 @@ from typing import Any, ClassVar, Self, get_type_hints
 
 import numpy as np
 
-from igtl_gateway.buffers import Buffer
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.stamp import ns_to_ros, ros_to_ns
 from igtl_gateway.convert.cdr import CdrReader, CdrWriter
-from igtl_gateway.errors import ConversionError
-from igtl_gateway.stamp import ns_to_ros, ros_to_ns
 
 
 @dataclass(frozen=True, slots=True)

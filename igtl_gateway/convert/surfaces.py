@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.clouds import RGBA_NAME, colour_field, unit_colours
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.poses import rotation_matrix, unit_quaternion
 from igtl_gateway.convert.rosmsg import Header, Marker, Mesh
 from igtl_gateway.convert.scaling import all_finite, into_igtl, into_ros
 from igtl_gateway.convert.units import ieee_754
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.polydata import CELL, NO_CELLS, SCALAR, Attribute, Cells, PolyData
 
 Array = npt.NDArray[Any]

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from igtl_gateway.base.qos import Qos
 from igtl_gateway.convert import (
     clouds,
     columns,
@@ -36,7 +37,6 @@ from igtl_gateway.convert import (
 )
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.rosmsg import RosMessage
-from igtl_gateway.qos import Qos
 from igtl_gateway.wire.bind import Bind
 from igtl_gateway.wire.capability import Capability
 from igtl_gateway.wire.client_info import ClientInfo

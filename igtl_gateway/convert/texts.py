@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.columns import fit_texts
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.rosmsg import DiagnosticStatus
 from igtl_gateway.convert.rosmsg import String as RosString
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.text import CODES, MAX_STRING_BYTES, Status, String
 

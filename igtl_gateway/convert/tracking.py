@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.columns import check_rows, set_text_fields, texts
 from igtl_gateway.convert.common_msgs import FrameTransform, PoseArray, TFMessage
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
@@ -29,7 +30,6 @@ from igtl_gateway.convert.poses import (
 )
 from igtl_gateway.convert.rosmsg import Header, TransformStamped
 from igtl_gateway.convert.units import ieee_754
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire import tracking as wire
 from igtl_gateway.wire.transform import Position, Transform
 

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.columns import check_rows, set_text_fields, texts
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import LabeledPoint, PointList, Trajectory, TrajectoryList
 from igtl_gateway.convert.rosmsg import Header, Marker
 from igtl_gateway.convert.surfaces import DRAWN_WIDTH, GREY
 from igtl_gateway.convert.units import ieee_754
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.point import POINT_DTYPE, Points
 from igtl_gateway.wire.trajectory import ENTRY_AND_TARGET, TRAJECTORY_DTYPE, Trajectories
 

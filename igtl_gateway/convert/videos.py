@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import re
 
-from igtl_gateway.buffers import Buffer
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.bitstream import is_key_frame
 from igtl_gateway.convert.common_msgs import CompressedImage, CompressedVideo
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
@@ -17,7 +18,6 @@ from igtl_gateway.convert.framesize import frame_size
 from igtl_gateway.convert.geometry import Placement
 from igtl_gateway.convert.igtl_msgs import VideoFrame
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.image import BIG_ENDIAN, LITTLE_ENDIAN, RAS
 from igtl_gateway.wire.video import KEY_FRAME, Video

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from igtl_gateway.base.errors import ConversionError, MalformedBody
 from igtl_gateway.convert import images
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.geometry import Placement, split_axes
 from igtl_gateway.convert.igtl_msgs import Volume
 from igtl_gateway.convert.rosmsg import Header, RosMessage
-from igtl_gateway.errors import ConversionError, MalformedBody
 from igtl_gateway.wire.image import BIG_ENDIAN, LITTLE_ENDIAN, LPS, RAS, Image
 
 _UINT32 = 7

@@ -10,12 +10,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.convert.names import MAX_DEVICE_NAME, topic_token
 from igtl_gateway.doctor.observations import ObservedPeer, ObservedStream
 from igtl_gateway.doctor.observer import MAX_STREAMS, Observer
 from igtl_gateway.doctor.protocols import is_openigtlink, protocol_of
-from igtl_gateway.session.note import Level
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
+from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.header import HEADER_VERSIONS
 from igtl_gateway.wire.registry import BODIES

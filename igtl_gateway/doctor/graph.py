@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
+from igtl_gateway.base.qos import Endpoint, Qos, incompatible
 from igtl_gateway.convert.table import TO_ROS
 from igtl_gateway.gateway import Gateway
-from igtl_gateway.qos import Endpoint, Qos, incompatible
 
 #: Prefixes of the topics that the gateway publishes and subscribes to by default.
 IN, OUT = "/igtl/in/", "/igtl/out/"

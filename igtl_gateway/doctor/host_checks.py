@@ -10,10 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
+from igtl_gateway.base.realtime import cpus_text
 from igtl_gateway.doctor.host_facts import HostFacts
 from igtl_gateway.doctor.host_probe import Delays, HostMeasurement
 from igtl_gateway.doctor.rules import Severity
-from igtl_gateway.realtime import cpus_text
 
 #: A CPU that needs longer to wake up delays each pose of a slow stream noticeably.
 MAX_IDLE_LATENCY_US = 50

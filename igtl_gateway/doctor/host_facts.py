@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
-from igtl_gateway.errors import ConfigError
-from igtl_gateway.notations import cpus
-from igtl_gateway.realtime import CAP_IPC_LOCK, CAP_SYS_NICE, has_capability
-from igtl_gateway.untrusted.numbers import whole_number
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.realtime import CAP_IPC_LOCK, CAP_SYS_NICE, has_capability
+from igtl_gateway.base.untrusted.numbers import whole_number
+from igtl_gateway.config.notations import cpus
 
 ROOT = Path("/")
 

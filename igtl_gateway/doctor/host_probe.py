@@ -8,8 +8,8 @@ from __future__ import annotations
 import threading
 from dataclasses import dataclass
 
-from igtl_gateway.clock import Clock
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
+from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 
 SLEEPS, SLEEP_NS = 1_000, NS_PER_MS
 HANDOVERS = 2_000

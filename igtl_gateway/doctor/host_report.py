@@ -7,12 +7,12 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from igtl_gateway.clock import Clock
+from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.errors import Unavailable
 from igtl_gateway.doctor.host_checks import HOST_CHECKS, HostCheck, Judgement, Status
 from igtl_gateway.doctor.host_facts import HostFacts, read_facts, read_times
 from igtl_gateway.doctor.host_probe import HostMeasurement, measure
 from igtl_gateway.doctor.rules import Severity
-from igtl_gateway.errors import Unavailable
 
 SECTION = "docs/reference/doctor.md: The machine"
 

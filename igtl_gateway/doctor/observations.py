@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.doctor.content import ContentMeasures
-from igtl_gateway.session.note import Note
-from igtl_gateway.session.timing import StampTiming
-from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.gateway.log.timing import StampTiming
 
 
 @dataclass(slots=True)

@@ -10,18 +10,18 @@ from typing import Literal
 
 import numpy as np
 
-from igtl_gateway.config import Config
+from igtl_gateway.base.errors import ChecksumMismatch, WireError
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.units import UNITS, ieee_754
 from igtl_gateway.doctor.content import NOTHING, measure_content
 from igtl_gateway.doctor.graph import Graph
 from igtl_gateway.doctor.observations import NoteCount, ObservedPeer, ObservedStream
 from igtl_gateway.doctor.protocols import is_openigtlink
-from igtl_gateway.errors import ChecksumMismatch, WireError
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP, metadata
 from igtl_gateway.gateway.dialogue.probing import PROBE_DEVICE, is_reply
-from igtl_gateway.session.clocksteps import ClockStep, without_jump
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Note
+from igtl_gateway.gateway.log.clocksteps import ClockStep, without_jump
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.wire import HEADER_SIZE, Header, Message, decode
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.header import HEADER_VERSIONS

@@ -6,10 +6,10 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
-from igtl_gateway.passage import Publisher, Subscription
-from igtl_gateway.qos import Endpoint, Qos
-from igtl_gateway.session.note import Level
-from igtl_gateway.settings import Value
+from igtl_gateway.base.qos import Endpoint, Qos
+from igtl_gateway.config.settings import Value
+from igtl_gateway.gateway.log.note import Level
+from igtl_gateway.native.passage import Publisher, Subscription
 
 
 class RosSide(Protocol):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.outcome import Finding
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.session.note import Level
 
 #: Fate of refused messages, and code of the notes about them.
 INACTIVE = "inactive"

@@ -17,18 +17,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from igtl_gateway.config import Config
+from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.arms import arms_row
 from igtl_gateway.convert.common_msgs import JointState, PoseStamped
 from igtl_gateway.convert.crtk import STATE_COMMANDS, Motion, namespaces, row_of
 from igtl_gateway.convert.poses import determinant, distance_from_rotation, nearest_quaternion, unit_quaternion
 from igtl_gateway.convert.units import LengthUnits
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.gateway.command_motion import Motions, check_joint_speed, check_pose_speed
 from igtl_gateway.gateway.guard import Guard
+from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.robot_command import CODES, Refused, RobotCommand, SetPoint
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.sensor import Sensor
 from igtl_gateway.wire.text import String

@@ -15,9 +15,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.convert.poses import Quaternion
 from igtl_gateway.gateway.robot_command import Refused, RobotCommand, SetPoint
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
 
 #: The time that one command may make use of: at most this, so that a pause does not allow a jump.
 LONGEST_NS = 100 * NS_PER_MS

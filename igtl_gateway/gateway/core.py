@@ -10,7 +10,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import lru_cache
 
-from igtl_gateway.config import Config
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.igtl_msgs import RawMessage
 from igtl_gateway.gateway.activity import Activity
@@ -22,6 +23,10 @@ from igtl_gateway.gateway.dialogue.querying import Queries
 from igtl_gateway.gateway.fastpath import Fast, FastPath, Prepare
 from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.live_settings import LiveSettings
+from igtl_gateway.gateway.log.clocksteps import ClockStep
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.ledger import Ledger
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.outcome import Bookkeeper, Finding, Item, Outcome, Tally
 from igtl_gateway.gateway.peers import Peers
 from igtl_gateway.gateway.streams import Streams
@@ -37,11 +42,6 @@ from igtl_gateway.gateway.to_ros.receive import IgtlReceiver
 from igtl_gateway.gateway.to_ros.route import Router
 from igtl_gateway.gateway.to_ros.subscribers import Ask, Subscribers
 from igtl_gateway.gateway.to_ros.volumes import Volumes
-from igtl_gateway.qos import Qos
-from igtl_gateway.session.clocksteps import ClockStep
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.ledger import Ledger
-from igtl_gateway.session.note import Level, Note
 from igtl_gateway.wire.query import split_query
 
 #: Code of the edge notes that inform the gateway that ``due_ns`` has come.

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from igtl_gateway.errors import WireError
-from igtl_gateway.globs import matches
+from igtl_gateway.base.errors import WireError
+from igtl_gateway.base.globs import matches
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.bind import Bind, BindChild
 from igtl_gateway.wire.body import Body

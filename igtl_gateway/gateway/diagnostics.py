@@ -11,11 +11,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.convert.common_msgs import DiagnosticArray
 from igtl_gateway.convert.rosmsg import DiagnosticStatus, Header
 from igtl_gateway.gateway.guarded_stream import FUTURE, GuardedStream
-from igtl_gateway.session.timing import best
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
+from igtl_gateway.gateway.log.timing import best
 
 DIAGNOSTICS_TOPIC = "/diagnostics"
 

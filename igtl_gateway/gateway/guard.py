@@ -14,12 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.rosmsg import TransformStamped
 from igtl_gateway.gateway.guarded_stream import CODES, STALE, GuardedStream, Place, Remark
+from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.outcome import Finding, Item
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire.transform import Position, Transform
 
 __all__ = ["CODES", "MAX_WATCHED", "STALE", "Guard", "GuardedStream", "check_stamp", "findings_of", "translation_of"]

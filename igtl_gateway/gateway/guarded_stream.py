@@ -14,10 +14,10 @@ import math
 import struct
 from collections.abc import Sequence
 
-from igtl_gateway.buffers import Buffer
-from igtl_gateway.session.note import Level
-from igtl_gateway.session.timing import FUTURE_NS, StampTiming
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
+from igtl_gateway.gateway.log.note import Level
+from igtl_gateway.gateway.log.timing import FUTURE_NS, StampTiming
 
 #: Interval of the checks: cheap for a stream at 1 kHz, and complete for slow streams.
 LOOK_NS = 100 * NS_PER_MS

@@ -8,10 +8,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from igtl_gateway.config import Config, from_values
-from igtl_gateway.errors import ConfigError
-from igtl_gateway.session.changes import SETTING, SETTINGS
-from igtl_gateway.session.note import Level, Note
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.config.configuration import Config, from_values
+from igtl_gateway.gateway.log.changes import SETTING, SETTINGS
+from igtl_gateway.gateway.log.note import Level, Note
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from igtl_gateway.base.untrusted.numbers import whole_number
+from igtl_gateway.base.values import value
 from igtl_gateway.convert.igtl_msgs import MetadataItem
 from igtl_gateway.convert.names import short_device_name
-from igtl_gateway.untrusted.numbers import whole_number
-from igtl_gateway.values import value
 from igtl_gateway.wire import Item, Message
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.message import sorted_items

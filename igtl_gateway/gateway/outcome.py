@@ -11,13 +11,13 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
+from igtl_gateway.base.once import Once
+from igtl_gateway.base.values import value
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.ledger import Ledger
+from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.output import Output, note_output
 from igtl_gateway.gateway.peers import Peers
-from igtl_gateway.once import Once
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.ledger import Ledger
-from igtl_gateway.session.note import Level
-from igtl_gateway.values import value
 
 #: Maximum number of once-only findings of each link: a peer that invents names must fill neither memory nor log, and
 #: must not suppress the findings of others.

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from igtl_gateway.buffers import Buffer
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.values import value
 from igtl_gateway.convert.rosmsg import RosMessage
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.values import value
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 
 
 @value(frozen=True, slots=True)

@@ -6,7 +6,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
-from igtl_gateway.config import Config
+from igtl_gateway.base.globs import matches
+from igtl_gateway.base.stamp import NS_PER_MS
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.igtl_msgs import LinkStatus
 from igtl_gateway.convert.plus_signs import TrackedFrames, may_show_plus
 from igtl_gateway.convert.profiles import (
@@ -18,8 +20,6 @@ from igtl_gateway.convert.profiles import (
     PeerProfile,
     profile_shown_by,
 )
-from igtl_gateway.globs import matches
-from igtl_gateway.stamp import NS_PER_MS
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.capability import Capability
 from igtl_gateway.wire.query import split_query

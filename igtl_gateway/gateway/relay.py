@@ -7,34 +7,34 @@ recordings replay and verify in the same way.
 Deny lists apply: ``deny_in`` from the clients to the server, ``deny_out`` in the other direction.  A denied message is
 not forwarded and gets no reply, because a relay sends no messages of its own.
 
-With ``faults`` in the configuration the relay injects faults, see ``igtl_gateway.faults``.  A message is then sent with
-the input, which may be a tick, at which it is due, and with the faults applied.
+With ``faults`` in the configuration the relay injects faults, see ``igtl_gateway.config.faults``.  A message is then
+sent with the input, which may be a tick, at which it is due, and with the faults applied.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from igtl_gateway.buffers import Buffer
-from igtl_gateway.config import Config
-from igtl_gateway.errors import WireError
-from igtl_gateway.faults import Fate, FaultLine, RelayFaults
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.errors import WireError
+from igtl_gateway.base.once import Once
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.config.faults import Fate, FaultLine, RelayFaults
 from igtl_gateway.gateway.activity import INACTIVE, Activity
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.links import LINK_DOWN, LINK_UP
 from igtl_gateway.gateway.fastpath import Fast, Prepare, no_fast_path
 from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.live_settings import LiveSettings
+from igtl_gateway.gateway.log.changes import SETTING, is_change
+from igtl_gateway.gateway.log.clocksteps import CLOCK_STEP, ClockStep
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.ledger import Ledger
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.output import Output, note_output
 from igtl_gateway.gateway.stamps import moved
 from igtl_gateway.gateway.to_ros.subscribers import Ask
-from igtl_gateway.once import Once
-from igtl_gateway.qos import Qos
-from igtl_gateway.session.changes import SETTING, is_change
-from igtl_gateway.session.clocksteps import CLOCK_STEP, ClockStep
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.ledger import Ledger
-from igtl_gateway.session.note import Level, Note
 from igtl_gateway.wire import decode
 
 #: Key in the note of a link that was opened for another link: the number of that link.

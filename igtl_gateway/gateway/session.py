@@ -9,17 +9,17 @@ from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Protocol
 
-from igtl_gateway.buffers import Buffer
-from igtl_gateway.config import Config
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.stamp import ticks_to_ns
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.core import Gateway
 from igtl_gateway.gateway.fastpath import Fast, Prepare, Prepared
 from igtl_gateway.gateway.guard import Guard
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.ledger import Ledger
 from igtl_gateway.gateway.relay import RelayGateway
 from igtl_gateway.gateway.to_ros.subscribers import Ask
-from igtl_gateway.qos import Qos
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.ledger import Ledger
-from igtl_gateway.stamp import ticks_to_ns
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.header import HEADER_SIZE, NAMES, TICKS_AT, U64, Header
 

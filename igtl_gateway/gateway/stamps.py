@@ -9,10 +9,10 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 
-from igtl_gateway.errors import GatewayError
+from igtl_gateway.base.errors import GatewayError
+from igtl_gateway.base.stamp import ns_to_ticks, ticks_to_ns
+from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.gateway.metadata import STAMP
-from igtl_gateway.stamp import ns_to_ticks, ticks_to_ns
-from igtl_gateway.untrusted.numbers import whole_number
 from igtl_gateway.wire import decode, encode
 from igtl_gateway.wire.header import BODY_SIZE_AT, HEADER_SIZE, TICKS_AT, U64
 from igtl_gateway.wire.message import Item

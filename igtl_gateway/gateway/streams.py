@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from igtl_gateway.config import IN_TOPIC, Config, ToIgtlRow, ToRosRow, device_of_topic
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.config.configuration import IN_TOPIC, Config, ToIgtlRow, ToRosRow, device_of_topic
 from igtl_gateway.convert.igtl_msgs import MetadataItem
 from igtl_gateway.convert.names import frames_of, name_hash, short_device_name, topic_token
 from igtl_gateway.convert.table import ConversionToIgtl, ConversionToRos, Role, row_to_igtl, rows_to_ros
 from igtl_gateway.convert.units import LengthUnits
-from igtl_gateway.qos import Qos
 
 #: Kinds of topics: of messages without a conversion, and of metadata beside a standard message.
 RAW, METADATA = "raw", "metadata"

@@ -20,12 +20,12 @@ from dataclasses import dataclass, replace
 from multiprocessing import Pipe
 from pathlib import Path
 
-from igtl_gateway.clock import Clock, SystemClock
+from igtl_gateway.base.clock import Clock, SystemClock
+from igtl_gateway.base.systems.processes import lower_priority
+from igtl_gateway.base.systems.signals import ignore_endings
 from igtl_gateway.record.options import LARGEST_BYTES, RecordOptions
 from igtl_gateway.record.shared_queue import QueueReader, QueueWriter, memory, shared_memory
 from igtl_gateway.record.worker import WorkerPipe, WorkerSettings, run_worker
-from igtl_gateway.systems.processes import lower_priority
-from igtl_gateway.systems.signals import ignore_endings
 
 #: The bridge goes first where there is not processor time enough for both; the queue bridges that.
 _NICENESS = 5

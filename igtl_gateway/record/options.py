@@ -6,13 +6,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from igtl_gateway.notations import RetentionRule
+from igtl_gateway.config.notations import RetentionRule
 from igtl_gateway.record.selection import Selection
-from igtl_gateway.sessionfile.layout import CHUNK_BYTES
+from igtl_gateway.record.sessionfile.layout import CHUNK_BYTES
 
 if TYPE_CHECKING:
-    from igtl_gateway.sessionfile.compression import Compression
-    from igtl_gateway.sessionfile.writer import Fsync
+    from igtl_gateway.record.sessionfile.compression import Compression
+    from igtl_gateway.record.sessionfile.writer import Fsync
 
 #: Bounds of the queue: a second of Full HD video at 40 Hz, and ten seconds of small messages at 20 kHz.
 QUEUE_BYTES = 256 << 20

@@ -11,13 +11,14 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.errors import GatewayError, RecordingError
+from igtl_gateway.base.errors import GatewayError, RecordingError
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.prologue import Prologue
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.sessionfile import layout
-from igtl_gateway.sessionfile.beside import check_target
-from igtl_gateway.sessionfile.new_file import cannot_begin, make_folder
-from igtl_gateway.sessionfile.side_file import (
+from igtl_gateway.record.sessionfile import layout
+from igtl_gateway.record.sessionfile.beside import check_target
+from igtl_gateway.record.sessionfile.new_file import cannot_begin, make_folder
+from igtl_gateway.record.sessionfile.side_file import (
     SIDE_FILE,
     RecordingPart,
     files_of,
@@ -25,8 +26,7 @@ from igtl_gateway.sessionfile.side_file import (
     parts_folder,
     write_side_file,
 )
-from igtl_gateway.sessionfile.writer import SessionWriter
-from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 
 #: (path, further session facts, prologue) → the writer of a part.
 Open = Callable[[Path, dict[str, str], Sequence[Entry]], SessionWriter]

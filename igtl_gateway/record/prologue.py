@@ -15,8 +15,8 @@ from __future__ import annotations
 from collections import OrderedDict
 from collections.abc import Hashable
 
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.selection import StateInputRule
-from igtl_gateway.session.entry import Entry, Kind
 
 MAX_ENTRIES = 5_000
 MAX_BYTES = 64 << 20

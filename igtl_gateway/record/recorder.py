@@ -23,16 +23,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.clock import Clock
-from igtl_gateway.errors import RecordingError
+from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.errors import RecordingError
+from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.host import Host, in_process
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.selection import MAX_STREAMS, OTHERS, StateInputRule
+from igtl_gateway.record.sessionfile.writer import QosOf
 from igtl_gateway.record.shared_queue import QueueSlot, QueueWriter
 from igtl_gateway.record.worker import FAILED, THREAD, RecordingSummary, WorkerSettings, WorkerState
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.sessionfile.writer import QosOf
 
 _ENDED = "the recording has ended"
 

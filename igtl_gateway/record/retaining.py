@@ -6,13 +6,13 @@ import threading
 from collections import deque
 from pathlib import Path
 
-from igtl_gateway.clock import Clock
-from igtl_gateway.keeping.retention import Choice, Retention, RetentionReport
-from igtl_gateway.keeping.stored import MOST_FILES, StoredRecording
-from igtl_gateway.keeping.upload_state import UploadProtection
+from igtl_gateway.base.clock import Clock
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.options import RecordOptions
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.sessionfile.side_file import parts_folder
+from igtl_gateway.record.retention.retention import Choice, Retention, RetentionReport
+from igtl_gateway.record.retention.stored import MOST_FILES, StoredRecording
+from igtl_gateway.record.retention.upload_state import UploadProtection
+from igtl_gateway.record.sessionfile.side_file import parts_folder
 
 #: Codes of its notes.
 DELETED, KEPT, FAILED, CLOCK = "retention_deleted", "retention_kept", "retention_failed", "retention_clock"

@@ -10,13 +10,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.prologue import Prologue
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.sessionfile import layout
-from igtl_gateway.sessionfile.layout import LayoutError
-from igtl_gateway.sessionfile.new_file import create_file
-from igtl_gateway.sessionfile.writer import SessionWriter
-from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.record.sessionfile import layout
+from igtl_gateway.record.sessionfile.layout import LayoutError
+from igtl_gateway.record.sessionfile.new_file import create_file
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 
 #: (path, further session facts, prologue) → the writer of a snapshot.
 Open = Callable[[Path, dict[str, str], Sequence[Entry]], SessionWriter]

@@ -13,12 +13,12 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from igtl_gateway.globs import matches
+from igtl_gateway.base.globs import matches
+from igtl_gateway.gateway.log.changes import is_change
+from igtl_gateway.gateway.log.clocksteps import ClockStep
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.shared_queue import owned
-from igtl_gateway.session.changes import is_change
-from igtl_gateway.session.clocksteps import ClockStep
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile import layout
 
 _IGTL = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT})
 _ROS = frozenset({Kind.ROS_IN, Kind.ROS_OUT})

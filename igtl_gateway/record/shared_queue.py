@@ -33,9 +33,9 @@ from dataclasses import replace
 from operator import index
 from typing import TYPE_CHECKING, Any
 
-from igtl_gateway.buffers import Buffer
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile.chunk_rows import RowStream
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile.chunk_rows import RowStream
 
 #: Kind, channel, type and links of entries.
 _Stream = tuple[Kind, str, str, tuple[int, ...]]
@@ -116,7 +116,7 @@ def copy_parts(room: memoryview, place: int, parts: list[memoryview]) -> None:
 
 if not TYPE_CHECKING:
     try:
-        from igtl_gateway.record._queue import copy_parts, put_entry
+        from igtl_gateway.native._queue import copy_parts, put_entry
     except ImportError:  # pragma: no cover - installed without the C part
         pass
 

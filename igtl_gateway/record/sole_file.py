@@ -13,12 +13,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.prologue import Prologue
+from igtl_gateway.record.sessionfile import layout
+from igtl_gateway.record.sessionfile.chunk_rows import RowStream
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.record.shared_queue import LARGE_BYTES
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.sessionfile import layout
-from igtl_gateway.sessionfile.chunk_rows import RowStream
-from igtl_gateway.sessionfile.writer import SessionWriter
 
 #: (path, further session facts, prologue) → the writer of a file.
 Open = Callable[[Path, dict[str, str], Sequence[Entry]], SessionWriter]

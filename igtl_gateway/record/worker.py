@@ -18,28 +18,28 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol, Self
 
-from igtl_gateway.clock import Clock
-from igtl_gateway.errors import ConfigError, DiskRefused, FileTaken, RecordingError, Unavailable
-from igtl_gateway.keeping.side_files import update_side_file
-from igtl_gateway.once import Once
-from igtl_gateway.qos import Qos
+from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.errors import ConfigError, DiskRefused, FileTaken, RecordingError, Unavailable
+from igtl_gateway.base.once import Once
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.parts import PartsWriter
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.retaining import RetentionThread
+from igtl_gateway.record.retention.side_files import update_side_file
 from igtl_gateway.record.ring import Ring
+from igtl_gateway.record.seal.keys import SigningKey
 from igtl_gateway.record.selection import MAX_STREAMS, OTHERS, SelectionFilter, StateInputRule
+from igtl_gateway.record.sessionfile import layout
+from igtl_gateway.record.sessionfile.layout import LayoutError
+from igtl_gateway.record.sessionfile.new_file import files_with_mode
+from igtl_gateway.record.sessionfile.schemas import RosTypes
+from igtl_gateway.record.sessionfile.sealing import SealSeries
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.record.shared_queue import LARGE_BYTES, QueueReader
 from igtl_gateway.record.sole_file import SoleFile
-from igtl_gateway.seal.keys import SigningKey
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.sessionfile import layout
-from igtl_gateway.sessionfile.layout import LayoutError
-from igtl_gateway.sessionfile.new_file import files_with_mode
-from igtl_gateway.sessionfile.schemas import RosTypes
-from igtl_gateway.sessionfile.sealing import SealSeries
-from igtl_gateway.sessionfile.writer import SessionWriter
 
 #: Codes of the recorder's notes.
 DROPPED, FAILED, REFUSED, UNDEFINED = "record_drop", "record_failed", "record_refused", "record_undefined"

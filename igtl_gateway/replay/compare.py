@@ -20,11 +20,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.base.errors import ChecksumMismatch, DamagedRecording, GatewayError
+from igtl_gateway.base.stamp import ticks_to_ns
 from igtl_gateway.convert.units import UNITS, LengthUnits
-from igtl_gateway.errors import ChecksumMismatch, DamagedRecording, GatewayError
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Note
-from igtl_gateway.stamp import ticks_to_ns
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.wire import Header, decode
 from igtl_gateway.wire.elements import Elements
 from igtl_gateway.wire.fields import visible
@@ -34,7 +34,7 @@ from igtl_gateway.wire.registry import describe_content
 from igtl_gateway.wire.transform import Position, Transform
 
 if TYPE_CHECKING:
-    from igtl_gateway.untrusted.decoding import MessageDecoder as RosDecoder
+    from igtl_gateway.base.untrusted.decoding import MessageDecoder as RosDecoder
 
 Array = npt.NDArray[Any]
 _Leaf = tuple[str, Any]
@@ -314,7 +314,7 @@ class LeafDecoder:
     @cached_property
     def _decoder(self) -> RosDecoder:
         # imported only if messages differ or are shown
-        from igtl_gateway.untrusted.decoding import MessageDecoder as RosDecoder
+        from igtl_gateway.base.untrusted.decoding import MessageDecoder as RosDecoder
 
         return RosDecoder(lambda ros_type: self._definitions.get(ros_type, ""))
 

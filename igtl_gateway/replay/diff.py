@@ -18,9 +18,9 @@ from dataclasses import asdict, dataclass, field
 from types import SimpleNamespace
 from typing import Any
 
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.replay.compare import EXACT, Delta, LeafDecoder, Tolerance, Undecodable, compare_values, first_byte
 from igtl_gateway.replay.source import matches_any
-from igtl_gateway.session.entry import Entry, Kind
 
 #: Maximum number of messages of a stream that wait for a match, and their maximum size in bytes.
 WINDOW = 1024

@@ -15,10 +15,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Iterable, Iterator
 
+from igtl_gateway.base.errors import GatewayError
 from igtl_gateway.convert.common_msgs import TFMessage
-from igtl_gateway.errors import GatewayError
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile.lookup import LatchedStateRule
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile.lookup import LatchedStateRule
 
 #: Surfaces, plans, annotations, tables, states: sent on a change, and valid until the next change.
 STATE_TYPES = frozenset("BIND CAPABILITY COLORT COLORTABLE IMGMETA LBMETA POINT POLYDATA STATUS TRAJ VIDEOMETA".split())

@@ -5,8 +5,8 @@ from __future__ import annotations
 from datetime import UTC, datetime, timedelta
 from decimal import Decimal, InvalidOperation
 
-from igtl_gateway.errors import ConfigError
-from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.stamp import NS_PER_S
 
 #: Numbers from here on are UTC seconds (1973); smaller numbers are seconds from the start (up to three years).
 FIRST_UTC_S = 100_000_000

@@ -6,7 +6,7 @@ immediately; nothing is skipped to catch up.
 
 from __future__ import annotations
 
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.replay.timeline import SessionTimeline
 
 #: Rate of a playback without pauses between entries.

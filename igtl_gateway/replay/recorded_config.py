@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 
-from igtl_gateway.config import Config
-from igtl_gateway.errors import ConfigError, DamagedRecording, UnsupportedRecording
-from igtl_gateway.sessionfile import facts
+from igtl_gateway.base.errors import ConfigError, DamagedRecording, UnsupportedRecording
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.record.sessionfile import facts
 
 
 def config_to_run(session: Mapping[str, str], path: Path | None = None) -> Config:

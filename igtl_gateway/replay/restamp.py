@@ -11,12 +11,12 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 from typing import Literal
 
-from igtl_gateway.buffers import Buffer
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.once import Once
+from igtl_gateway.base.stamp import ns_to_ros, ros_to_ns
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.stamps import restamped
-from igtl_gateway.once import Once
 from igtl_gateway.replay.stamp_places import StampPlaces
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.stamp import ns_to_ros, ros_to_ns
 
 Mode = Literal["keep", "now", "shift"]
 MODES: tuple[Mode, ...] = ("keep", "now", "shift")

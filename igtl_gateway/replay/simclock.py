@@ -8,11 +8,11 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Iterator
 
-from igtl_gateway.errors import ConfigError
-from igtl_gateway.qos import Qos
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.stamp import NS_PER_S, ns_to_ros
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.replay.timeline import SessionTimeline
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.stamp import NS_PER_S, ns_to_ros
 
 CLOCK_TOPIC = "/clock"
 CLOCK_TYPE = "rosgraph_msgs/msg/Clock"

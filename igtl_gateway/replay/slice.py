@@ -19,17 +19,17 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
 
-from igtl_gateway.config import Config
+from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.igtl_msgs import Command, CommandReply
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.gateway import LINK_UP, LINKS_TOPIC, TICK, Session, make_core
+from igtl_gateway.gateway.log.changes import SETTING
+from igtl_gateway.gateway.log.clocksteps import CLOCK_STEP
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.replay.source import matches_any
 from igtl_gateway.replay.verify import compare
-from igtl_gateway.session.changes import SETTING
-from igtl_gateway.session.clocksteps import CLOCK_STEP
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Note
 
 #: Maximum size of a small input: poses, strings and queries are small, images and clouds are not.
 SMALL_BYTES = 4096

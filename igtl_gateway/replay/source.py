@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 
-from igtl_gateway.config import Config
+from igtl_gateway.base.globs import matches
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway import LINK_UP, Session, make_core
-from igtl_gateway.globs import matches
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 
 #: The link for all peers, for recordings without links.
 _ANY_LINK = 1

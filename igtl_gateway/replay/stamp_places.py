@@ -18,10 +18,10 @@ from typing import Any
 
 from rosbags.typesys import Stores, get_typestore
 
-from igtl_gateway.errors import RecordingError
+from igtl_gateway.base.errors import RecordingError
+from igtl_gateway.base.untrusted import definitions
+from igtl_gateway.convert.interfaces import SHARES
 from igtl_gateway.replay.simclock import CLOCK_TYPE
-from igtl_gateway.ros_interfaces.definitions import SHARES
-from igtl_gateway.untrusted import definitions
 
 _TIME = "builtin_interfaces/msg/Time"
 _STAMPS = frozenset({"stamp", "timestamp"})

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from igtl_gateway.session.clocksteps import CLOCK_STEP, ClockStep
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.gateway.log.clocksteps import CLOCK_STEP, ClockStep
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.record.sessionfile.reader import SessionFile
 
 
 class SessionTimeline:

@@ -16,18 +16,18 @@ from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import Any
 
-from igtl_gateway.buffers import Buffer, join
-from igtl_gateway.config import Config
+from igtl_gateway.base.buffers import Buffer, join
+from igtl_gateway.base.errors import ChecksumMismatch, GatewayError
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.igtl_msgs import LinkStatusList, Metadata, RawMessage
 from igtl_gateway.convert.table import TO_ROS
 from igtl_gateway.convert.units import LengthUnits
-from igtl_gateway.errors import ChecksumMismatch, GatewayError
 from igtl_gateway.gateway import Session, make_core
 from igtl_gateway.gateway.guard import CODES
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.replay.compare import LeafDecoder, compare_values, first_byte, flattened, same
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Note
-from igtl_gateway.sessionfile import layout
 from igtl_gateway.wire import describe
 
 #: Maximum number of differences that are kept, and of streams of which the first is kept; all are counted.

@@ -11,13 +11,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.config import Config
+from igtl_gateway.base.globs import matches
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.units import LengthUnits
-from igtl_gateway.globs import matches
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.schemas import RosTypes
 from igtl_gateway.replay.compare import LeafDecoder, Tolerance, Undecodable, compare_values
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.schemas import RosTypes
 from igtl_gateway.testing.gateway import ManualGateway, recorded_config
 
 #: A recording, a gateway on manual time, or the entries of a session.

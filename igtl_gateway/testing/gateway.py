@@ -12,19 +12,19 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway import __version__
-from igtl_gateway.buffers import Buffer, join
-from igtl_gateway.config import Config
+from igtl_gateway.base.buffers import Buffer, join
+from igtl_gateway.base.globs import matches
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.base.version import __version__
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.rosmsg import RosMessage
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP, TICK, Session, make_core
-from igtl_gateway.globs import matches
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.record.sessionfile.beside import written
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.replay.source import select_entries
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.sessionfile.beside import written
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.writer import SessionWriter
-from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.testing.rostypes import unpack
 from igtl_gateway.wire import Message, decode, encode
 

@@ -11,17 +11,17 @@ from types import TracebackType
 from typing import Literal
 
 from igtl_gateway.app.faulty import DISCONNECT, FaultyFeed, disconnector
-from igtl_gateway.buffers import Buffer
-from igtl_gateway.clock import SystemClock
-from igtl_gateway.config import Config
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.errors import ConfigError, WireError
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.config.faults import Faults
 from igtl_gateway.edges.tcp import TcpEdge
-from igtl_gateway.errors import ConfigError, WireError
-from igtl_gateway.faults import Faults
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.source import first_form_only, one_side_of_relay, select_entries, through_gateway
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.testing.gateway import config_of, recorded_config
 from igtl_gateway.wire import Header, Message, decode, encode
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from igtl_gateway.buffers import Buffer
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.convert.igtl_msgs import LinkStatusList, Metadata, RawMessage
 from igtl_gateway.convert.rosmsg import RosMessage
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS
-from igtl_gateway.errors import ConfigError
 
 _ALL: list[type[RosMessage]] = [
     *(row.message for row in TO_ROS),

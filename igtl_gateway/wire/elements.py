@@ -13,8 +13,8 @@ from typing import Any, ClassVar, Self
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.buffers import Buffer
-from igtl_gateway.errors import MalformedBody
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.errors import MalformedBody
 from igtl_gateway.wire.fields import decode_text, visible
 from igtl_gateway.wire.layout import Layout
 from igtl_gateway.wire.transform import Transform

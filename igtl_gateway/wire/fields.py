@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-from igtl_gateway.errors import MalformedBody
+from igtl_gateway.base.errors import MalformedBody
 
 #: Names come again and again: those of fields in headers are remembered.
 _NAME = 32

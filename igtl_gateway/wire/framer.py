@@ -15,8 +15,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from igtl_gateway.errors import MessageTooLarge
-from igtl_gateway.globs import matches
+from igtl_gateway.base.errors import MessageTooLarge
+from igtl_gateway.base.globs import matches
 from igtl_gateway.wire.header import BODY_SIZE_AT, HEADER_SIZE, TYPE, U64
 
 #: Largest body accepted, in bytes.  The largest messages of the field are volumes: 512 x 512 x 500 voxels of

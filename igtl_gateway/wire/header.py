@@ -11,9 +11,9 @@ from typing import ClassVar
 
 import fastcrc
 
-from igtl_gateway.buffers import Buffer
-from igtl_gateway.errors import TruncatedMessage
-from igtl_gateway.values import value
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.errors import TruncatedMessage
+from igtl_gateway.base.values import value
 from igtl_gateway.wire.fields import decode_text, encode_text
 from igtl_gateway.wire.layout import Field, Layout, compile_struct, offset_of
 

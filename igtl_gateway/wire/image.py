@@ -11,8 +11,8 @@ from typing import Any, ClassVar, Self
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.buffers import Buffer
-from igtl_gateway.errors import MalformedBody, TruncatedMessage
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.errors import MalformedBody, TruncatedMessage
 from igtl_gateway.wire.body import describe_crc, describe_values
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
 from igtl_gateway.wire.transform import pack_floats, unpack_floats

@@ -15,10 +15,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import field
 from typing import Any, ClassVar
 
-from igtl_gateway.buffers import Buffer
-from igtl_gateway.errors import ChecksumMismatch, MalformedBody, TruncatedMessage, WireError
-from igtl_gateway.stamp import fraction_to_ns
-from igtl_gateway.values import value
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.errors import ChecksumMismatch, MalformedBody, TruncatedMessage, WireError
+from igtl_gateway.base.stamp import fraction_to_ns
+from igtl_gateway.base.values import value
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.header import HEADER_SIZE, HEADER_VERSIONS, Header, crc64

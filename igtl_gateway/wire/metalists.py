@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from igtl_gateway.stamp import fraction_to_ns
+from igtl_gateway.base.stamp import fraction_to_ns
 from igtl_gateway.wire.elements import Elements
 from igtl_gateway.wire.layout import Layout, of_dtype
 

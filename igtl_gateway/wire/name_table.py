@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from struct import Struct
 
-from igtl_gateway.errors import MalformedBody, TruncatedMessage
+from igtl_gateway.base.errors import MalformedBody, TruncatedMessage
 
 #: Before the types and before the table of names.
 COUNT = Struct(">H")

@@ -22,8 +22,8 @@ from typing import Any, ClassVar, Self
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.buffers import Buffer, join
-from igtl_gateway.errors import MalformedBody, TruncatedMessage
+from igtl_gateway.base.buffers import Buffer, join
+from igtl_gateway.base.errors import MalformedBody, TruncatedMessage
 from igtl_gateway.wire.fields import decode_text, visible
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
 

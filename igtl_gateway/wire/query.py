@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from struct import Struct
 from typing import Any, ClassVar, Self
 
-from igtl_gateway.buffers import Buffer, join
-from igtl_gateway.errors import MalformedBody
+from igtl_gateway.base.buffers import Buffer, join
+from igtl_gateway.base.errors import MalformedBody
 from igtl_gateway.wire.body import Body, Raw
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
 from igtl_gateway.wire.header import TYPE_SIZE

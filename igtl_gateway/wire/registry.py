@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from igtl_gateway.errors import WireError
+from igtl_gateway.base.errors import WireError
 from igtl_gateway.wire.bind import Bind, BindChild
 from igtl_gateway.wire.body import Body, Raw
 from igtl_gateway.wire.capability import Capability

@@ -7,9 +7,9 @@ import struct
 from struct import Struct
 from typing import Any, ClassVar, Self
 
-from igtl_gateway.buffers import Buffer
-from igtl_gateway.errors import MalformedBody
-from igtl_gateway.values import value
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.errors import MalformedBody
+from igtl_gateway.base.values import value
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
 
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from struct import Struct
 from typing import Any, ClassVar, Self
 
-from igtl_gateway.buffers import Buffer
-from igtl_gateway.errors import TruncatedMessage
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.errors import TruncatedMessage
 from igtl_gateway.wire.body import describe_crc
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
 from igtl_gateway.wire.image import LITTLE_ENDIAN, RAS, Image, Triple

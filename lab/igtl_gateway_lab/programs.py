@@ -8,8 +8,8 @@ from collections.abc import Callable, Sequence
 from queue import Empty, SimpleQueue
 from typing import Any, ClassVar
 
-from igtl_gateway.child import Child
-from igtl_gateway.errors import GatewayError
+from igtl_gateway.base.child import Child
+from igtl_gateway.base.errors import GatewayError
 
 Event = dict[str, Any]
 

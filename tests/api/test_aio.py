@@ -11,7 +11,7 @@ import pytest
 
 from igtl_gateway import aio
 from igtl_gateway.api.received import ReceivedMessage
-from igtl_gateway.errors import LinkClosed, NoReply, Refused
+from igtl_gateway.base.errors import LinkClosed, NoReply, Refused
 
 T = TypeVar("T")
 

@@ -14,13 +14,13 @@ import pytest
 
 import igtl_gateway
 from igtl_gateway.api.recording import Recording
-from igtl_gateway.errors import ConfigError
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile.writer import SessionWriter
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.wire.message import Message, encode
 from igtl_gateway.wire.transform import Transform
+from tests.places import FIXTURES
 
-FIXTURES = Path(__file__).parents[2] / "fixtures"
 MS = 1_000_000
 POSE, NUMBER = "TRANSFORM/AToB", "/number"
 

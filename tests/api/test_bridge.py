@@ -10,9 +10,9 @@ import pytest
 
 import igtl_gateway
 from igtl_gateway import Bridge
-from igtl_gateway.errors import ConfigError, NoReply, RecordingError, Refused, Unavailable
-from igtl_gateway.session.note import Note
-from tests.edges.zenoh.routers import free_port, router
+from igtl_gateway.base.errors import ConfigError, NoReply, RecordingError, Refused, Unavailable
+from igtl_gateway.gateway.log.note import Note
+from tests.addons.zenoh.routers import free_port, router
 from tests.tables import table
 
 LOCAL = ["127.0.0.1:0"]

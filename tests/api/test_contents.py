@@ -9,7 +9,7 @@ import pytest
 
 from igtl_gateway.api.contents import VALUE_TYPES, content_of
 from igtl_gateway.api.received import ReceivedMessage
-from igtl_gateway.errors import ConversionError
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway.wire.image import LPS, Image
 from igtl_gateway.wire.registry import ALIASES, BODIES

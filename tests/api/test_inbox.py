@@ -6,7 +6,7 @@ import pytest
 
 from igtl_gateway.api.inbox import Inbox
 from igtl_gateway.api.received import ReceivedMessage
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.wire import Message, Raw
 
 

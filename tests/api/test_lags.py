@@ -10,14 +10,14 @@ import numpy.typing as npt
 import pytest
 
 import igtl_gateway
+from igtl_gateway.addons.sync.lag import measure_lag
+from igtl_gateway.addons.sync.signal import Signal, moves
 from igtl_gateway.api.lags import movements, picture_components
+from igtl_gateway.base.errors import GatewayError
 from igtl_gateway.convert.common_msgs import JointState
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.errors import GatewayError
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile.writer import SessionWriter
-from igtl_gateway.sync.lag import measure_lag
-from igtl_gateway.sync.signal import Signal, moves
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 
 
 @pytest.mark.filterwarnings("error")

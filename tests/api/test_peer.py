@@ -5,7 +5,6 @@ from __future__ import annotations
 import socket
 import threading
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,8 +13,7 @@ import pytest
 import igtl_gateway
 from igtl_gateway import Peer, Server
 from igtl_gateway.api.received import ReceivedMessage
-from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
-from igtl_gateway.errors import (
+from igtl_gateway.base.errors import (
     ConfigError,
     ConversionError,
     GatewayError,
@@ -25,13 +23,14 @@ from igtl_gateway.errors import (
     Refused,
     Unavailable,
 )
+from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway.wire.framer import Framer
 from igtl_gateway.wire.query import StartTracking
 from igtl_gateway.wire.text import String
+from tests.places import PEMS
 from tests.wire.test_corpus import OWN
 
-PEMS = Path(__file__).parents[1] / "edges" / "tcp" / "pems"
 POSE = np.array([[0.0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]])
 
 

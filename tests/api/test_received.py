@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from igtl_gateway.api.received import ReceivedMessage
-from igtl_gateway.errors import ConversionError
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.wire import Item, Message, Raw
 from igtl_gateway.wire.text import String
 from igtl_gateway.wire.transform import Transform

@@ -21,15 +21,15 @@ from mcap_ros2.decoder import DecoderFactory
 from rosbags.typesys import Stores, get_typestore
 
 import igtl_gateway
+from igtl_gateway.base.errors import ClosedRecording, ConfigError, DamagedRecording, LimitExceeded, UnsupportedRecording
 from igtl_gateway.cli import main
-from igtl_gateway.errors import ClosedRecording, ConfigError, DamagedRecording, LimitExceeded, UnsupportedRecording
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile import layout
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.writer import SessionWriter
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile import layout
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from tests.files import BytesRead
+from tests.places import FIXTURES
 
-FIXTURES = Path(__file__).parents[2] / "fixtures"
 STAR = FIXTURES / "star.mcap"
 TOOL = "TRANSFORM/ToolToBase"
 START_NS = 1767225600_000000000
@@ -405,7 +405,7 @@ def test_numpy_takes_poses_images_and_clouds() -> None:
 
 def test_a_missing_file_is_a_file_not_found_error_for_every_function(tmp_path: Path) -> None:
     path = tmp_path / "nope.mcap"
-    for function in (igtl_gateway.open, igtl_gateway.verify, igtl_gateway.review, igtl_gateway.replay):
+    for function in (igtl_gateway.open, igtl_gateway.verify, igtl_gateway.addons.review, igtl_gateway.replay):
         for kind in (FileNotFoundError, UnsupportedRecording):
             with pytest.raises(kind, match=r"nope\.mcap: No such file"):
                 function(path)
@@ -510,6 +510,6 @@ def test_the_verbs_take_an_open_recording(tmp_path: Path) -> None:
         assert igtl_gateway.verify(recording) == igtl_gateway.verify(STAR)
         assert igtl_gateway.diff(recording, STAR).equal and igtl_gateway.diff(recording, recording).equal
         assert recording[TOOL].count == 1200, "and it stays open"
-        for verb in (igtl_gateway.review, igtl_gateway.verify):
+        for verb in (igtl_gateway.addons.review, igtl_gateway.verify):
             with pytest.raises(ConfigError, match="found a part of a recording, expected the whole one"):
                 verb(recording.between(1, 2))

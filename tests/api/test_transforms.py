@@ -13,13 +13,13 @@ import pytest
 import igtl_gateway
 from igtl_gateway.api.poses import between_poses
 from igtl_gateway.api.transforms import Edge, TransformTree
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.errors import ConfigError
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile.writer import SessionWriter
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile.writer import SessionWriter
+from tests.places import FIXTURES
 
-FIXTURES = Path(__file__).parents[2] / "fixtures"
 Rows = list[list[float]]
 
 

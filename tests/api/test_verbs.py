@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 import igtl_gateway
+from igtl_gateway.addons.review import Thresholds
+from igtl_gateway.base.errors import ConfigError, DamagedRecording, GatewayError, UnsupportedRecording
 from igtl_gateway.cli import main
-from igtl_gateway.errors import ConfigError, DamagedRecording, GatewayError, UnsupportedRecording
-from igtl_gateway.review import Thresholds
 from tests.integration.bridge import ROOT
 from tests.tables import table
 
@@ -121,6 +121,6 @@ def test_arguments_of_replay(options: dict[str, object], text: str) -> None:
 def test_other_files(tmp_path: Path) -> None:
     other = tmp_path / "other.mcap"
     other.write_bytes(b"not a recording")
-    for call in (igtl_gateway.verify, igtl_gateway.review, igtl_gateway.replay):
+    for call in (igtl_gateway.verify, igtl_gateway.addons.review, igtl_gateway.replay):
         with pytest.raises((UnsupportedRecording, DamagedRecording), match=r"other\.mcap"):
             call(other)

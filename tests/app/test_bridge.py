@@ -9,22 +9,22 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.app.bridge import Bridge, BridgeOptions, state_rule
-from igtl_gateway.buffers import join
-from igtl_gateway.clock import SystemClock
-from igtl_gateway.config import Config, ToIgtlRow
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.errors import RecordingError, Unavailable
+from igtl_gateway.config.configuration import Config, ToIgtlRow
 from igtl_gateway.convert.rosmsg import Header, Image
 from igtl_gateway.edges.tcp import PeerLimits
-from igtl_gateway.errors import RecordingError, Unavailable
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.verify import DeclaredLosses, verify
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Note
-from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import String
+from tests.places import FIXTURES
 
-FIXTURES = Path(__file__).parents[2] / "fixtures"
 HELLO = join(encode(Message("STRING", "Greeting", String.of("hello"))))
 
 

@@ -9,7 +9,7 @@ from typing import Any
 from igtl_gateway.app.commands import CommandService
 from igtl_gateway.convert.igtl_msgs import Command, CommandReply, MetadataItem
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.gateway.log.entry import Entry, Kind
 
 
 def request(**fields: Any) -> SimpleNamespace:

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 from igtl_gateway.app.faulty import DISCONNECT, FaultyFeed, all_with_disconnects, with_disconnects
-from igtl_gateway.buffers import join
-from igtl_gateway.faults import Fate, Faults
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.stamp import NS_PER_MS
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.stamp import NS_PER_MS
+from igtl_gateway.config.faults import Fate, Faults
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import String
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import threading
 
 from igtl_gateway.app.hub import Hub
-from igtl_gateway.clock import ManualClock
-from igtl_gateway.config import Config
+from igtl_gateway.base.clock import ManualClock
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.rosmsg import String
 from igtl_gateway.gateway import LINK_UP, LINKS_TOPIC, Gateway, Session
-from igtl_gateway.session.clocksteps import CLOCK_STEP, ClockStep
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.gateway.log.clocksteps import CLOCK_STEP, ClockStep
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 
 TEXT = String("hello").pack()
 UP = Note(Level.INFO, LINK_UP, "up")

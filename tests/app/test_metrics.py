@@ -19,14 +19,15 @@ from igtl_gateway.app.bridge import Bridge, BridgeOptions
 from igtl_gateway.app.entry_watch import EntryWatch
 from igtl_gateway.app.metrics import METRICS, PREFIX, MetricsServer, prometheus
 from igtl_gateway.app.status import BridgeStatus
-from igtl_gateway.buffers import join
-from igtl_gateway.clock import SystemClock
-from igtl_gateway.config import Config
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.errors import ConfigError, Unavailable
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.edges.tcp.http_server import MAX_CONNECTIONS, KnownHosts
-from igtl_gateway.errors import ConfigError, Unavailable
-from igtl_gateway.session.entry import Entry
+from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import String
+from tests.places import ROOT
 
 DEADLINE_S = 20.0
 HELLO = join(encode(Message("STRING", 'A "quoted" name', String.of("hello"), 7 << 32)))
@@ -124,7 +125,7 @@ def test_every_metric_says_what_it_is_and_is_told_without_a_recording() -> None:
 
 
 def test_the_document_has_every_metric() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "how-to" / "metrics.md").read_text("utf-8")
+    page = (ROOT / "docs" / "how-to" / "metrics.md").read_text("utf-8")
     for metric in METRICS:
         assert f"| `{metric.name}` | {metric.kind} | {metric.meaning} |" in page
 

@@ -9,9 +9,9 @@ import pytest
 
 from igtl_gateway.app.entry_watch import EntryWatch
 from igtl_gateway.app.note_rate import Event, NoteRate
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 from tools.note_codes import NOTES
 
 

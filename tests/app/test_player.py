@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterator, Sequence
 import pytest
 
 from igtl_gateway.app.player import Feed, Jump, Player
-from igtl_gateway.clock import SystemClock
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.replay.restamp import Restamper
 from igtl_gateway.replay.simclock import is_tick, with_ticks
-from igtl_gateway.session.entry import Entry, Kind
 
 S = 1_000_000_000
 BEGIN = 1_700_000_000 * S

@@ -8,9 +8,9 @@ from typing import Any
 
 from igtl_gateway.app.player import Player
 from igtl_gateway.app.player_services import PlayerServices
-from igtl_gateway.clock import SystemClock
-from igtl_gateway.errors import RosError
-from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.errors import RosError
+from igtl_gateway.gateway.log.entry import Entry, Kind
 
 S = 1_000_000_000
 ENTRIES = [Entry(n, n * S, Kind.ROS_OUT, "/a") for n in range(1, 5)]

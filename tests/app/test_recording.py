@@ -11,11 +11,11 @@ from typing import Any
 import pytest
 
 from igtl_gateway.app import recording
-from igtl_gateway.clock import ManualClock
+from igtl_gateway.base.clock import ManualClock
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
-from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from tests.record import samples
 
 

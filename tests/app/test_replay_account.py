@@ -18,16 +18,17 @@ from igtl_gateway.app.replay_account import (
     account_lines,
 )
 from igtl_gateway.app.replay_plan import plan_replay, planned_entries
-from igtl_gateway.clock import SystemClock
-from igtl_gateway.config import Config
-from igtl_gateway.errors import RosError
-from igtl_gateway.faults import Faults
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.errors import RosError
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.config.faults import Faults
+from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.source import FORMS, RECOMPUTED, STREAMS
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from tests.tables import table
 
-FIXTURES = Path(__file__).parents[2] / "fixtures"
 TYPES = FIXTURES / "paper-types.mcap"
 
 

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from igtl_gateway.app.player import Player
 from igtl_gateway.app.replay_listeners import Listeners
-from igtl_gateway.buffers import Buffer, join
-from igtl_gateway.clock import SystemClock
+from igtl_gateway.base.buffers import Buffer, join
+from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.convert.profiles import BY_NAME
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.wire import Header, Item, Message, Raw, decode, encode
 from igtl_gateway.wire.client_info import ClientInfo
 from igtl_gateway.wire.image import Image
@@ -24,8 +23,9 @@ from igtl_gateway.wire.polydata import Attribute, PolyData
 from igtl_gateway.wire.query import split_query
 from igtl_gateway.wire.text import Status, String
 from tests.peers.plus_like import PlusReceiver, client_info
+from tests.places import ROOT
 
-EVERY_TYPE = Path(__file__).parents[2] / "fixtures" / "every-type.mcap"
+EVERY_TYPE = ROOT / "fixtures" / "every-type.mcap"
 HELLO = Message("STATUS", "", Status(1), 0, 2, 0, (Item.of("dummy", "dummy"),))
 RGBA = 4
 

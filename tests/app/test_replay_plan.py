@@ -18,25 +18,26 @@ from igtl_gateway.app.replay_plan import (
     planned_entries,
     ros_sender,
 )
-from igtl_gateway.clock import ManualClock
-from igtl_gateway.config import Config
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.base.clock import ManualClock
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway import LINK_UP, LINKS_TOPIC, Gateway, Session
-from igtl_gateway.qos import Qos
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import StateInputRule
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.writer import SessionWriter
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from tests.files import BytesRead
+from tests.places import ROOT
 from tests.record import samples
-from tests.sessionfile.test_lookup import long_session
+from tests.record.sessionfile.test_lookup import long_session
 from tests.tables import table
 
-TYPES = Path(__file__).parents[2] / "fixtures" / "paper-types.mcap"
+TYPES = ROOT / "fixtures" / "paper-types.mcap"
 S = 1_000_000_000
 PLAN = "/igtl/out/Plan"
 

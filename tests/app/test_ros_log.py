@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from igtl_gateway.app.ros_log import RosLog
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway import TICK
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 
 
 def entry(number: int, note: Note, *links: int) -> Entry:

@@ -9,20 +9,19 @@ import pytest
 
 from igtl_gateway.app.sealed_folder import ABSENT, FOLLOWS
 from igtl_gateway.app.sealing import seal_recording, verify_seal
-from igtl_gateway.clock import ManualClock
-from igtl_gateway.errors import ConfigError, GatewayError, RecordingError, UnsupportedRecording
-from igtl_gateway.keeping.side_files import closed_part
+from igtl_gateway.base.clock import ManualClock
+from igtl_gateway.base.errors import ConfigError, GatewayError, RecordingError, UnsupportedRecording
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
-from igtl_gateway.seal.keys import SigningKey
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.seal_check import CHANGED, CUT, SEALED, UNSEALED, check_seal
-from igtl_gateway.sessionfile.side_file import write_side_file
+from igtl_gateway.record.retention.side_files import closed_part
+from igtl_gateway.record.seal.keys import SigningKey
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.seal_check import CHANGED, CUT, SEALED, UNSEALED, check_seal
+from igtl_gateway.record.sessionfile.side_file import write_side_file
+from tests.places import FIXTURES
 from tests.record import samples
 from tools.seal_kills import fault, killed
-
-FIXTURES = Path(__file__).parents[2] / "fixtures"
 
 
 @pytest.fixture

@@ -9,10 +9,10 @@ import pytest
 
 from igtl_gateway.app.bridge import Bridge, BridgeOptions
 from igtl_gateway.app.status import RATES_OVER_S, BridgeStatus
-from igtl_gateway.clock import ManualClock
-from igtl_gateway.config import Config
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.base.clock import ManualClock
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.gateway.log.entry import Kind
 
 
 @dataclass

@@ -10,8 +10,8 @@ from contextlib import contextmanager
 import pytest
 
 from igtl_gateway.app.timer import ClockAlarm, Timer
-from igtl_gateway.clock import SystemClock
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 
 CLOCK = SystemClock()
 TIMEOUT_S = 10.0

@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 
 from igtl_gateway.app import bridge_options
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.cli import admission, bridge
 from igtl_gateway.cli.settings import settled
-from igtl_gateway.config import Config
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.config.notations import peer_address
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
-from igtl_gateway.errors import ConfigError
-from igtl_gateway.notations import peer_address
 
 
 def parsed(*words: str) -> dict[str, Any]:

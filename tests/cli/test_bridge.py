@@ -7,8 +7,8 @@ import pytest
 from igtl_gateway.app.note_rate import Event
 from igtl_gateway.cli.bridge_output import TextOutput
 from igtl_gateway.gateway import TICK
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.session.note import Level, Note
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.log.note import Level, Note
 
 
 def test_the_node_has_a_lowest_level(capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from igtl_gateway.buffers import join
+from igtl_gateway.base.buffers import join
 from igtl_gateway.cli import main
 from igtl_gateway.wire import Item, Message, Raw, encode
 from igtl_gateway.wire.header import crc64

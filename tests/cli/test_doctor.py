@@ -16,19 +16,19 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.buffers import join
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.stamp import ns_to_ticks
 from igtl_gateway.cli import main
-from igtl_gateway.clock import SystemClock
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.stamp import ns_to_ticks
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import String
 from igtl_gateway.wire.transform import Transform
 from tests.integration.bridge import Bridge
+from tests.places import PEMS
 
 HERE = "127.0.0.1"
-PEMS = Path(__file__).parents[1] / "edges" / "tcp" / "pems"
 DEADLINE_S = 20.0
 #: How long the doctor waits for a peer, or for a message of a silent peer.
 LOOK = ("--seconds", "0.3")

@@ -6,12 +6,13 @@ import socket
 
 import pytest
 
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.errors import Unavailable
 from igtl_gateway.cli import main
 from igtl_gateway.cli.early_port import early_ports
-from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.reserved import ReservedPorts
 from igtl_gateway.edges.tcp import TcpEdge
-from igtl_gateway.errors import Unavailable
+from igtl_gateway.base.errors import Unavailable
 from tests.tables import table
 
 USUAL = ("127.0.0.1", 18944)

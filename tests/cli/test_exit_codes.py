@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from igtl_gateway.extras import missing
+from igtl_gateway.base.extras import missing
+from tests.places import ROOT
 
-ROOT = Path(__file__).parents[2]
 FIXTURE = ROOT / "fixtures" / "paper-types.mcap"
 
 

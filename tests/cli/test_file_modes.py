@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 
+from igtl_gateway.addons.cohort.results import Results
+from igtl_gateway.addons.review import Review
+from igtl_gateway.addons.review.output import write_csv
+from igtl_gateway.base.clock import ManualClock
 from igtl_gateway.cli import main
-from igtl_gateway.cli.review_output import write_csv
-from igtl_gateway.clock import ManualClock
-from igtl_gateway.cohort.results import Results
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
-from igtl_gateway.review import Review
 from tests.cli.writers import SMALL, WRITERS, sound_files
 from tests.record import samples
 
@@ -37,7 +37,7 @@ def test_outputs_are_private(
 ) -> None:
     """With the umask 000 and without that of the command line: as for callers of the Python API."""
     monkeypatch.setattr("igtl_gateway.cli.files_with_mode", lambda mode, umask: nullcontext())
-    monkeypatch.setattr("igtl_gateway.sync.plot.lag_chart", lambda *_: "<svg/>")  # it takes five seconds
+    monkeypatch.setattr("igtl_gateway.addons.sync.plot.lag_chart", lambda *_: "<svg/>")  # it takes five seconds
     for name, value in (("ENDPOINT_URL", "http://127.0.0.1:9"), ("ACCESS_KEY_ID", "a"), ("SECRET_ACCESS_KEY", "b")):
         monkeypatch.setenv(f"AWS_{name}", value)
     given = {"HERE": str(tmp_path), **names}
@@ -56,7 +56,7 @@ def test_outputs_are_private(
 
 
 def test_tables_are_private(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("igtl_gateway.cli.review_output._csv_rows", lambda _: [{"a": 1}])
+    monkeypatch.setattr("igtl_gateway.addons.review.output._csv_rows", lambda _: [{"a": 1}])
     before = os.umask(0)
     try:
         write_csv(tmp_path / "review.csv", Review.__new__(Review), overwrite=False)

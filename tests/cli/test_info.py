@@ -8,15 +8,15 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.cli import main
-from igtl_gateway.config import Config
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.live_settings import LiveSettings
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile.writer import SessionWriter
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from tests.files import BytesRead
+from tests.places import FIXTURES
 from tests.record import samples
 
 SESSION = {**samples.SESSION, "config": json.dumps(Config().to_dict())}
-FIXTURES = Path(__file__).parents[2] / "fixtures"
 
 
 def write(path: Path, entries: list[Entry], **facts: str) -> int:

@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 from igtl_gateway.cli import main
-
-FIXTURES = Path(__file__).parents[2] / "fixtures"
+from tests.places import FIXTURES
 
 
 def linted(capsys: pytest.CaptureFixture[str], path: Path) -> tuple[int, dict[str, Any]]:

@@ -16,16 +16,16 @@ from mcap.reader import make_reader
 from igtl_gateway.app.note_rate import Event
 from igtl_gateway.cli import main, verbs
 from igtl_gateway.cli.bridge_output import TextOutput
-from igtl_gateway.config import Config
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.sessionfile.writer import SessionWriter
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway_lab.cli.simulate import scenario_facts
 from tests.integration.hostile_cases import raw
 from tests.integration.hostile_files import bags, foreign, images, streams
 from tests.tables import table
 
-FIXTURE = Path(__file__).parents[2] / "fixtures" / "paper-types.mcap"
+FIXTURE = ROOT / "fixtures" / "paper-types.mcap"
 
 
 def outcome(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
@@ -215,7 +215,7 @@ def test_a_name_that_no_file_can_have_is_usage(capsys: pytest.CaptureFixture[str
 def test_limits_are_lowered_and_raised_for_each_verb(
     verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    fixture = str(Path(__file__).parents[2] / "fixtures" / "star.mcap")
+    fixture = str(ROOT / "fixtures" / "star.mcap")
     more = {
         "recover": ["-o", str(tmp_path / "out.mcap")],
         "slice": [str(tmp_path / "out.mcap"), "--end", "0.5"],

@@ -7,11 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from igtl_gateway.addons.exchange.targets import TARGETS
 from igtl_gateway.cli import main
 from igtl_gateway.cli.next_steps import command, info_steps, print_next
-from igtl_gateway.exchange.targets import TARGETS
-
-FIXTURES = Path(__file__).parents[2] / "fixtures"
+from tests.places import FIXTURES
 
 
 def test_a_command_is_quoted_for_a_shell() -> None:

@@ -9,11 +9,11 @@ from collections.abc import Iterator
 
 import pytest
 
-from igtl_gateway import __version__
+from igtl_gateway.base.version import __version__
 from igtl_gateway.cli import complete, main, versions
 from igtl_gateway.cli.options import HelpFormatter
 from igtl_gateway.cli.verbs import available
-from igtl_gateway.sessionfile.layout import FORMAT_VERSION
+from igtl_gateway.record.sessionfile.layout import FORMAT_VERSION
 from igtl_gateway.wire.header import HEADER_VERSIONS
 
 COLUMNS = 80

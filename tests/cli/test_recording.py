@@ -12,17 +12,17 @@ from typing import Any
 import pytest
 
 from igtl_gateway.app.bridge_options import bridge_options
+from igtl_gateway.base.clock import ManualClock
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.cli import recording
 from igtl_gateway.cli.settings import given, settled
-from igtl_gateway.clock import ManualClock
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import Selection
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.worker import PAUSED, RESUMED, SNAPSHOT
-from igtl_gateway.session.note import Note
-from igtl_gateway.sessionfile.reader import SessionFile
 from tests.record import samples
 
 DEADLINE_S = 30.0

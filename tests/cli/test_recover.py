@@ -17,14 +17,15 @@ from rosbags.rosbag2 import Reader
 from ruamel.yaml import YAML
 
 from igtl_gateway.cli import main
-from igtl_gateway.config import Config
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.sessionfile import layout
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.writer import SessionWriter
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.record.sessionfile import layout
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.writer import SessionWriter
+from tests.places import ROOT
 from tests.record import samples
 
-FIXTURE = Path(__file__).parents[2] / "fixtures" / "paper-types.mcap"
+FIXTURE = ROOT / "fixtures" / "paper-types.mcap"
 ENTRIES = samples.every_kind(20)
 SESSION = {**samples.SESSION, "config": json.dumps(Config().to_dict())}
 

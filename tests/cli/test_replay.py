@@ -20,19 +20,18 @@ import pytest
 from mcap.reader import make_reader
 
 from igtl_gateway.app.faulty import FaultyFeed
+from igtl_gateway.base.extras import missing
+from igtl_gateway.base.stamp import ticks_to_ns
 from igtl_gateway.cli import main
-from igtl_gateway.extras import missing
-from igtl_gateway.faults import Faults
+from igtl_gateway.config.faults import Faults
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.latched import STATE_TYPES
 from igtl_gateway.replay.source import first_form_only, select_entries
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.stamp import ticks_to_ns
+from tests.places import FIXTURES, PEMS
 from tests.several import outcomes
 
-FIXTURES = Path(__file__).parents[2] / "fixtures"
 STAR, TYPES = FIXTURES / "star.mcap", FIXTURES / "paper-types.mcap"
-PEMS = Path(__file__).parents[1] / "edges" / "tcp" / "pems"
 PATIENCE_S = 60.0
 #: The command line with standard input for its controlling terminal.
 IN_FRONT = """

@@ -9,14 +9,15 @@ from pathlib import Path
 
 import pytest
 
+from igtl_gateway.base.clock import ManualClock
 from igtl_gateway.cli import main
-from igtl_gateway.clock import ManualClock
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
+from tests.places import ROOT
 from tests.record import samples
 
-SOURCE = Path(__file__).parents[2] / "fixtures" / "every-type.mcap"
+SOURCE = ROOT / "fixtures" / "every-type.mcap"
 
 
 def _run(*words: object) -> int:

@@ -12,12 +12,22 @@ import pytest
 from igtl_gateway.app import bridge_options
 from igtl_gateway.app.bridge_options import addresses
 from igtl_gateway.app.settings import config_of, declared, of_parameters
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.cli import bridge, main
 from igtl_gateway.cli.settings import settled
-from igtl_gateway.config import Config, PeerRow, TfOutRow, ToIgtlRow, ToRosRow
+from igtl_gateway.config.configuration import Config, PeerRow, TfOutRow, ToIgtlRow, ToRosRow
+from igtl_gateway.config.settings import (
+    GATEWAY,
+    HOST,
+    IGTL,
+    NONE,
+    RECORD,
+    ROWS,
+    SETTINGS,
+    Setting,
+    parameters,
+)
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
-from igtl_gateway.errors import ConfigError
-from igtl_gateway.settings import GATEWAY, HOST, IGTL, NONE, RECORD, ROWS, SETTINGS, Setting, parameters
 from tests.integration.bridge import ROOT, Bridge, RawPeer, string
 from tests.tables import table
 

@@ -11,11 +11,10 @@ from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
 from igtl_gateway.cli import main
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.writer import SessionWriter
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from tests.files import BytesRead
-
-FIXTURES = Path(__file__).parents[2] / "fixtures"
+from tests.places import FIXTURES
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from igtl_gateway.base.errors import OutputError
 from igtl_gateway.cli import main
 from igtl_gateway.cli.terminal import (
     LONGEST_LINE,
@@ -24,7 +25,6 @@ from igtl_gateway.cli.terminal import (
     print_text,
     width,
 )
-from igtl_gateway.errors import OutputError
 
 NAUGHTY = "/a\x1b]0;owned\x07\n\x1b[2Jverified: all 9 outputs equal\r\u202e"
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from igtl_gateway.addons.cohort.results import Results
 from igtl_gateway.cli import main
-from igtl_gateway.cohort.results import Results
-from igtl_gateway.seal.keys import SigningKey
+from igtl_gateway.record.seal.keys import SigningKey
+from tests.places import FIXTURES
 
-FIXTURES = Path(__file__).parents[2] / "fixtures"
 SMALL = FIXTURES / "paper-types.mcap"
 
 CORPUS = next((Path(__file__).parents[1] / "data" / "corpus").glob("TRANSFORM_v1_s1.bin"))

@@ -12,9 +12,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert import assembly
 from igtl_gateway.convert.assembly import MAX_VOLUME_BYTES, VolumeAssembler
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.image import SCALARS, Image
 from tests.tables import table
 

@@ -8,8 +8,8 @@ import tracemalloc
 import numpy as np
 import pytest
 
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.cdr import CdrReader, CdrWriter
-from igtl_gateway.errors import ConversionError
 
 LITTLE, BIG = b"\x00\x01\x00\x00", b"\x00\x00\x00\x00"
 

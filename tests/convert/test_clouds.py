@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from igtl_gateway.buffers import join
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.clouds import (
     cloud_to_points,
     cloud_to_polydata,
@@ -21,7 +22,6 @@ from igtl_gateway.convert.clouds import (
 from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
 from igtl_gateway.convert.rosmsg import POINT_FIELD_DTYPES, Header, PointCloud2, PointField, PointStamped
 from igtl_gateway.convert.units import LengthUnits
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import CELL, NORMAL, RGBA, SCALAR, VECTOR, Attribute, PolyData
 from tests.tables import table

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.columns import MAX_ROWS, check_rows, fit_texts, set_text_fields, texts
 from igtl_gateway.convert.context import ToIgtlContext
-from igtl_gateway.errors import ConversionError
 
 WIDTH = 8
 

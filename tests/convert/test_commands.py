@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.buffers import join
+from igtl_gateway.base.buffers import join
 from igtl_gateway.convert import commands
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import Command, CommandReply, MetadataItem

@@ -13,12 +13,12 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.buffers import join
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.stamp import NS_PER_S, ns_to_ticks, ticks_to_ns
 from igtl_gateway.convert import express, poses, rosmsg
 from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
 from igtl_gateway.convert.express import MATRIX, QUATERNION
-from igtl_gateway.stamp import NS_PER_S, ns_to_ticks, ticks_to_ns
 from igtl_gateway.wire import HEADER_SIZE, Item, Message, decode, encode
 from igtl_gateway.wire.header import crc64
 from igtl_gateway.wire.message import EXTENDED_SIZE
@@ -280,7 +280,7 @@ BYTES = random.Random(64).randbytes(4 * 2**20 + 16)
 @pytest.fixture
 def both() -> Callable[..., Any]:
     """Return the function (data, CRC of the bytes before) → CRC in both ways."""
-    module = pytest.importorskip("igtl_gateway.convert._express", reason="installed without the C part")
+    module = pytest.importorskip("igtl_gateway.native._express", reason="installed without the C part")
     function: Callable[..., Any] = module.crc64_both
     return function
 

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.geometry import Placement, flip_lps_ras, join_axes, split_axes
 from igtl_gateway.convert.units import LengthUnits
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.image import LPS, RAS, Image
 from tests.strategies import any32, finite32
 

@@ -12,14 +12,15 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert import igtl_msgs
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.structs import Struct
-from igtl_gateway.errors import ConversionError
-from igtl_gateway.sessionfile.layout import OWN_TYPES
+from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.record.sessionfile.layout import OWN_TYPES
 from tests.tables import table
 
-DEFINITIONS = Path(__file__).parents[2] / "ros2" / "igtl_msgs" / "msg"
+DEFINITIONS = ROOT / "ros2" / "igtl_msgs" / "msg"
 CLASSES = {
     kind.TYPE: kind
     for kind in vars(igtl_msgs).values()

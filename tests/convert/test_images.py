@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
 from igtl_gateway.convert.images import image_to_igtl, image_to_ros
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.rosmsg import Image as RosImage
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.image import SCALARS, Image
 from tests.tables import table
 

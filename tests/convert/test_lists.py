@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from igtl_gateway.buffers import join
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.stamp import NS_PER_S, ns_to_ticks, ticks_to_ns
 from igtl_gateway.convert import igtl_msgs, lists
 from igtl_gateway.convert.columns import MAX_ROWS
 from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import BoundMessage, ImageMeta, LabelMeta, MetadataItem, VideoMeta
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.units import LengthUnits
-from igtl_gateway.errors import ConversionError
-from igtl_gateway.stamp import NS_PER_S, ns_to_ticks, ticks_to_ns
 from igtl_gateway.wire.bind import Bind, BindChild
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.capability import Capability

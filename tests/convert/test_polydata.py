@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from igtl_gateway.buffers import join
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert import igtl_msgs
 from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import MetadataItem, PolyDataAttribute
 from igtl_gateway.convert.polydata import exceeds_standard, polydata_to_igtl, polydata_to_ros
 from igtl_gateway.convert.profiles import BY_NAME
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.polydata import CELL, NORMAL, RGBA, SCALAR, TCOORDS, TENSOR, VECTOR, Attribute, Cells, PolyData
 from tests.strategies import finite32, polydatas
 from tests.tables import table

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
 from igtl_gateway.convert.poses import (
@@ -22,7 +23,6 @@ from igtl_gateway.convert.poses import (
 )
 from igtl_gateway.convert.rosmsg import Header, TransformStamped
 from igtl_gateway.convert.units import LengthUnits
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.transform import Position, Transform
 from tests.tables import table
 

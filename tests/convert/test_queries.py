@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.buffers import join
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert import queries
 from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import MetadataItem, Query
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.query import (
     QUERIES,

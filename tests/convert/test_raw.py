@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from igtl_gateway.buffers import join
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import ConversionError, TruncatedMessage
 from igtl_gateway.convert.igtl_msgs import RawMessage
 from igtl_gateway.convert.raw import message_of, raw_message
-from igtl_gateway.errors import ConversionError, TruncatedMessage
 from igtl_gateway.wire import Item, Message, Raw, encode
 
 TICKS = 5 << 32 | 0x80000000

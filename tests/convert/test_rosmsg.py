@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from rosbags.typesys import Stores, get_typestore
 
+from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.stamp import ns_to_ros
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.rosmsg import RosMessage
-from igtl_gateway.errors import ConversionError
-from igtl_gateway.stamp import ns_to_ros
 from tests import strategies
 from tests.tables import table
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.cdr import CdrReader, CdrWriter
 from igtl_gateway.convert.structs import INT16, UINT8, UINT32, CdrType
-from igtl_gateway.errors import ConversionError
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert import surfaces
 from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
 from igtl_gateway.convert.rosmsg import Header, Marker, Mesh
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.polydata import RGBA, SCALAR, Attribute, Cells, PolyData
 
 TO = ToRosContext("Model", 7, "base", "")

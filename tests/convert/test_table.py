@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
+from igtl_gateway.convert.interfaces import definition_folder
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS, ConversionToIgtl, ConversionToRos, row_to_igtl, rows_to_ros
-from igtl_gateway.ros_interfaces.definitions import definition_folder
 from igtl_gateway.wire.registry import BODIES
 from tests import strategies
 from tests.tables import table

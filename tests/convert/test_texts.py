@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert import texts
 from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
 from igtl_gateway.convert.rosmsg import DiagnosticStatus
 from igtl_gateway.convert.rosmsg import String as RosString
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.text import CODES, Status, String
 from tests.tables import table
 

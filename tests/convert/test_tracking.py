@@ -12,7 +12,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from igtl_gateway.buffers import join
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert import tracking
 from igtl_gateway.convert.common_msgs import FrameTransform, PoseArray, TFMessage
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
@@ -21,7 +22,6 @@ from igtl_gateway.convert.igtl_msgs import TrackingData as RosTracking
 from igtl_gateway.convert.poses import position_to_igtl, position_to_ros, transform_to_igtl, transform_to_ros
 from igtl_gateway.convert.rosmsg import Header, TransformStamped
 from igtl_gateway.convert.units import LengthUnits
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.tracking import TOOL_3D, TOOL_5D, TOOL_6D, TRACKER, QuaternionTrackingData, TrackingData
 from igtl_gateway.wire.transform import Position, Transform
 from tests import strategies

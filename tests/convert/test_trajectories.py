@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from igtl_gateway.buffers import join
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert import trajectories
 from igtl_gateway.convert.columns import MAX_ROWS
 from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
@@ -18,7 +19,6 @@ from igtl_gateway.convert.igtl_msgs import LabeledPoint, MetadataItem, PointList
 from igtl_gateway.convert.rosmsg import Header, Marker
 from igtl_gateway.convert.surfaces import GREY
 from igtl_gateway.convert.units import LengthUnits
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.elements import Elements
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.trajectory import ENTRY_AND_TARGET, ENTRY_ONLY, TARGET_ONLY, Trajectories

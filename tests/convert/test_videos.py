@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from igtl_gateway.buffers import join
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.common_msgs import CompressedImage, CompressedVideo
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import IDENTITY, MetadataItem, VideoFrame
@@ -27,7 +28,6 @@ from igtl_gateway.convert.videos import (
     video_to_igtl,
     video_to_ros,
 )
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.image import BIG_ENDIAN, LPS, Image
 from igtl_gateway.wire.video import KEY_FRAME, Video
 from tests.strategies import any32, finite32, videos

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from igtl_gateway.buffers import join
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import IDENTITY, MetadataItem, Volume
@@ -23,7 +24,6 @@ from igtl_gateway.convert.volumes import (
     is_flat,
     volume_to_image,
 )
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.image import BIG_ENDIAN, LITTLE_ENDIAN, LPS, RAS, SCALARS, Image
 from tests.strategies import images
 from tests.tables import table

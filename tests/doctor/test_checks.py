@@ -3,34 +3,33 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from igtl_gateway.buffers import join
-from igtl_gateway.config import Config
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.doctor import Observer
 from igtl_gateway.doctor.observer import ExpectedLinks
 from igtl_gateway.doctor.rules import RULES, judge
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP
 from igtl_gateway.gateway.dialogue.probing import PROBE, PROBE_DEVICE, REPLY, REPLY_DEVICE
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.metadata import FULL_NAME
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.wire import Item, Message, Raw, encode
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.text import Status, String
 from igtl_gateway.wire.tracking import TRACKING_DTYPE, TrackingData
 from igtl_gateway.wire.transform import Position, Transform
+from tests.places import FIXTURES
 from tests.script import T0_NS
 from tests.tables import table
 
-FIXTURES = Path(__file__).parents[2] / "fixtures"
 PEER = "10.0.0.2:50000"
 
 

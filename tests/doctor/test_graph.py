@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from igtl_gateway.config import Config
+from igtl_gateway.base.qos import Endpoint, Qos
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.doctor import Observer
 from igtl_gateway.doctor.graph import Graph
 from igtl_gateway.doctor.rules import judge
 from igtl_gateway.gateway import Gateway
-from igtl_gateway.qos import Endpoint, Qos
 
 POSE, STRING = "geometry_msgs/msg/TransformStamped", "std_msgs/msg/String"
 PROBE, OUT = "/igtl/in/Probe/transform", "/igtl/out/Target"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from igtl_gateway.clock import SystemClock
+from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.doctor.host_probe import Delays, measure
 
 

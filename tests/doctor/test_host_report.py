@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import pytest
 
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.errors import Unavailable
 from igtl_gateway.cli import main
-from igtl_gateway.clock import SystemClock
 from igtl_gateway.doctor.host_checks import HOST_CHECKS
 from igtl_gateway.doctor.host_report import HostReport, examine_host
-from igtl_gateway.errors import Unavailable
 from tests.doctor.test_host_checks import GOOD, MEASURED
 
 

@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from igtl_gateway.buffers import Buffer
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.errors import ConfigError, Unavailable
 from igtl_gateway.convert.bitstream import is_key_frame
 from igtl_gateway.convert.common_msgs import CompressedImage
 from igtl_gateway.convert.rosmsg import Header, Image
@@ -26,8 +27,7 @@ from igtl_gateway.edges.video import (
 )
 from igtl_gateway.edges.video import decoder as decoder_module
 from igtl_gateway.edges.video.options import ENCODERS
-from igtl_gateway.errors import ConfigError, Unavailable
-from igtl_gateway.session.note import Note
+from igtl_gateway.gateway.log.note import Note
 
 av = pytest.importorskip("av")
 

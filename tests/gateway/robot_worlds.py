@@ -16,15 +16,15 @@ from itertools import pairwise
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.buffers import join
-from igtl_gateway.config import Config
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.arms import ArmsRow
 from igtl_gateway.convert.common_msgs import JointState, PoseStamped
 from igtl_gateway.convert.rosmsg import Header, RosMessage
 from igtl_gateway.gateway import LINK_UP, Gateway, Session
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.sensor import Sensor

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,8 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from igtl_gateway.buffers import join
-from igtl_gateway.config import Config
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert import crtk
 from igtl_gateway.convert.arms import ArmsRow
 from igtl_gateway.convert.common_msgs import JointState, PoseStamped
@@ -22,10 +22,9 @@ from igtl_gateway.convert.robot_msgs import Empty, Joy, OperatingState, StringSt
 from igtl_gateway.convert.rosmsg import Header, RosMessage, String, TransformStamped
 from igtl_gateway.gateway import LINKS_TOPIC
 from igtl_gateway.gateway.command_guard import CODES
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.replay.verify import verify
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.session.note import Note
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.bind import Bind, BindChild
 from igtl_gateway.wire.body import Body
@@ -33,6 +32,7 @@ from igtl_gateway.wire.ndarray import NdArray
 from igtl_gateway.wire.sensor import Sensor
 from igtl_gateway.wire.text import String as Text
 from igtl_gateway.wire.transform import Position, Transform
+from tests.places import ROOT
 from tests.script import T0_NS, Script
 from tests.tables import table
 
@@ -392,7 +392,7 @@ def test_no_command_and_no_state_of_an_arm_is_compiled() -> None:
 
 
 def test_the_document_has_each_name_and_each_code() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "how-to" / "crtk.md").read_text("utf-8")
+    page = (ROOT / "docs" / "how-to" / "crtk.md").read_text("utf-8")
     for row in crtk.NAMES:
         assert f"| `{row.name}` | {row.ros_type.replace('/msg/', '/')} | {row.igtl_type} |" in page
     for code, meaning in CODES.items():

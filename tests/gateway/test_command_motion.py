@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from igtl_gateway.config import Config
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.arms import ArmsRow
 from igtl_gateway.convert.common_msgs import JointState, PoseStamped
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.sensor import Sensor
 from igtl_gateway.wire.text import String

@@ -7,21 +7,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from igtl_gateway.buffers import join
-from igtl_gateway.config import Config, ToIgtlRow, ToRosRow
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.stamp import ns_to_ticks
+from igtl_gateway.config.configuration import Config, ToIgtlRow, ToRosRow
 from igtl_gateway.convert import rosmsg, surfaces, trajectories
 from igtl_gateway.convert.igtl_msgs import RawMessage, VideoFrame, Volume
 from igtl_gateway.convert.names import short_device_name
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.gateway import LISTENED
 from igtl_gateway.gateway.fastpath import FastPath
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.metadata import FULL_NAME
 from igtl_gateway.gateway.to_ros.convert import RAW_QOS
 from igtl_gateway.gateway.to_ros.route import Router
-from igtl_gateway.qos import Qos
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.stamp import ns_to_ticks
 from igtl_gateway.wire import Item, Message, Raw, decode, encode
 from igtl_gateway.wire.bind import Bind, BindChild
 from igtl_gateway.wire.image import Image

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import pytest
 
-from igtl_gateway.buffers import join
-from igtl_gateway.config import Config
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.igtl_msgs import Command as RosCommand
 from igtl_gateway.convert.igtl_msgs import CommandReply
 from igtl_gateway.convert.raw import raw_message
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.errors import ConfigError
 from igtl_gateway.gateway import denials
 from igtl_gateway.gateway.denials import Denials
+from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.replay.verify import verify
-from igtl_gateway.session.note import Note
 from igtl_gateway.wire import Message, Raw, encode
 from igtl_gateway.wire.bind import Bind, BindChild
 from igtl_gateway.wire.body import Body

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from igtl_gateway.config import Config, TfOutRow, ToRosRow
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.config.configuration import Config, TfOutRow, ToRosRow
 from igtl_gateway.convert.common_msgs import DiagnosticArray
 from igtl_gateway.convert.rosmsg import DiagnosticStatus
 from igtl_gateway.gateway.diagnostics import ERROR, MAX_STREAMS, OK, STALE, WARN, Diagnostics, PeerFacts
-from igtl_gateway.stamp import NS_PER_S
 from tests.gateway.test_guard import pose, tf_of
 from tests.script import Script
 

@@ -8,18 +8,18 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.buffers import join
-from igtl_gateway.config import Config, TfOutRow, ToIgtlRow, ToRosRow
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.config.configuration import Config, TfOutRow, ToIgtlRow, ToRosRow
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
 from igtl_gateway.convert.raw import raw_message
 from igtl_gateway.gateway import LINK_UP, Gateway, Session, guard
 from igtl_gateway.gateway.guarded_stream import CODES, STILL_LOOKS, is_unit_jump
-from igtl_gateway.qos import Qos
-from igtl_gateway.session.clocksteps import ClockStep
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.gateway.log.clocksteps import ClockStep
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.query import EmptyQuery, StartTracking
 from igtl_gateway.wire.transform import Transform

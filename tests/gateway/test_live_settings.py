@@ -8,21 +8,21 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.buffers import join
-from igtl_gateway.config import Config, ToIgtlRow, ToRosRow
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.stamp import NS_PER_S, ns_to_ticks
+from igtl_gateway.config.configuration import Config, ToIgtlRow, ToRosRow
 from igtl_gateway.convert.igtl_msgs import Command as RosCommand
 from igtl_gateway.convert.igtl_msgs import CommandReply
 from igtl_gateway.convert.raw import raw_message
 from igtl_gateway.convert.rosmsg import Header, String, TransformStamped
-from igtl_gateway.errors import ConfigError
 from igtl_gateway.gateway.live_settings import LiveSettings
-from igtl_gateway.qos import Qos
+from igtl_gateway.gateway.log.changes import SETTING, SETTINGS, is_change
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.replay.slice import Slice, SliceWindow
 from igtl_gateway.replay.verify import verify
-from igtl_gateway.session.changes import SETTING, SETTINGS, is_change
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.query import EmptyQuery

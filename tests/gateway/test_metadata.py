@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from igtl_gateway.config import Config, ToIgtlRow
+from igtl_gateway.config.configuration import Config, ToIgtlRow
 from igtl_gateway.convert.igtl_msgs import Metadata, MetadataItem, Sensor
 from igtl_gateway.convert.rosmsg import Header, String, TransformStamped
 from igtl_gateway.gateway.metadata import FRAME_ID, FULL_NAME, STAMP, compose_metadata, restore_metadata

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from igtl_gateway.buffers import join
-from igtl_gateway.config import Config, PeerRow, ToIgtlRow
+from igtl_gateway.base.buffers import join
+from igtl_gateway.config.configuration import Config, PeerRow, ToIgtlRow
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.common_msgs import MULTI_ARRAYS, MultiArrayLayout
 from igtl_gateway.convert.igtl_msgs import Command as RosCommand
@@ -18,7 +18,7 @@ from igtl_gateway.convert.profiles import CPP_FACTORY
 from igtl_gateway.convert.raw import raw_message
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.gateway import LINKS_TOPIC, Gateway, Session
-from igtl_gateway.session.entry import Kind
+from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.wire import Message, Raw, encode
 from igtl_gateway.wire.capability import Capability
 from igtl_gateway.wire.client_info import ClientInfo

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from igtl_gateway.buffers import join
-from igtl_gateway.config import Config
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway import (
     CUT,
     FAULT,
@@ -19,10 +19,10 @@ from igtl_gateway.gateway import (
     Session,
     make_core,
 )
+from igtl_gateway.gateway.log.clocksteps import CLOCK_STEP, ClockStep
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.replay.verify import verify
-from igtl_gateway.session.clocksteps import CLOCK_STEP, ClockStep
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import String
 from tests.script import T0_NS

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from igtl_gateway.buffers import join
-from igtl_gateway.errors import TruncatedMessage
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import TruncatedMessage
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.session import header_names
-from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire import HEADER_SIZE, Message, encode
 from igtl_gateway.wire.text import String
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from igtl_gateway.buffers import join
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.gateway.metadata import STAMP
 from igtl_gateway.gateway.stamps import moved, restamped
-from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Item, Message, decode, encode
 from igtl_gateway.wire.text import String
 from tests.script import T0_NS

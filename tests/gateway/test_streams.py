@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from igtl_gateway.config import Config, ToRosRow
+from igtl_gateway.config.configuration import Config, ToRosRow
 from igtl_gateway.convert.names import short_device_name
 from igtl_gateway.convert.rosmsg import String as RosString
 from igtl_gateway.gateway.streams import Streams

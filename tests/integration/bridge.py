@@ -24,8 +24,8 @@ from typing import Any
 from fastcrc import crc64
 
 from tests import domains
+from tests.places import ROOT
 
-ROOT = Path(__file__).parents[2]
 #: Far longer than anything takes here: reaching it is a failure, not a measurement.
 TIMEOUT_S = 45.0
 #: A start takes more computing than all else: a second, which is ten where twenty programs share two cores.

@@ -11,13 +11,13 @@ import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from enum import Enum
-from pathlib import Path
 
 from fastcrc import crc64
 
 from tests.integration.bridge import HEADER_SIZE, extended, header, message, string
+from tests.places import ROOT
 
-PAGE = Path(__file__).parents[2] / "docs" / "evidence" / "hostile.md"
+PAGE = ROOT / "docs" / "evidence" / "hostile.md"
 
 
 class Manner(Enum):

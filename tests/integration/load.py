@@ -9,8 +9,8 @@ import threading
 import time
 from pathlib import Path
 
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from tests.integration.bridge import RawPeer, gateway, message, string
 
 #: What the recorder may take on top of its interval on a busy machine, until the bytes are with the system.

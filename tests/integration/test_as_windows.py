@@ -15,15 +15,15 @@ from typing import Any
 
 import pytest
 
+from igtl_gateway.addons.zenoh import names
+from igtl_gateway.addons.zenoh.names import Kind, Node
+from igtl_gateway.addons.zenoh.types import TypeHashes
+from igtl_gateway.base.qos import Qos
 from igtl_gateway.convert.rosmsg import String
-from igtl_gateway.edges.zenoh import names
-from igtl_gateway.edges.zenoh.names import Kind, Node
-from igtl_gateway.edges.zenoh.types import TypeHashes
-from igtl_gateway.qos import Qos
-from igtl_gateway.session.entry import Kind as EntryKind
-from igtl_gateway.sessionfile.reader import SessionFile
-from tests.edges.zenoh.routers import client, router
-from tests.edges.zenoh.test_edge import until
+from igtl_gateway.gateway.log.entry import Kind as EntryKind
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from tests.addons.zenoh.routers import client, router
+from tests.addons.zenoh.test_edge import until
 from tests.integration.bridge import ROOT, Bridge, RawPeer, environment, free_port, gateway, string
 
 AS_WINDOWS = Path(__file__).parent / "as_windows"

@@ -9,8 +9,8 @@ import pytest
 
 import igtl_gateway
 from igtl_gateway import Bridge
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.edges.ros.host import NodeHost
-from igtl_gateway.errors import ConfigError
 from tests import domains
 from tests.integration.bridge import RosClient
 

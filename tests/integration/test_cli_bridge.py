@@ -28,6 +28,7 @@ from tests.integration.bridge import (
     gateway,
     string,
 )
+from tests.places import ROOT
 from tests.several import Outcome, outcomes
 
 needs_ros = pytest.mark.ros
@@ -97,7 +98,7 @@ def hidden_ros(folder: Path) -> str:
     package = folder / "rclpy"
     package.mkdir()
     (package / "__init__.py").write_text("raise ImportError('no rclpy in this test')\n")
-    here = Path(__file__).parents[2]
+    here = ROOT
     return f"{folder}:{here}"
 
 

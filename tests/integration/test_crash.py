@@ -18,7 +18,7 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.record.options import FLUSH_S
-from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from tests.integration.bridge import Bridge, children, gateway
 from tests.integration.load import BATCH, SLACK_S, Load, counted, recover
 

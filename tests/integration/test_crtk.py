@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from igtl_gateway.base.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.cli import main
-from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway.wire.text import String
 from igtl_gateway.wire.transform import Transform

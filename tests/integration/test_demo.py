@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.reader import SessionFile
 
 pytestmark = [
     pytest.mark.ros,

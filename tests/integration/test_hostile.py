@@ -21,9 +21,9 @@ from typing import Any
 import pytest
 
 from igtl_gateway.cli import main
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.session.note import Note
-from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.wire.registry import BODIES
 from tests.integration.bridge import (
     HEADER_SIZE,

@@ -18,11 +18,11 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
-from igtl_gateway.session.ledger import MAX_STREAMS, OTHERS
+from igtl_gateway.gateway.log.ledger import MAX_STREAMS, OTHERS
 from tests.integration.bridge import HEADER_SIZE, TIMEOUT_S, Bridge, RawPeer, header, message, string
+from tests.places import PEMS
 
 RECONNECTS = int(os.environ.get("HOSTILE_RECONNECTS", "1000"))
-PEMS = Path(__file__).parents[1] / "edges" / "tcp" / "pems"
 
 
 @dataclass(frozen=True)

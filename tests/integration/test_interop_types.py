@@ -18,11 +18,11 @@ import numpy as np
 import pytest
 from fastcrc import crc64
 
-from igtl_gateway.buffers import Buffer, join
-from igtl_gateway.clock import SystemClock
+from igtl_gateway.base.buffers import Buffer, join
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.stamp import NS_PER_S, ns_to_ticks, ticks_to_ns
 from igtl_gateway.edges.tcp import TcpEdge
-from igtl_gateway.session.note import Note
-from igtl_gateway.stamp import NS_PER_S, ns_to_ticks, ticks_to_ns
+from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway.wire.bind import Bind, BindChild
 from igtl_gateway.wire.body import Body

@@ -21,18 +21,18 @@ import pytest
 
 from igtl_gateway.app.bridge import Bridge, BridgeOptions
 from igtl_gateway.app.managed import ManagedBridge
-from igtl_gateway.buffers import join
-from igtl_gateway.clock import SystemClock
-from igtl_gateway.config import Config
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.errors import ConfigError, Unavailable
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.rosmsg import TransformStamped
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.ros.middleware import import_rclpy
-from igtl_gateway.errors import ConfigError, Unavailable
 from igtl_gateway.gateway.live_settings import LiveSettings
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.verify import verify
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.session.note import Note
-from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.transform import Transform
 

@@ -31,10 +31,10 @@ from typing import Any
 import pytest
 
 from igtl_gateway.cli import main as command_line
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.ledger import PEERS
-from igtl_gateway.session.note import Note
-from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.ledger import PEERS
+from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from tests.integration.bridge import (
     HEADER_SIZE,
     ROOT,

@@ -12,15 +12,15 @@ import numpy.typing as npt
 import pytest
 
 import igtl_gateway
+from igtl_gateway.addons.sync.plus import plus_lag
+from igtl_gateway.addons.sync.signal import Signal, main_component
 from igtl_gateway.api.lags import movement
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.cli import main
 from igtl_gateway.convert.common_msgs import JointState, PoseStamped
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile.writer import SessionWriter
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
-from igtl_gateway.sync.plus import plus_lag
-from igtl_gateway.sync.signal import Signal, main_component
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from tests.plus_sequences import water_tank_tracker, water_tank_video
 
 Array = npt.NDArray[Any]

@@ -26,16 +26,16 @@ import pytest
 
 from igtl_gateway.app import bridge as app
 from igtl_gateway.app.bridge import BridgeOptions
-from igtl_gateway.buffers import join
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.cli import main
-from igtl_gateway.clock import SystemClock
-from igtl_gateway.config import Config, ToRosRow
+from igtl_gateway.config.configuration import Config, ToRosRow
+from igtl_gateway.gateway.log.clocksteps import ClockStep
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.timeline import clock_steps_of
-from igtl_gateway.session.clocksteps import ClockStep
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Note
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.transform import Transform

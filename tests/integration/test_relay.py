@@ -13,9 +13,9 @@ import pytest
 
 from igtl_gateway.app.replay_plan import plan_replay, planned_entries
 from igtl_gateway.cli import main
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.recorded_config import config_to_run
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.sessionfile.reader import SessionFile
 from tests.integration.bridge import (
     TIMEOUT_S,
     Bridge,

@@ -12,14 +12,15 @@ import pytest
 from mcap.writer import Writer
 
 from igtl_gateway.convert.rosmsg import String
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.source import first_form_only, select_entries
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile.reader import SessionFile
 from tests.integration.bridge import TIMEOUT_S, RosClient, gateway
+from tests.places import ROOT
 
 pytestmark = pytest.mark.ros
 
-TYPES = Path(__file__).parents[2] / "fixtures" / "paper-types.mcap"
+TYPES = ROOT / "fixtures" / "paper-types.mcap"
 HEARD = {
     "/igtl/in/ProbeToTracker/transform": "geometry_msgs/msg/TransformStamped",
     "/igtl/in/Greeting/string": "std_msgs/msg/String",

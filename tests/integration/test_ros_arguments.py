@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.cli import main
-from igtl_gateway.passage import is_compiled
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.native.passage import is_compiled
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from tests.integration.bridge import Bridge, RawPeer, RosClient, string
 
 pytestmark = pytest.mark.ros

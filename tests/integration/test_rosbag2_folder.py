@@ -24,10 +24,9 @@ from igtl_gateway.cli import main
 from igtl_gateway.record.parts import PartsWriter
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.selection import StateInputRule
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.writer import SessionWriter
-
-FIXTURES = Path(__file__).parents[2] / "fixtures"
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.writer import SessionWriter
+from tests.places import FIXTURES
 
 _U64 = range((1 << 63) - 1)
 _TIME = {"sec": _U64, "nsec": _U64}

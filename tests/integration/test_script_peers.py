@@ -17,7 +17,7 @@ import igtl_gateway
 from igtl_gateway import Bridge as ScriptBridge
 from igtl_gateway import Server
 from igtl_gateway.api.peer import Endpoint
-from igtl_gateway.errors import Refused
+from igtl_gateway.base.errors import Refused
 from igtl_gateway.wire.query import StartTracking
 from tests.integration.bridge import ROOT, Bridge, Program, RosClient, environment, free_port
 from tests.peers import reference

@@ -14,8 +14,9 @@ from urllib.request import urlopen
 
 import pytest
 
+from tests.places import FIXTURES
+
 BROWSER = os.environ.get("IGTL_GATEWAY_BROWSER")
-FIXTURES = Path(__file__).parents[2] / "fixtures"
 PATIENCE_S = 100  #: WebGL by software on a busy machine
 
 #: The page logs the first when its canvas is in the document and is drawn on, and the others when it gives up.

@@ -7,11 +7,11 @@ from typing import Any
 
 import pytest
 
+from igtl_gateway.addons.zenoh.types import TypeHashes
+from igtl_gateway.base.qos import Qos
 from igtl_gateway.convert.rosmsg import String
-from igtl_gateway.edges.zenoh.types import TypeHashes
-from igtl_gateway.qos import Qos
-from tests.edges.zenoh.routers import router
-from tests.edges.zenoh.test_edge import DOMAIN, Side, port, sides, started, text, until
+from tests.addons.zenoh.routers import router
+from tests.addons.zenoh.test_edge import DOMAIN, Side, port, sides, started, text, until
 
 sdk = pytest.importorskip("zenoh_ros2_sdk", reason="pip install zenoh-ros2-sdk, another implementation of the format")
 

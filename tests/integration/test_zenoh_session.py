@@ -16,22 +16,23 @@ from typing import Any
 
 import pytest
 
+from igtl_gateway.addons.zenoh.edge import ZenohEdge
 from igtl_gateway.app.bridge import Bridge, BridgeOptions
 from igtl_gateway.app.verification import verify_recording
-from igtl_gateway.clock import SystemClock
-from igtl_gateway.config import Config
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.edges.ros.edge import RosEdge
-from igtl_gateway.edges.zenoh.edge import ZenohEdge
 from igtl_gateway.gateway import Session, make_core
-from igtl_gateway.qos import Qos
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.recorded_config import config_to_run
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile.reader import SessionFile
-from tests.edges.zenoh.routers import free_port, router
+from tests.addons.zenoh.routers import free_port, router
+from tests.places import ROOT
 
 pytestmark = pytest.mark.ros
 
-GOLDEN = Path(__file__).parents[2] / "fixtures" / "every-type.mcap"
+GOLDEN = ROOT / "fixtures" / "every-type.mcap"
 QOS = Qos(1000)
 WAIT_S = 20.0
 

@@ -11,8 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from igtl_gateway.ros_interfaces.definitions import SHARES
-from tests.edges.zenoh.routers import router
+from igtl_gateway.convert.interfaces import SHARES
+from tests.addons.zenoh.routers import router
 from tests.integration.bridge import Bridge, RawPeer, RosClient, free_port, gateway
 from tests.integration.test_ros_types import (  # noqa: F401 (tests and fixtures, which run here with another world)
     ADVERTISED,

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from igtl_gateway.buffers import join
+from igtl_gateway.base.buffers import join
 from igtl_gateway.wire import Header, Item, Message, encode
 from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.header import HEADER_SIZE

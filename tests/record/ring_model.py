@@ -18,11 +18,11 @@ from typing import Any, Literal
 
 import pytest
 
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record import shared_queue
+from igtl_gateway.record.sessionfile.chunk_rows import add_rows
+from igtl_gateway.record.sessionfile.records import HEAD, MESSAGE, MESSAGE_RECORD
 from igtl_gateway.record.shared_queue import ENTRY_BYTES, QueueReader, QueueSlot, QueueWriter
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile.chunk_rows import add_rows
-from igtl_gateway.sessionfile.records import HEAD, MESSAGE, MESSAGE_RECORD
 
 #: Payloads from this size on are large in the model: copied in a second step, and lent.
 LARGE_BYTES = 64

@@ -9,11 +9,11 @@ from pathlib import Path
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_typestore
 
-from igtl_gateway.buffers import Buffer
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.sessionfile.writer import SessionWriter
-from igtl_gateway.stamp import ns_to_ticks, ticks_to_ns
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.stamp import ns_to_ticks, ticks_to_ns
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 
 START_NS = 1_700_000_000_000_000_000
 SESSION = {"config": '{"base_frame":"world"}', "host": "theatre-2"}

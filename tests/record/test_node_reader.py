@@ -22,14 +22,13 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.base import normalize_fieldname
 from rosbags.typesys.store import Typestore
 
-from igtl_gateway.exchange.targets import export_to
-from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.addons.exchange.targets import export_to
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from tests.tables import table
 from tests.test_fixtures import NAMES
 
 FOLDER = Path(os.environ.get("IGTL_GATEWAY_NODE", ""))
 PROGRAM = Path(__file__).with_name("foxglove.mjs")
-FIXTURES = Path(__file__).parents[2] / "fixtures"
 
 pytestmark = pytest.mark.skipif(
     "IGTL_GATEWAY_NODE" not in os.environ, reason="opt-in: IGTL_GATEWAY_NODE names no folder"

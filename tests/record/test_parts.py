@@ -15,19 +15,19 @@ from typing import Any
 import pytest
 from rosbags.rosbag2 import Reader
 
-from igtl_gateway.clock import ManualClock
-from igtl_gateway.config import Config
-from igtl_gateway.errors import DamagedRecording, RecordingError, UnsupportedRecording
+from igtl_gateway.base.clock import ManualClock
+from igtl_gateway.base.errors import DamagedRecording, RecordingError, UnsupportedRecording
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway import LINK_UP, LINKS_TOPIC, Gateway, Session
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import StateInputRule
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.worker import RecordingSummary
 from igtl_gateway.replay.verify import DeclaredLosses, verify
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.sessionfile.reader import SessionFile
 from tests.record import samples
 
 SECOND_NS = 1_000_000_000

@@ -5,11 +5,11 @@ from __future__ import annotations
 import pytest
 
 from igtl_gateway.gateway.live_settings import LiveSettings
+from igtl_gateway.gateway.log.clocksteps import ClockStep
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record import prologue
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.selection import StateInputRule
-from igtl_gateway.session.clocksteps import ClockStep
-from igtl_gateway.session.entry import Entry, Kind
 from tests.record import samples
 
 RULE = StateInputRule(frozenset({"/igtl/links"}), frozenset({"COMMAND"}))

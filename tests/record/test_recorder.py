@@ -23,28 +23,28 @@ from mcap.exceptions import McapError
 from mcap.records import Channel, Message
 from mcap.stream_reader import StreamReader
 
-from igtl_gateway.clock import ManualClock, SystemClock
-from igtl_gateway.errors import DamagedRecording, RecordingError
-from igtl_gateway.qos import Qos
+from igtl_gateway.base.clock import ManualClock, SystemClock
+from igtl_gateway.base.errors import DamagedRecording, RecordingError
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record import host
 from igtl_gateway.record import recorder as recorder_module
 from igtl_gateway.record import worker as worker_module
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.record.seal.keys import SigningKey
 from igtl_gateway.record.selection import Selection
-from igtl_gateway.seal.keys import SigningKey
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.sessionfile import layout, messages, writer
-from igtl_gateway.sessionfile.compression import Compression
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.seal_check import SEALED, check_seal
-from igtl_gateway.sessionfile.writer import SessionWriter
+from igtl_gateway.record.sessionfile import layout, messages, writer
+from igtl_gateway.record.sessionfile.compression import Compression
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.seal_check import SEALED, check_seal
+from igtl_gateway.record.sessionfile.writer import SessionWriter
+from tests.places import ROOT
 from tests.record import samples
 
 DEADLINE_S = 30.0
-ROOT = Path(__file__).parents[2]
 
 
 def wait_until(condition: Callable[[], bool]) -> None:
@@ -386,7 +386,7 @@ RECORDING_CHILD = """
 import sys, threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from igtl_gateway.clock import SystemClock
+from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import Selection
 from tests.record import samples
@@ -517,7 +517,7 @@ DROPPING_CHILD = """
 import os, signal, sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from igtl_gateway.clock import SystemClock
+from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from tests.record import samples
@@ -555,7 +555,7 @@ FORKING_CHILD = """
 import os, signal, sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from igtl_gateway.clock import SystemClock
+from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.record.recorder import Recorder
 from tests.record import samples
 recorder = Recorder(Path(sys.argv[1]), {}, qos_of=lambda *_: None, on_note=print, clock=SystemClock())
@@ -571,7 +571,7 @@ FILLING_CHILD = """
 import signal, sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from igtl_gateway.clock import SystemClock
+from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.record.recorder import Recorder
 from tests.record import samples
 recorder = Recorder(Path(sys.argv[1]), {}, qos_of=lambda *_: None, on_note=print, clock=SystemClock())
@@ -693,7 +693,7 @@ FULL_DISK_CHILD = """
 import json, os, resource, sys, threading
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from igtl_gateway.clock import SystemClock
+from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import Selection
 from tests.record import samples
@@ -746,8 +746,8 @@ import shutil
 resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from igtl_gateway.errors import RecordingError
-from igtl_gateway.sessionfile.writer import SessionWriter
+from igtl_gateway.base.errors import RecordingError
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 try:
     SessionWriter(Path({str(path)!r}), {{}})
 except RecordingError as error:

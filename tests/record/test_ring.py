@@ -9,19 +9,19 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.clock import ManualClock
-from igtl_gateway.config import Config
-from igtl_gateway.errors import RecordingError
+from igtl_gateway.base.clock import ManualClock
+from igtl_gateway.base.errors import RecordingError
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record import host
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.shared_queue import QueueReader
 from igtl_gateway.record.worker import FAILED, SNAPSHOT
 from igtl_gateway.replay.verify import DeclaredLosses, verify
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.session.note import Note
-from igtl_gateway.sessionfile.reader import SessionFile
 from tests.record import samples
 from tests.record.test_parts import RULE, healthy, session
 

@@ -16,8 +16,8 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_state_machine_as_test
 
+from igtl_gateway.record.sessionfile.chunk_rows import add_rows
 from igtl_gateway.record.shared_queue import QueueReader
-from igtl_gateway.sessionfile.chunk_rows import add_rows
 from tests.record.native_queue import native_library
 from tests.record.ring_model import ALL_ROWS, LARGE_BYTES, ONE_ROW, RingModel, Sizes, small_ring
 from tests.tables import table

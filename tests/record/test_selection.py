@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record import selection
 from igtl_gateway.record.selection import Selection, SelectionFilter, StateInputRule
-from igtl_gateway.session.entry import Entry, Kind
 from tests.record import samples
 
 RULE = StateInputRule(frozenset({"/igtl/links"}), frozenset({"COMMAND"}), frozenset({"/tf"}))

@@ -18,9 +18,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record import shared_queue
 from igtl_gateway.record.shared_queue import ENTRY_BYTES, QueueReader, QueueSlot, QueueWriter, copy_parts, shared_memory
-from igtl_gateway.session.entry import Entry, Kind
 from tests.record import samples
 from tests.record.native_queue import HEADER, native_library
 from tests.tables import table

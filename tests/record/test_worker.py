@@ -15,18 +15,18 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, given, settings
 
-from igtl_gateway.clock import Clock, ManualClock, SystemClock
+from igtl_gateway.base.clock import Clock, ManualClock, SystemClock
+from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record import host, shared_queue
 from igtl_gateway.record.host import WorkerHost, in_process, in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.record.seal.keys import SigningKey
+from igtl_gateway.record.sessionfile import stream
+from igtl_gateway.record.sessionfile.chunk_rows import add_rows
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.shared_queue import QueueReader, QueueWriter, memory
 from igtl_gateway.record.worker import WorkerSettings, run_worker
-from igtl_gateway.seal.keys import SigningKey
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.sessionfile import stream
-from igtl_gateway.sessionfile.chunk_rows import add_rows
-from igtl_gateway.sessionfile.reader import SessionFile
 from tests.record import samples
 
 DEADLINE_S = 60

@@ -6,29 +6,28 @@ import math
 import struct
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from igtl_gateway.buffers import join
+from igtl_gateway.base.buffers import join
 from igtl_gateway.convert.common_msgs import FrameTransform as Frame
 from igtl_gateway.convert.common_msgs import PoseArray, PoseStamped, TFMessage
 from igtl_gateway.convert.rosmsg import Header, Image, PointCloud2, PointField, PointStamped, RosMessage, String
 from igtl_gateway.convert.units import LengthUnits
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.schemas import RosTypes
 from igtl_gateway.replay.compare import EXACT, Delta, LeafDecoder, Tolerance, Undecodable, compare_values, first_byte
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.schemas import RosTypes
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.image import Image as IgtlImage
 from igtl_gateway.wire.text import String as IgtlString
 from igtl_gateway.wire.tracking import TRACKING_DTYPE, TrackingData
 from igtl_gateway.wire.transform import Position, Transform
+from tests.places import FIXTURES
 
-FIXTURES = Path(__file__).parents[2] / "fixtures"
 HEADER = Header(5_000_000_000, "world")
 UNIT = (0.0, 0.0, 0.0, 1.0)
 HALF = math.radians(1.0) / 2

@@ -5,18 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import pytest
 
 from igtl_gateway.convert.rosmsg import TransformStamped
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.compare import EXACT, LeafDecoder, Tolerance
 from igtl_gateway.replay.diff import WINDOW, DiffInput, DiffReport, StreamDiff, diff
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile.reader import SessionFile
+from tests.places import FIXTURES
 from tests.record import samples
 
-FIXTURES = Path(__file__).parents[2] / "fixtures"
 TOOL = "/star/tool"
 
 

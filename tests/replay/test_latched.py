@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
 from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.replay.latched import part_of_session
-from igtl_gateway.session.entry import Entry, Kind
 
 LATCHED = {"/plan", "/tf_static"}
 

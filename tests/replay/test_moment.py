@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.replay.moment import moment
 
 START = 1_795_248_000_123_456_789  # 2026-11-21T08:00:00.123456789Z

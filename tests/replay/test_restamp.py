@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import pytest
 
+from igtl_gateway.base.stamp import ns_to_ticks, ticks_to_ns
 from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
 from igtl_gateway.convert.rosmsg import Header, PointStamped, String, TransformStamped
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.replay.restamp import Mode, Restamper
 from igtl_gateway.replay.simclock import clock_entry
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.stamp import ns_to_ticks, ticks_to_ns
 from igtl_gateway.wire import decode, encode
 from igtl_gateway.wire.message import Item, Message
 from igtl_gateway.wire.text import String as Text

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.gateway.log.clocksteps import ClockStep
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.replay.simclock import CLOCK_TOPIC, clock_entry, is_tick, period_ns, with_ticks
 from igtl_gateway.replay.timeline import SessionTimeline
-from igtl_gateway.session.clocksteps import ClockStep
-from igtl_gateway.session.entry import Entry, Kind
 
 
 def entries(*stamps: int, channel: str = "/a") -> list[Entry]:

@@ -7,21 +7,22 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
-from pathlib import Path
 
 import pytest
 
-from igtl_gateway.config import Config
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.units import UNITS
 from igtl_gateway.gateway import LINK_UP
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.slice import SMALL_BYTES, Depth, Slice, SliceReport, SliceWindow, input_groups
 from igtl_gateway.replay.verify import DeclaredLosses, verify
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Note
-from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from tests.tables import table
 
-FIXTURES = Path(__file__).parents[2] / "fixtures"
 NAMES = ("star", "paper-types", "every-type")
 PARTS = ((0.0, 1.0), (0.0, 0.2), (0.3, 0.6), (0.5, 0.55), (0.9, 1.0))
 

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import pytest
 
-from igtl_gateway.buffers import join
-from igtl_gateway.config import Config
+from igtl_gateway.base.buffers import join
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway import LINK_UP, PARTNER, Session, make_core
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.replay.source import first_form_only, one_side_of_relay, select_entries, through_gateway
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
 from igtl_gateway.wire import Header, Message, encode
 from igtl_gateway.wire.text import String
 from igtl_gateway_lab.simulate.catalogue import SCENARIOS

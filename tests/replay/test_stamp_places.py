@@ -12,8 +12,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from igtl_gateway.convert.interfaces import SHARES, definition_folder
 from igtl_gateway.replay.stamp_places import StampPlaces
-from igtl_gateway.ros_interfaces.definitions import SHARES, definition_folder
+from igtl_gateway.convert.interfaces import SHARES, definition_folder
 from tests.tables import table
 
 STORE = get_typestore(Stores.ROS2_JAZZY)

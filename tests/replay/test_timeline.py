@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
+from igtl_gateway.gateway.log.clocksteps import CLOCK_STEP, ClockStep
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.replay.playback import PlaybackClock
 from igtl_gateway.replay.timeline import SessionTimeline, clock_steps_of
-from igtl_gateway.session.clocksteps import CLOCK_STEP, ClockStep
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.writer import SessionWriter
 from tests.record import samples
 from tests.tables import table
 

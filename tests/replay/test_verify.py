@@ -14,28 +14,28 @@ from typing import Any
 import pytest
 from mcap.reader import make_reader
 
-from igtl_gateway import __version__
+from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.version import __version__
 from igtl_gateway.cli import main
-from igtl_gateway.config import Config, ToRosRow
+from igtl_gateway.config.configuration import Config, ToRosRow
 from igtl_gateway.convert import table as table_module
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS
 from igtl_gateway.convert.units import UNITS
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.gateway import core, streams
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.replay.slice import input_groups
 from igtl_gateway.replay.verify import MAX_KEPT, UNKNOWN, DeclaredLosses, VerifyReport, compare, verify
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Note
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.writer import SessionWriter
 from igtl_gateway_lab.simulate.catalogue import SCENARIOS
 from igtl_gateway_lab.simulate.scenario import Scenario
 from tests.files import write_anew
 from tests.gateway.test_guard import pose
+from tests.places import FIXTURES
 from tests.script import Script
 from tests.tables import table
 
-FIXTURES = Path(__file__).parents[2] / "fixtures"
 SCENARIO: Scenario = SCENARIOS["paper-types"]
 
 

@@ -11,8 +11,7 @@ from igtl_gateway.testing.compare import MAX_LISTED, assert_session_equal
 from igtl_gateway.testing.gateway import START_NS, ManualGateway
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.text import Status, String
-
-FIXTURES = Path(__file__).parents[2] / "fixtures"
+from tests.places import FIXTURES
 
 
 def session(x: float = 0.1, text: str = "hello", count: int = 1, stamp_ns: int = START_NS) -> ManualGateway:

@@ -7,20 +7,20 @@ from pathlib import Path
 
 import pytest
 
-from igtl_gateway.config import Config
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.rosmsg import Header, String, TransformStamped
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.verify import verify
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.testing.gateway import START_NS, ManualGateway
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.text import String as IgtlString
 from igtl_gateway.wire.transform import Transform
+from tests.places import FIXTURES
 
-FIXTURES = Path(__file__).parents[2] / "fixtures"
 POSE = TransformStamped(Header(START_NS, "base"), "tool", (0.1, 0.2, 0.3), (0.0, 0.0, 0.0, 1.0))
 HELLO = Message("STRING", "Greeting", IgtlString.of("hello"))
 

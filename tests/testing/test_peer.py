@@ -10,20 +10,20 @@ from typing import Any
 import pytest
 
 from igtl_gateway.app.faulty import DISCONNECT, FaultyFeed
-from igtl_gateway.buffers import join
-from igtl_gateway.config import Config
-from igtl_gateway.errors import ConfigError, UnsupportedRecording
-from igtl_gateway.faults import Faults
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import ConfigError, UnsupportedRecording
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.config.faults import Faults
 from igtl_gateway.gateway import PARTNER
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.testing.gateway import ManualGateway
 from igtl_gateway.testing.peer import ReplayPeer
 from igtl_gateway.wire import Header, Message, decode, encode
 from igtl_gateway.wire.framer import Framer
 from igtl_gateway.wire.text import String
+from tests.places import FIXTURES
 
-FIXTURES = Path(__file__).parents[2] / "fixtures"
 STAR = FIXTURES / "star.mcap"
 HELLO = Message("STRING", "Greeting", String.of("hello"), 7 << 32)
 DEADLINE_S = 20.0

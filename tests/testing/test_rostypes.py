@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.convert.rosmsg import String
-from igtl_gateway.errors import ConfigError
 from igtl_gateway.testing.rostypes import unpack
 
 

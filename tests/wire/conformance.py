@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.base.stamp import fraction_to_ns
 from igtl_gateway.cli import decode
-from igtl_gateway.stamp import fraction_to_ns
 from igtl_gateway.wire.header import HEADER_VERSIONS
 from tests.files import write_anew
 from tests.wire.vectors import Vector, vectors

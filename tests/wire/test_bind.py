@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from igtl_gateway.buffers import join
-from igtl_gateway.errors import MalformedBody, TruncatedMessage, WireError
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import MalformedBody, TruncatedMessage, WireError
 from igtl_gateway.wire.bind import MAX_CHILDREN, MAX_DEPTH, Bind, BindChild
 from igtl_gateway.wire.body import Raw
 from igtl_gateway.wire.point import Points

@@ -14,8 +14,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from igtl_gateway.buffers import join, total_size
-from igtl_gateway.errors import ConversionError, MalformedBody, TruncatedMessage, WireError
+from igtl_gateway.base.buffers import join, total_size
+from igtl_gateway.base.errors import ConversionError, MalformedBody, TruncatedMessage, WireError
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway.wire.body import Body, Raw
 from igtl_gateway.wire.capability import MAX_TYPES, Capability

@@ -6,8 +6,8 @@ import struct
 
 import pytest
 
-from igtl_gateway.buffers import join
-from igtl_gateway.errors import MalformedBody, TruncatedMessage
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import MalformedBody, TruncatedMessage
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway.wire.command import NAME_WIDTH, Command
 

@@ -15,9 +15,9 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.buffers import join
-from igtl_gateway.errors import ChecksumMismatch, WireError
-from igtl_gateway.stamp import fraction_to_ns
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import ChecksumMismatch, WireError
+from igtl_gateway.base.stamp import fraction_to_ns
 from igtl_gateway.wire import decode, describe, encode
 from igtl_gateway.wire.framer import Framer
 from igtl_gateway.wire.query import QUERIES

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from igtl_gateway.errors import MessageTooLarge
+from igtl_gateway.base.errors import MessageTooLarge
 from igtl_gateway.wire.framer import DEFAULT_MAX_BODY, Framer
 from igtl_gateway.wire.header import HEADER_SIZE
 from tests.tables import table

@@ -8,8 +8,8 @@ from typing import Any, Self
 
 import pytest
 
-from igtl_gateway.buffers import Buffer
-from igtl_gateway.errors import MalformedBody
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.errors import MalformedBody
 from igtl_gateway.wire.body import Raw
 from igtl_gateway.wire.framer import Framer
 from igtl_gateway.wire.registry import BODIES

@@ -14,8 +14,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from igtl_gateway.buffers import join
-from igtl_gateway.errors import ChecksumMismatch, MalformedBody, TruncatedMessage, WireError
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import ChecksumMismatch, MalformedBody, TruncatedMessage, WireError
 from igtl_gateway.wire import HEADER_SIZE, Header, Item, Message, Raw, decode, describe, encode
 from igtl_gateway.wire.framer import Framer
 from igtl_gateway.wire.image import Image

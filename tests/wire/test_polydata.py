@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from igtl_gateway.buffers import join
-from igtl_gateway.errors import MalformedBody, TruncatedMessage, WireError
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import MalformedBody, TruncatedMessage, WireError
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway.wire.polydata import (
     CELL,

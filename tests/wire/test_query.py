@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from igtl_gateway.buffers import join
-from igtl_gateway.errors import MalformedBody, TruncatedMessage, WireError
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import MalformedBody, TruncatedMessage, WireError
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.query import (

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from igtl_gateway.buffers import join
+from igtl_gateway.base.buffers import join
 from igtl_gateway.wire.sensor import PREFIXES, UNITS, Sensor, parse_unit, unit_parts, unit_text, unit_word
 from tests import strategies
 from tests.tables import table

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from igtl_gateway.buffers import join
-from igtl_gateway.errors import MalformedBody, TruncatedMessage
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import MalformedBody, TruncatedMessage
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway.wire.video import Video
 from tests.tables import table

@@ -12,12 +12,12 @@ from typing import Any
 
 from rosbags.interfaces import Nodetype
 
-from igtl_gateway.config import Config
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.sessionfile import layout
-from igtl_gateway.sessionfile.reader import SessionFile
-from igtl_gateway.sessionfile.writer import SessionWriter
-from igtl_gateway.untrusted.definitions import parse_definition
+from igtl_gateway.base.untrusted.definitions import parse_definition
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile import layout
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.wire.header import crc64
 from tests.record import samples
 from tools import mcap_build as build

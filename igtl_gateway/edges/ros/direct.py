@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any, Protocol
 
-from igtl_gateway.errors import RosError
+from igtl_gateway.base.errors import RosError
 
 #: From this size on a copy costs more than a call through ctypes, and other threads would notice the wait.
 _LARGE_BYTES = 64 * 2**10

@@ -23,6 +23,8 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from typing import Any
 
+from igtl_gateway.base.qos import Endpoint, Qos
+from igtl_gateway.config.settings import Value
 from igtl_gateway.edges.ros.direct import Rcl
 from igtl_gateway.edges.ros.graph import Graph, Publication
 from igtl_gateway.edges.ros.host import NodeHost
@@ -35,12 +37,10 @@ from igtl_gateway.edges.ros.receiver import DirectReceiver, ExecutorReceiver, Na
 from igtl_gateway.edges.ros.reports import OnNote, Reports
 from igtl_gateway.edges.ros.streams import Topics, TopicSubscription
 from igtl_gateway.edges.ros.subscribing import Callback, OnMessage, Subscribing, Wants, message_callback
-from igtl_gateway.passage import Passage
-from igtl_gateway.passage import Publisher as NativePublisher
-from igtl_gateway.passage import Subscription as NativeSubscription
-from igtl_gateway.qos import Endpoint, Qos
-from igtl_gateway.session.note import Level
-from igtl_gateway.settings import Value
+from igtl_gateway.gateway.log.note import Level
+from igtl_gateway.native.passage import Passage
+from igtl_gateway.native.passage import Publisher as NativePublisher
+from igtl_gateway.native.passage import Subscription as NativeSubscription
 
 
 class RosEdge:

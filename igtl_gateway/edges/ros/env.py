@@ -24,7 +24,7 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-from igtl_gateway.systems import files
+from igtl_gateway.base.systems import files
 
 PROFILE = Path(__file__).with_name("fastdds_profile.xml")
 #: The same with quick acknowledgements, for a program that waits for each.

@@ -6,10 +6,10 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
+from igtl_gateway.base.qos import Endpoint, Qos
 from igtl_gateway.edges.ros.middleware import qos_of
 from igtl_gateway.edges.ros.node import RosNode
 from igtl_gateway.edges.ros.streams import Topics
-from igtl_gateway.qos import Endpoint, Qos
 
 
 @dataclass(frozen=True, slots=True)

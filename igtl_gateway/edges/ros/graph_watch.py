@@ -12,7 +12,7 @@ import threading
 from functools import cache
 from typing import Any, Protocol
 
-from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.base.stamp import NS_PER_S
 
 _POINTER, _SIZE = ctypes.c_void_p, ctypes.c_size_t
 _WAITED = (0, 2)  # RCL_RET_OK, RCL_RET_TIMEOUT

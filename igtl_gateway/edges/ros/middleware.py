@@ -9,9 +9,9 @@ import subprocess
 import sys
 from typing import Any
 
-from igtl_gateway.errors import RosError
-from igtl_gateway.extras import missing
-from igtl_gateway.qos import Qos
+from igtl_gateway.base.errors import RosError
+from igtl_gateway.base.extras import missing
+from igtl_gateway.base.qos import Qos
 
 _TYPE = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv)/([A-Z][A-Za-z0-9]*)")
 _RMW_CHECK_S = 60

@@ -12,9 +12,9 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.config.settings import ROWS, SETTINGS, Setting, Value, parameters, unknown
 from igtl_gateway.edges.ros.middleware import interface_class
-from igtl_gateway.errors import ConfigError
-from igtl_gateway.settings import ROWS, SETTINGS, Setting, Value, parameters, unknown
 
 #: Changes settings while the bridge runs.  Raises ConfigError.
 Change = Callable[[Mapping[str, object]], object]

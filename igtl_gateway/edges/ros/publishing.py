@@ -6,16 +6,16 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
+from igtl_gateway.base.errors import RosError
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.edges.ros.direct import direct_publisher
 from igtl_gateway.edges.ros.graph import Graph
 from igtl_gateway.edges.ros.middleware import interface_class, profile_of
 from igtl_gateway.edges.ros.node import RosNode
 from igtl_gateway.edges.ros.reports import Reports
 from igtl_gateway.edges.ros.streams import HOLD_MESSAGES, TopicPublisher, Topics
-from igtl_gateway.errors import RosError
-from igtl_gateway.passage import Publisher as NativePublisher
-from igtl_gateway.qos import Qos
-from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.native.passage import Publisher as NativePublisher
 
 #: Subscriptions that the graph knows are matched well within this time, or never (incompatible QoS).
 HOLD_NS = 2_000_000_000

@@ -12,9 +12,9 @@ import threading
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from igtl_gateway.errors import RosError
-from igtl_gateway.passage import Passage
-from igtl_gateway.passage import Subscription as NativeSubscription
+from igtl_gateway.base.errors import RosError
+from igtl_gateway.native.passage import Passage
+from igtl_gateway.native.passage import Subscription as NativeSubscription
 
 #: Fields of the events of rclpy with the number of changes; an event without any has zeros.
 _CHANGES = ("total_count_change", "current_count_change")

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
+from igtl_gateway.base.once import Once
 from igtl_gateway.edges.ros.middleware import UnknownTypeError, first_line
 from igtl_gateway.edges.ros.streams import HOLD_BYTES, HOLD_MESSAGES, TopicCounts
-from igtl_gateway.once import Once
-from igtl_gateway.session.note import Level, Note
+from igtl_gateway.gateway.log.note import Level, Note
 
 OnNote = Callable[[Note], None]
 

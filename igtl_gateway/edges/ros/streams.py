@@ -11,13 +11,13 @@ from collections import deque
 from dataclasses import dataclass, field
 from typing import Any
 
-from igtl_gateway.buffers import Buffer
-from igtl_gateway.clock import Clock
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.qos import Qos
 from igtl_gateway.edges.ros.direct import RclPublisher, closed_publisher
 from igtl_gateway.edges.ros.middleware import first_line
-from igtl_gateway.passage import Publisher as NativePublisher
-from igtl_gateway.passage import Subscription as NativeSubscription
-from igtl_gateway.qos import Qos
+from igtl_gateway.native.passage import Publisher as NativePublisher
+from igtl_gateway.native.passage import Subscription as NativeSubscription
 
 #: Messages held for one topic until its subscribers are matched: 2 s of a 1 kHz stream.
 HOLD_MESSAGES = 2000

@@ -6,16 +6,16 @@ from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
+from igtl_gateway.base.errors import RosError
+from igtl_gateway.base.qos import Qos
 from igtl_gateway.edges.ros.graph import Graph
 from igtl_gateway.edges.ros.middleware import interface_class, profile_of
 from igtl_gateway.edges.ros.node import RosNode
 from igtl_gateway.edges.ros.receiver import Receiver
 from igtl_gateway.edges.ros.reports import Reports
 from igtl_gateway.edges.ros.streams import Topics, TopicSubscription
-from igtl_gateway.errors import RosError
-from igtl_gateway.passage import Subscription as NativeSubscription
-from igtl_gateway.qos import Qos
-from igtl_gateway.session.note import Level
+from igtl_gateway.gateway.log.note import Level
+from igtl_gateway.native.passage import Subscription as NativeSubscription
 
 OnMessage = Callable[[str, str, bytes, int], None]
 Wants = Callable[[str, str], Qos | None]

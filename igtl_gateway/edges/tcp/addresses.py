@@ -6,6 +6,7 @@ import socket
 from collections.abc import Callable
 from functools import partial
 
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.edges.reserved import ReservedPorts
 from igtl_gateway.edges.tcp.dialer import Dialer
 from igtl_gateway.edges.tcp.link_info import LinkInfo, PeerLimits
@@ -15,7 +16,6 @@ from igtl_gateway.edges.tcp.registry import LinkRegistry
 from igtl_gateway.edges.tcp.relay import RelayConnector
 from igtl_gateway.edges.tcp.sockets import PORT_MAX, AllowList, address_text, listening_socket, tune_socket
 from igtl_gateway.edges.tcp.tls import Context, Handshake, TlsFiles, TlsSocket
-from igtl_gateway.errors import ConfigError
 
 #: Takes a connection and the address of its peer.
 Up = Callable[[socket.socket | TlsSocket, str], None]

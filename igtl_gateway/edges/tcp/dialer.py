@@ -11,13 +11,13 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
+from igtl_gateway.base.once import Once
 from igtl_gateway.edges.tcp.link import Link
 from igtl_gateway.edges.tcp.loop import WRITE, Loop
 from igtl_gateway.edges.tcp.reporter import Reporter
 from igtl_gateway.edges.tcp.sockets import address_text, resolve
 from igtl_gateway.edges.tcp.tls import Handshake, TlsSocket
-from igtl_gateway.once import Once
-from igtl_gateway.session.note import Level, Note
+from igtl_gateway.gateway.log.note import Level, Note
 
 #: Results of an attempt that has begun.
 _BEGUN = {0, errno.EINPROGRESS}

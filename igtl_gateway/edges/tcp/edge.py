@@ -7,8 +7,10 @@ from collections.abc import Callable, Sequence
 from itertools import accumulate
 from typing import Literal
 
-from igtl_gateway.buffers import Buffer, join, total_size
-from igtl_gateway.clock import Clock
+from igtl_gateway.base.buffers import Buffer, join, total_size
+from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.globs import matches
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.edges.reserved import ReservedPorts
 from igtl_gateway.edges.tcp.addresses import Addresses
 from igtl_gateway.edges.tcp.link import FLUSH_S
@@ -22,11 +24,9 @@ from igtl_gateway.edges.tcp.registry import LinkRegistry
 from igtl_gateway.edges.tcp.reporter import Reporter
 from igtl_gateway.edges.tcp.sockets import AllowList
 from igtl_gateway.edges.tcp.tls import TlsFiles
-from igtl_gateway.globs import matches
-from igtl_gateway.passage import Link as NativeLink
-from igtl_gateway.passage import Passage
-from igtl_gateway.session.note import Note
-from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.native.passage import Link as NativeLink
+from igtl_gateway.native.passage import Passage
 
 _DRAIN_S = 0.25  # how long stop() waits for peers to close their side
 _JOINED = 4096  # bytes of a message up to which one copied buffer is sent faster than several (3.5 µs against 5.5)

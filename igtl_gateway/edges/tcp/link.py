@@ -16,9 +16,9 @@ from igtl_gateway.edges.tcp.sender import Sender
 from igtl_gateway.edges.tcp.sockets import address_text, unconfirmed_bytes
 from igtl_gateway.edges.tcp.tls import TlsSocket
 from igtl_gateway.edges.tcp.turns import Turn
-from igtl_gateway.passage import Link as NativeLink
-from igtl_gateway.passage import Lock
-from igtl_gateway.session.note import Level, Note
+from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.native.passage import Link as NativeLink
+from igtl_gateway.native.passage import Lock
 
 FLUSH_S = 1.0  # the longest time to send the queue at the end, and to wait until the peer closes
 

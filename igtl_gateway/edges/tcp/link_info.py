@@ -6,7 +6,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Literal
 
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.wire.framer import DEFAULT_MAX_BODY
 
 Role = Literal["server", "client"]

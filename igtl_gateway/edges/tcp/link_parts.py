@@ -7,15 +7,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from igtl_gateway.buffers import Buffer
+from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.edges.tcp.link_info import PeerLimits
 from igtl_gateway.edges.tcp.loop import Loop
 from igtl_gateway.edges.tcp.refusals import Refusals
 from igtl_gateway.edges.tcp.reporter import Reporter
 from igtl_gateway.edges.tcp.turns import Turn
-from igtl_gateway.passage import Link as NativeLink
-from igtl_gateway.passage import Lock, Passage
-from igtl_gateway.session.note import Level
+from igtl_gateway.gateway.log.note import Level
+from igtl_gateway.native.passage import Link as NativeLink
+from igtl_gateway.native.passage import Lock, Passage
 
 
 @dataclass(frozen=True, slots=True)

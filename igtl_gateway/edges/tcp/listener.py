@@ -9,7 +9,7 @@ from igtl_gateway.edges.tcp.loop import READ, Loop
 from igtl_gateway.edges.tcp.refusals import Refusals
 from igtl_gateway.edges.tcp.reporter import NOTE_EVERY_S, Reporter
 from igtl_gateway.edges.tcp.sockets import AllowList, address_text
-from igtl_gateway.session.note import Level, Note
+from igtl_gateway.gateway.log.note import Level, Note
 
 
 class Listener:

@@ -6,13 +6,13 @@ import math
 import socket
 from functools import partial
 
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.edges.tcp.link_parts import LinkContext, LinkLife
 from igtl_gateway.edges.tcp.receiver import Receiver
 from igtl_gateway.edges.tcp.sender import Sender
 from igtl_gateway.edges.tcp.sockets import UNANSWERED_S, unanswered_s
 from igtl_gateway.edges.tcp.tls import TlsSocket
-from igtl_gateway.session.note import Level
-from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.gateway.log.note import Level
 
 
 class Liveness:

@@ -18,9 +18,9 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Protocol
 
-from igtl_gateway.clock import Clock, thread_ns
+from igtl_gateway.base.clock import Clock, thread_ns
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.edges.tcp.turns import Turn, Turns
-from igtl_gateway.stamp import NS_PER_S
 
 _log = logging.getLogger(__name__)
 

@@ -1,4 +1,4 @@
-"""The threads in which the native passage reads links, and Python handles large messages; see `igtl_gateway.passage`.
+"""The threads in which `igtl_gateway.native.passage` reads links, and Python handles large messages.
 
 A picture takes milliseconds: it is handled in a thread of its own, while the passage reads and passes what follows it.
 There the links take turns, each with one message (``turns``).
@@ -9,10 +9,10 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 
-from igtl_gateway.clock import thread_ns
+from igtl_gateway.base.clock import thread_ns
 from igtl_gateway.edges.tcp.outbox import Part
 from igtl_gateway.edges.tcp.turns import Turn, Turns
-from igtl_gateway.passage import Link, Passage
+from igtl_gateway.native.passage import Link, Passage
 
 #: Links whose turns are remembered; more are only as many as connect and leave.
 _MOST_TURNS = 128

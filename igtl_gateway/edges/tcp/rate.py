@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.edges.tcp.link_parts import LinkContext, LinkLife
 from igtl_gateway.edges.tcp.reporter import NOTE_EVERY_S
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.gateway.log.note import Level, Note
 
 _BURST_S = 1.0  # a peer that was silent for this long may send the messages of this time at once
 

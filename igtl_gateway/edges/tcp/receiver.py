@@ -13,13 +13,13 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+from igtl_gateway.base.errors import MessageTooLarge
 from igtl_gateway.edges.tcp.link_parts import LinkContext, LinkLife, NativeEnds
 from igtl_gateway.edges.tcp.outbox import Part
 from igtl_gateway.edges.tcp.rate import RateLimit
 from igtl_gateway.edges.tcp.tls import TLS_TO_PLAIN, TlsError, TlsSocket
 from igtl_gateway.edges.tcp.turns import QUANTUM_NS
-from igtl_gateway.errors import MessageTooLarge
-from igtl_gateway.session.note import Level, Note
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.wire.framer import Framer
 from igtl_gateway.wire.header import BODY_SIZE, HEADER_SIZE
 

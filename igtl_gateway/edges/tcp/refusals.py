@@ -7,7 +7,7 @@ from contextlib import suppress
 from typing import Protocol
 
 from igtl_gateway.edges.tcp.reporter import Reporter
-from igtl_gateway.session.note import Level, Note
+from igtl_gateway.gateway.log.note import Level, Note
 
 
 class _Closable(Protocol):

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.edges.tcp.dialer import Dialer
 from igtl_gateway.edges.tcp.link import Link
 from igtl_gateway.edges.tcp.link_info import LinkCounters, LinkInfo, Role
@@ -15,8 +16,7 @@ from igtl_gateway.edges.tcp.link_parts import LinkContext
 from igtl_gateway.edges.tcp.sockets import tune_socket
 from igtl_gateway.edges.tcp.tls import TlsSocket
 from igtl_gateway.edges.tcp.tls_link import TlsLink
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.gateway.log.note import Level, Note
 
 
 class LinkRegistry:

@@ -9,7 +9,7 @@ from igtl_gateway.edges.tcp.dialer import Dialer
 from igtl_gateway.edges.tcp.loop import Loop
 from igtl_gateway.edges.tcp.reporter import Reporter
 from igtl_gateway.edges.tcp.tls import TlsSocket
-from igtl_gateway.session.note import Level, Note
+from igtl_gateway.gateway.log.note import Level, Note
 
 #: Socket and address of a client, and of the server.
 _UpPair = Callable[[socket.socket | TlsSocket, str, socket.socket | TlsSocket, str], None]

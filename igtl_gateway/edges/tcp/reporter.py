@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 
 from igtl_gateway.edges.tcp.loop import Loop
-from igtl_gateway.session.note import Level, Note
+from igtl_gateway.gateway.log.note import Level, Note
 
 _log = logging.getLogger(__name__)
 

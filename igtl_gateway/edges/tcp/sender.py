@@ -14,7 +14,7 @@ from igtl_gateway.edges.tcp.link_parts import LinkContext, LinkLife, NativeEnds
 from igtl_gateway.edges.tcp.outbox import IOV_MAX, Outbox, Part, QueuedMessage
 from igtl_gateway.edges.tcp.reporter import NOTE_EVERY_S
 from igtl_gateway.edges.tcp.tls import TlsSocket
-from igtl_gateway.session.note import Level, Note
+from igtl_gateway.gateway.log.note import Level, Note
 
 #: As much is joined to one packet where the system sends only one buffer at a time.
 _JOINED_BYTES = 64 << 10

@@ -10,8 +10,8 @@ import sys
 from collections.abc import Sequence
 from typing import Any, Protocol
 
+from igtl_gateway.base.errors import ConfigError, Unavailable
 from igtl_gateway.edges.reserved import ReservedPorts, listener
-from igtl_gateway.errors import ConfigError, Unavailable
 
 PORT_MAX = 65535
 

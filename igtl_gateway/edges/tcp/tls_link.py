@@ -11,7 +11,7 @@ from igtl_gateway.edges.tcp.outbox import Part
 from igtl_gateway.edges.tcp.receiver import Receiver
 from igtl_gateway.edges.tcp.sender import Sender
 from igtl_gateway.edges.tcp.tls import TlsSocket
-from igtl_gateway.session.note import Note
+from igtl_gateway.gateway.log.note import Note
 
 
 class TlsSender(Sender):

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from igtl_gateway.buffers import Buffer
+from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.convert.bitstream import is_key_frame
 from igtl_gateway.convert.common_msgs import CompressedImage
 from igtl_gateway.convert.rosmsg import Header, Image
 from igtl_gateway.edges.video.worker import DROPPED, MAX_PIXELS, THREADS, CodecThread, OnNote, VideoStream
-from igtl_gateway.session.note import Note
+from igtl_gateway.gateway.log.note import Note
 
 #: Codecs to decode: name in CompressedImage.format → FFmpeg's.
 _DECODERS = {"h264": "h264", "h265": "hevc", "vp9": "vp9", "av1": "libdav1d"}

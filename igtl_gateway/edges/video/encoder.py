@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from igtl_gateway.base.errors import ConversionError, Unavailable
 from igtl_gateway.convert.bitstream import is_key_frame
 from igtl_gateway.convert.common_msgs import CompressedImage
 from igtl_gateway.convert.rosmsg import Image
 from igtl_gateway.edges.video.options import ENCODERS, VideoOptions
 from igtl_gateway.edges.video.worker import DROPPED, MAX_PIXELS, THREADS, CodecThread, OnNote, VideoStream, import_av
-from igtl_gateway.errors import ConversionError, Unavailable
-from igtl_gateway.session.note import Note
+from igtl_gateway.gateway.log.note import Note
 
 #: Pictures of one topic that wait for the encoder: 100 ms at 30 Hz.
 MAX_PICTURES = 3

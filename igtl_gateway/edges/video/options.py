@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.base.errors import ConfigError
 
 #: Codecs to encode with: name in CompressedImage.format → encoder and its options.
 #: x264's "ultrafast" is what Full HD at 30 Hz leaves time for, and its baseline profile is what every peer decodes.

@@ -9,10 +9,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
-from igtl_gateway.errors import ConversionError, Unavailable
-from igtl_gateway.extras import missing
-from igtl_gateway.once import Once
-from igtl_gateway.session.note import Level, Note
+from igtl_gateway.base.errors import ConversionError, Unavailable
+from igtl_gateway.base.extras import missing
+from igtl_gateway.base.once import Once
+from igtl_gateway.gateway.log.note import Level, Note
 
 #: Streams in each direction: every one holds a codec with its reference pictures.
 MAX_STREAMS = 32

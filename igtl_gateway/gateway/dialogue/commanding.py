@@ -5,15 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from igtl_gateway.config import Config
+from igtl_gateway.base.errors import ConversionError, WireError
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.config.settings import MAX_TIMEOUT_S
 from igtl_gateway.convert import commands as conversions
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext
 from igtl_gateway.convert.igtl_msgs import Command as RosCommand
 from igtl_gateway.convert.igtl_msgs import CommandReply
 from igtl_gateway.convert.names import short_device_name
 from igtl_gateway.convert.rosmsg import Header as RosHeader
-from igtl_gateway.errors import ConversionError, WireError
 from igtl_gateway.gateway.dialogue.commands import PendingCommand, PendingCommands
+from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.outcome import Finding, Item, conversion_failure
 from igtl_gateway.gateway.output import ros_output
 from igtl_gateway.gateway.peers import Peer, Peers
@@ -21,10 +25,6 @@ from igtl_gateway.gateway.streams import Streams, ToIgtlStream
 from igtl_gateway.gateway.to_igtl.composer import Composer
 from igtl_gateway.gateway.to_igtl.delivery import Delivery
 from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.session.note import Level
-from igtl_gateway.settings import MAX_TIMEOUT_S
-from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.fields import visible

@@ -6,14 +6,19 @@ from collections.abc import Iterable
 from itertools import chain
 from typing import Any
 
-from igtl_gateway.config import Config
+from igtl_gateway.base.errors import ConversionError, WireError
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.igtl_msgs import LinkStatusList
 from igtl_gateway.convert.rosmsg import Header as RosHeader
-from igtl_gateway.errors import ConversionError, WireError
 from igtl_gateway.gateway.activity import Activity
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.commanding import Commands
 from igtl_gateway.gateway.guard import Guard
+from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.ledger import PEERS
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.outcome import Finding, Item, Outcome, Tally
 from igtl_gateway.gateway.output import Output, ros_output
 from igtl_gateway.gateway.peers import Peer, Peers
@@ -22,11 +27,6 @@ from igtl_gateway.gateway.to_igtl.delivery import Delivery
 from igtl_gateway.gateway.to_igtl.latest import Latest
 from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
 from igtl_gateway.gateway.to_igtl.tf_receive import TfReceiver
-from igtl_gateway.qos import Qos
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.session.ledger import PEERS
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.query import EmptyQuery, split_query
 

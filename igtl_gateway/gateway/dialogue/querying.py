@@ -7,13 +7,13 @@ from collections.abc import Callable
 from igtl_gateway.convert.names import short_device_name
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue import answers, probing
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.outcome import Finding, Item
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peer, Peers
 from igtl_gateway.gateway.to_igtl.delivery import Delivery
 from igtl_gateway.gateway.to_igtl.latest import Latest
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.query import split_query

@@ -6,22 +6,22 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any
 
-from igtl_gateway.buffers import Buffer
-from igtl_gateway.config import Config
-from igtl_gateway.errors import ConversionError
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.fastpath import compile_to_igtl, compile_to_ros
 from igtl_gateway.gateway.fastpath.common import CompileContext, Key, NativeStreams, ToIgtlKey, ToRosKey
 from igtl_gateway.gateway.fastpath.compiled_to_igtl import CompiledToIgtl
 from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.ledger import Ledger
 from igtl_gateway.gateway.outcome import Outcome
 from igtl_gateway.gateway.peers import Peers
 from igtl_gateway.gateway.to_igtl.origin import IgtlOrigin
 from igtl_gateway.gateway.to_ros.route import RosOrigin
 from igtl_gateway.gateway.to_ros.subscribers import Subscribers
 from igtl_gateway.gateway.to_ros.volumes import Volumes
-from igtl_gateway.qos import Qos
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.ledger import Ledger
 from igtl_gateway.wire.header import HEADER_SIZE, NAMES
 
 #: Maximum number of compiled streams in each direction; further streams take the full path.

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol
 
-from igtl_gateway.buffers import Buffer
-from igtl_gateway.config import Config
-from igtl_gateway.qos import Qos
-from igtl_gateway.session.ledger import Ledger
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.gateway.log.ledger import Ledger
 
 #: Offsets of the stamp and of the frame id in CDR that begins with a std_msgs/Header.
 STAMP_AT, NAMES_AT = 4, 12

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from igtl_gateway.buffers import Buffer, join
+from igtl_gateway.base.buffers import Buffer, join
+from igtl_gateway.config.settings import SOURCE
 from igtl_gateway.convert import clouds, express, images, poses, rosmsg, surfaces, texts
 from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.express import (
@@ -29,13 +30,12 @@ from igtl_gateway.convert.express import (
 from igtl_gateway.convert.rosmsg import PointCloud2, String, TransformStamped
 from igtl_gateway.gateway.fastpath.common import NAMES_AT, CompileContext, end_of_name
 from igtl_gateway.gateway.fastpath.compiled_to_igtl import CompiledToIgtl
+from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peer
 from igtl_gateway.gateway.to_igtl.origin import IgtlOrigin
 from igtl_gateway.gateway.to_igtl.sender import send
 from igtl_gateway.gateway.to_igtl.trackdata import TRACKING
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.settings import SOURCE
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.header import HEADER_SIZE
 from igtl_gateway.wire.image import HEAD_SIZE as IMAGE_HEAD

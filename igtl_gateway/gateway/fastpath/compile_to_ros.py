@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from igtl_gateway.config.settings import SOURCE
 from igtl_gateway.convert import clouds, express, images, poses, rosmsg, surfaces, texts, tracking, volumes
 from igtl_gateway.convert.assembly import VolumeAssembler, form_of
 from igtl_gateway.convert.context import ToRosContext
@@ -33,9 +34,8 @@ from igtl_gateway.convert.table import ConversionToRos
 from igtl_gateway.convert.trajectories import is_labeled
 from igtl_gateway.gateway.fastpath.common import NAMES_AT, STAMP_AT, CompileContext, end_of_name
 from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos, Defer, Volume
+from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.to_ros.route import RosOrigin
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.settings import SOURCE
 from igtl_gateway.wire.header import HEADER_SIZE
 from igtl_gateway.wire.image import HEAD_SIZE as IMAGE_HEAD
 from igtl_gateway.wire.image import Image

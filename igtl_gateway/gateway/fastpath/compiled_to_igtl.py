@@ -6,14 +6,14 @@ import struct
 from collections.abc import Sequence
 from typing import Any
 
-from igtl_gateway.buffers import Buffer
+from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.convert.express import Fill
 from igtl_gateway.gateway.guarded_stream import GuardedStream
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.ledger import Ledger
 from igtl_gateway.gateway.outcome import CONVERTED
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peer
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.ledger import Ledger
 
 #: The translation at the beginning of a pose in CDR.
 _PLACE = struct.Struct("<3d")

@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from igtl_gateway.buffers import Buffer
+from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.convert.assembly import Form, VolumeAssembler
 from igtl_gateway.convert.express import Fill
 from igtl_gateway.gateway.guarded_stream import GuardedStream
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.ledger import Ledger
 from igtl_gateway.gateway.outcome import CONVERTED, UNSUBSCRIBED
 from igtl_gateway.gateway.to_ros.subscribers import Ask
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.ledger import Ledger
 
 #: The assembler with the latest image of a device, and form and dtype of the images of a stream.
 Volume = tuple[VolumeAssembler, Form, np.dtype[Any]]

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from igtl_gateway.config import Config
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext
 from igtl_gateway.convert.frames import MAX_FRAMES
 from igtl_gateway.convert.igtl_msgs import Size
 from igtl_gateway.convert.table import ConversionToIgtl
+from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.streams import Streams, ToIgtlStream
 from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
-from igtl_gateway.session.entry import Entry
 from igtl_gateway.wire.query import split_query
 from igtl_gateway.wire.video import Video
 

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 
+from igtl_gateway.base.errors import ConversionError, WireError
 from igtl_gateway.convert.frames import FrameTree
 from igtl_gateway.convert.profiles import UNRECOGNISED
 from igtl_gateway.convert.units import LengthUnits
-from igtl_gateway.errors import ConversionError, WireError
 from igtl_gateway.gateway.denials import Denials
+from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.outcome import Finding, Item, warning_findings
 from igtl_gateway.gateway.peers import Peer
 from igtl_gateway.gateway.to_igtl.sender import OutboundMessage, SendResult, send
 from igtl_gateway.gateway.to_igtl.trackdata import TRACKING, in_frame
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.session.note import Level
 
 
 class Delivery:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.table import row_to_igtl
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.gateway.guard import Guard
+from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.streams import Streams, ToIgtlStream
 from igtl_gateway.gateway.to_igtl.composer import Composer
 from igtl_gateway.gateway.to_igtl.pose_forms import as_type
 from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
 from igtl_gateway.gateway.to_igtl.tf_out import TfOut
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.stamp import NS_PER_S
 
 
 class Latest:

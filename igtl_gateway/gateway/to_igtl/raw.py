@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from igtl_gateway.buffers import Buffer
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.stamp import ticks_to_ns
 from igtl_gateway.convert.igtl_msgs import RawMessage
 from igtl_gateway.convert.profiles import UNRECOGNISED
 from igtl_gateway.convert.raw import message_of
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.guard import STALE, Guard, check_stamp
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.outcome import CONVERTED, Finding, Item, Outcome, conversion_failure
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peers
 from igtl_gateway.gateway.streams import Streams
 from igtl_gateway.gateway.to_igtl.delivery import held_back
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level
-from igtl_gateway.stamp import ticks_to_ns
 from igtl_gateway.wire import Header, decode
 from igtl_gateway.wire.fields import visible
 

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from igtl_gateway.config import Config
+from igtl_gateway.base.errors import ConversionError, WireError
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext
-from igtl_gateway.errors import ConversionError, WireError
 from igtl_gateway.gateway.activity import INACTIVE, Activity
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.commanding import Commands
 from igtl_gateway.gateway.guard import STALE, Guard, GuardedStream, check_stamp, translation_of
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.outcome import (
     CONVERTED,
     RECORDED_ONLY,
@@ -30,8 +32,6 @@ from igtl_gateway.gateway.to_igtl.origin import IgtlOrigin
 from igtl_gateway.gateway.to_igtl.raw import RawMessages
 from igtl_gateway.gateway.to_igtl.tf_receive import TfReceiver
 from igtl_gateway.gateway.to_igtl.tracking import Tracking
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level
 
 #: Code and fate of data that a robot marks as not valid.
 NOT_VALID = "not_valid"

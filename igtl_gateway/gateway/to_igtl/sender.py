@@ -9,14 +9,14 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
+from igtl_gateway.base.stamp import ns_to_ticks
+from igtl_gateway.base.values import value
 from igtl_gateway.convert.igtl_msgs import MetadataItem
 from igtl_gateway.convert.profiles import Adapted
+from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.metadata import compose_metadata
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peer
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.stamp import ns_to_ticks
-from igtl_gateway.values import value
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.body import Body
 

@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from igtl_gateway.config import Config, TfOutRow
+from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.config.configuration import Config, TfOutRow
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.context import ToIgtlContext
 from igtl_gateway.convert.frames import FrameTree, TfRequest
@@ -14,10 +17,7 @@ from igtl_gateway.convert.igtl_msgs import TrackingData as RosTrackingData
 from igtl_gateway.convert.rosmsg import Header, TransformStamped
 from igtl_gateway.convert.table import row_to_igtl
 from igtl_gateway.convert.units import LengthUnits
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
-from igtl_gateway.qos import Qos
-from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire.tracking import TOOL_6D
 
 #: topic → whether its transforms are static.

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from igtl_gateway.config import TfOutRow
+from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.config.configuration import TfOutRow
 from igtl_gateway.convert.common_msgs import TFMessage
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.gateway.guard import Guard, findings_of
+from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.outcome import CONVERTED, Finding, Item, Outcome, conversion_failure
 from igtl_gateway.gateway.peers import Peer, Peers
 from igtl_gateway.gateway.to_igtl.delivery import Delivery
 from igtl_gateway.gateway.to_igtl.tf_out import TF_TOPICS, TfOut
 from igtl_gateway.gateway.to_igtl.tracking import Tracking
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.session.note import Level
 
 
 class TfReceiver:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from igtl_gateway.convert.units import LengthUnits
+from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.outcome import Item
 from igtl_gateway.gateway.peers import Peers
 from igtl_gateway.gateway.to_igtl.delivery import Delivery
@@ -12,7 +13,6 @@ from igtl_gateway.gateway.to_igtl.latest import Latest
 from igtl_gateway.gateway.to_igtl.pose_forms import as_type
 from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
 from igtl_gateway.gateway.to_igtl.trackdata import TRACKING, TRACKING_DEVICE, trackers, tracking_content
-from igtl_gateway.session.entry import Entry
 
 _POSES = frozenset(TRACKING.values())
 #: Type of tracking data → the other one.

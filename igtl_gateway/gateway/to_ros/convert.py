@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from igtl_gateway.buffers import join
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.qos import Qos
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.context import ToRosContext
 from igtl_gateway.convert.igtl_msgs import Metadata
@@ -12,7 +14,8 @@ from igtl_gateway.convert.raw import raw_message
 from igtl_gateway.convert.rosmsg import Header as RosHeader
 from igtl_gateway.convert.rosmsg import RosMessage
 from igtl_gateway.convert.table import ConversionToRos, Role
-from igtl_gateway.errors import ConversionError
+from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.outcome import (
     CONVERTED,
     UNSUBSCRIBED,
@@ -26,9 +29,6 @@ from igtl_gateway.gateway.output import ros_output
 from igtl_gateway.gateway.streams import Streams, ToRosStream
 from igtl_gateway.gateway.to_igtl.tf_receive import TfReceiver
 from igtl_gateway.gateway.to_ros.subscribers import Subscribers
-from igtl_gateway.qos import Qos
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.session.note import Level
 from igtl_gateway.wire import Message, Raw, decode, encode
 
 RAW_QOS = Qos(depth=100)

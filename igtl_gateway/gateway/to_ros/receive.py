@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from igtl_gateway.config import Config
+from igtl_gateway.base.errors import WireError
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.profiles import PLUS_1
-from igtl_gateway.errors import WireError
 from igtl_gateway.gateway.activity import INACTIVE, Activity
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.commanding import Commands
 from igtl_gateway.gateway.dialogue.links import Links
 from igtl_gateway.gateway.dialogue.probing import is_probe
 from igtl_gateway.gateway.dialogue.querying import Queries
+from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.metadata import restore_metadata
 from igtl_gateway.gateway.outcome import PROBED, Finding, Item, Outcome, conversion_failure
 from igtl_gateway.gateway.peers import Peer, Peers
 from igtl_gateway.gateway.to_ros.route import Router
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.session.note import Level
 from igtl_gateway.wire import Message, decode
 from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.fields import visible

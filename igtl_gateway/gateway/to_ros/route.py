@@ -5,20 +5,20 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import NamedTuple
 
-from igtl_gateway.config import Config
+from igtl_gateway.base.errors import ConversionError, WireError
+from igtl_gateway.base.stamp import ticks_to_ns
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.context import ToRosContext
 from igtl_gateway.convert.names import short_device_name
-from igtl_gateway.errors import ConversionError, WireError
 from igtl_gateway.gateway.command_guard import CommandGuard, Refused
 from igtl_gateway.gateway.guard import STALE, Guard, GuardedStream, check_stamp, translation_of
+from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.metadata import RestoredMetadata
 from igtl_gateway.gateway.outcome import CONVERTED, Finding, Item, Outcome, conversion_failure
 from igtl_gateway.gateway.streams import Streams, ToRosStream
 from igtl_gateway.gateway.to_ros.convert import Converter
 from igtl_gateway.gateway.to_ros.volumes import Volumes
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.session.note import Level
-from igtl_gateway.stamp import ticks_to_ns
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.bind import Bind
 from igtl_gateway.wire.fields import visible

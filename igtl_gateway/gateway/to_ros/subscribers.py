@@ -7,7 +7,7 @@ from collections.abc import Callable
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.context import ToRosContext
 from igtl_gateway.convert.table import ConversionToRos
-from igtl_gateway.session.entry import Entry
+from igtl_gateway.gateway.log.entry import Entry
 
 #: Topic and ROS type → whether the topic has a subscriber.
 Ask = Callable[[str, str], bool]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.assembly import VolumeAssembler
-from igtl_gateway.errors import ConversionError
 from igtl_gateway.wire.image import Image
 
 #: Maximum number of devices with partial images.

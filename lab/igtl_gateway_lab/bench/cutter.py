@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.buffers import Buffer
+from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.wire.header import BODY_SIZE, BODY_SIZE_AT, CRC_AT, DEVICE_NAME_AT, HEADER_SIZE, NAMES, TICKS_AT
 from igtl_gateway_lab.bench.payloads import Form, Numbers
 from igtl_gateway_lab.bench.window import progress

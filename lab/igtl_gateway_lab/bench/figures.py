@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.base.stamp import NS_PER_S
 
 Times = npt.NDArray[np.int64]
 #: Fields of one row of the result.

@@ -12,10 +12,10 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.clock import SystemClock
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.edges.ros.middleware import import_rclpy, interface_class, profile_of
-from igtl_gateway.qos import Qos
-from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway_lab.bench.cases import payload
 from igtl_gateway_lab.bench.jobs import Job, JobStream
 from igtl_gateway_lab.bench.probe import Flag, InStream, OutStream, Probe, igtl_bytes, ros_bytes

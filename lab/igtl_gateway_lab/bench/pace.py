@@ -9,8 +9,8 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-from igtl_gateway.clock import Clock
-from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway_lab.bench.window import SendWindow
 
 #: The kernel wakes a sleeper so much late; the rest of a wait is spent looking at the clock.

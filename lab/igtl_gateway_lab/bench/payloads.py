@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.buffers import Buffer, join
+from igtl_gateway.base.buffers import Buffer, join
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert import rosmsg
-from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.header import HEADER_SIZE, TICKS_AT

@@ -23,10 +23,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from igtl_gateway.buffers import Buffer
-from igtl_gateway.clock import SystemClock
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.edges.ros.env import prepare_environment
-from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire import decode
 from igtl_gateway_lab.bench.cases import payload
 from igtl_gateway_lab.bench.cutter import Arrivals, Cutter

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pyigtl
 
-from igtl_gateway.clock import SystemClock
+from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.point import Points

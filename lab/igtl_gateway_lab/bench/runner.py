@@ -10,9 +10,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.clock import Clock
-from igtl_gateway.seal.keys import SigningKey
-from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.record.seal.keys import SigningKey
 from igtl_gateway_lab.bench import bridges, flame
 from igtl_gateway_lab.bench.bridges import HOP, START_S, Address, Bridge, wait_ready
 from igtl_gateway_lab.bench.cases import CASES, FLOOD, BenchStream, Case, Direction, payload

@@ -9,9 +9,9 @@ from __future__ import annotations
 import mmap
 from pathlib import Path
 
-from igtl_gateway.clock import Clock
+from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS
-from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway_lab.bench.cases import Direction, payload
 
 _SIZE = 8

@@ -15,13 +15,13 @@ from statistics import median_low
 
 import numpy as np
 
-from igtl_gateway.clock import Clock
-from igtl_gateway.config import Config, ToIgtlRow
+from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.config.configuration import Config, ToIgtlRow
 from igtl_gateway.gateway import LINK_UP, Gateway, Session
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.recorder import Recorder
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway_lab.bench.bridges import HOP, free_port
 from igtl_gateway_lab.bench.cases import CASES, BenchStream, Direction, payload
 from igtl_gateway_lab.bench.figures import Row

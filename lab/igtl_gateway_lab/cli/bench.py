@@ -13,12 +13,12 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway import __version__
+from igtl_gateway.base.clock import Clock, SystemClock
+from igtl_gateway.base.errors import ConfigError, Unavailable
+from igtl_gateway.base.extras import missing
+from igtl_gateway.base.version import __version__
 from igtl_gateway.cli.options import add_json, default
 from igtl_gateway.cli.terminal import print_json, print_line
-from igtl_gateway.clock import Clock, SystemClock
-from igtl_gateway.errors import ConfigError, Unavailable
-from igtl_gateway.extras import missing
 from igtl_gateway_lab.bench import flame
 from igtl_gateway_lab.bench.bounds import shown, with_verdict
 from igtl_gateway_lab.bench.cases import CASES, FLOOD, TABLE_1, Case, Direction

@@ -15,14 +15,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.errors import ConfigError, GatewayError, Unavailable
+from igtl_gateway.base.extras import missing
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.next_steps import command, print_next
 from igtl_gateway.cli.options import default
 from igtl_gateway.cli.terminal import print_line
-from igtl_gateway.clock import SystemClock
-from igtl_gateway.errors import ConfigError, GatewayError, Unavailable
-from igtl_gateway.extras import missing
-from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway_lab.programs import Event, EventProgram
 
 EXAMPLES = """\
@@ -155,8 +155,8 @@ def _gateway(*arguments: str) -> None:
 
 def _recorded_outputs(recording: Path) -> tuple[str, int]:
     """SHA-256 and size of the bytes that the bridge sent, read from the file without the replay code."""
-    from igtl_gateway.session.entry import Kind
-    from igtl_gateway.sessionfile.reader import SessionFile
+    from igtl_gateway.gateway.log.entry import Kind
+    from igtl_gateway.record.sessionfile.reader import SessionFile
 
     digest, total = hashlib.sha256(), 0
     with SessionFile.open(recording) as file:

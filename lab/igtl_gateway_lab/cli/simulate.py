@@ -7,16 +7,16 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-from igtl_gateway import __version__
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.version import __version__
 from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT, add_json, add_overwrite, address, default, definitions
 from igtl_gateway.cli.terminal import print_json, print_line, print_text
-from igtl_gateway.config import Config
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway import Gateway
-from igtl_gateway.session.content import ContentDigest
-from igtl_gateway.sessionfile.beside import written
-from igtl_gateway.sessionfile.writer import SessionWriter
+from igtl_gateway.gateway.log.content import ContentDigest
+from igtl_gateway.record.sessionfile.beside import written
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway_lab.cli import stage
 from igtl_gateway_lab.simulate.catalogue import SCENARIOS
 from igtl_gateway_lab.simulate.load import SENDERS, SIZES, Load

@@ -13,17 +13,17 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.errors import ConfigError, RecordingError, Unavailable
+from igtl_gateway.base.extras import missing
 from igtl_gateway.cli.common import count_text, size_text, stop_event
 from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT
 from igtl_gateway.cli.terminal import clear_live_line, flush_outputs, is_terminal, live_line, print_json, print_line
-from igtl_gateway.clock import SystemClock
 from igtl_gateway.edges.ros.env import prepare_environment
-from igtl_gateway.errors import ConfigError, RecordingError, Unavailable
-from igtl_gateway.extras import missing
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.replay.verify import DeclaredLosses, verify
 from igtl_gateway.replay.verify import VerifyReport as Verification
-from igtl_gateway.sessionfile.reader import SessionFile
 from igtl_gateway_lab.programs import Event
 from igtl_gateway_lab.simulate.actor import Actor, ActorProtocol, ActorReport
 from igtl_gateway_lab.simulate.scenario import SYNTHETIC, Scenario

@@ -25,11 +25,11 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from igtl_gateway.config import Config
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.igtl_msgs import Command as RosCommand
 from igtl_gateway.convert.igtl_msgs import CommandReply
 from igtl_gateway.convert.rosmsg import Header, Image, PointStamped, RosMessage, String, TransformStamped
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.image import Image as WireImage

@@ -23,10 +23,10 @@ from typing import Any, Self
 
 import numpy as np
 
-from igtl_gateway.config import Config, ToIgtlRow, ToRosRow
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.config.configuration import Config, ToIgtlRow, ToRosRow
 from igtl_gateway.convert.rosmsg import Mesh
 from igtl_gateway.convert.rosmsg import String as RosString
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.polydata import Cells, PolyData
 from igtl_gateway.wire.text import String

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from igtl_gateway.config import Config
+from igtl_gateway.config.configuration import Config
 from igtl_gateway_lab.simulate import (
     acquisition,
     brain,

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from igtl_gateway.config import Config, ToIgtlRow
+from igtl_gateway.base.stamp import NS_PER_S, ns_to_ticks
+from igtl_gateway.config.configuration import Config, ToIgtlRow
 from igtl_gateway.convert.rosmsg import Header, Mesh, PointCloud2, PointField, PointStamped, String, TransformStamped
-from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.point import Points

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Item
 from igtl_gateway.wire.bind import Bind, BindChild
 from igtl_gateway.wire.body import Body, Raw

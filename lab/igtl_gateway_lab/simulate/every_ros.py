@@ -7,12 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from igtl_gateway.config import ToIgtlRow
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.config.configuration import ToIgtlRow
 from igtl_gateway.convert import common_msgs, igtl_msgs, robot_msgs, rosmsg
 from igtl_gateway.convert.common_msgs import FrameTransform, MultiArrayDimension, MultiArrayLayout, TFMessage
 from igtl_gateway.convert.igtl_msgs import MetadataItem, Pose, Query, TrackedTool
 from igtl_gateway.convert.rosmsg import Header, RosMessage
-from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway.wire.image import LPS, RAS
 from igtl_gateway.wire.tracking import TOOL_3D, TOOL_6D
 from igtl_gateway_lab.simulate.every_igtl import H264_KEY, H264_NEXT, TILTED, TURNED

@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from igtl_gateway.buffers import join
-from igtl_gateway.config import Config, PeerRow, TfOutRow, ToIgtlRow, ToRosRow
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.config.configuration import Config, PeerRow, TfOutRow, ToIgtlRow, ToRosRow
 from igtl_gateway.convert import igtl_msgs, rosmsg
 from igtl_gateway.convert.igtl_msgs import CommandReply, MetadataItem, Query
 from igtl_gateway.convert.names import short_device_name
 from igtl_gateway.convert.rosmsg import Header, RosMessage
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.wire import Item, Message, Raw, encode
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.query import QUERIES, EmptyQuery, StartTracking

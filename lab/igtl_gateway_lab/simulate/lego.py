@@ -8,7 +8,7 @@ draws it.  ``docs/how-to/scenario-lego.md`` describes it; the parts are ``lego_p
 
 from __future__ import annotations
 
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway_lab.simulate.actor import Actor
 from igtl_gateway_lab.simulate.lego_planner import LegoPlanner
 from igtl_gateway_lab.simulate.lego_robot import LegoRobot

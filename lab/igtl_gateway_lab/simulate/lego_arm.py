@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway_lab.simulate.star_numbers import Array
 
 SHOULDER_M = 0.112  #: height of the upper joint above the table

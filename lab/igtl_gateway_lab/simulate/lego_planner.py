@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
-from igtl_gateway.errors import ConfigError
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks, ticks_to_ns
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks, ticks_to_ns
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.point import POINT_DTYPE, Points

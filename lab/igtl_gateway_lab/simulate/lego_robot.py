@@ -16,13 +16,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.stamp import NS_PER_MS
 from igtl_gateway.convert.common_msgs import JointState
 from igtl_gateway.convert.igtl_msgs import PointList
 from igtl_gateway.convert.igtl_msgs import Volume as VolumeMessage
 from igtl_gateway.convert.poses import rotation_matrix
 from igtl_gateway.convert.rosmsg import Header, Marker, RosMessage, String, TransformStamped
-from igtl_gateway.errors import ConfigError
-from igtl_gateway.stamp import NS_PER_MS
 from igtl_gateway_lab.simulate import lego_terms as terms
 from igtl_gateway_lab.simulate.actor import ActorProtocol, ActorReport, Publishes, Received, RosReceived, RosSent
 from igtl_gateway_lab.simulate.lego_arm import JOINTS, Drives, Point, angles_of, skeleton_of, tip_of

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from igtl_gateway.config import Config, ToIgtlRow, ToRosRow
+from igtl_gateway.config.configuration import Config, ToIgtlRow, ToRosRow
 
 #: Frames: the foot of the robot (x forward, z up) and the patient's of the image (RAS).
 BASE, IMAGE, PEN = "LegoBase", "HeadImage", "Pen"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.base.errors import ConfigError
 
 #: Type → what its size counts, its least, its default and its greatest.
 SIZES = {

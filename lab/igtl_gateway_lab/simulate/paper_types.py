@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from igtl_gateway.base.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.rosmsg import Header, RosMessage
-from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Item, Message
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.image import LITTLE_ENDIAN, Image

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway_lab.simulate.star_numbers import Array, dot
 
 MIN_PAIRS = 3

@@ -12,12 +12,12 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-from igtl_gateway.buffers import join
-from igtl_gateway.config import Config
+from igtl_gateway.base.buffers import join
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.rosmsg import RosMessage
 from igtl_gateway.gateway import TICK, Gateway, Session
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.wire import Message, encode
 from igtl_gateway_lab.simulate.actor import Actor
 from igtl_gateway_lab.simulate.load import Load

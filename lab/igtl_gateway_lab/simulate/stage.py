@@ -10,12 +10,12 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Iterable, Iterator, Sequence
 
-from igtl_gateway.buffers import join
-from igtl_gateway.config import Config
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP, TICK, Gateway, Session
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway_lab.simulate.actor import Actor, ActorProtocol, Received, RosReceived, RosSent, Sent
 

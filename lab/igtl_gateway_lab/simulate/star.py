@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 
-from igtl_gateway.errors import ConfigError
-from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway_lab.simulate.actor import Actor
 from igtl_gateway_lab.simulate.star_planner import SuturePlanner
 from igtl_gateway_lab.simulate.star_robot import SutureRobot

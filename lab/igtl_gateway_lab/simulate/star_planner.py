@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from igtl_gateway.stamp import NS_PER_MS, ns_to_ticks
+from igtl_gateway.base.stamp import NS_PER_MS, ns_to_ticks
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import PolyData

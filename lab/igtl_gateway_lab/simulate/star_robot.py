@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.convert.rosmsg import Header, Marker, String, TransformStamped
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway_lab.simulate import star_topics as topics
 from igtl_gateway_lab.simulate.actor import ActorProtocol, ActorReport, Publishes, Received, RosReceived, RosSent, Sent
 from igtl_gateway_lab.simulate.agenda import Agenda

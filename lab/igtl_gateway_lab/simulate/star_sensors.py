@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.convert.common_msgs import CameraInfo
 from igtl_gateway.convert.rosmsg import Header, Image, TransformStamped
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway_lab.simulate import star_topics as topics
 from igtl_gateway_lab.simulate.actor import ActorProtocol, ActorReport, Publishes, Received, RosReceived, RosSent, Sent
 from igtl_gateway_lab.simulate.agenda import Agenda

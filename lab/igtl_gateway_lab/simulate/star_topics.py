@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from igtl_gateway.buffers import Buffer
-from igtl_gateway.config import Config, ToIgtlRow, ToRosRow
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.config.configuration import Config, ToIgtlRow, ToRosRow
 from igtl_gateway.convert.rosmsg import Header, Image, Marker, PointCloud2, PointField, String, TransformStamped
 from igtl_gateway_lab.simulate.star_numbers import Array
 

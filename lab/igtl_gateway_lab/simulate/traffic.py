@@ -14,9 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from igtl_gateway.config import Config, ToIgtlRow, ToRosRow
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks, ticks_to_ns
+from igtl_gateway.config.configuration import Config, ToIgtlRow, ToRosRow
 from igtl_gateway.convert.rosmsg import Header, Image, PointCloud2, PointField, RosMessage, String, TransformStamped
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks, ticks_to_ns
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.image import Image as WireImage

@@ -19,13 +19,13 @@ from typing import Any, Self
 
 import numpy as np
 
-from igtl_gateway.config import Config, ToIgtlRow, ToRosRow
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.config.configuration import Config, ToIgtlRow, ToRosRow
 from igtl_gateway.convert.igtl_msgs import Volume
 from igtl_gateway.convert.poses import rotation_matrix
 from igtl_gateway.convert.rosmsg import DiagnosticStatus, Header, PointCloud2, PointField, TransformStamped
 from igtl_gateway.convert.rosmsg import String as RosString
-from igtl_gateway.qos import Qos
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.polydata import PolyData

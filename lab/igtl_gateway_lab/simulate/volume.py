@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.wire.image import LITTLE_ENDIAN, RAS, SCALARS, Image
 from igtl_gateway_lab.simulate.star_numbers import Array
 

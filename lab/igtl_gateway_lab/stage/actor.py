@@ -17,17 +17,17 @@ from dataclasses import dataclass
 from queue import Empty, SimpleQueue
 from typing import Any, Protocol
 
-from igtl_gateway.buffers import Buffer
-from igtl_gateway.clock import Clock
-from igtl_gateway.config import Config
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.errors import WireError
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.igtl_msgs import LinkStatusList
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.tcp import TcpEdge
-from igtl_gateway.errors import WireError
 from igtl_gateway.gateway import LINKS_TOPIC, Gateway
-from igtl_gateway.qos import Qos
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway_lab.simulate.actor import Actor, ActorProtocol, Preparable, Received, RosReceived, RosSent, Sent
 

@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 from enum import Enum
 from queue import Empty, SimpleQueue
 
-from igtl_gateway.child import Child
-from igtl_gateway.clock import Clock
-from igtl_gateway.errors import GatewayError
-from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.base.child import Child
+from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.errors import GatewayError
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway_lab.programs import Event, parse_event
 from igtl_gateway_lab.simulate.actor import Actor, ActorProtocol, ActorReport
 

@@ -15,11 +15,11 @@ from typing import Any
 
 import pytest
 
+from igtl_gateway.base.errors import RosError
+from igtl_gateway.base.extras import missing
+from igtl_gateway.base.qos import Qos
 from igtl_gateway.edges.ros.edge import RosEdge
-from igtl_gateway.errors import RosError
-from igtl_gateway.extras import missing
-from igtl_gateway.qos import Qos
-from igtl_gateway.session.note import Level, Note
+from igtl_gateway.gateway.log.note import Level, Note
 
 pytest.importorskip("rclpy", reason='needs ROS 2: pip install "igtl-gateway[ros]", or source an installation')
 
@@ -443,7 +443,7 @@ def test_stop_is_final_and_quiet(peer: Peer) -> None:
 FORGETFUL = """
 import signal, sys
 from igtl_gateway.edges.ros.edge import RosEdge
-from igtl_gateway.qos import Qos
+from igtl_gateway.base.qos import Qos
 signal.signal(signal.SIGINT, signal.default_int_handler)  # the program that started the tests might ignore it
 edge = RosEdge(on_message=print, wants=lambda topic, kind: Qos(), on_note=lambda note: None)
 edge.start()
@@ -500,8 +500,8 @@ def fails_to_start(code: str, **environ: str) -> str:
 import sys
 {code}
 from igtl_gateway.edges.ros.edge import RosEdge
-from igtl_gateway.errors import RosError
-from igtl_gateway.extras import missing
+from igtl_gateway.base.errors import RosError
+from igtl_gateway.base.extras import missing
 try:
     RosEdge(on_message=print, wants=print, on_note=print).start()
 except RosError as error:

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 
 import pytest
 
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.edges.ros.graph_watch import BlindWatch, GraphWatch, watch_graph
 from igtl_gateway.edges.ros.keeper import LookTimes
 from igtl_gateway.edges.ros.middleware import import_rclpy
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
 
 pytest.importorskip("rclpy", reason='needs ROS 2: pip install "igtl-gateway[ros]", or source an installation')
 

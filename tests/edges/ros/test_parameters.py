@@ -8,11 +8,11 @@ from typing import Any
 import pytest
 
 from igtl_gateway.app.settings import config_of, declared, settled
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.config.settings import SETTINGS, Setting, parameters
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.ros.middleware import import_rclpy, interface_class
 from igtl_gateway.edges.ros.parameters import description, overrides
-from igtl_gateway.errors import ConfigError
-from igtl_gateway.settings import SETTINGS, Setting, parameters
 from tests.cli.test_settings import mistakes, told
 from tests.tables import table
 

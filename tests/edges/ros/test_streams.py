@@ -6,10 +6,10 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.clock import ManualClock
+from igtl_gateway.base.clock import ManualClock
+from igtl_gateway.base.qos import Qos
 from igtl_gateway.edges.ros import streams
 from igtl_gateway.edges.ros.streams import EchoFilter, TopicCounts, TopicPublisher, TopicSubscription
-from igtl_gateway.qos import Qos
 
 QUICK_NS = 1000  # what a call of publish takes here
 

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.clock import SystemClock
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.edges.tcp import LinkCounters, TcpEdge
 from igtl_gateway.edges.tcp import edge as edge_module
-from igtl_gateway.errors import ConfigError
 from tests.edges.tcp.world import BIG, DEADLINE_S, HERE, Peer, World, message, number_of
 
 

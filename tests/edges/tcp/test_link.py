@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from igtl_gateway.clock import ManualClock
+from igtl_gateway.base.clock import ManualClock
 from igtl_gateway.edges.tcp import PeerLimits, link, liveness
 from igtl_gateway.edges.tcp.receiver import Receiver
 from igtl_gateway.edges.tcp.sockets import UNANSWERED_S

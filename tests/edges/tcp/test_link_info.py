@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.globs import matches
 from igtl_gateway.edges.tcp import PeerLimits
-from igtl_gateway.errors import ConfigError
-from igtl_gateway.globs import matches
 from igtl_gateway.wire.framer import DEFAULT_MAX_BODY
 from tests.tables import table
 

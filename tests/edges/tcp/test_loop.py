@@ -9,7 +9,7 @@ from collections.abc import Callable
 
 import pytest
 
-from igtl_gateway.clock import ManualClock, SystemClock
+from igtl_gateway.base.clock import ManualClock, SystemClock
 from igtl_gateway.edges.tcp.loop import READ, Loop
 
 

@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.edges.tcp import PeerLimits, TcpEdge
 from igtl_gateway.edges.tcp.dialer import Dialer
-from igtl_gateway.errors import ConfigError
 from tests.edges.tcp.world import BIG, HERE, Peer, Seen, World, header, message, number_of
 
 

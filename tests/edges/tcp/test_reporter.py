@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from igtl_gateway.session.note import Note
+from igtl_gateway.gateway.log.note import Note
 from tests.edges.tcp.world import Seen, World, message
 
 

@@ -9,8 +9,8 @@ from contextlib import suppress
 
 import pytest
 
+from igtl_gateway.base.errors import ConfigError, Unavailable
 from igtl_gateway.edges.tcp.sockets import AllowList, unanswered_s, unconfirmed_bytes
-from igtl_gateway.errors import ConfigError, Unavailable
 from tests.edges.tcp.world import HERE, World, until
 from tests.tables import table
 

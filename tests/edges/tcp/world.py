@@ -9,9 +9,9 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from igtl_gateway.clock import SystemClock
+from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.edges.tcp import TcpEdge
-from igtl_gateway.session.note import Note
+from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.wire.framer import Framer
 
 DEADLINE_S = 20.0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from igtl_gateway.config import Config
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.igtl_msgs import Command as RosCommand
 from igtl_gateway.convert.igtl_msgs import CommandReply, MetadataItem
 from igtl_gateway.convert.rosmsg import Header

@@ -6,14 +6,14 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.config import Config, ToIgtlRow
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.config.configuration import Config, ToIgtlRow
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.igtl_msgs import Command
 from igtl_gateway.gateway import LINK_DOWN
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.peers import Peers
-from igtl_gateway.qos import Qos
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.session.note import Level, Note
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.query import EmptyQuery
 from igtl_gateway.wire.text import Status

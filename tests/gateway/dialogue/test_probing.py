@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from igtl_gateway.config import Config
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.dialogue.probing import PROBE, PROBE_DEVICE, is_reply
 from igtl_gateway.wire import Message, decode
 from igtl_gateway.wire.text import Status

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from igtl_gateway.config import Config, PeerRow, TfOutRow, ToIgtlRow
+from igtl_gateway.config.configuration import Config, PeerRow, TfOutRow, ToIgtlRow
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.common_msgs import MULTI_ARRAYS, FrameTransform, MultiArrayLayout, TFMessage
 from igtl_gateway.convert.igtl_msgs import MetadataItem, PointList, Query, TrackedTool, TrackingData

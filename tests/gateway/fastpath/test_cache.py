@@ -13,16 +13,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from igtl_gateway.buffers import join
-from igtl_gateway.config import Config, ToIgtlRow, ToRosRow
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.stamp import NS_PER_S, ns_to_ticks
+from igtl_gateway.config.configuration import Config, ToIgtlRow, ToRosRow
 from igtl_gateway.convert import express, rosmsg
 from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP, LISTENED, Gateway, Session
 from igtl_gateway.gateway.live_settings import LiveSettings
-from igtl_gateway.session.changes import SETTING
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
+from igtl_gateway.gateway.log.changes import SETTING
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.wire import HEADER_SIZE, Item, Message, encode
 from igtl_gateway.wire.header import crc64
 from igtl_gateway.wire.image import SCALARS, Image
@@ -492,7 +492,7 @@ def test_and_of_a_topic(made: Any, version: int) -> None:
 @pytest.fixture(params=[True, False], ids=["AVX2", "plain"])
 def vectors(request: pytest.FixtureRequest) -> Iterator[None]:
     """Run with the loops for AVX2, if the processor has it, and without."""
-    module = pytest.importorskip("igtl_gateway.convert._express", reason="installed without the C part")
+    module = pytest.importorskip("igtl_gateway.native._express", reason="installed without the C part")
     module.allow_avx2(request.param)
     yield
     module.allow_avx2(True)

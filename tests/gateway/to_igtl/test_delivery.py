@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from igtl_gateway.config import Config, TfOutRow, ToIgtlRow
+from igtl_gateway.config.configuration import Config, TfOutRow, ToIgtlRow
 from igtl_gateway.convert import profiles, rosmsg
 from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
 from igtl_gateway.convert.igtl_msgs import TrackedTool, TrackingData

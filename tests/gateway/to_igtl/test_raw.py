@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from igtl_gateway.buffers import join
-from igtl_gateway.config import Config, ToIgtlRow
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.stamp import NS_PER_S, ns_to_ticks
+from igtl_gateway.config.configuration import Config, ToIgtlRow
 from igtl_gateway.convert.raw import raw_message
-from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Item, Message, Raw, encode
 from igtl_gateway.wire.bind import Bind, BindChild
 from igtl_gateway.wire.body import Body

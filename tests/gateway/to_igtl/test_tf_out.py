@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import pytest
 
-from igtl_gateway.config import Config, TfOutRow
+from igtl_gateway.base.stamp import ns_to_ticks
+from igtl_gateway.config.configuration import Config, TfOutRow
 from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.stamp import ns_to_ticks
+from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.query import EmptyQuery, StartTracking
 from igtl_gateway.wire.transform import Transform

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from igtl_gateway.errors import ConversionError
+from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.gateway.to_ros import volumes
 from igtl_gateway.gateway.to_ros.volumes import Volumes
 from igtl_gateway.wire.image import Image

@@ -14,7 +14,8 @@ from pathlib import Path
 
 import lz4.frame  # type: ignore[import-untyped]
 
-ROOT = Path(__file__).resolve().parents[3]
+from tests.places import ROOT
+
 GOOD, SMALL = ROOT / "fixtures" / "ultrasound.mcap", ROOT / "fixtures" / "acquisition.mcap"
 MIB = 1 << 20
 GIB = 1 << 30

@@ -12,9 +12,9 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from igtl_gateway.cohort.columns import SCHEMA_VERSION
-from igtl_gateway.cohort.parts import MANIFEST
-from igtl_gateway.cohort.tables import arrow_table, schema
+from igtl_gateway.addons.cohort.columns import SCHEMA_VERSION
+from igtl_gateway.addons.cohort.parts import MANIFEST
+from igtl_gateway.addons.cohort.tables import arrow_table, schema
 from tests.integration.hostile_files import foreign, sessions
 from tests.integration.hostile_files.case import MIB, NAUGHTY, SMALL, Danger, Hostile, file
 

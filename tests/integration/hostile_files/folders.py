@@ -8,8 +8,8 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
-from igtl_gateway.keeping.retention_log import LOG_NAME
-from igtl_gateway.keeping.upload_state import SUFFIX
+from igtl_gateway.record.retention.retention_log import LOG_NAME
+from igtl_gateway.record.retention.upload_state import SUFFIX
 from tests.integration.hostile_files.case import ESCAPE, FORGED, MIB, NAUGHTY, SMALL, Danger, Hostile, file
 
 _DEEP = "[" * 100_000 + "]" * 100_000

@@ -12,10 +12,10 @@ from typing import Any
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec, ed25519
 
-from igtl_gateway.seal import envelope, statement
-from igtl_gateway.seal.keys import SigningKey
-from igtl_gateway.sessionfile.layout import SEAL_METADATA
-from igtl_gateway.sessionfile.sealing import ENVELOPE_KEY
+from igtl_gateway.record.seal import envelope, statement
+from igtl_gateway.record.seal.keys import SigningKey
+from igtl_gateway.record.sessionfile.layout import SEAL_METADATA
+from igtl_gateway.record.sessionfile.sealing import ENVELOPE_KEY
 from tests.integration.hostile_files.case import MIB, NAUGHTY, Danger, Hostile, file
 from tests.integration.hostile_files.sessions import Parts, changed
 from tools import mcap_build as build

@@ -11,11 +11,11 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.config import Config
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.sessionfile import layout
-from igtl_gateway.sessionfile.writer import SessionWriter
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.record.sessionfile import layout
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from tests.integration.hostile_files.case import (
     ESCAPE,
     FORGED,

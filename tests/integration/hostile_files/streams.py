@@ -8,7 +8,7 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-from tests.exchange.test_pcap import ACK, FIN, SYN, ip_packet
+from tests.addons.exchange.test_pcap import ACK, FIN, SYN, ip_packet
 from tests.integration.hostile_cases import CASES as PEERS
 from tests.integration.hostile_cases import raw
 from tests.integration.hostile_files.case import ESCAPE, FORGED, MIB, NAUGHTY, Danger, Hostile, file

@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 from types import MappingProxyType
 
 from igtl_gateway.app.sealing import seal_recording, stamp_recording, verify_seal
-from igtl_gateway.seal.keys import SigningKey
+from igtl_gateway.record.seal.keys import SigningKey
 from tests.integration.hostile_files import (
     bags,
     cohorts,
@@ -33,7 +33,7 @@ from tests.integration.hostile_files import (
     streams,
 )
 from tests.integration.hostile_files.case import BESIDES, FORGED, GOOD, ROOT, SMALL, VERBS, Hostile
-from tests.seal.authority import new_authority
+from tests.record.seal.authority import new_authority
 
 CASES: tuple[Hostile, ...] = (
     *sessions.CASES,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 
-from igtl_gateway.clock import ManualClock
+from igtl_gateway.base.clock import ManualClock
 from igtl_gateway_lab.bench.pace import Schedule, SendPacer
 from igtl_gateway_lab.bench.window import SendWindow, progress
 

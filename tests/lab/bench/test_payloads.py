@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from igtl_gateway.config import Config, ToIgtlRow
-from igtl_gateway.session.entry import Kind
+from igtl_gateway.config.configuration import Config, ToIgtlRow
+from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.wire import decode
 from igtl_gateway_lab.bench.cases import PAYLOADS, BenchStream, Direction, payload
 from tests.script import Script

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from igtl_gateway.clock import SystemClock
+from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.text import String
 from igtl_gateway_lab.bench import probe

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from igtl_gateway.clock import ManualClock
-from igtl_gateway.config import Config
+from igtl_gateway.base.clock import ManualClock
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway import Gateway
-from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway_lab.bench.cases import PAYLOADS, BenchStream, Direction, payload
 from igtl_gateway_lab.bench.window import SendWindow, progress, window
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.cli import main
-from igtl_gateway.clock import SystemClock
 from igtl_gateway_lab.bench import works
 from igtl_gateway_lab.bench.bridges import HOP
 from igtl_gateway_lab.bench.cases import BenchStream

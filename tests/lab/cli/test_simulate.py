@@ -9,10 +9,10 @@ from typing import NoReturn
 
 import pytest
 
+from igtl_gateway.base.extras import missing
 from igtl_gateway.cli import main
-from igtl_gateway.config import Config
-from igtl_gateway.extras import missing
-from igtl_gateway.sessionfile.writer import SessionWriter
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway_lab.cli import stage
 from igtl_gateway_lab.simulate.catalogue import SCENARIOS
 from igtl_gateway_lab.simulate.star_topics import CAMERA_INFO

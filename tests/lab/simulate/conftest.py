@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-from igtl_gateway.session.entry import Entry
-from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway_lab.simulate.star_arm import held
 from igtl_gateway_lab.simulate.star_camera import CloudFrame
 from igtl_gateway_lab.simulate.star_scene import StarScene
 from tests.lab.simulate.star_truth import BEGIN_S, SECONDS
+from tests.places import ROOT
 
-STAR = Path(__file__).parents[3] / "fixtures" / "star.mcap"
+STAR = ROOT / "fixtures" / "star.mcap"
 
 
 @pytest.fixture(scope="session")

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from igtl_gateway.config import Config
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.rosmsg import Image, TransformStamped
-from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway_lab.simulate.acquisition import AcquisitionPlanner, AcquisitionRobot, actors
 from igtl_gateway_lab.simulate.actor import Actor, RosSent, Sent
 from igtl_gateway_lab.simulate.stage import play_offline

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from igtl_gateway.convert.rosmsg import Mesh
-from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.wire import decode
 from igtl_gateway_lab.simulate import brain
 from igtl_gateway_lab.simulate.actor import Actor, Received, RosReceived, Sent

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ET
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,16 +11,17 @@ from igtl_gateway.convert.common_msgs import JointState, PoseStamped
 from igtl_gateway.convert.poses import rotation_matrix
 from igtl_gateway.convert.robot_msgs import StringStamped
 from igtl_gateway.convert.rosmsg import Header, String
-from igtl_gateway.session.entry import Kind
-from igtl_gateway.session.note import Note
-from igtl_gateway.sessionfile.reader import SessionFile
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.wire import decode
 from igtl_gateway_lab.simulate.actor import RosReceived, RosSent
 from igtl_gateway_lab.simulate.crtk_arm import ARMS, JOINTS, WORLD, urdf
 from igtl_gateway_lab.simulate.crtk_robot import TICK_NS, CrtkRobot
 from igtl_gateway_lab.simulate.star_numbers import Array
+from tests.places import ROOT
 
-FIXTURE = Path(__file__).parents[3] / "fixtures" / "crtk.mcap"
+FIXTURE = ROOT / "fixtures" / "crtk.mcap"
 START_NS = 1_700_000_000_000_000_000
 
 

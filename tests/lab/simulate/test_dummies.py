@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from igtl_gateway.convert.rosmsg import PointStamped, TransformStamped
-from igtl_gateway.session.entry import Kind
+from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway_lab.simulate.actor import Actor, RosSent, Sent
 from igtl_gateway_lab.simulate.dummies import CONFIG, KINDS, TRIANGLES, Dummies, DummyNode, DummyServer, actors
 from igtl_gateway_lab.simulate.stage import play_offline

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.common_msgs import JointState
 from igtl_gateway.convert.igtl_msgs import LabeledPoint, PointList, Volume
 from igtl_gateway.convert.poses import rotation_matrix
 from igtl_gateway.convert.rosmsg import Header, Marker, RosMessage, String, TransformStamped
-from igtl_gateway.errors import ConfigError
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Level, Note
-from igtl_gateway.stamp import NS_PER_S
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.wire import Message, text
 from igtl_gateway.wire.polydata import Cells, PolyData
 from igtl_gateway_lab.simulate import lego, lego_arm, lego_planner, lego_world
@@ -31,7 +30,6 @@ from igtl_gateway_lab.simulate.registration import Rigid
 from igtl_gateway_lab.simulate.stage import play_offline
 from igtl_gateway_lab.simulate.volume import LESION, synthetic_head
 
-FIXTURES = Path(__file__).parents[3] / "fixtures"
 HEAD = synthetic_head(8.0)
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway_lab.simulate.lego_arm import JOINTS, PEN_M, Drives, angles_of, skeleton_of, tip_of
 
 SHEET = st.tuples(st.floats(0.13, 0.30), st.floats(-0.10, 0.10), st.floats(-0.005, 0.06))

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from igtl_gateway.config import Config
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway import Gateway
-from igtl_gateway.session.entry import Kind
+from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway_lab.simulate.acquisition import actors
 from igtl_gateway_lab.simulate.scenario import Scenario, note_input
 

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
 
-from igtl_gateway.config import Config, PeerRow
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
+from igtl_gateway.config.configuration import Config, PeerRow
 from igtl_gateway.convert.rosmsg import String
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP, LINKS_TOPIC, TICK
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.replay.verify import verify
-from igtl_gateway.session.entry import Entry, Kind
-from igtl_gateway.session.note import Note
-from igtl_gateway.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.text import String as WireString
 from igtl_gateway_lab.simulate.actor import (
@@ -29,6 +28,7 @@ from igtl_gateway_lab.simulate.actor import (
     Sent,
 )
 from igtl_gateway_lab.simulate.stage import IGTL_NS, ROS_NS, START_NS, play_offline
+from tests.places import ROOT
 
 OUT, IN, ASIDE = "/igtl/out/Robot/string", "/igtl/in/Planner/string", "/robot/internal"
 Answer = Callable[[int, str], Iterable[str]]
@@ -224,7 +224,7 @@ def test_ros_hears_who_is_connected() -> None:
 
 
 def test_the_example_of_the_page_plays() -> None:
-    page = (Path(__file__).parents[3] / "docs" / "how-to" / "scenarios.md").read_text("utf-8")
+    page = (ROOT / "docs" / "how-to" / "scenarios.md").read_text("utf-8")
     names: dict[str, Any] = {}
     exec(page.partition("```python\n")[2].partition("```")[0], names)
     cast = names["QUESTION"].cast()

@@ -9,16 +9,15 @@ import subprocess
 import sys
 from collections import defaultdict
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.convert.common_msgs import CameraInfo
 from igtl_gateway.convert.rosmsg import Image, Marker, PointCloud2, String, TransformStamped
-from igtl_gateway.errors import ConfigError
-from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.text import String as WireString
@@ -30,8 +29,8 @@ from igtl_gateway_lab.simulate.star_numbers import Array
 from igtl_gateway_lab.simulate.star_scene import StarScene
 from igtl_gateway_lab.simulate.star_tissue import GLINT_STITCH, PLANTED, STITCHES, surface_distance
 from tests.lab.simulate.star_truth import SECONDS, length, matrix
+from tests.places import ROOT
 
-ROOT = Path(__file__).parents[3]
 RATES_HZ = {
     topics.TOOL: 100,
     topics.MARKERS: 5,

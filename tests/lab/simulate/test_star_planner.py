@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from igtl_gateway.stamp import NS_PER_S, ns_to_ticks
+from igtl_gateway.base.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.point import Points

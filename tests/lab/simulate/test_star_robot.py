@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.rosmsg import Header, Marker, String, TransformStamped
-from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway_lab.simulate import star_topics as topics
 from igtl_gateway_lab.simulate.actor import RosReceived, RosSent
 from igtl_gateway_lab.simulate.star_arm import SHAFT, to_camera

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.common_msgs import CameraInfo
 from igtl_gateway.convert.rosmsg import Image, PointCloud2
-from igtl_gateway.stamp import NS_PER_S
 from igtl_gateway_lab.simulate import star_topics as topics
 from igtl_gateway_lab.simulate.actor import RosSent
 from igtl_gateway_lab.simulate.star_sensors import Sensors

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from igtl_gateway.convert.rosmsg import TransformStamped
-from igtl_gateway.session.entry import Kind
+from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway_lab.simulate.actor import ActorProtocol, ActorReport, RosSent, Sent
 from igtl_gateway_lab.simulate.load import SIZES, Load
 from igtl_gateway_lab.simulate.stage import IGTL_NS, ROS_NS, play_offline

@@ -13,7 +13,7 @@ from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.igtl_msgs import Volume
 from igtl_gateway.convert.rosmsg import String as RosString
 from igtl_gateway.convert.rosmsg import TransformStamped
-from igtl_gateway.session.entry import Entry, Kind
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.wire import Message, decode
 from igtl_gateway.wire.text import String
 from igtl_gateway_lab.simulate import ultrasound

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway.wire.image import Image
 from igtl_gateway_lab.simulate import volume

@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.buffers import join
-from igtl_gateway.clock import SystemClock
-from igtl_gateway.config import Config
-from igtl_gateway.stamp import NS_PER_MS
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.stamp import NS_PER_MS
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway.wire.text import String
 from igtl_gateway_lab.simulate.actor import ActorProtocol, ActorReport, Publishes, Received, Sent

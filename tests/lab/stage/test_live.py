@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.clock import SystemClock
+from igtl_gateway.base.clock import SystemClock
 from igtl_gateway_lab.programs import Event
 from igtl_gateway_lab.simulate.actor import ActorProtocol, ActorReport, Publishes, Received, Sent
 from igtl_gateway_lab.stage.live import Stage, StageEnd, StageError, StagePlan

@@ -6,7 +6,7 @@ import ssl
 from dataclasses import dataclass
 from pathlib import Path
 
-from igtl_gateway.errors import ConfigError
+from igtl_gateway.base.errors import ConfigError
 
 Context = ssl.SSLContext
 

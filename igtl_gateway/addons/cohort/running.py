@@ -1,0 +1,226 @@
+"""A run over a cohort: which files have to be read, their tasks, here or on Dask, and their rows in the tables."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+from igtl_gateway.addons.cohort import ends
+from igtl_gateway.addons.cohort.results import Results
+from igtl_gateway.addons.cohort.scheduler import cluster
+from igtl_gateway.addons.cohort.sources import Located, digest
+from igtl_gateway.addons.cohort.task import Programs, failed, job_of
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.base.version import __version__
+
+if TYPE_CHECKING:
+    from igtl_gateway.addons.cohort.columns import Row
+
+Reply = dict[str, Any]
+#: A file, and the SHA-256 of its content at the last time.
+Item = tuple[Located, str]
+Do = Callable[["Work", Sequence[Item]], Iterator[tuple[Item, Reply]]]
+
+#: Rows are written after this time, or of this number of files: what a killed run loses.
+_FLUSH_S, _FLUSH_FILES = 5, 500
+
+
+@dataclass(frozen=True, slots=True)
+class Where:
+    """Where the tasks run.
+
+    Attributes:
+        workers: number of files at a time on this machine.
+        scheduler: address of the scheduler of a cluster; "": this machine.
+        tls_ca, tls_cert, tls_key: files for TLS; "": none.
+    """
+
+    workers: int
+    scheduler: str = ""
+    tls_ca: str = ""
+    tls_cert: str = ""
+    tls_key: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """What a run does with each file.
+
+    Attributes:
+        verb: one of ``ends.VERB_NAMES``.
+        settings: of the verb.
+        limits: words of ``--limit``.
+        memory: bytes that a worker's data may take; 0: any number.
+        timeout_s: time for a file, s.
+    """
+
+    verb: str
+    settings: Mapping[str, Any]
+    limits: Sequence[str] = ()
+    memory: int = 2 << 30
+    timeout_s: float = 600.0
+
+    @property
+    def text(self) -> str:
+        """The settings that decide about the rows."""
+        return json.dumps({"limits": sorted(self.limits), **self.settings}, sort_keys=True)
+
+
+@dataclass(slots=True)
+class RunSummary:
+    """A run so far.
+
+    Attributes:
+        files: of the cohort.
+        before: of these, how many were done before and have not changed.
+        ends: ``status`` → number of files of this run.
+        different: files whose outputs differ (``verify``), or with a finding of severity error (``lint``).
+    """
+
+    files: int
+    before: int = 0
+    ends: Counter[str] = field(default_factory=Counter)
+    different: int = 0
+
+    @property
+    def done(self) -> int:
+        """Number of files that this run has done."""
+        return sum(self.ends.values())
+
+    @property
+    def failed(self) -> int:
+        """Number of files of this run that gave no rows for a reason other than that there is nothing to do."""
+        good = (ends.OK, ends.NOTHING, ends.UNCHANGED)
+        return sum(number for status, number in self.ends.items() if status not in good)
+
+
+def run_cohort(
+    work: Work, files: Sequence[Located], results: Results, where: Where, progress: Callable[[RunSummary], None]
+) -> RunSummary:
+    """Do what is not done yet, and write its rows.
+
+    Args:
+        work: what to do with each file.
+        files: the cohort.
+        results: the tables.
+        where: where the tasks run.
+        progress: called after each file.
+
+    Raises Unavailable without Dask or its scheduler, GatewayError if the tables cannot be written.
+    """
+    with results.locked():
+        summary = RunSummary(len(files))
+        known = results.current()
+        todo: list[Item] = []
+        for each in files:
+            row = known.get((each.shown, work.verb))
+            if row and row["version"] == __version__ and row["settings"] == work.text and row["status"] in ends.FINAL:
+                if row["mark"] == each.mark and each.mark:
+                    summary.before += 1
+                    continue
+                todo.append((each, row["content"] or ""))
+            else:
+                todo.append((each, ""))
+        progress(summary)
+        if todo:
+            _do(work, todo, results, where, summary, progress)
+        results.compact()
+    return summary
+
+
+def _do(
+    work: Work,
+    todo: Sequence[Item],
+    results: Results,
+    where: Where,
+    summary: RunSummary,
+    progress: Callable[[RunSummary], None],
+) -> None:
+    clock = SystemClock()
+    provenance = {"verb": work.verb, "settings": work.text, "igtl_gateway_version": __version__}
+    rows: dict[str, list[Row]] = {}
+    known = results.current()
+    waiting, since_ns = 0, clock.monotonic_ns()
+
+    def flush() -> None:
+        nonlocal waiting, since_ns
+        if rows:
+            results.add(rows, provenance)
+        rows.clear()
+        waiting, since_ns = 0, clock.monotonic_ns()
+
+    try:
+        with closing(_replies(work, todo, where)) as replies:
+            for (file, _), reply in replies:
+                if reply["status"] == ends.UNCHANGED:
+                    rows.setdefault("tasks", []).append(known[file.shown, work.verb] | {"mark": file.mark})
+                else:
+                    _add(rows, work, file, reply)
+                summary.ends[reply["status"]] += 1
+                summary.different += _is_different(reply)
+                waiting += 1
+                if waiting >= _FLUSH_FILES or clock.monotonic_ns() - since_ns > _FLUSH_S * NS_PER_S:
+                    flush()
+                progress(summary)
+    finally:
+        flush()
+
+
+def _add(rows: dict[str, list[Row]], work: Work, file: Located, reply: Mapping[str, Any]) -> None:
+    content = reply.get("content") or ""
+    name = {"task": digest(file.shown, work.verb, work.text, __version__, content or file.mark), "file": file.shown}
+    names = ("status", "error", "requests", "bytes_read", "seconds")
+    task = {each: reply.get(each) for each in names} | {"verb": work.verb, "bytes": file.size, "mark": file.mark}
+    task |= {"content": content, "settings": work.text, "version": __version__}
+    rows.setdefault("tasks", []).append(name | task)
+    for table, found in reply.get("rows", {}).items():
+        rows.setdefault(table, []).extend(name | row for row in found)
+
+
+def _is_different(reply: Mapping[str, Any]) -> bool:
+    rows = reply.get("rows", {})
+    return any(not row["good"] for row in rows.get("verifications", ())) or any(
+        row["severity"] == "error" for row in rows.get("findings", ())
+    )
+
+
+def _replies(work: Work, todo: Sequence[Item], where: Where) -> Generator[tuple[Item, Reply], None, None]:
+    """Yield each file with its reply, as they end."""
+    with cluster(where) if where.scheduler else _here(min(where.workers, len(todo))) as do:
+        again = []
+        for item, reply in do(work, todo):
+            if reply["status"] == ends.KILLED:
+                again.append(item)
+            else:
+                yield item, reply
+        # A worker that dies takes the blame for all that it had, and a program may be killed because the others took
+        # the memory: each alone, only the guilty one fails again.
+        for item in again:
+            yield from do(work, [item])
+
+
+@contextmanager
+def _here(workers: int) -> Iterator[Do]:
+    """Context manager: threads of this process, of which each keeps a program of its own."""
+    pool = ThreadPoolExecutor(workers, thread_name_prefix="igtl-cohort")
+
+    def do(work: Work, todo: Sequence[Item]) -> Iterator[tuple[Item, Reply]]:
+        futures = {
+            pool.submit(programs.run_task, job_of(work, item), work.memory, work.timeout_s): item for item in todo
+        }
+        for future in as_completed(list(futures)):
+            item, error = futures.pop(future), future.exception()  # no reply is kept
+            yield item, failed(error) if error else future.result()
+
+    with Programs() as programs:
+        try:
+            yield do
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+    pool.shutdown()  # soon: the programs have ended

@@ -1,0 +1,88 @@
+"""What the rules of one session share: profile, names, times, pictures and the report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from igtl_gateway.addons.deidentify.pixels import PixelCleaner
+from igtl_gateway.addons.deidentify.profile import Profile
+from igtl_gateway.addons.deidentify.pseudonyms import WORDS, Pseudonyms, TimeShift
+from igtl_gateway.addons.deidentify.report import Report
+from igtl_gateway.base.globs import matches
+from igtl_gateway.convert.table import TO_ROS
+
+
+class Removed(Exception):
+    """A message that has to be removed.
+
+    Attributes:
+        rule: name of the rule.
+    """
+
+    def __init__(self, rule: str) -> None:
+        super().__init__(rule)
+        self.rule = rule
+
+
+@dataclass(slots=True)
+class Context:
+    """See the module.
+
+    Attributes:
+        profile: what may stay.
+        names, times: pseudonyms and the shift.
+        report: counts.
+        pixels: masks of pictures.
+    """
+
+    profile: Profile
+    names: Pseudonyms
+    times: TimeShift
+    report: Report
+    pixels: PixelCleaner = field(init=False)
+
+    @classmethod
+    def of(cls, profile: Profile, key: bytes, shift_ns: int | None) -> Context:
+        """Return a context; ``shift_ns`` None: from the key."""
+        report = Report(kept_times=shift_ns == 0)
+        words = WORDS | {row.kind for row in TO_ROS}
+        names = Pseudonyms(key, profile.names, profile.keep_names, words, lambda: report.add("name"))
+        times = TimeShift(names.shift_ns() if shift_ns is None else shift_ns, lambda: report.add("time"))
+        return cls(profile, names, times, report)
+
+    def __post_init__(self) -> None:
+        self.pixels = PixelCleaner(self.profile, self.report)
+
+    def text(self, text: str, stream: str) -> str:
+        """Return the new text of a stream."""
+        new = self.profile.text_rule(stream).apply(text) if text else text
+        if new != text:
+            self.report.add("text")
+        elif text:
+            self.report.left.setdefault(f"text of {self.stream_name(stream)}", "the profile keeps it")
+        return new
+
+    def patient_name(self, name: str) -> str:
+        """Return "", the new name of every patient."""
+        self.report.add("patient", bool(name))
+        return ""
+
+    def patient_id(self, identifier: str) -> str:
+        """Return the pseudonym of an identifier."""
+        self.report.add("patient", bool(identifier))
+        return self.names.identifier(identifier)
+
+    def keeps_type(self, name: str) -> bool:
+        """Return whether the profile keeps messages of a type without a known layout."""
+        return any(matches(glob, name) for glob in self.profile.keep_types)
+
+    def keeps_key(self, key: str) -> bool:
+        """Return whether the profile keeps a key of metadata."""
+        return any(matches(glob, key) for glob in self.profile.keep_metadata)
+
+    def stream_name(self, stream: str) -> str:
+        """Return the new name of a stream: of a topic, or of TYPE/device."""
+        if stream.startswith("/") or not stream:
+            return self.names.topic(stream)
+        kind, _, device = stream.partition("/")
+        return f"{kind}/{self.names.name(device)}"

@@ -1,0 +1,85 @@
+"""The rules for notes: the numbers and words stay that the gateway reads, text and all other facts do not."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from igtl_gateway.addons.deidentify.context import Context
+from igtl_gateway.gateway import TICK
+from igtl_gateway.gateway.core import LISTENED
+from igtl_gateway.gateway.log.changes import SETTING, SETTINGS
+from igtl_gateway.gateway.log.clocksteps import CLOCK_STEP
+from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.gateway.relay import PARTNER
+from igtl_gateway.wire.registry import BODIES
+
+#: Codes of inputs; a note with another code becomes ``OTHER``.
+CODES = frozenset({
+    TICK, LISTENED, SETTING, CLOCK_STEP,
+    *"link_up link_down peer_profile connect_failed listen_failed accept_failed refused tls_failed idle".split(),
+    *"stalled unreachable rate_limited truncated too_large out_of_memory internal_error queue_drop queue_full".split(),
+    *"no_conversion no_interfaces callback_failed ros_subscribed ros_incompatible_qos ros_lost ros_slow".split(),
+    *"ros_hold_overflow ros_unknown_type ros_refused ros_publish_failed ros_receive_failed ros_callback_failed".split(),
+    *"ros_type_hash ros_bad_attachment ros_bad_token ros_call_refused".split(),
+    *"site_clock site_latency site_lost site_over_budget zenoh_connected zenoh_lost zenoh_left zenoh_no_router".split(),
+    *"site_command_late zenoh_not_closed".split(),
+    *"video_drop video_refused video_failed record_drop record_failed record_refused record_undefined".split(),
+    *"record_thread record_paused record_resumed record_snapshot fault fault_disconnect synthetic".split(),
+    *"record_continued retention_deleted retention_kept retention_clock retention_failed".split(),
+    *"upload_confirmed upload_waits upload_reached upload_differs stamps_corrected deidentified".split(),
+})  # fmt: skip
+OTHER = "other"
+_ROLES = frozenset({"server", "client"})
+_NUMBERS = frozenset(
+    {PARTNER, "sent_messages", "received_bytes", "count", "step_ns", "jump_ns", "ahead_ns", "dropped_messages"}
+)
+_LISTS = ("deny_in", "deny_out")
+
+
+def clean_note(payload: bytes, context: Context) -> bytes:
+    """Return the payload of a note without identity."""
+    note = Note.of(payload)
+    data = _data(note.data, context)
+    code = note.code if note.code in CODES else OTHER
+    text = code.replace("_", " ")
+    context.report.add("note", (note.text != text) + len(note.data.keys() - data.keys()) + (code != note.code))
+    stream = context.stream_name(note.stream) if note.stream.partition("/")[0] in ("", *BODIES) else ""
+    return Note(note.level, code, text, stream, data).pack()
+
+
+def _data(data: dict[str, Any], context: Context) -> dict[str, Any]:
+    kept: dict[str, Any] = {}
+    for key, value in data.items():
+        if key in ("peer", "local") and isinstance(value, str):
+            kept[key] = context.names.address(value, "peer" if key == "peer" else "host")
+            context.report.add("address")
+        elif (key == "role" and value in _ROLES) or (key in _NUMBERS and type(value) in (int, float)):
+            kept[key] = value
+        elif key == "dropped" and type(value) is int:
+            kept[key] = value
+        elif key == SETTINGS and isinstance(value, dict):
+            kept[key] = _settings(value, context)
+    return kept
+
+
+def _settings(settings: dict[str, Any], context: Context) -> dict[str, Any]:
+    """Return the changed settings: types and kinds that the gateway knows, numbers and truth values."""
+    kept: dict[str, Any] = {}
+    for key, value in settings.items():
+        if key in _LISTS and isinstance(value, list):
+            kept[key] = known_types(value)
+        elif key == "kinds" and isinstance(value, list):
+            kept[key] = known_kinds(value, context)
+        elif key in ("max_age_s", "active") and type(value) in (int, float, bool):
+            kept[key] = value
+    return kept
+
+
+def known_types(names: Any) -> list[str]:
+    """Return the types of OpenIGTLink among names and globs."""
+    return [name for name in names if isinstance(name, str) and (name in BODIES or not name.strip("*?"))]
+
+
+def known_kinds(names: Any, context: Context) -> list[str]:
+    """Return the kinds of the conversion table among names, with their sign."""
+    return [name for name in names if isinstance(name, str) and name.lstrip("+") in context.names.words]

@@ -1,0 +1,259 @@
+"""De-identifies a session: reads the inputs, changes them, computes the outputs again, and verifies the result."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from collections.abc import Iterable, Iterator
+from itertools import chain
+from pathlib import Path
+
+from igtl_gateway.addons.deidentify import patterns
+from igtl_gateway.addons.deidentify.configuration import SeenNames, clean_config
+from igtl_gateway.addons.deidentify.context import Context, Removed
+from igtl_gateway.addons.deidentify.messages import MessageCleaner
+from igtl_gateway.addons.deidentify.notes import clean_note
+from igtl_gateway.addons.deidentify.profile import Profile
+from igtl_gateway.addons.deidentify.report import Report
+from igtl_gateway.addons.deidentify.ros import RosCleaner
+from igtl_gateway.app.sealing import SealVerification, verify_seal
+from igtl_gateway.app.verification import IMPORTED, verify_recording
+from igtl_gateway.base.errors import DamagedRecording, GatewayError, Unavailable, UnsupportedRecording, WireError
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.version import __version__
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.convert.names import short_device_name
+from igtl_gateway.gateway import Session, make_core
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.gateway.metadata import FULL_NAME, restore_metadata
+from igtl_gateway.gateway.session import header_names
+from igtl_gateway.record.sessionfile import layout
+from igtl_gateway.record.sessionfile.beside import written
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.seal_check import UNSEALED
+from igtl_gateway.record.sessionfile.writer import SessionWriter
+from igtl_gateway.replay.recorded_config import config_to_run
+from igtl_gateway.wire import decode
+from igtl_gateway.wire.bind import Bind
+from igtl_gateway.wire.fields import visible
+from igtl_gateway.wire.registry import BODIES
+
+#: Code of the note at the end of the result, and key of its metadata.
+DEIDENTIFIED = "deidentified"
+#: Key of the metadata for the seal of the recording.
+DERIVED_FROM = "derived_from"
+#: Metadata that stay if they are numbers: they decide how a session is verified.
+_KEPT = ("igtl_gateway_version", layout.PART_KEY, layout.SNAPSHOT_KEY)
+_NUMBERS = re.compile(r"[0-9]{1,9}([.][0-9]{1,9}){0,3}", re.ASCII)
+_INPUTS = (Kind.IGTL_IN, Kind.ROS_IN)
+
+
+def deidentify(
+    path: Path, out: Path, profile: Profile, key: bytes, *, shift_ns: int | None = None, overwrite: bool = False
+) -> Report:
+    """Write the session without identity; the file is complete or absent, readable by its owner only, and verifies.
+
+    Args:
+        path: the session.
+        out: the file to write.
+        profile: what stays.
+        key: secret of the pseudonyms and of the shift.
+        shift_ns: shift of all times, ns; None: from the key; 0: none.
+        overwrite: replace an existing file.
+
+    Raises:
+        UnsupportedRecording: the file is of another program.
+        DamagedRecording: the file is damaged.
+        GatewayError: the result would not verify, or the file cannot be written.
+    """
+    try:
+        with written(out, overwrite=overwrite) as place:
+            with SessionFile.open(path) as file:
+                if file.merge:
+                    one = path / file.merge.names[0]
+                    raise UnsupportedRecording(
+                        f"{path}: found a merged session, expected one of its parts, such as {one}"
+                    )
+                if file.foreign:
+                    raise UnsupportedRecording(
+                        f"{path}: found an MCAP file of another program, expected a session; import it first"
+                    )
+                run = _Run(file, Context.of(profile, key, shift_ns), _seal_of(path))
+                run.write(place)
+            if IMPORTED not in file.session and not verify_recording(place).good:
+                raise GatewayError(f"{path}: found outputs that the gateway does not compute from the new inputs")
+        return run.report
+    except layout.LayoutError as error:
+        raise DamagedRecording(f"{path}: {error}") from None
+    except OSError as error:
+        raise GatewayError(f"cannot write to {out}: {error.strerror}") from None
+    finally:
+        patterns.close()
+
+
+def _seal_of(path: Path) -> SealVerification | None:
+    """Return the result of ``verify --seal``; None for a recording without seals, or if nothing can check them."""
+    try:
+        found = verify_seal(path)
+    except (Unavailable, UnsupportedRecording):  # no cryptography; a part of a merged session, which has no seals
+        return None
+    return None if found.state == UNSEALED else found
+
+
+class _Run:
+    """One de-identification."""
+
+    def __init__(self, file: SessionFile, context: Context, seal: SealVerification | None) -> None:
+        self._file, self._context, self._seal = file, context, seal
+        self.report = context.report
+        if seal and not seal.good:
+            self.report.left["seal"] = f"the result does not name it: the recording is {seal.state}, expected sealed"
+        self._messages = MessageCleaner(context)
+        self._ros = RosCleaner(context, self._messages, file.definitions)
+        self._is_import = IMPORTED in file.session
+        seen = self._look()
+        config = config_to_run(file.session) if not self._is_import else Config()
+        self._config = clean_config(config, seen, context)
+        self._qos: dict[tuple[str, str], Qos | None] = {}
+
+    def write(self, path: Path) -> None:
+        """Write the new session."""
+        session = Session(make_core(self._config, fast_path=False))
+        before = list(self._cleaned(self._prologue()))
+        for entry in before:
+            session.recorded(entry)
+
+        def qos_of(topic: str, ros_type: str) -> Qos | None:
+            return self._qos.get((topic, ros_type)) or session.gateway.qos(topic)
+
+        writer = SessionWriter(
+            path, self._facts(), qos_of=qos_of, definition_of=self._definition_of, compression="zstd",
+            prologue=before,
+        )  # fmt: skip
+        seq, stamp_ns = 0, 0
+        for entry in self._cleaned(self._inputs()):
+            seq, stamp_ns = self._add(writer, session, entry, seq, stamp_ns)
+        self._add(writer, session, self._note(stamp_ns), seq, stamp_ns)
+        writer.close({} if self._is_import else {"streams": session.gateway.ledger.to_dict()})
+
+    def _add(self, writer: SessionWriter, session: Session, entry: Entry, seq: int, stamp_ns: int) -> tuple[int, int]:
+        """Write an input and its outputs after an entry; return number and time of the last one."""
+        first = dataclasses.replace(entry, seq=seq + 1, stamp_ns=max(entry.stamp_ns, stamp_ns + 1))
+        outputs = [] if self._is_import else session.recorded(first)
+        for each in (first, *outputs):
+            writer.write(each)
+        self.report.inputs += 1
+        self.report.outputs += len(outputs)
+        last = outputs[-1] if outputs else first
+        return last.seq, last.stamp_ns
+
+    def _inputs(self) -> Iterator[Entry]:
+        return (entry for entry in self._file.entries() if entry.kind.is_input)
+
+    def _prologue(self) -> Iterator[Entry]:
+        return (entry for entry in self._file.prologue() if entry.kind.is_input)
+
+    def _cleaned(self, entries: Iterable[Entry]) -> Iterator[Entry]:
+        for entry in entries:
+            before = self.report.rules.copy()
+            try:
+                new = self._clean(entry)
+            except Removed as removed:
+                self.report.add(removed.rule)
+                self.report.removed[self._stream_name(entry)] += 1
+                continue
+            changes = self.report.rules - before
+            del changes["kept type"]
+            if changes:
+                counts = self.report.streams.setdefault(new.channel or "notes", changes.__class__())
+                counts.update(dict.fromkeys(changes, 1))
+            yield new
+
+    def _clean(self, entry: Entry) -> Entry:
+        stamp_ns = self._context.times.ns(entry.stamp_ns)
+        match entry.kind:
+            case Kind.IGTL_IN:
+                data = self._messages.clean(entry.data(), entry.channel)
+                channel, type_name, source_ns = header_names(data)
+                return Entry(entry.seq, stamp_ns, entry.kind, channel, type_name, (data,), entry.links, source_ns)
+            case Kind.ROS_IN:
+                data = self._ros.clean(entry.type, entry.data(), entry.channel)
+                topic, source_ns = self._context.names.topic(entry.channel), self._context.times.ns(entry.source_ns)
+                self._qos[topic, entry.type] = self._recorded_qos(entry)
+                return Entry(entry.seq, stamp_ns, entry.kind, topic, entry.type, (data,), entry.links, source_ns)
+            case _:
+                note = clean_note(entry.data(), self._context)
+                return Entry(entry.seq, stamp_ns, entry.kind, payload=(note,), links=entry.links)
+
+    def _recorded_qos(self, entry: Entry) -> Qos | None:
+        return next(
+            (each.qos for each in self._file.channels if (each.topic, each.type) == (entry.channel, entry.type)), None
+        )
+
+    def _stream_name(self, entry: Entry) -> str:
+        """Return the new stream of a removed message; an unknown type of a peer may be any text."""
+        if entry.kind is Kind.ROS_IN:
+            return self._context.names.topic(entry.channel)
+        kind = entry.type if entry.type in BODIES else "(unknown type)"
+        return f"{kind}/{self._context.names.name(entry.channel.partition('/')[2])}"
+
+    def _look(self) -> SeenNames:
+        """Read the inputs once for the names in them."""
+        devices: set[str] = set()
+        topics: set[str] = set()
+        addresses: set[str] = set()
+        for entry in chain(self._prologue(), self._inputs()):
+            self._look_at(entry, devices, topics, addresses)
+        return SeenNames(devices, topics, addresses)
+
+    def _look_at(self, entry: Entry, devices: set[str], topics: set[str], addresses: set[str]) -> None:
+        if entry.kind is Kind.ROS_IN:
+            topics.add(entry.channel)
+            name = entry.channel.rpartition("/")[2]
+            self._context.names.full.setdefault(short_device_name(name), name)
+        elif entry.kind is Kind.LINK:
+            addresses.add(str(Note.of(entry.data()).data.get("peer", "")))
+        elif entry.kind is Kind.IGTL_IN:
+            name = entry.channel.partition("/")[2]
+            data = entry.data()
+            if FULL_NAME.encode() in data or entry.type == "BIND":
+                try:
+                    message = decode(data)
+                except WireError:
+                    return
+                name = restore_metadata(message).device_name
+                self._context.names.full.setdefault(short_device_name(name), name)
+                if isinstance(message.content, Bind):
+                    devices.update(visible(child.name) for child in message.content.children)
+            devices.add(name)
+
+    def _facts(self) -> dict[str, str]:
+        given = self._file.session
+        facts = {key: given[key] for key in _KEPT if _NUMBERS.fullmatch(given.get(key, ""))}
+        if self._is_import:
+            facts[IMPORTED] = "removed"
+        self.report.add("session", len(self._file.session.keys() - facts.keys() - {layout.CONFIGURATION_KEY}))
+        if self._seal and self._seal.good:
+            facts[DERIVED_FROM] = f"sealed recording, SHA-256 of its last seal: {self._seal.parts[-1].last_seal}"
+        options = ", ".join(self.report.options)
+        return {
+            **facts,
+            layout.CONFIGURATION_KEY: json.dumps(self._config.to_dict()),
+            DEIDENTIFIED: f"by igtl-gateway {__version__}; options of DICOM PS3.15: {options}",
+        }
+
+    def _definition_of(self, ros_type: str) -> tuple[str, str] | None:
+        """Return the definition of a kept type without its comments; None: the usual one."""
+        text = self._file.definitions.get(ros_type, "")
+        if not text or not self._context.keeps_type(ros_type):
+            return None
+        return "\n".join(line.partition("#")[0].rstrip() for line in text.splitlines()), ""
+
+    def _note(self, stamp_ns: int) -> Entry:
+        facts = self.report.to_dict()
+        rules = {row["rule"]: row["changes"] for row in facts["rules"]}
+        data = {name: facts[name] for name in ("options", "removed", "left", "not_covered")} | {"rules": rules}
+        text = f"de-identified by igtl-gateway {__version__}; see the rules and what they do not cover"
+        return Entry(0, stamp_ns + 1, Kind.EDGE_NOTE, payload=(Note(Level.INFO, DEIDENTIFIED, text, "", data).pack(),))

@@ -1,0 +1,123 @@
+"""``igtl-gateway export``: a session in the formats of other programs."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
+from igtl_gateway.addons.exchange.source import MESSAGES
+from igtl_gateway.addons.exchange.targets import TARGETS, export_to
+from igtl_gateway.addons.lerobot.verb import LEROBOT, LEROBOT_TEXT, add_lerobot, refuse_lerobot_options, run_lerobot
+from igtl_gateway.base.errors import ConfigError, GatewayError
+from igtl_gateway.cli.common import count_text
+from igtl_gateway.cli.options import add_file, add_json, add_streams, definitions
+from igtl_gateway.cli.terminal import cell, print_json, print_line, width
+from igtl_gateway.record.sessionfile.reader import SessionFile
+
+EXAMPLES = """\
+  # the ROS topics, for `ros2 bag play bag/`
+  igtl-gateway export out.mcap --to rosbag2 -o bag/
+  # an IMAGE and its TRANSFORMs, for PLUS and 3D Slicer
+  igtl-gateway export out.mcap --to igs.mha -o freehand.igs.mha
+  # tables
+  igtl-gateway export out.mcap --to csv -o tables/ --streams 'TRANSFORM/*'
+  # all messages as tables for pandas, polars or DuckDB
+  igtl-gateway export out.mcap --to parquet -o tables/
+  # point clouds
+  igtl-gateway export out.mcap --to ply -o clouds/ --streams /star/cloud
+  # volumes
+  igtl-gateway export out.mcap --to nrrd -o volumes/
+  # a training set for LeRobot: a starting recipe, the set, and its check
+  igtl-gateway export out.mcap --to lerobot --write-recipe recipe.toml
+  igtl-gateway export out.mcap --to lerobot --recipe recipe.toml -o set/
+  igtl-gateway export out.mcap --to lerobot --check set/
+
+formats of --to:
+{formats}
+
+exit code 1 if messages of the selected streams cannot be written, or if
+--check finds something; the output has the reasons.""".format(
+    formats="\n".join(
+        definitions([*((name, target.text) for name, target in TARGETS.items()), (LEROBOT, LEROBOT_TEXT)])
+    )
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_file(parser)
+    parser.add_argument(
+        "--to", choices=(*TARGETS, LEROBOT), required=True, metavar="FORMAT", help="format to write, see below"
+    )
+    parser.add_argument("-o", "--out", metavar="OUT", type=Path, help="file or directory to write")
+    add_streams(parser)
+    add_lerobot(parser)
+    add_json(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    if options.to == LEROBOT:
+        return run_lerobot(options)
+    refuse_lerobot_options(options)
+    if options.out is None:
+        raise ConfigError("-o: found none, expected the file or directory to write")
+    with SessionFile.open(options.file) as file:
+        try:
+            account = export_to(options.to, file, options.out, options.streams)
+        except OSError as error:
+            raise GatewayError(f"cannot write to {options.out}: {error.strerror or error}") from None
+    written = sum(row.taken for row in account.rows)
+    if not written:
+        reasons = [f"{row.stream}: {row.why}" for row in account.rows if row.why]
+        why = f" ({_first_few(reasons, 3, '; ')})" if reasons else ""
+        raise GatewayError(
+            f"{options.file}: found no messages for {options.to}; see `igtl-gateway info`, and --streams{why}"
+        )
+    good = all(row.good for row in account.rows)
+    if options.json:
+        facts = {"file": str(options.file), "to": options.to, "out": str(options.out), "good": good}
+        rows, parts = ([_as_json(row) for row in each] for each in (account.rows, account.parts))
+        more = {"files": account.files, "rows": rows, "parts": parts, "others": account.others}
+        print_json({**facts, **more, "notes": account.notes})
+    else:
+        _print(account, options)
+        print_line(f"{options.out}: {count_text(written, 'message')} in {count_text(account.files, 'file')}")
+        print_line(f"next: {TARGETS[options.to].next_step.format(out=shlex.quote(str(options.out)))}")
+    return 0 if good else 1
+
+
+def _print(account: ExportAccount, options: argparse.Namespace) -> None:
+    rows = [*account.rows, *(part for part in account.parts if part.left_out)]
+    streams = width(row.stream for row in rows)
+    kinds = width(row.type for row in rows)
+    for row in rows:
+        mark = " " if row.good else "!"
+        numbers = f"{row.declared:>10,} {row.taken:>10,} {row.left_out:>10,}"
+        why = row.why if row.unit == MESSAGES else f"{row.unit}: {row.why}"
+        print_line(f"{mark} {cell(row.stream, streams)}  {cell(row.type, kinds)} {numbers}  {why}".rstrip())
+    if account.others:
+        others = count_text(sum(account.others.values()), "message")
+        print_line(f"note: {others} of types that {options.to} cannot store: {_first_few(sorted(account.others), 20)}")
+    for note in account.notes:
+        print_line(f"note: {note}")
+
+
+def _first_few(texts: list[str], most: int, separator: str = ", ") -> str:
+    """Return the first few strings, and the number of the others."""
+    more = [f"{len(texts) - most:,} more"] if len(texts) > most else []
+    return separator.join([*texts[:most], *more])
+
+
+def _as_json(row: ExportedStream) -> dict[str, Any]:
+    return {
+        "stream": row.stream,
+        "type": row.type,
+        "unit": row.unit,
+        "found": row.declared,
+        "exported": row.taken,
+        "left_out": row.left_out,
+        "failed": row.failed,
+        "why": row.why,
+    }

@@ -1,0 +1,91 @@
+"""The table of formats that can be imported; the first bytes determine the format, except for ``.zstd``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from igtl_gateway.addons.exchange.capture import Capture, looks_like_igtl
+from igtl_gateway.addons.exchange.nifti import looks_like_nifti, read_nifti
+from igtl_gateway.addons.exchange.pcap import Pcap
+from igtl_gateway.addons.exchange.pcap_file import is_capture
+from igtl_gateway.addons.exchange.rosbag1 import Rosbag1
+from igtl_gateway.addons.exchange.rosbag2 import Rosbag2
+from igtl_gateway.addons.exchange.rosbag2_metadata import METADATA
+from igtl_gateway.addons.exchange.sequence import Sequence
+from igtl_gateway.addons.exchange.source import Source, library_errors_as_damage
+from igtl_gateway.base.errors import NoSuchRecording, UnsupportedRecording
+from igtl_gateway.base.untrusted import files
+
+#: This number of bytes at the start of a file shows its format.
+START = 512
+#: The format of raw messages.
+IGTL = "igtl"
+_META_KEYS = (b"ObjectType", b"NDims", b"DimSize")
+
+
+@dataclass(frozen=True, slots=True)
+class ImportFormat:
+    """A file format that can be imported.
+
+    Attributes:
+        name: stable name for the command line and for programs.
+        suffixes: usual suffixes of such files.
+        recognise: returns whether the first bytes of a file are of this format.
+        open: opens a file, given the epoch in UTC ns from which times without a date count (None: the default of the
+            format).
+    """
+
+    name: str
+    suffixes: tuple[str, ...]
+    recognise: Callable[[bytes], bool]
+    open: Callable[[Path, int | None], Source]
+
+
+FORMATS = (
+    ImportFormat(
+        "rosbag1", (".bag",), lambda start: start.startswith(b"#ROSBAG V"), lambda path, _epoch: Rosbag1(path)
+    ),
+    ImportFormat(
+        "rosbag2",
+        (".mcap", ".db3"),
+        lambda start: start.startswith((b"\x89MCAP0\r\n", b"SQLite format 3\0")),
+        lambda path, _epoch: Rosbag2(path),
+    ),
+    ImportFormat(
+        "sequence",
+        (".igs.mha", ".mha", ".mhd", ".igs.nrrd", ".seq.nrrd", ".nrrd", ".nhdr"),
+        lambda start: start.startswith((b"NRRD000", *_META_KEYS)),
+        Sequence,
+    ),
+    ImportFormat("nifti", (".nii", ".nii.gz"), looks_like_nifti, lambda path, epoch: Sequence(path, epoch, read_nifti)),
+    ImportFormat("pcap", (".pcap", ".cap", ".pcapng"), is_capture, lambda path, _epoch: Pcap(path)),
+    ImportFormat(IGTL, (".igtl",), looks_like_igtl, Capture),
+)
+
+
+def format_of(start: bytes) -> ImportFormat | None:
+    """Return the format of a file that begins with these bytes; None: none of the table."""
+    return next((kind for kind in FORMATS if kind.recognise(start)), None)
+
+
+def open_source(path: Path, epoch_ns: int | None = None) -> Source:
+    """Open a file, or the directory of a rosbag2 recording, in any format of the table.
+
+    Raises UnsupportedRecording (no such file, unknown or unsupported format) or DamagedRecording.
+    """
+    if not path.exists():
+        raise NoSuchRecording(f"{path}: no such file")
+    if path.is_dir():
+        if (path / METADATA).exists() or any(path.glob("*.db3*")) or any(path.glob("*.mcap*")):
+            return Rosbag2(path)
+        raise UnsupportedRecording(f"{path}: found a directory without {METADATA}, expected a rosbag2 recording")
+    with library_errors_as_damage(path), files.open_file(path) as stream:
+        start = stream.read(START)
+    if path.name.endswith(".zstd"):
+        return Rosbag2(path)
+    if kind := format_of(start):
+        return kind.open(path, epoch_ns)
+    suffixes = " ".join(suffix for kind in FORMATS for suffix in kind.suffixes)
+    raise UnsupportedRecording(f"{path}: found {start[:16]!r} at its start, expected one of these: {suffixes}")

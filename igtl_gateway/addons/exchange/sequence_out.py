@@ -1,0 +1,100 @@
+"""Export to a tracked-ultrasound sequence (``.igs.mha``) as PLUS and 3D Slicer read it.
+
+Pixels are little-endian and compressed with zlib.  The header has one position for all images.  If the images move, the
+header has none, and each frame has an ``ImageToRasTransform``.  Size, components and scalar type are those of the first
+image; images that differ from it are left out.
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from igtl_gateway.addons.exchange.account import ExportAccount
+from igtl_gateway.addons.exchange.metaimage_out import SIZE_KEY, SIZE_WIDTH, metaimage_header
+from igtl_gateway.addons.exchange.placement import ImagePlacement
+from igtl_gateway.addons.exchange.recording import Recording
+from igtl_gateway.addons.exchange.sequence import EPOCH_FIELD
+from igtl_gateway.addons.exchange.sequence_frames import IDENTITY, SequenceFrame, SequenceFrames
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.errors import UnsupportedRecording
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.base.untrusted.numbers import whole_number
+from igtl_gateway.record.sessionfile.beside import written
+from igtl_gateway.record.sessionfile.new_file import open_new
+from igtl_gateway.wire.image import BIG_ENDIAN, SCALARS, Image
+
+#: Name of the transform from pixels to RAS millimetres, used if images move.
+_IMAGE_PLACE = "ImageToRas"
+#: Pixel of a frame without an image.
+_NO_PIXEL = b"\0"
+
+
+def export_sequence(recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
+    """Write the file ``out``, which must not exist.  Raises UnsupportedRecording, ConfigError, OSError."""
+    sequence = SequenceFrames(recording, globs)
+    survey = sequence.survey()
+    if not survey.frames:
+        raise UnsupportedRecording("found neither a complete IMAGE nor a readable TRANSFORM, expected at least one")
+    given = recording.session.get("sequence_epoch_ns", "")
+    epoch_ns = whole_number(given) or 0
+    account = sequence.account
+    account.files = 1
+    first, moving = sequence.first, len(survey.matrices) > 1
+    place = ImagePlacement.of_image(first) if first and not moving else None
+    epoch = f"{EPOCH_FIELD} = {epoch_ns}"
+    with written(out) as new, open_new(new) as stream:
+        text = "\n".join(metaimage_header(first, place, survey.frames, recording.session, epoch)) + "\n"
+        size_at = text.index(SIZE_KEY) + len(SIZE_KEY)
+        stream.write(text.encode("ascii", "replace"))
+        for number, frame in enumerate(sequence.frames(account)):
+            lines = _fields(frame, epoch_ns, moving)
+            stream.write("".join(f"Seq_Frame{number:04}_{line}\n" for line in lines).encode())
+        stream.write(b"ElementDataFile = LOCAL\n")
+        start = stream.tell()
+        packer = zlib.compressobj()
+        for frame in sequence.frames(ExportAccount()):
+            stream.write(packer.compress(_pixels(frame.image) if frame.image else _NO_PIXEL))
+        stream.write(packer.flush())
+        size = stream.tell() - start
+        stream.seek(size_at)
+        stream.write(f"{size:<{SIZE_WIDTH}}".encode())
+    for name, valid in survey.valid.items():
+        account.notes.append(f"{name}Transform: OK in {valid} of {survey.frames} frames")
+    if moving:
+        account.notes.append(
+            f"the images move: the pose of each is its {_IMAGE_PLACE}Transform (pixels to RAS, mm), "
+            "and the header has none"
+        )
+    elif first and not place:
+        account.notes.append("the matrix of the images is invalid (axes of zero length, coplanar, or not finite)")
+    return account
+
+
+def _pixels(image: Image) -> Buffer:
+    """Return the pixels in little-endian byte order, which PLUS requires."""
+    if image.endian != BIG_ENDIAN or np.dtype(SCALARS[image.scalar_type]).itemsize == 1:
+        return image.pixels
+    return image.array.byteswap().tobytes()
+
+
+def _fields(frame: SequenceFrame, epoch_ns: int, moving: bool) -> Iterator[str]:
+    for name, (matrix, valid) in frame.transforms.items():
+        yield f"{name}Transform = {matrix}"
+        yield f"{name}TransformStatus = {'OK' if valid else 'INVALID'}"
+    if moving and frame.image:
+        place = ImagePlacement.of_image(frame.image)
+        yield f"{_IMAGE_PLACE}Transform = {_matrix(place) if place else IDENTITY}"
+        yield f"{_IMAGE_PLACE}TransformStatus = {'OK' if place else 'INVALID'}"
+    seconds, rest = divmod(frame.time_ns - epoch_ns, NS_PER_S)
+    yield f"Timestamp = {seconds}.{rest:09}"
+    yield f"ImageStatus = {'OK' if frame.image else 'INVALID'}"
+
+
+def _matrix(place: ImagePlacement) -> str:
+    """Return the matrix from voxel indices to RAS millimetres, row by row."""
+    columns = (*place.axes, place.origin)
+    return " ".join(f"{column[row]:.9g}" for row in range(3) for column in columns) + " 0 0 0 1"

@@ -1,0 +1,90 @@
+"""The table of formats that a session can be exported to."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from igtl_gateway.addons.exchange.account import ExportAccount
+from igtl_gateway.addons.exchange.csv_out import export_csv
+from igtl_gateway.addons.exchange.recording import Recording, count_skipped
+from igtl_gateway.addons.exchange.rosbag2_out import export_rosbag2
+from igtl_gateway.addons.exchange.sequence_out import export_sequence
+from igtl_gateway.addons.exchange.surface_out import export_ply, export_vtk
+from igtl_gateway.addons.exchange.volume_out import export_nrrd
+
+
+@dataclass(frozen=True, slots=True)
+class ExportFormat:
+    """A format that a session can be exported to.
+
+    Attributes:
+        text: the exported content, for the help text.
+        next_step: what a user can do with the result ``{out}``.
+        export: writes the files and returns the account.
+    """
+
+    text: str
+    next_step: str
+    export: Callable[[Recording, Path, Sequence[str]], ExportAccount]
+
+
+def export_to(name: str, recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
+    """Write a recording to ``out`` in a format of the table, and return the account.
+
+    Raises GatewayError and OSError.
+    """
+    account = TARGETS[name].export(recording, out, globs)
+    count_skipped(recording, globs, account)
+    return account
+
+
+def _export_parquet(recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
+    from igtl_gateway.addons.exchange.arrow_out import export_parquet  # pyarrow is an extra
+
+    return export_parquet(recording, out, globs)
+
+
+def _export_arrow(recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
+    from igtl_gateway.addons.exchange.arrow_out import export_arrow
+
+    return export_arrow(recording, out, globs)
+
+
+TARGETS = {
+    "rosbag2": ExportFormat("ROS topics, as a directory for `ros2 bag`", "ros2 bag play {out}", export_rosbag2),
+    "igs.mha": ExportFormat(
+        "an IMAGE and its TRANSFORMs, as one tracked sequence",
+        "open {out} in 3D Slicer (module Sequences) or PLUS",
+        export_sequence,
+    ),
+    "csv": ExportFormat(
+        "poses, strings, numbers: a directory with one table per stream",
+        "open the tables of {out} in a spreadsheet",
+        export_csv,
+    ),
+    "parquet": ExportFormat(
+        "all messages, units in the schema: a directory with one table per stream",
+        "duckdb -c \"SELECT count(*) FROM '{out}/*.parquet'\"",
+        _export_parquet,
+    ),
+    "arrow": ExportFormat(
+        "the same as files of Arrow IPC (Feather)", "pandas.read_feather reads each file of {out}", _export_arrow
+    ),
+    "ply": ExportFormat(
+        "surfaces and clouds: a directory with one file per message",
+        "open the files of {out} in MeshLab or CloudCompare",
+        export_ply,
+    ),
+    "vtk": ExportFormat(
+        "surfaces and clouds with all attributes: a directory with one file per message",
+        "open the files of {out} in ParaView or 3D Slicer",
+        export_vtk,
+    ),
+    "nrrd": ExportFormat(
+        "images and volumes: a directory with one file per message",
+        "open the files of {out} in 3D Slicer or MITK",
+        export_nrrd,
+    ),
+}

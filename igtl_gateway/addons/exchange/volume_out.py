@@ -1,0 +1,113 @@
+"""Export to NRRD: one file per IMAGE, igtl_msgs/Volume or sensor_msgs/Image, with position and orientation.
+
+``space`` is right-anterior-superior or left-posterior-superior, as in the message; ``space directions`` and
+``space origin`` (centre of the first voxel) are in millimetres.  A sensor_msgs/Image has no position: it is centred,
+with pixels of 1 mm.  If the matrix of an IMAGE is invalid (axes of zero length, coplanar, or not finite), the file has
+spacings of 1 instead, and a note reports it; a slice without a third axis gets its normal.  Pixels are not compressed
+and keep their byte order.
+
+A picture is written once: the outputs of the gateway that an input caused are copies of it, and are left out.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from igtl_gateway.addons.exchange.account import ExportAccount
+from igtl_gateway.addons.exchange.folder import export_one_file_each
+from igtl_gateway.addons.exchange.placement import ImagePlacement, Vector, has_own_normal
+from igtl_gateway.addons.exchange.recording import Recording
+from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext
+from igtl_gateway.convert.igtl_msgs import Volume
+from igtl_gateway.convert.images import image_to_igtl
+from igtl_gateway.convert.rosmsg import Image as RosImage
+from igtl_gateway.convert.volumes import volume_to_image
+from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.wire import decode
+from igtl_gateway.wire.image import BIG_ENDIAN, LPS, SCALARS, Image
+
+_TO_IMAGE: dict[str, Callable[[bytes, ToIgtlContext], ConvertedMessage]] = {
+    Volume.TYPE: lambda data, to: volume_to_image(Volume.unpack(data), to),
+    RosImage.TYPE: lambda data, to: image_to_igtl(RosImage.unpack(data), to),
+}
+_READ = frozenset({"IMAGE", *_TO_IMAGE})
+_TYPES = {"i": "int", "u": "uint"}
+_SPACES = {"LPS": "left-posterior-superior", "RAS": "right-anterior-superior"}
+
+
+def export_nrrd(recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
+    """Write the directory ``out``.  Raises UnsupportedRecording if it is not empty; OSError."""
+    unplaced: Counter[str] = Counter()
+    completed: Counter[str] = Counter()
+
+    def count(image: Image, entry: Entry, _account: ExportAccount) -> None:
+        unplaced[entry.channel] += ImagePlacement.of_image(image) is None
+        completed[entry.channel] += ImagePlacement.of_image(image) is not None and not has_own_normal(image)
+
+    account = export_one_file_each(
+        recording, out, globs, _READ, "nrrd", _image, lambda content: (nrrd_header(content), content.pixels), count,
+        once=True,
+    )  # fmt: skip
+    for stream, number in sorted((+unplaced).items()):
+        account.notes.append(
+            f"{stream}: {number} without a position: invalid matrix (axes of zero length, coplanar, or not finite)"
+        )
+    for stream, number in sorted((+completed).items()):
+        account.notes.append(f"{stream}: {number} slices without a third axis: it is set to the normal, 1 mm")
+    return account
+
+
+def _image(entry: Entry) -> Image:
+    if entry.type in _TO_IMAGE:
+        content = _TO_IMAGE[entry.type](entry.data(), ToIgtlContext()).content
+    else:
+        content = decode(entry.data()).content
+    if not isinstance(content, Image) or not content.expected_bytes:
+        raise ConversionError(f"{entry.channel}: found no pixels, expected an image with pixels")
+    if content.sub_size != content.dimensions:
+        raise ConversionError(f"{entry.channel}: found part of an image, expected a complete one")
+    return content
+
+
+def nrrd_header(image: Image) -> bytes:
+    """Return the header before the pixels of an image."""
+    place, space = ImagePlacement.of_image(image), "LPS" if image.coordinate == LPS else "RAS"
+    dtype = np.dtype(SCALARS[image.scalar_type])
+    kind = (
+        _TYPES[dtype.kind] + f"{dtype.itemsize * 8}"
+        if dtype.kind in _TYPES
+        else {4: "float", 8: "double"}[dtype.itemsize]
+    )
+    sizes = " ".join(str(size) for size in image.dimensions)
+    many = image.num_components > 1
+    lines = [
+        "NRRD0004",
+        "# igtl-gateway: https://teem.sourceforge.net/nrrd/format.html",
+        f"type: {kind}",
+        f"dimension: {4 if many else 3}",
+        *([f"space: {_SPACES[space]}"] if place else []),
+        f"sizes: {f'{image.num_components} ' if many else ''}{sizes}",
+        f"kinds: {'vector ' if many else ''}domain domain domain",
+        *([f"endian: {'big' if image.endian == BIG_ENDIAN else 'little'}"] if dtype.itemsize > 1 else []),
+        "encoding: raw",
+        *(_placement_lines(place, space, many=many) if place else [f"spacings: {'nan ' if many else ''}1 1 1"]),
+    ]
+    return "\n".join(lines).encode() + b"\n\n"
+
+
+def _placement_lines(place: ImagePlacement, space: str, *, many: bool) -> list[str]:
+    axes, origin = place.in_space(space)
+    return [
+        f"space directions: {'none ' if many else ''}{' '.join(map(_vector, axes))}",
+        f"space origin: {_vector(origin)}",
+        'space units: "mm" "mm" "mm"',
+    ]
+
+
+def _vector(values: Vector) -> str:
+    return f"({','.join(f'{value:.17g}' for value in values)})"

@@ -1,0 +1,75 @@
+"""SHA-256 of each file of a data set, in the format of ``sha256sum``: a changed byte is found without the recording."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+
+from igtl_gateway.base.errors import GatewayError
+from igtl_gateway.base.untrusted.files import open_file, read_bytes
+from igtl_gateway.base.untrusted.limits import check_limit
+from igtl_gateway.base.untrusted.text import printable
+from igtl_gateway.record.sessionfile.new_file import write_text
+
+CHECKSUMS = "SHA256SUMS"
+_LINE = re.compile(r"([0-9a-f]{64})  (\S.*)")
+#: Folders whose files are all listed; a user may add others.
+_FOLDERS = ("data", "meta", "videos")
+#: Bytes that are read at once.
+_BYTES = 1 << 20
+#: Findings that are listed.
+_MOST = 5
+
+
+def write_checksums(root: Path) -> None:
+    """Write ``meta/SHA256SUMS``, for ``sha256sum -c meta/SHA256SUMS`` in the directory of the set."""
+    lines = (f"{_digest(path)}  {path.relative_to(root).as_posix()}\n" for path in _files(root))
+    write_text(root / "meta" / CHECKSUMS, "".join(lines))
+
+
+def check_checksums(root: Path) -> Iterator[str]:
+    """Yield the files that are missing, changed or not listed."""
+    place = f"meta/{CHECKSUMS}"
+    try:
+        text = read_bytes(root / place).decode("utf-8", "replace")
+        lines = text.splitlines()
+        check_limit("count", len(lines), place)
+    except GatewayError as error:
+        yield str(error)
+        return
+    listed, wrong = set(), list[str]()
+    for number, line in enumerate(lines, 1):
+        found = _LINE.fullmatch(line)
+        path = PurePosixPath(found[2]) if found else None
+        if found is None or path is None or path.is_absolute() or ".." in path.parts:
+            wrong.append(f"{place}:{number}: found {printable(line[:80])!r}, expected a SHA-256 and a file of the set")
+            continue
+        listed.add(path.as_posix())
+        try:
+            if _digest(root / path) != found[1]:
+                wrong.append(f"{path}: found another SHA-256, expected {found[1][:12]}… of {place}: it was changed")
+        except GatewayError as error:
+            wrong.append(str(error))
+    for file in _files(root):
+        name = file.relative_to(root).as_posix()
+        if name not in listed:
+            wrong.append(f"{printable(name)}: found a file that {place} does not list, expected none")
+    yield from wrong[:_MOST]
+    if len(wrong) > _MOST:
+        yield f"{place}: {len(wrong) - _MOST:,} more files that are missing, changed or not listed"
+
+
+def _files(root: Path) -> list[Path]:
+    """The files of a set, except the list itself, in order."""
+    found = (path for folder in _FOLDERS for path in (root / folder).rglob("*"))
+    return sorted(path for path in found if path.is_file() and path != root / "meta" / CHECKSUMS)
+
+
+def _digest(path: Path) -> str:
+    digest = hashlib.sha256()
+    with open_file(path) as stream:
+        while data := stream.read(_BYTES):
+            digest.update(data)
+    return digest.hexdigest()

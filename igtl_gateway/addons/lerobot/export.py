@@ -1,0 +1,41 @@
+"""``export --to lerobot``: recording and recipe → data set."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from igtl_gateway.addons.lerobot.frames import Plan, build
+from igtl_gateway.addons.lerobot.recipe_file import read_recipe
+from igtl_gateway.addons.lerobot.streams import Facts, stream_facts
+from igtl_gateway.addons.lerobot.writing import check_out, write_data_set
+from igtl_gateway.api import recording as recordings
+
+
+@dataclass(frozen=True, slots=True)
+class Exported:
+    """What was written.
+
+    Attributes:
+        plan: the frames.
+        streams: what was found about the streams.
+        files: number of files.
+    """
+
+    plan: Plan
+    streams: list[Facts]
+    files: int
+
+
+def export_lerobot(path: Path, recipe_path: Path, out: Path) -> Exported:
+    """Write a data set to a new or empty directory.
+
+    Raises ConfigError for a recipe that does not fit, GatewayError, OSError.
+    """
+    recipe = read_recipe(recipe_path)
+    check_out(out)
+    with recordings.open(path) as recording:
+        plan = build(recording, recipe)
+        streams = stream_facts(recording, plan)
+        files = write_data_set(plan, out, recipe_path, streams)
+    return Exported(plan, streams, files)

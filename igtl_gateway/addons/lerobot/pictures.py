@@ -1,0 +1,215 @@
+"""The pictures of a stream as RGB of 8 bits, of one size with even width and height."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.api.images import Images, find_row
+from igtl_gateway.api.stream import Stream
+from igtl_gateway.base.errors import ConfigError, GatewayError
+from igtl_gateway.convert.bitstream import is_key_frame
+from igtl_gateway.convert.common_msgs import CompressedImage, CompressedVideo
+from igtl_gateway.convert.igtl_msgs import Volume
+from igtl_gateway.convert.images import pixel_layout
+from igtl_gateway.convert.rosmsg import Image as RosImage
+from igtl_gateway.edges.video.worker import MAX_PIXELS, import_av
+from igtl_gateway.record.sessionfile.bulk import MessageBlock
+from igtl_gateway.wire import decode
+from igtl_gateway.wire.video import Video
+
+Pixels = npt.NDArray[np.uint8]
+Array = npt.NDArray[Any]
+
+_PLAIN = frozenset({"IMAGE", RosImage.TYPE, Volume.TYPE})
+_CODED = frozenset({"VIDEO", CompressedImage.TYPE, CompressedVideo.TYPE})
+#: Codecs of VIDEO → names of CompressedImage.
+_FOUR_LETTERS = {"H264": "h264", "X265": "h265", "O265": "h265", "VP90": "vp9", "AV10": "av1"}
+_VIDEO_DECODERS = {"h264": "h264", "h265": "hevc", "vp9": "vp9", "av1": "libdav1d"}
+_PICTURE_DECODERS = {"jpeg": "mjpeg", "jpg": "mjpeg", "png": "png"}
+
+
+def has_pictures(stream: Stream) -> bool:
+    """Return whether the messages of a stream are pictures."""
+    return stream.type in _PLAIN or stream.type in _CODED
+
+
+class Pictures:
+    """The pictures of a stream; each one is decoded when it is used.
+
+    Args:
+        stream: IMAGE, VIDEO, sensor_msgs/Image, CompressedImage, CompressedVideo, or Volume with one slice.
+        window: (low, high) values that become black and white; needed for more than 8 bits.
+
+    Attributes:
+        usable: indices of the messages that have a picture.
+        size: rows and columns of the recorded pictures.
+
+    Raises ConfigError for other types, for a size that changes, and for more than 8 bits without a window.
+    """
+
+    def __init__(self, stream: Stream, window: tuple[float, ...] = ()) -> None:
+        if not has_pictures(stream):
+            raise ConfigError(f"found type {stream.type} in {stream.key}, expected pictures")
+        self._window, self._key = window, stream.key
+        self._read: Callable[[int], Pixels | None]
+        if stream.type in _PLAIN:
+            images = stream.images()
+            self._read, count = lambda index: self._plain(images, index), len(images)
+        else:
+            coded = _Coded(stream)
+            self._read, count = coded.read, len(coded)
+        self.size = (0, 0)
+        self.usable = np.array([index for index in range(count) if self._fits(index)], np.int64)
+
+    def rgb(self, index: int) -> Pixels:
+        """Return a usable picture: (rows, columns, 3), with rows and columns repeated to even numbers."""
+        picture = self._read(index)
+        if picture is None:
+            raise GatewayError(f"{self._key}: found no picture in message {index}, expected one")
+        rows, columns = picture.shape[:2]
+        return np.pad(picture, ((0, rows % 2), (0, columns % 2), (0, 0)), "edge")
+
+    @property
+    def padded(self) -> tuple[int, int]:
+        """Rows and columns of the video."""
+        return self.size[0] + self.size[0] % 2, self.size[1] + self.size[1] % 2
+
+    def _fits(self, index: int) -> bool:
+        picture = self._read(index)
+        if picture is None:
+            return False
+        size = picture.shape[0], picture.shape[1]
+        if self.size == (0, 0):
+            self.size = size
+        if size != self.size:
+            raise ConfigError(f"{self._key}: found a picture of {size[1]} × {size[0]} pixels in message {index}, "
+                              f"expected {self.size[1]} × {self.size[0]} as before")  # fmt: skip
+        return True
+
+    def _plain(self, images: Images, index: int) -> Pixels | None:
+        """A picture, or None for a damaged or an empty message."""
+        try:
+            view = images[index]
+            plane = view.plane
+            is_blue_first = bool(view.encoding) and pixel_layout(view.encoding)[2]
+        except ConfigError:
+            raise
+        except GatewayError:
+            return None
+        return self._eight_bits(plane, is_blue_first) if plane.size else None
+
+    def _eight_bits(self, plane: Array, is_blue_first: bool) -> Pixels:
+        if plane.ndim == 2:
+            plane = plane[:, :, np.newaxis]
+        if plane.shape[2] not in (1, 3, 4):
+            raise ConfigError(f"{self._key}: found {plane.shape[2]} components, expected 1, 3 or 4")
+        if self._window:
+            low, high = self._window
+            with np.errstate(invalid="ignore"):
+                scaled = np.clip((plane.astype(np.float64) - low) / (high - low), 0, 1)
+            plane = np.round(np.nan_to_num(scaled) * 255).astype(np.uint8)
+        elif plane.dtype != np.uint8:
+            raise ConfigError(f"{self._key}: found pixels of {plane.dtype.newbyteorder('=')}, expected uint8, or "
+                              "window = [low, high] in the recipe")  # fmt: skip
+        if plane.shape[2] == 1:
+            return np.repeat(plane, 3, axis=2)
+        colours = plane[:, :, :3]
+        return np.ascontiguousarray(colours[:, :, ::-1] if is_blue_first else colours)
+
+
+class _Coded:
+    """Encoded pictures, each alone (JPEG, PNG) or with those before it (video)."""
+
+    def __init__(self, stream: Stream) -> None:
+        self._av = import_av()
+        self._type = stream.type
+        self._blocks: list[MessageBlock] = list(stream.blocks())
+        self._ends = np.cumsum([len(block) for block in self._blocks], dtype=np.int64)
+        self._codec: Any = None
+        self._next = 0
+        self._last: tuple[int, Pixels | None] = (-1, None)
+
+    def __len__(self) -> int:
+        return int(self._ends[-1]) if len(self._ends) else 0
+
+    def read(self, index: int) -> Pixels | None:
+        """Return a picture (rows, columns, 3), or None if the message gives none."""
+        if self._last[0] == index:
+            return self._last[1]
+        codec, data = self._frame(index)
+        if not data:
+            picture = None
+        elif codec in _VIDEO_DECODERS:
+            if index < self._next:
+                self._codec, self._next = None, 0
+            picture = None
+            for each in range(self._next, index + 1):
+                picture = self._decode_next(each)
+            self._next = index + 1
+        else:
+            picture = self._alone(codec, data)
+        self._last = (index, picture)
+        return picture
+
+    def _frame(self, index: int) -> tuple[str, bytes]:
+        """Codec and data of a message; nothing if it is damaged."""
+        block, row = find_row(self._blocks, self._ends, index)
+        try:
+            payload = block.payload(row)
+            if self._type == CompressedImage.TYPE:
+                image = CompressedImage.unpack(payload)
+                return image.format, bytes(image.data)
+            if self._type == CompressedVideo.TYPE:
+                video = CompressedVideo.unpack(payload)
+                return video.format, bytes(video.data)
+            content = decode(payload).content
+        except GatewayError:
+            return "", b""
+        if not isinstance(content, Video):
+            return "", b""
+        return _FOUR_LETTERS.get(content.codec, content.codec), bytes(content.data)
+
+    def _decode_next(self, index: int) -> Pixels | None:
+        codec, data = self._frame(index)
+        if codec not in _VIDEO_DECODERS or not data:
+            return None
+        if self._codec is None:
+            if not is_key_frame(codec, data):
+                return None
+            self._codec = self._open(_VIDEO_DECODERS[codec])
+            self._codec.flags |= self._av.codec.context.Flags.low_delay
+        packet = self._av.Packet(data)
+        packet.pts = index
+        try:
+            found = [each for each in self._codec.decode(packet) if each.pts == index and not each.is_corrupt]
+        except self._av.FFmpegError:
+            self._codec = None  # the frames up to the next key frame have no picture
+            return None
+        return _pixels(found[0]) if found else None
+
+    def _alone(self, codec: str, data: bytes) -> Pixels | None:
+        words = codec.lower().replace(";", " ").split()
+        name = next((_PICTURE_DECODERS[word] for word in words if word in _PICTURE_DECODERS), None)
+        if name is None or "compresseddepth" in codec.lower():
+            return None
+        decoder = self._open(name)
+        try:
+            found = [*decoder.decode(self._av.Packet(data)), *decoder.decode(None)]
+        except self._av.FFmpegError:
+            return None
+        return _pixels(found[0]) if found else None
+
+    def _open(self, name: str) -> Any:
+        codec = self._av.CodecContext.create(name, "r")
+        codec.options = {"max_pixels": str(MAX_PIXELS), "err_detect": "explode"}
+        codec.thread_count = 1
+        return codec
+
+
+def _pixels(picture: Any) -> Pixels:
+    found: Pixels = np.ascontiguousarray(picture.to_ndarray(format="rgb24"))
+    return found

@@ -1,0 +1,331 @@
+"""The samples of one stream: times on the clock of the data set, entry numbers, and values in metres and radians."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.addons.exchange.igtl_columns import quaternions_of
+from igtl_gateway.addons.lerobot.pictures import Pictures, has_pictures
+from igtl_gateway.addons.lerobot.recipe import Feature
+from igtl_gateway.addons.sync.correction import StampCorrection
+from igtl_gateway.addons.sync.lag import Lag, Verdict, measure_lag
+from igtl_gateway.addons.sync.signal import Signal
+from igtl_gateway.api.lags import POSES_BY_NAME, movement, picture_components
+from igtl_gateway.api.poses import between_poses
+from igtl_gateway.api.recording import Recording
+from igtl_gateway.api.stream import Stream
+from igtl_gateway.base.errors import ConfigError, GatewayError
+from igtl_gateway.base.stamp import NS_PER_S
+
+Array = npt.NDArray[Any]
+Times = npt.NDArray[np.int64]
+
+#: Units of columns → the unit in the data set, and the factor.
+_UNITS = {"um": ("m", 1e-6), "mm": ("m", 1e-3), "cm": ("m", 1e-2), "dm": ("m", 1e-1), "deg": ("rad", np.pi / 180)}
+_TEXTS = {"STRING": "string", "std_msgs/msg/String": "data"}
+_AXES = ("x", "y", "z")
+_ORIENTATION_NAMES = {
+    "quaternion": ("qx", "qy", "qz", "qw"),
+    "rotation_vector": ("rx", "ry", "rz"),
+    "rotation_6d": ("r11", "r21", "r31", "r12", "r22", "r32"),
+    "none": (),
+}
+#: Numbers of a row of the recipe in a frame: an arm has ten, and a hundred sensors have a thousand.
+MAX_NUMBERS = 4096
+#: Columns of a table that are not numbers of the message.
+_HEADS = ("entry", "time_ns", "source_ns")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """The usable samples of a row of the recipe, sorted by time, one for each time.
+
+    Attributes:
+        row: the row of the recipe, with the rule that applies.
+        kind: ``"pose"``, ``"numbers"``, ``"text"`` or ``"picture"``.
+        times: (N,) int64, strictly increasing, ns on the clock of the data set, without the lag.
+        stamps: (N,) int64, the recorded times, ns.
+        entries: (N,) int64, entry numbers; 0 in files of other programs.
+        values: (N, 4, 4) poses in m; (N, K) numbers; (N,) strings; (N,) indices of pictures.
+        names: names of the numbers.
+        count: messages in the stream.
+        unusable, duplicates, disordered: messages without a value, with the time of another one, with a time before
+            that of the message before.
+        pictures: the pictures, for ``"picture"``.
+        correction: what was subtracted from the stamps.
+        lag: the measured lag, if the recipe asks for it.
+    """
+
+    row: Feature
+    kind: str
+    times: Times
+    stamps: Times
+    entries: Times
+    values: Any
+    names: tuple[str, ...]
+    count: int
+    unusable: int
+    duplicates: int
+    disordered: int
+    pictures: Pictures | None = None
+    correction: StampCorrection | None = None
+    lag: Lag | None = None
+
+    def at(self, before: Array, after: Array, share: Array) -> Any:
+        """Return values at ``share`` (N,) of the way from the samples ``before`` to ``after`` (indices, N).
+
+        Poses and numbers are (N, K) float64, with rotations as the row has them; strings and pictures those ``before``.
+        """
+        if self.kind == "pose":
+            found = between_poses(self.values[before], self.values[after], share)
+            return np.concatenate([found[:, :3, 3], orientation(found, self.row.orientation)], axis=1)
+        if self.kind == "numbers":
+            one, two = self.values[before], self.values[after]
+            return np.where(share[:, None] == 0, one, one + share[:, None] * (two - one))
+        return self.values[before]
+
+
+def orientation(poses: Array, form: str) -> Array:
+    """Return the rotations of poses (N, 4, 4) as (N, K): a quaternion x, y, z, w with w ≥ 0, or another form."""
+    if form == "none":
+        return np.zeros((len(poses), 0))
+    if form == "rotation_6d":
+        return np.concatenate([poses[:, :3, 0], poses[:, :3, 1]], axis=1)
+    quaternions = np.asarray(quaternions_of(poses)[0])
+    if form == "quaternion":
+        return quaternions
+    sines = np.linalg.norm(quaternions[:, :3], axis=1)
+    angles = 2 * np.arctan2(sines, quaternions[:, 3])
+    return np.asarray(quaternions[:, :3] * np.where(sines > 1e-12, angles / np.maximum(sines, 1e-12), 2.0)[:, None])
+
+
+def stream_of(recording: Recording, key: str, place: str) -> Stream:
+    """Return a stream with messages.  Raises ConfigError with ``place``."""
+    try:
+        stream = recording[key]
+    except KeyError as error:
+        raise ConfigError(f"{place}: {error.args[0]}") from None
+    if not len(stream):
+        raise ConfigError(f"{place}: found no message in {key}, expected one or more")
+    return stream
+
+
+def clock_of(streams: Sequence[Stream], wanted: str) -> str:
+    """Return the clock of the data set, ``source`` or ``gateway``.  Raises ConfigError."""
+    without = [each.key for each in streams if not np.all(each.source_times > 0)]
+    if wanted == "source" and without:
+        raise ConfigError(f"dataset.clock: found messages without a source stamp in {without[0]}, expected none")
+    return "gateway" if wanted == "gateway" or without else "source"
+
+
+def times_of(stream: Stream, clock: str) -> Times:
+    """Return the times of the messages on a clock, (N,) int64, ns."""
+    return stream.source_times if clock == "source" else stream.times
+
+
+def read_samples(recording: Recording, row: Feature, clock: str, place: str) -> Samples:
+    """Return the samples of a row of the recipe.  Raises ConfigError with ``place``."""
+    stream = stream_of(recording, row.stream, place)
+    try:
+        kind, rows, values, names, pictures = _values(stream, row)
+    except ConfigError as error:
+        raise ConfigError(f"{place}: {error}") from None
+    rule = row.rule or {"pose": "interpolate", "picture": "nearest"}.get(kind, "hold")
+    if rule == "interpolate" and kind in ("text", "picture"):
+        raise ConfigError(
+            f"{place}.rule: found interpolate for a {'string' if kind == 'text' else kind}, expected nearest or hold"
+        )
+    if not len(rows):
+        raise ConfigError(f"{place}: found no usable value in {len(stream):,} messages of {row.stream}, expected one")
+    names = _named(names, row, place)
+    stamps = times_of(stream, clock)
+    lag, correction = _correction(recording, stream, row, clock, place, pictures)
+    every = stamps if correction is None else np.array([correction.corrected_ns(int(at)) for at in stamps], np.int64)
+    disordered = int(np.sum(stamps[1:] < stamps[:-1]))
+    order = np.argsort(every[rows], kind="stable")
+    times = every[rows][order]
+    last = np.ones(len(times), bool)  # of several messages with one stamp, the last one received
+    last[:-1] = times[1:] > times[:-1]
+    kept = order[last]
+    chosen = [values[int(each)] for each in kept] if kind == "text" else values[kept]
+    return Samples(
+        replace(row, rule=rule), kind, times[last], stamps[rows][kept], stream.numbers[rows][kept],
+        np.array(chosen, object) if kind == "text" else chosen, names, len(stream), len(stream) - len(rows),
+        len(rows) - len(kept), disordered, pictures, correction, lag,
+    )  # fmt: skip
+
+
+def _named(names: tuple[str, ...], row: Feature, place: str) -> tuple[str, ...]:
+    if not row.names:
+        return names
+    if len(row.names) != len(names):
+        raise ConfigError(f"{place}.names: found {len(row.names)} names, expected {len(names)}: {', '.join(names)}")
+    return row.names
+
+
+def _values(stream: Stream, row: Feature) -> tuple[str, Array, Any, tuple[str, ...], Pictures | None]:
+    """Kind, indices of the usable messages, their values, names of the numbers, pictures."""
+    if row.is_picture:
+        pictures = Pictures(stream, row.window)
+        rows = pictures.usable
+        return "picture", rows, rows, (), pictures
+    if has_pictures(stream):
+        raise ConfigError(f"found pictures in {stream.key}, expected the name {row.name!r} to be observation.images.…")
+    fields = row.fields
+    if not fields:
+        if stream.type not in _TEXTS:
+            return _poses(stream, row)
+        fields = (_TEXTS[stream.type],)
+    return _columns(stream, fields)
+
+
+def _poses(stream: Stream, row: Feature) -> tuple[str, Array, Any, tuple[str, ...], None]:
+    try:
+        poses = stream.poses(row.frame).in_unit("m")
+    except ConfigError as error:
+        if stream.type in POSES_BY_NAME:
+            raise
+        raise ConfigError(f"{error}; or fields = […] of {', '.join(columns_of(stream)) or 'no column'}") from None
+    numbers = np.concatenate([poses.matrices.reshape(-1, 16), poses.quaternions], axis=1)
+    good = _finite_float32(numbers)
+    rows = np.searchsorted(stream.times, poses.times)[good]
+    return "pose", rows, poses.matrices[good], _AXES + _ORIENTATION_NAMES[row.orientation], None
+
+
+def columns_of(stream: Stream) -> list[str]:
+    """Return the names of the columns with numbers or strings."""
+    return _value_columns(stream.to_arrow())
+
+
+def _value_columns(table: Any) -> list[str]:
+    import pyarrow as pa
+
+    def is_value(kind: Any) -> bool:
+        if pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind):
+            kind = kind.value_type
+            return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind))
+        return bool(
+            pa.types.is_integer(kind) or pa.types.is_floating(kind) or pa.types.is_boolean(kind)
+            or pa.types.is_string(kind)
+        )  # fmt: skip
+
+    return [each.name for each in table.schema if each.name not in _HEADS and is_value(each.type)]
+
+
+def _check_lengths(table: Any, fields: Sequence[str]) -> None:
+    """Raise ConfigError for lists with more numbers than a frame may have, before they are read."""
+    import pyarrow as pa
+    from pyarrow import compute
+
+    for name in fields:
+        if pa.types.is_list(table[name].type) or pa.types.is_large_list(table[name].type):
+            longest = compute.max(compute.list_value_length(table[name])).as_py() or 0
+            if longest > MAX_NUMBERS:
+                raise ConfigError(f"fields: found {longest:,} numbers in {name}, expected at most {MAX_NUMBERS:,}")
+
+
+def _columns(stream: Stream, fields: Sequence[str]) -> tuple[str, Array, Any, tuple[str, ...], None]:
+    """The numbers in columns of the table of the stream, or the text in one."""
+    import pyarrow as pa
+
+    table = stream.to_arrow()
+    known = _value_columns(table)
+    for name in fields:
+        if name not in known:
+            raise ConfigError(f"fields: found {name!r}, expected columns of {stream.key}: {', '.join(known)}")
+    _check_lengths(table, fields)
+    rows = np.searchsorted(stream.times, table["time_ns"].to_numpy())
+    if any(pa.types.is_string(table[name].type) for name in fields):
+        if len(fields) > 1:
+            raise ConfigError(f"fields: found {len(fields)} columns with a string, expected one")
+        texts = table[fields[0]].to_pylist()
+        good = np.array([each is not None for each in texts], bool)
+        return "text", rows[good], [each for each in texts if each is not None], (fields[0],), None
+    blocks, names = [], []
+    for name in fields:
+        unit = (table.schema.field(name).metadata or {}).get(b"unit", b"").decode()
+        wanted, factor = _UNITS.get(unit, (unit, 1.0))
+        values = table[name].to_pylist()
+        shown = f"{name.removesuffix(f'_{unit}')}_{wanted}" if unit and name.endswith(f"_{unit}") else name
+        size = next((len(each) for each in values if isinstance(each, list) and each), 0)
+        if any(isinstance(each, list) for each in values):
+            blocks.append(np.array([_row(each, size) for each in values]).reshape(len(values), size) * factor)
+            names += _element_names(table, shown, size)
+        else:
+            blocks.append(np.array([np.nan if each is None else float(each) for each in values])[:, None] * factor)
+            names.append(shown)
+    found = np.concatenate(blocks, axis=1)
+    if not found.shape[1]:
+        raise ConfigError(f"fields: found no number in {', '.join(fields)} of {stream.key}, expected one or more")
+    finite = _finite_float32(found)
+    return "numbers", rows[finite], found[finite], tuple(names), None
+
+
+def _finite_float32(values: Array) -> npt.NDArray[np.bool_]:
+    """The rows of which float32 holds every number: others have no value."""
+    with np.errstate(over="ignore"):
+        return np.asarray(np.isfinite(values.astype(np.float32)).all(axis=1))
+
+
+def _row(values: Any, size: int) -> list[float]:
+    if values is None or len(values) != size or any(each is None for each in values):
+        return [float("nan")] * size
+    return [float(each) for each in values]
+
+
+def _element_names(table: Any, name: str, size: int) -> list[str]:
+    """The names of the elements of a list: those of the joints, where the message has them."""
+    if "name" in table.schema.names:
+        joints = next((each for each in table["name"].to_pylist() if isinstance(each, list) and each), [])
+        if len(joints) == size and all(isinstance(each, str) and each.isprintable() for each in joints):
+            return [f"{joint}.{name}" for joint in joints]
+    return [f"{name}_{number}" for number in range(size)]
+
+
+def signal_of(stream: Stream, clock: str, frame: str = "", pictures: Pictures | None = None) -> Signal:
+    """Return what moves in a stream, on a clock, with the recorded stamps.
+
+    Args:
+        stream: the stream.
+        clock: ``source`` or ``gateway``.
+        frame: of streams with several poses.
+        pictures: the pictures of the stream, if they are read already.
+
+    Raises:
+        GatewayError: nothing in it could move, or a message is damaged.
+    """
+    if has_pictures(stream):
+        pictures = pictures or Pictures(stream)
+        grey = (pictures.rgb(int(index)).mean(axis=2) for index in pictures.usable)
+        return Signal.of(times_of(stream, clock)[pictures.usable], picture_components(grey), stream.key)
+    found = movement(stream, frame=frame)
+    # of the stream's own choice of clock: back to the messages, and to the times on the wanted clock
+    own = stream.source_times if bool(np.all(stream.source_times)) else stream.times
+    by_time = dict(zip(own.tolist(), times_of(stream, clock).tolist(), strict=True))
+    return Signal.of([by_time[at] for at in found.times_ns.tolist()], found.values, found.name, found.unit)
+
+
+def _correction(
+    recording: Recording, stream: Stream, row: Feature, clock: str, place: str, pictures: Pictures | None
+) -> tuple[Lag | None, StampCorrection | None]:
+    if row.lag_ms:
+        lag_ns = round(row.lag_ms * 1e6)
+        return None, StampCorrection(stream.key, "the recipe", lag_ns, lag_ns, lag_ns, 0.0, 0)
+    if not row.lag:
+        return None, None
+    other = stream_of(recording, row.against, f"{place}.against")
+    try:
+        lag = measure_lag(signal_of(other, clock), signal_of(stream, clock, row.frame, pictures))
+    except GatewayError as error:
+        raise ConfigError(f"{place}.lag: {error}") from None
+    if lag.verdict is not Verdict.MEASURED:
+        raise ConfigError(f"{place}.lag: found {lag.verdict.value} ({row.stream} behind {row.against}), expected a lag "
+                          "that is measured; set lag_ms, or see `igtl-gateway sync`")  # fmt: skip
+    lag_ns, low_ns, high_ns = (round(value * NS_PER_S) for value in (lag.lag_s, lag.low_s, lag.high_s))
+    skew_ppm = lag.skew_ppm if lag.has_skew else 0.0
+    return lag, StampCorrection(stream.key, other.key, lag_ns, low_ns, high_ns, skew_ppm, lag.middle_ns)

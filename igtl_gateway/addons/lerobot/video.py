@@ -1,0 +1,154 @@
+"""Videos of a data set: constant frame rate, frame i at i / fps, a key frame at every second frame."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator
+from fractions import Fraction
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.base.errors import DamagedRecording, Unavailable
+from igtl_gateway.base.untrusted.files import open_file
+from igtl_gateway.edges.video.worker import MAX_PIXELS, THREADS, import_av
+from igtl_gateway.base.errors import DamagedRecording, Unavailable
+from igtl_gateway.addons.lerobot.mp4_samples import check_samples
+from igtl_gateway.record.sessionfile.new_file import empty_file, make_folder
+from igtl_gateway.base.untrusted.files import open_file
+from igtl_gateway.base.untrusted.limits import Deadline
+
+Pixels = npt.NDArray[np.uint8]
+
+KEY_FRAME_INTERVAL = 2
+PIXEL_FORMAT = "yuv420p"
+#: Codec → encoder and its options; B-frames would delay the first picture.
+_ENCODERS: dict[str, tuple[str, dict[str, str]]] = {
+    "h264": ("libx264", {"preset": "veryfast", "crf": "18", "bf": "0"}),
+    "av1": ("libsvtav1", {"preset": "10", "crf": "30"}),
+}
+_BT601, _LIMITED = 6, 1  # AVCOL_SPC_SMPTE170M, AVCOL_RANGE_MPEG
+
+
+class VideoFile:
+    """An mp4 file that is being written.
+
+    Args:
+        path: new file.
+        size: rows and columns, both even.
+        fps: frames per second.
+        codec: ``h264`` or ``av1``.
+
+    Raises Unavailable where PyAV is missing or lacks the codec; OSError.
+    """
+
+    def __init__(self, path: Path, size: tuple[int, int], fps: int, codec: str) -> None:
+        self._av = import_av()
+        encoder, options = _ENCODERS[codec]
+        if encoder not in self._av.codecs_available:
+            raise Unavailable(f"video codec {codec}: this PyAV has no {encoder}")
+        os.environ.setdefault("SVT_LOG", "1")  # libsvtav1 writes its settings to stderr: errors only
+        make_folder(path.parent, parents=True, exist_ok=True)
+        self.path, self.count = path, 0
+        self._file = self._av.open(str(empty_file(path)), "w", format="mp4")
+        self._stream = self._file.add_stream(encoder, rate=fps, options=options)
+        self._stream.height, self._stream.width = size
+        self._stream.pix_fmt = PIXEL_FORMAT
+        self._stream.codec_context.time_base = Fraction(1, fps)
+        self._stream.codec_context.gop_size = KEY_FRAME_INTERVAL
+        self._stream.codec_context.thread_count = THREADS
+        self._stream.codec_context.colorspace, self._stream.codec_context.color_range = _BT601, _LIMITED
+
+    @property
+    def size(self) -> int:
+        """Bytes so far: the file exists from its first encoded frame on."""
+        return self.path.stat().st_size if self.path.exists() else 0
+
+    def add(self, picture: Pixels) -> None:
+        """Add a picture (rows, columns, 3), RGB."""
+        frame = self._av.VideoFrame.from_ndarray(picture, format="rgb24")
+        frame.pts, frame.time_base = self.count, self._stream.codec_context.time_base
+        for packet in self._stream.encode(frame):
+            self._file.mux(packet)
+        self.count += 1
+
+    def close(self) -> None:
+        """Write the end of the file."""
+        for packet in self._stream.encode(None):
+            self._file.mux(packet)
+        self._file.close()
+
+
+def read_video(path: Path, size: tuple[int, int] | None = None) -> Iterator[tuple[float, Pixels]]:
+    """Yield time (s) and picture (rows, columns, 3) of the frames of a file.
+
+    Args:
+        path: an mp4 file.  Nothing else is opened: other formats may name further files.
+        size: rows and columns of its pictures, if others are refused.
+
+    Raises:
+        UnsupportedRecording: it is missing, or not an ordinary file.
+        DamagedRecording: it is not a video of that size, or it cannot be decoded.
+        LimitExceeded: decoding it takes longer than a file of its size may take.
+    """
+    av = import_av()
+    with open_file(path) as stream:
+        length = os.fstat(stream.fileno()).st_size
+        check_samples(stream, length, str(path))
+        deadline = Deadline(length)
+        try:
+            with av.open(stream, format="mp4") as file:
+                if not file.streams.video:
+                    raise DamagedRecording(f"{path}: found no video, expected one")
+                codec = file.streams.video[0].codec_context
+                codec.options = {"max_pixels": str(MAX_PIXELS), "err_detect": "explode"}
+                _check_size(path, (codec.height, codec.width), size)
+                for packet in file.demux(video=0):
+                    frames = packet.decode()
+                    deadline.check(str(path))
+                    for frame in frames:
+                        _check_size(path, (frame.height, frame.width), size)
+                        if frame.is_corrupt:
+                            raise DamagedRecording(f"{path}: cannot be decoded: found a damaged frame")
+                        picture = frame.to_ndarray(format="rgb24")
+                        with deadline.paused():
+                            yield float(frame.time or 0.0), picture
+        except (av.FFmpegError, OSError, ValueError, OverflowError, MemoryError) as error:
+            raise DamagedRecording(f"{path}: cannot be decoded: {_reason(error)}") from None
+
+
+def _check_size(path: Path, found: tuple[int, int], expected: tuple[int, int] | None) -> None:
+    if expected is not None and found != expected:
+        raise DamagedRecording(f"{path}: found {found[1]} × {found[0]} pixels, expected {expected[1]} × {expected[0]}")
+
+
+def _reason(error: BaseException) -> str:
+    """The reason of the system; messages of FFmpeg end with the name that it has for an open file."""
+    return (error.strerror if isinstance(error, OSError) else "") or str(error).partition("\n")[0]
+
+
+def coded(pictures: Iterable[Pixels], size: tuple[int, int], fps: int, codec: str) -> Iterator[Pixels]:
+    """Yield pictures as a video of a data set shows them, with the loss of its codec.  Raises as VideoFile."""
+    with TemporaryDirectory(prefix="igtl-gateway-") as folder:
+        video = VideoFile(Path(folder) / "coded.mp4", size, fps, codec)
+        for picture in pictures:
+            video.add(picture)
+        video.close()
+        yield from (picture for _, picture in read_video(video.path, size))
+
+
+def video_info(size: tuple[int, int], fps: int, codec: str) -> dict[str, Any]:
+    """Return the description of a video for info.json."""
+    return {
+        "video.height": size[0],
+        "video.width": size[1],
+        "video.codec": codec,
+        "video.pix_fmt": PIXEL_FORMAT,
+        "video.is_depth_map": False,
+        "video.fps": fps,
+        "video.channels": 3,
+        "has_audio": False,
+    }

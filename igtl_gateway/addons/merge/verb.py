@@ -1,0 +1,160 @@
+"""``igtl-gateway merge``: make one session of the recordings of several recorders."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from contextlib import ExitStack
+from pathlib import Path
+
+from igtl_gateway.addons.merge.merging import Source, merge
+from igtl_gateway.addons.merge.offsets import ClockOffset, Method, Piece
+from igtl_gateway.addons.sync.defaults import MAX_LAG_S
+from igtl_gateway.addons.sync.lag import measure_lag
+from igtl_gateway.addons.sync.verb import stream_named
+from igtl_gateway.api import recording as recordings
+from igtl_gateway.api.lags import movement
+from igtl_gateway.base.errors import ConfigError, GatewayError
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.base.untrusted.files import is_same
+from igtl_gateway.cli.common import count_text, size_text
+from igtl_gateway.cli.merge_output import print_merge
+from igtl_gateway.cli.options import add_json, add_overwrite, default, new_recording
+from igtl_gateway.cli.terminal import print_json, print_line
+from igtl_gateway.convert.names import topic_token
+from igtl_gateway.record.sessionfile.beside import check_target, written
+from igtl_gateway.record.sessionfile.new_file import open_new
+from igtl_gateway.record.sessionfile.reader import SessionFile
+
+EXAMPLES = """\
+  # two gateways that exchange messages: the offset of their clocks is measured
+  igtl-gateway merge or1.mcap planning.mcap -o both.mcap
+  # names of the parts, and a known offset: the clock of b is 12.3 ms ahead
+  igtl-gateway merge a=one.mcap b=two.mcap -o both.mcap --offset b=+0.0123
+  # nothing crosses, but both have seen the same movement
+  igtl-gateway merge a.mcap b.mcap -o both.mcap \\
+      --sync TRANSFORM/Probe /probe/pose
+  # a part as a recording of its own
+  igtl-gateway merge both.mcap --extract planning -o again.mcap
+
+`verify` of a merged session verifies each part, and every verb reads a part
+as OUT/NAME: `info both.mcap/planning`."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "files",
+        metavar="[NAME=]FILE",
+        nargs="+",
+        help="recordings, and names of the parts; the clock of the first one is the reference",
+    )
+    parser.add_argument("-o", "--output", required=True, metavar="OUT", type=new_recording, help="file to write")
+    parser.add_argument(
+        "--offset",
+        action="append",
+        default=[],
+        metavar="NAME=S",
+        help="how far the clock of a part is ahead of the reference, s (repeatable) " + default("it is measured"),
+    )
+    parser.add_argument(
+        "--sync",
+        nargs=2,
+        metavar="STREAM",
+        help="measure the offset of two recordings from what moves in a stream of each",
+    )
+    parser.add_argument(
+        "--max-lag",
+        type=float,
+        metavar="S",
+        help="with --sync: search offsets up to this size " + default(MAX_LAG_S),
+    )
+    parser.add_argument("--extract", metavar="NAME", help="write this part of a merged session instead")
+    add_overwrite(parser, "OUT")
+    add_json(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    check_target(options.output, overwrite=options.overwrite)
+    if options.extract is not None:
+        return _extract(options)
+    sources = [_source(text) for text in options.files]
+    for source in sources:
+        if is_same(options.output, source.path):
+            raise ConfigError(f"{options.output}: found a recording that is merged, expected another file to write to")
+    given = dict(_offset(text) for text in options.offset)
+    if options.sync:
+        if len(sources) != 2 or given:
+            raise ConfigError("--sync: expected two recordings and no --offset")
+        given = {_name(sources[1]): _measured(sources, options)}
+    found = merge(sources, options.output, given=given, overwrite=options.overwrite)
+    if options.json:
+        print_json(found)
+    else:
+        print_line(
+            f"{options.output}: {count_text(found['messages'], 'message')} of {len(found['parts'])} recordings, "
+            f"{size_text(options.output.stat().st_size)}"
+        )
+        print_merge(found)
+    return 0
+
+
+def _source(text: str) -> Source:
+    """A recording, with its name if it has one; a file whose name contains an equals sign is a file."""
+    name, equals, path = text.partition("=")
+    if equals and not Path(text).exists():
+        if topic_token(name) != name or not name:
+            raise ConfigError(f"{text}: found the name {name!r}, expected letters, digits and _")
+        return Source(name, Path(path))
+    return Source("", Path(text))
+
+
+def _name(source: Source) -> str:
+    return source.name or topic_token(source.path.stem)
+
+
+def _offset(text: str) -> tuple[str, ClockOffset]:
+    name, _, number = text.rpartition("=")
+    try:
+        seconds = float(number)
+    except ValueError:
+        seconds = math.nan
+    if not name or not math.isfinite(seconds):
+        raise ConfigError(f"--offset: found {text!r}, expected NAME=SECONDS such as planning=+0.0123")
+    return name, ClockOffset(Method.GIVEN, (Piece(0, round(seconds * NS_PER_S)),))
+
+
+def _measured(sources: list[Source], options: argparse.Namespace) -> ClockOffset:
+    """The offset from the movement in a stream of each of two recordings, at the times when they recorded it."""
+    if options.max_lag is not None and not 0 < options.max_lag < math.inf:
+        raise ConfigError(f"--max-lag: found {options.max_lag:g}, expected more than 0")
+    with ExitStack() as stack:
+        opened = [stack.enter_context(recordings.open(source.path)) for source in sources]
+        signals = [
+            movement(stream_named([each], name), arrival=True) for each, name in zip(opened, options.sync, strict=True)
+        ]
+        lag = measure_lag(*signals, max_lag_s=options.max_lag)
+    if not lag.verdict.has_lag:
+        raise GatewayError(f"--sync {' '.join(options.sync)}: found no offset: {lag.verdict.value}")
+    offset_ns, low_ns, high_ns = (round(each * NS_PER_S) for each in (lag.lag_s, lag.low_s, lag.high_s))
+    slope = lag.skew_ppm * 1e3 if lag.has_skew else 0.0
+    piece = Piece(lag.middle_ns + offset_ns, offset_ns, slope)
+    return ClockOffset(
+        Method.STREAMS, (piece,), offset_ns - low_ns, high_ns - offset_ns, lag.skew_low_ppm, lag.skew_high_ppm
+    )
+
+
+def _extract(options: argparse.Namespace) -> int:
+    if len(options.files) != 1 or options.offset or options.sync:
+        raise ConfigError("--extract: expected one merged session, and neither --offset nor --sync")
+    with (
+        SessionFile.open(options.files[0]) as file,
+        written(options.output, overwrite=options.overwrite) as path,
+        open_new(path) as out,
+    ):
+        file.extract(options.extract, out)
+    size = options.output.stat().st_size
+    if options.json:
+        print_json({"file": str(options.output), "bytes": size, "part": options.extract})
+    else:
+        print_line(f"{options.output}: {size_text(size)}, part {options.extract}, as it was recorded")
+    return 0

@@ -1,0 +1,48 @@
+"""Review of a suture plan: the depth noise of the camera and the distance from the tissue, for each stitch.
+
+A flat image of the plan does not show the noise along the depth axis: a point at a wrong depth looks like a correct
+one.  The review compares every planned entry and exit point with the tissue around it:
+
+* ``material`` collects clouds, plans and transforms from the entries of a session, by their content (not by topic);
+* ``scene`` combines the clouds into one depth image with the noise of each pixel (``noise``);
+* ``surface`` fits the tissue around a point robustly; ``error`` computes the standard error of the distance from it;
+* ``judge`` compares the figures with ``Thresholds``: the level is *ok*, *look* or *wrong*, with the reasons as text;
+* ``executed`` finds where the tool passed each planned point.
+
+Pure functions on arrays: no file, no clock, no LAPACK.  Formulae and limits: ``docs/how-to/review.md``.
+
+Called, the package is the function `igtl_gateway.api.verbs.review`.
+"""
+
+import sys
+
+from igtl_gateway import CallablePackage
+from igtl_gateway.addons.review.assess import review_of
+from igtl_gateway.addons.review.material import Material
+from igtl_gateway.addons.review.model import (
+    Change,
+    CloudReview,
+    EndReview,
+    Executed,
+    Level,
+    PlanReview,
+    Review,
+    StitchReview,
+    Thresholds,
+)
+
+__all__ = [
+    "Change",
+    "CloudReview",
+    "EndReview",
+    "Executed",
+    "Level",
+    "Material",
+    "PlanReview",
+    "Review",
+    "StitchReview",
+    "Thresholds",
+    "review_of",
+]
+
+sys.modules[__name__].__class__ = CallablePackage

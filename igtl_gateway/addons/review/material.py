@@ -1,0 +1,218 @@
+"""The data of a session that a review needs: entries in, clouds, versions of the plan and poses out.
+
+Streams are selected by content.  The cloud is the PointCloud2 stream with the most points; organised clouds precede
+unorganised ones.  The plan is pairs of points on its tissue.  The tool is the moving frame that comes closest to the
+plan.  A caller can select any of them by topic instead.
+
+Memory is bounded: of each stream at most twice ``clouds`` clouds are kept, evenly distributed over the session.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.addons.review.frames import FramePoses
+from igtl_gateway.addons.review.messages import PLANS, POSES, DrawnPlan, cloud_of, is_large_cloud, plan_of, poses_of
+from igtl_gateway.addons.review.scene import DepthCloud, DepthScene
+from igtl_gateway.base.errors import ConfigError, ConversionError, GatewayError
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.convert.frames import frame_id
+from igtl_gateway.convert.rosmsg import PointCloud2
+from igtl_gateway.gateway.log.entry import Entry, Kind
+
+Array = npt.NDArray[Any]
+
+#: Default for the maximum number of clouds that a review uses.
+CLOUDS = 24
+#: Last time that a stamp of OpenIGTLink can state, in 2106.  Later ones count as this one, so that the difference of
+#: any two times of a session, also of those in ROS messages (1901 to 2038), is an integer of 64 bits.
+_LAST_NS = (1 << 32) * NS_PER_S - 1
+_MAX_VERSIONS = 200  # of one stream
+_NEAR_M = 0.03  # largest distance of a plan's points from the observed depth
+_HIT_RADIUS = 0.01  # as x / z: radius around a point in which the depth is observed
+
+
+@dataclass(slots=True)
+class _Clouds:
+    """One stream of clouds, decimated: every ``stride``-th cloud is kept."""
+
+    limit: int
+    unit_m: float
+    seen: int = 0
+    stride: int = 1
+    kept: list[DepthCloud] = field(default_factory=list)
+
+    def add(self, entry: Entry) -> None:
+        if self.seen % self.stride == 0 and (cloud := cloud_of(entry)):
+            cloud = replace(cloud, points=cloud.points * self.unit_m)
+            if self.kept and (
+                cloud.points.shape != self.kept[-1].points.shape or cloud.frame_id != self.kept[-1].frame_id
+            ):
+                self.kept.clear()  # the camera was reconfigured: its pixels have other rays
+            self.kept.append(cloud)
+            if len(self.kept) >= 2 * self.limit:
+                del self.kept[1::2]
+                self.stride *= 2
+        self.seen += 1
+
+    @property
+    def rank(self) -> tuple[bool, int]:
+        """Sort key: organised clouds above unorganised ones, then by the number of points."""
+        height, width, _ = self.kept[-1].points.shape if self.kept else (0, 0, 0)
+        return height > 1 and width > 1, height * width
+
+
+class Material:
+    """Collects the data for a review: ``take`` each entry of a session, then call the other methods.
+
+    Args:
+        plan: topic of the plan; "" = selected by content.
+        cloud: topic of the clouds; "" = selected by content.
+        tool: topic or frame id of the tool; "" = selected by content.
+        clouds: maximum number of clouds to use.
+        unit_m: the unit of length of the session's ROS side, in metres.
+
+    Attributes:
+        frames: the poses of all frames, metres.
+        notes: notes for the reader of the review: what was left out or assumed.
+    """
+
+    def __init__(
+        self, plan: str = "", cloud: str = "", tool: str = "", clouds: int = CLOUDS, unit_m: float = 1.0
+    ) -> None:
+        self.frames = FramePoses()
+        self.notes: list[str] = []
+        self._plan, self._cloud, self._tool = plan, cloud, tool
+        self._limit = clouds
+        self._unit_m = unit_m
+        self._clouds: dict[str, _Clouds] = {}
+        self._plans: dict[str, list[DrawnPlan]] = {}
+        self._bad: set[str] = set()
+
+    def take(self, entry: Entry) -> None:
+        """Read an entry; only ROS messages are used."""
+        if entry.kind is not Kind.ROS_IN and entry.kind is not Kind.ROS_OUT:
+            return
+        if entry.stamp_ns > _LAST_NS:
+            entry = replace(entry, stamp_ns=_LAST_NS)
+        try:
+            self._read(entry)
+        except ConversionError as error:
+            if entry.channel not in self._bad:
+                self._bad.add(entry.channel)
+                self.notes.append(f"{entry.channel}: invalid messages are left out: {error}")
+
+    def _read(self, entry: Entry) -> None:
+        if entry.type in POSES:
+            for parent, child, pose, stamp_ns in poses_of(entry):
+                x, y, z = (self._unit_m * value for value in pose[:3])
+                self.frames.add(parent, child, (x, y, z, *pose[3:]), stamp_ns, entry.stamp_ns, entry.channel)
+        elif entry.type == PointCloud2.TYPE and is_large_cloud(entry.data()):
+            if not self._cloud or entry.channel == self._cloud:
+                self._clouds.setdefault(entry.channel, _Clouds(self._limit, self._unit_m)).add(entry)
+        elif entry.type in PLANS and (not self._plan or entry.channel == self._plan):
+            versions = self._plans.setdefault(entry.channel, [])
+            if len(versions) < _MAX_VERSIONS and (drawn := plan_of(entry)):
+                drawn = replace(drawn, entry=drawn.entry * self._unit_m, exit=drawn.exit * self._unit_m)
+                if not versions or not drawn.equals(versions[-1]):
+                    versions.append(drawn)
+
+    def scene(self) -> tuple[DepthScene, str]:
+        """Return the combined clouds, and their topic.  Raises ConfigError or GatewayError without clouds."""
+        streams = {topic: stream for topic, stream in self._clouds.items() if stream.kept}
+        if not streams:
+            if self._cloud:
+                raise ConfigError(f"--cloud {self._cloud}: found no sensor_msgs/PointCloud2 with x, y, z on this topic")
+            raise GatewayError("found no point cloud, expected a sensor_msgs/PointCloud2 stream: see `info`, --cloud")
+        topic = max(streams, key=lambda name: streams[name].rank)
+        stream = streams[topic]
+        clouds = stream.kept
+        if len(clouds) > self._limit:
+            clouds = [clouds[number * len(clouds) // self._limit] for number in range(self._limit)]
+        if len(clouds) < stream.seen:
+            self.notes.append(f"{len(clouds)} of {stream.seen:,} clouds of {topic} are used, evenly distributed")
+        return DepthScene.of(clouds), topic
+
+    def versions(self, scene: DepthScene) -> list[DrawnPlan]:
+        """Return all versions of the plan in order of time, in the frame of the clouds.
+
+        Raises ConfigError or GatewayError without a plan.
+        """
+        base = scene.clouds[-1].frame_id
+        streams = {
+            topic: [self._in_frame(plan, base) for plan in plans] for topic, plans in self._plans.items() if plans
+        }
+        if not self._plan:
+            streams = {topic: plans for topic, plans in streams.items() if _on_tissue(plans[0], scene)}
+            if any(plans[0].lines for plans in streams.values()):
+                streams = {topic: plans for topic, plans in streams.items() if plans[0].lines}
+        if not streams:
+            if self._plan:
+                raise ConfigError(f"--plan {self._plan}: found no pairs of points on this topic")
+            raise GatewayError(
+                "found no suture plan, expected pairs of points on the tissue (Marker LINE_LIST, TrajectoryList, "
+                "PolyData, PointList, small PointCloud2): see `info`, --plan"
+            )
+        # a plan is drawn once and corrected rarely; a stream that changes with every message is not a plan
+        topic = min(streams, key=lambda name: len(streams[name]))
+        versions = list(streams.pop(topic))
+        for other in sorted((plan for plans in streams.values() for plan in plans), key=lambda plan: plan.stamp_ns):
+            if any(other.corrects(version) for version in versions):
+                versions.append(other)
+        versions.sort(key=lambda plan: plan.stamp_ns)
+        kept = versions[:1]
+        kept += [plan for before, plan in pairwise(versions) if not plan.equals(before)]
+        return kept
+
+    def tools(self, base: str) -> list[str]:
+        """Return the frames that can be the tool: moving, connected with ``base``, and not an ancestor of it.
+
+        Raises ConfigError if the requested tool is not one of them.
+        """
+        above = self.frames.above(base)
+        found = {
+            child: topic
+            for child, topic in self.frames.moving().items()
+            if child not in above and self.frames.connected(child, base)
+        }
+        if not self._tool:
+            return list(found)
+        named = [child for child, topic in found.items() if self._tool == topic or frame_id(self._tool) == child]
+        if not named:
+            known = ", ".join(f"{topic} ({child})" for child, topic in found.items()) or "a moving frame"
+            raise ConfigError(
+                f"--tool {self._tool}: found no such moving frame connected with {base!r}, expected {known}"
+            )
+        return named
+
+    def _in_frame(self, plan: DrawnPlan, base: str) -> DrawnPlan:
+        """Return the plan transformed to the frame of the clouds; unchanged if the frames are not connected."""
+        if frame_id(plan.frame_id) == frame_id(base):
+            return plan
+        stamps = np.full(len(plan.entry), plan.source_ns or plan.stamp_ns)
+        try:
+            entry, leave = (
+                self.frames.transformed(ends, plan.frame_id, base, stamps) for ends in (plan.entry, plan.exit)
+            )
+        except ConversionError as error:
+            note = f"{plan.topic}: used without transformation, as if in the frame of the cloud: {error}"
+            if note not in self.notes:
+                self.notes.append(note)
+            return plan
+        return replace(plan, entry=entry, exit=leave)
+
+
+def _on_tissue(plan: DrawnPlan, scene: DepthScene) -> bool:
+    """Return whether more than half of the points are near the observed depth."""
+    hits = 0
+    for point in scene.axes.to_optical(plan.ends()):
+        if point[2] > 0:
+            depth = scene.depth[scene.around(point[:2] / point[2], _HIT_RADIUS)]
+            depth = depth[np.isfinite(depth)]
+            hits += bool(depth.size) and bool(abs(np.median(depth) - point[2]) < _NEAR_M)
+    return hits > len(plan.entry)

@@ -1,0 +1,70 @@
+"""Review of a recording: its file, the material in it, and the review."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from igtl_gateway.addons.review import Material, Review, Thresholds, review_of
+from igtl_gateway.addons.review.material import CLOUDS
+from igtl_gateway.base.errors import ConfigError, GatewayError
+from igtl_gateway.convert.units import UNITS
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.replay.recorded_config import config_to_run
+
+
+@dataclass(frozen=True, slots=True)
+class ReviewSelection:
+    """What a review is about.
+
+    Attributes:
+        plan: topic of the plan; "": pairs of points on the tissue.
+        cloud: topic of the point cloud; "": the largest.
+        tool: topic or frame of the tool; "": the one that comes nearest.
+        clouds: maximum number of clouds, evenly spread over time.
+    """
+
+    plan: str = ""
+    cloud: str = ""
+    tool: str = ""
+    clouds: int = CLOUDS
+
+
+def review_recording(path: Path, selection: ReviewSelection, thresholds: Thresholds) -> tuple[Review, int]:
+    """Return the review of a recording, and its first gateway time (UTC ns).
+
+    Raises GatewayError if it has no cloud or no plan, ConfigError if it does not have the requested ones.
+    """
+    with SessionFile.open(path) as file:
+        return review_session(file, selection, thresholds), file.start_ns
+
+
+def review_session(file: SessionFile, selection: ReviewSelection, thresholds: Thresholds) -> Review:
+    """Return the review of an open recording; see `review_recording`."""
+    unit_m = UNITS[config_to_run(file.session).ros_unit] / UNITS["m"]
+    material = Material(selection.plan, selection.cloud, selection.tool, selection.clouds, unit_m)
+    for entry in file.entries():
+        material.take(entry)
+    try:
+        return review_of(material, thresholds)
+    except ConfigError:
+        raise
+    except GatewayError as error:
+        raise GatewayError(f"{file.path}: {error}") from None
+
+
+def checked_thresholds(values: Mapping[str, float], clouds: int, name: Callable[[str], str] = str) -> Thresholds:
+    """Return the thresholds.  Raises ConfigError, with the name that ``name`` gives to a threshold."""
+    for each, value in values.items():
+        if not 0 < value < math.inf:
+            raise ConfigError(f"{name(each)}: found {value}, expected a number above 0")
+    if clouds < 1:
+        raise ConfigError(f"{name('clouds')}: found {clouds}, expected 1 or more")
+    limits = Thresholds(**values)
+    if limits.look_mm > limits.wrong_mm:
+        raise ConfigError(
+            f"{name('look_mm')}: found {limits.look_mm}, expected at most {name('wrong_mm')}, {limits.wrong_mm}"
+        )
+    return limits

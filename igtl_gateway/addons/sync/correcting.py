@@ -1,0 +1,59 @@
+"""A session with corrected source stamps of some streams, as a new file that verifies."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from igtl_gateway.addons.sync.correction import StampCorrection, corrected
+from igtl_gateway.app.verification import IMPORTED, verify_recording
+from igtl_gateway.base.errors import GatewayError, UnsupportedRecording
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.version import __version__
+from igtl_gateway.record.sessionfile import layout
+from igtl_gateway.record.sessionfile.beside import written
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.writer import SessionWriter
+
+
+def write_corrected(
+    path: Path,
+    out: Path,
+    corrections: Mapping[tuple[str, str], StampCorrection],
+    *,
+    check: Callable[[Path], None],
+    overwrite: bool = False,
+) -> bool:
+    """Write the session with the corrections, and check it; return whether it was verified: an import has no outputs.
+
+    Args:
+        path: the session.
+        out: the file to write.
+        corrections: channel and type of the entries of a stream → what is subtracted from its stamps.
+        check: called with the written file before it gets its name; what it raises leaves no file.
+        overwrite: replace an existing file.
+
+    Raises:
+        UnsupportedRecording: the file is of another program.
+        GatewayError: the outputs of the gateway depend on these stamps, or the file cannot be written.
+    """
+    with written(out, overwrite=overwrite) as place:
+        with SessionFile.open(path) as file:
+            if file.foreign:
+                raise UnsupportedRecording(f"{path}: found an MCAP file of another program, expected a session")
+            qos = {(channel.topic, channel.type): channel.qos for channel in file.channels}
+
+            def qos_of(topic: str, ros_type: str) -> Qos | None:
+                return qos.get((topic, ros_type))
+
+            facts = {**file.session, "corrected_by": __version__}
+            writer = SessionWriter(place, facts, qos_of=qos_of, compression="zstd")
+            for entry in corrected(file.entries(), corrections):
+                writer.write(entry)
+            writer.close({**(file.ledger or {}), **layout.declared_losses(file.ledger)})
+        has_outputs = IMPORTED not in facts
+        if has_outputs and not verify_recording(place).good:
+            names = ", ".join(each.stream for each in corrections.values())
+            raise GatewayError(f"{names}: found outputs that depend on the source stamps, expected none")
+        check(place)
+        return has_outputs

@@ -1,0 +1,85 @@
+"""A lag as a chart: both signals with the lag removed, the search, and the lag in windows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from io import StringIO
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from igtl_gateway.addons.sync.curves import lag_curves, lag_text
+from igtl_gateway.addons.sync.lag import Lag
+from igtl_gateway.addons.sync.signal import Signal
+from igtl_gateway.base.errors import ViewerError
+from igtl_gateway.base.extras import missing
+from igtl_gateway.base.stamp import NS_PER_S
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+_FIXED, _MOVING, _GREY = "#1f77b4", "#d62728", "#888888"
+_WIDTH, _HEIGHT = 9.0, 2.6  # inches of one row
+#: Text stays text, and equal results give equal files.
+_STYLE: Any = {"svg.fonttype": "none", "svg.hashsalt": "igtl-gateway", "axes.grid": True, "grid.color": "#dddddd"}
+
+
+def lag_chart(fixed: Signal, lags: Sequence[tuple[Signal, Lag]]) -> str:
+    """Return an SVG with a row of charts for each stream.  Raises ViewerError if matplotlib is missing."""
+    try:
+        import matplotlib as mpl
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise ViewerError(missing("matplotlib", error)) from None
+    with mpl.rc_context(_STYLE):
+        figure = Figure(figsize=(_WIDTH, 2 * _HEIGHT * len(lags)), layout="constrained")
+        rows = figure.subfigures(len(lags), 1, squeeze=False)
+        for (signal, lag), row in zip(lags, rows[:, 0], strict=True):
+            axes = row.subplot_mosaic([["signals", "signals"], ["search", "windows"]])
+            row.suptitle(f"{signal.name} behind {fixed.name}: {lag_text(lag)}", fontsize="medium")
+            _draw_signals(axes["signals"], fixed, signal, lag)
+            _draw_search(axes["search"], lag)
+            _draw_windows(axes["windows"], lag)
+        out = StringIO()
+        figure.savefig(out, format="svg", metadata={"Date": None})
+        return out.getvalue()
+
+
+def _draw_signals(axes: Axes, fixed: Signal, moving: Signal, lag: Lag) -> None:
+    """The main components, normalised, in the common time; the moving one without its lag."""
+    one, other, late_ns = lag_curves(fixed, moving, lag)
+    begin_ns = int(max(fixed.times_ns[0], moving.times_ns[0]))
+    seconds = (one.times_ns - begin_ns) / NS_PER_S
+    others = (other.times_ns - late_ns - begin_ns) / NS_PER_S
+    axes.plot(seconds, one.values, color=_FIXED, linewidth=1, label=fixed.name)
+    label = f"{moving.name}, {-late_ns / 1e6:+.1f} ms" if late_ns else moving.name
+    axes.plot(others, other.values, color=_MOVING, linewidth=0.8, label=label)
+    axes.set_xlabel("s")
+    axes.set_ylabel("movement")
+    axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, frameon=False, fontsize="small")
+
+
+def _draw_search(axes: Axes, lag: Lag) -> None:
+    axes.set_xlabel("lag, ms")
+    axes.set_ylabel("R²")
+    if lag.search:
+        lags, r2 = np.array(lag.search).T
+        axes.plot(lags * 1e3, r2, color=_GREY)
+    if lag.verdict.has_lag:
+        axes.axvspan(lag.low_s * 1e3, lag.high_s * 1e3, color=_MOVING, alpha=0.25)
+        axes.axvline(lag.lag_s * 1e3, color=_MOVING)
+    elif not math.isnan(lag.other_s):
+        for value in (lag.lag_s, lag.other_s):
+            axes.axvline(value * 1e3, color=_MOVING, linestyle=":")
+
+
+def _draw_windows(axes: Axes, lag: Lag) -> None:
+    axes.set_xlabel("s")
+    axes.set_ylabel("lag, ms")
+    for window in lag.windows:
+        middle, half = (window.start_s + window.end_s) / 2, (window.end_s - window.start_s) / 2
+        axes.errorbar(middle, window.lag_s * 1e3, window.error_s * 1.96e3, half, color=_GREY, capsize=2)
+    if lag.verdict.has_lag:
+        axes.axhspan(lag.low_s * 1e3, lag.high_s * 1e3, color=_MOVING, alpha=0.25)
+        axes.axhline(lag.lag_s * 1e3, color=_MOVING)

@@ -1,0 +1,115 @@
+"""One movement that two streams show: the samples of one, to be compared with the other one at any lag."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.addons.sync.signal import Filtered, Floats
+from igtl_gateway.addons.sync.statistics import chi_squared, half_waves
+
+#: Samples below which nothing is estimated.
+LEAST_SAMPLES = 30
+
+_PART_COVERED = 0.6  # of the samples that a lag has to cover
+_SPREAD = 0.05  # part of the main component's spread below which a component is left out
+_DRIFT_S = 20.0  # shortest period of what counts as drift
+_MOST_DRIFT = 60  # cosines: those of 10 minutes
+_SEARCH_HZ = 4.0  # samples for the search, relative to the cut-off: more of them contain nothing further
+_RIDGE = 1e-9  # of columns of size 1, for those that depend on each other
+_CHANCE = 3.1  # quantile of the normal distribution, of what chance explains at the best of some lags
+
+Mask = npt.NDArray[np.bool_]
+
+
+class Probe:
+    """The regression of a target on the components of the faster signal at a lag.
+
+    Attributes:
+        times: (N,) s after the origin; target: (N,) low-pass filtered.
+        some: (S,) as many of the times as contain all of the filtered movement, for the search.
+        faster: the other signal.
+        direction: 1 if the target is of the fixed stream; -1 if it is of the moving one, which lags behind.
+        drift: (N, D) slow cosines, which are part of the regression.
+    """
+
+    def __init__(self, times: Floats, target: Floats, faster: Filtered, direction: int, cut_off_hz: float) -> None:
+        self.times, self.target, self.faster, self.direction = times, target, faster, direction
+        seconds = max(float(times[-1] - times[0]), 1e-9)
+        slow = min(int(2 * seconds / _DRIFT_S), _MOST_DRIFT)
+        self.drift = np.cos(np.pi * np.arange(slow + 1) * ((times - times[0]) / seconds)[:, np.newaxis])
+        values = faster.at(times[faster.covers(times)])
+        _, sizes, axes = np.linalg.svd(values - values.mean(axis=0), full_matrices=False)
+        kept = sizes > _SPREAD * sizes[0]
+        self.axes = (axes[kept] / sizes[kept, np.newaxis]).T * math.sqrt(len(values))
+        rate_hz = (len(times) - 1) / seconds
+        every = max(1, min(int(rate_hz / (_SEARCH_HZ * cut_off_hz)), len(times) // (2 * LEAST_SAMPLES)))
+        self.some = self.times[::every]
+        self._least = max(LEAST_SAMPLES / every, _PART_COVERED * len(self.some))
+        self._target, self._drift = self.target[::every], self.drift[::every]
+
+    def r2(self, lag_s: float) -> float:
+        """Return the explained part of the variance at a lag; NaN if it covers too few samples."""
+        at = self.some + self.direction * lag_s
+        inside = self.faster.covers(at)
+        if np.count_nonzero(inside) < self._least:
+            return math.nan
+        target, drift = self._target[inside], self._drift[inside]
+        # of the normal equations, because this is done for each lag of the search
+        columns = np.column_stack([drift, self.faster.at(at[inside]) @ self.axes])
+        normal, score = columns.T @ columns, columns.T @ target
+        size, count = float(target @ target), drift.shape[1]
+        normal.flat[:: len(normal) + 1] += _RIDGE * len(columns)
+        total = size - float(score[:count] @ np.linalg.solve(normal[:count, :count], score[:count]))
+        left = size - float(score @ np.linalg.solve(normal, score))
+        return 1 - max(left, 0.0) / total if total > 1e-12 * size else math.nan
+
+    def _beside_drift(self, lag_s: float) -> tuple[Mask, Floats, Floats]:
+        """Which of some samples are covered (S), and of these (M) the target and what the faster signal explains."""
+        at = self.some + self.direction * lag_s
+        inside = self.faster.covers(at)
+        drift = self._drift[inside]
+        values = without(drift, self.faster.at(at[inside]) @ self.axes)
+        target = without(drift, self._target[inside])
+        return inside, target, values @ gains_of(values, target)
+
+    def residual(self, lag_s: float) -> Floats:
+        """Return the residuals (S) at a lag; NaN where the faster signal is not known."""
+        inside, target, predicted = self._beside_drift(lag_s)
+        found = np.full(len(self.some), math.nan)
+        found[inside] = target - predicted
+        return found
+
+    def prediction(self, lag_s: float) -> tuple[Floats, Floats]:
+        """Return times (M) and what the faster signal shows of the target at a lag (M), without the drift."""
+        inside, _, predicted = self._beside_drift(lag_s)
+        return self.some[inside], predicted
+
+    def freedom(self, lag_s: float) -> float:
+        """Return the number of independent values of the movement that both signals show."""
+        inside, target, predicted = self._beside_drift(lag_s)
+        return min(half_waves(self.some[inside], each) for each in (target, predicted))
+
+    def is_chance(self, lag_s: float, r2: float) -> bool:
+        """Return whether an R² of this size is found at some lag of signals that are not related.
+
+        Slow signals have few independent values, and any two of them are alike at some lag.
+        """
+        components = self.axes.shape[1]
+        left = self.freedom(lag_s) - self.drift.shape[1] - (components + 1) / 2
+        return bool(left <= 0 or -left * math.log(max(1 - r2, 1e-9)) < chi_squared(components, _CHANCE))
+
+
+def without(drift: Floats, values: Floats) -> Floats:
+    """Return the values (N) or (N, K) without what the drift (N, D) explains."""
+    slow, _ = np.linalg.qr(drift)
+    return np.asarray(values - slow @ (slow.T @ values))
+
+
+def gains_of(values: Floats, target: Floats) -> Floats:
+    """Return the gains (K) of the target (N) regressed on the values (N, K)."""
+    # of the normal equations: a few components, of about the same size
+    gains, *_ = np.linalg.lstsq(values.T @ values, values.T @ target, rcond=None)
+    return np.asarray(gains)

@@ -1,0 +1,112 @@
+"""The search: how alike the signals of probes are at every lag, and which of the peaks is the lag."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from igtl_gateway.addons.sync.fit import Fit
+from igtl_gateway.addons.sync.probe import Probe
+from igtl_gateway.addons.sync.signal import Floats
+
+_STEP_S, _STEP_PERIODS = 0.04, 0.1  # the step is at most this, and this part of the shortest period
+_BEYOND = 1.5  # a lag beyond the search range shows itself in a search of this times the range ...
+_BEYOND_S = 2.5  # ... and up to this at least
+_SIMILAR_R2, _EQUAL_R2 = 0.9, 0.98  # R² of another peak, relative to the best, that may be, or is, as good
+_SIMILAR_OF_SEVERAL = 0.5  # likewise for the R² of several probes, of which some cannot choose
+_CLEAR_T = 3.0  # Student's t of their difference from which on one lag is better
+_CLEAR_LIKELIHOOD = 12.0  # likewise twice the logarithm of the ratio of their likelihoods: 400 to 1
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """R² at the lags of a search.
+
+    Attributes:
+        lags: (L,) s, increasing.
+        each: (P, L) R² of each probe, NaN where a lag covers too few of its samples.
+        max_lag_s: the search range; lags beyond it only show whether the lag is in it.
+    """
+
+    lags: Floats
+    each: Floats
+    max_lag_s: float
+
+    @classmethod
+    def of(cls, probes: Sequence[Probe], max_lag_s: float, cut_off_hz: float) -> Curve:
+        step_s = min(_STEP_S, _STEP_PERIODS / cut_off_hz)
+        reach = math.ceil(max(_BEYOND * max_lag_s, _BEYOND_S) / step_s)
+        lags = np.arange(-reach, reach + 1, dtype=np.float64) * step_s
+        return cls(lags, np.array([[probe.r2(lag) for lag in lags.tolist()] for probe in probes]), max_lag_s)
+
+    def of_probes(self, chosen: Sequence[bool]) -> Floats:
+        """Return R² of some probes together (L): from 1, the geometric mean of what is left."""
+        left = 1 - np.clip(self.each[np.array(chosen)], 0.0, 1 - 1e-9)
+        return np.asarray(1 - np.exp(np.mean(np.log(left), axis=0)))
+
+    def largest(self) -> Floats:
+        """Return the largest R² of each probe in the search range (P), 0 without one."""
+        return np.asarray(np.max(np.where(self.inside & np.isfinite(self.each), self.each, 0.0), axis=1))
+
+    @property
+    def inside(self) -> Floats:
+        """Which lags are in the search range, and one step more for its peaks (L), bool."""
+        return np.asarray(np.abs(self.lags) <= self.max_lag_s + (self.lags[1] - self.lags[0]))
+
+
+def peaks_of(values: Floats) -> list[int]:
+    """Return where values are larger than their neighbours."""
+    return [i for i in range(1, len(values) - 1) if values[i] >= values[i - 1] and values[i] > values[i + 1]]
+
+
+def chosen_peak(curve: Curve, probes: Sequence[Probe], deciders: Sequence[bool]) -> int | None:
+    """Return the index of the lag among the peaks of all probes; None if it is at the edge of the range or beyond it.
+
+    Args:
+        curve: R² of the probes.
+        probes: the probes.
+        deciders: which of them do not repeat themselves, and choose; without one, only the search range counts.
+    """
+    every = curve.of_probes([True] * len(probes))
+    if not any(deciders):
+        every = np.where(curve.inside, every, np.nan)
+    peaks = peaks_of(every)
+    if not peaks:
+        return None
+    if all(deciders) or not any(deciders):
+        best = int(np.nanargmax(every))
+        return best if best in peaks and curve.inside[best] else None
+    votes, fit = curve.of_probes(deciders), Fit(probes)
+    least = _SIMILAR_OF_SEVERAL * max(float(every[i]) for i in peaks)
+    likely = sorted((i for i in peaks if every[i] >= least), key=lambda i: -float(votes[i]))
+    best = likely[0]
+    for other in likely[1:]:
+        if fit.advantage(float(curve.lags[best]), float(curve.lags[other]))[1] < 0:
+            best = other
+    return best if curve.inside[best] else None
+
+
+def rival(curve: Curve, best: int, probes: Sequence[Probe], deciders: Sequence[bool], *, beyond: bool) -> float:
+    """Return the lag of another peak that explains the data almost as well as the best one, s; NaN without one.
+
+    Args:
+        curve, probes, deciders: as of ``chosen_peak``.
+        best: index of the lag.
+        beyond: whether a peak beyond the search range counts.
+    """
+    every = curve.of_probes([True] * len(probes))
+    fit, chooses = Fit(probes), Fit([probe for probe, decides in zip(probes, deciders, strict=True) if decides])
+    is_one = len(probes) == 1
+    for other in peaks_of(every if beyond else np.where(curve.inside, every, np.nan)):
+        ratio = float(every[other] / every[best])
+        if other == best or ratio < (_SIMILAR_R2 if is_one else _SIMILAR_OF_SEVERAL):
+            continue
+        lags = float(curve.lags[best]), float(curve.lags[other])
+        t, votes = chooses.advantage(*lags)
+        is_clear = t >= _CLEAR_T or (votes >= 0 and fit.advantage(*lags)[1] >= _CLEAR_LIKELIHOOD)
+        if not is_clear or (is_one and ratio > _EQUAL_R2):
+            return lags[1]
+    return math.nan

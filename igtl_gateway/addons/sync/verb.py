@@ -1,0 +1,320 @@
+"""``igtl-gateway sync``: the lags between the streams of a recording, and their correction."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import asdict, dataclass
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway.addons.sync.correcting import write_corrected
+from igtl_gateway.addons.sync.correction import StampCorrection, is_corrected
+from igtl_gateway.addons.sync.curves import lag_text
+from igtl_gateway.addons.sync.defaults import CUT_OFF_HZ, MAX_LAG_S
+from igtl_gateway.addons.sync.lag import Lag, Pair, Verdict, measure_lag, measure_together
+from igtl_gateway.addons.sync.signal import Signal
+from igtl_gateway.api import recording as recordings
+from igtl_gateway.api.lags import movement, movements
+from igtl_gateway.api.recording import Recording
+from igtl_gateway.api.stream import Stream
+from igtl_gateway.base.errors import ConfigError, GatewayError
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.cli.options import add_file, add_json, add_overwrite, default, new_recording, output_file
+from igtl_gateway.cli.terminal import aligned, print_json, print_line
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.record.sessionfile.beside import check_target, written
+from igtl_gateway.record.sessionfile.new_file import write_text
+
+EXAMPLES = """\
+  # how late is each stream against the first one?
+  igtl-gateway sync out.mcap TRANSFORM/Probe IMAGE/Video /joint_states
+  # all streams in which something moves
+  igtl-gateway sync out.mcap
+  # a jaw that opens and closes periodically, and an insertion that does not:
+  # kinematics and video, one lag
+  igtl-gateway sync out.mcap /psm/jaw /video/jaw --max-lag 5 \\
+      --pair /psm/insertion /video/insertion
+  # the water tank of PLUS: two imported files, and the line in the pictures
+  igtl-gateway sync video.mcap IMAGE/Image TRANSFORM/ProbeToTracker \\
+      --with tracker.mcap --line --plot lag.svg
+  # write a session with corrected stamps
+  igtl-gateway sync out.mcap TRANSFORM/Probe IMAGE/Video --apply -o new.mcap
+
+A positive lag means that the stamps of the stream are late: what the first
+stream shows at time t, it shows at t + lag.  Exit code 0: all lags are
+measured; 1: the data give no lag, and the reason is printed."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_file(parser)
+    parser.add_argument(
+        "streams",
+        metavar="STREAM",
+        nargs="*",
+        help="streams such as TRANSFORM/Probe or /camera/image; the lags are those behind the first one "
+        + default("all input streams in which something moves"),
+    )
+    parser.add_argument("--with", dest="other", type=Path, metavar="FILE", help="second recording, for further streams")
+    parser.add_argument(
+        "--max-lag",
+        type=float,
+        metavar="S",
+        help="search lags up to this size; states that the lag is below it, as periodic movements need it "
+        + default(MAX_LAG_S),
+    )
+    parser.add_argument(
+        "--pair",
+        nargs=2,
+        action="append",
+        default=[],
+        metavar="STREAM",
+        help="with two streams: two more streams of the same two clocks, whose movement has the same lag (repeatable)",
+    )
+    parser.add_argument(
+        "--cut-off",
+        type=float,
+        default=CUT_OFF_HZ,
+        metavar="HZ",
+        help="highest cut-off of the low-pass filter; noisy signals get a lower one by themselves "
+        + default(CUT_OFF_HZ),
+    )
+    parser.add_argument("--frame", default="", metavar="NAME", help="tool or child frame of streams with several poses")
+    parser.add_argument("--line", action="store_true", help="follow the bright line in images, as in a water tank")
+    parser.add_argument(
+        "--plot", type=output_file(".svg"), metavar="FILE", help="draw signals, search and windows (SVG)"
+    )
+    parser.add_argument(
+        "--apply",
+        action="store_true",
+        help="write a session with corrected stamps of the second stream (and of the second one of each --pair)",
+    )
+    parser.add_argument("-o", "--out", type=new_recording, metavar="FILE", help="with --apply: the file to write")
+    add_overwrite(parser, "files")
+    add_json(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    _check(options)
+    with ExitStack() as stack:
+        opened = [
+            stack.enter_context(recordings.open(path)) for path in (options.file, options.other) if path is not None
+        ]
+        signals = _signals(opened, options)
+        pairs = _pairs(opened, options)
+    if len(signals) < 2:
+        raise GatewayError(f"{options.file}: found {len(signals)} streams in which something could move, expected two")
+    fixed, *others = signals
+    lags = [(signal, _measure(fixed, signal, pairs, options)) for signal in others]
+    if options.plot:
+        from igtl_gateway.addons.sync.plot import lag_chart  # here: matplotlib is an extra
+
+        chart = lag_chart(fixed, lags)
+        with written(options.plot, overwrite=options.overwrite) as path:
+            write_text(path, chart)
+    good = all(lag.verdict.has_lag for _, lag in lags)
+    applied = _apply(options, fixed, pairs, *lags[0]) if options.apply and good else None
+    if options.json:
+        facts = {"file": str(options.file), "fixed": fixed.name, "lags": [lag_facts(*each) for each in lags]}
+        print_json(facts | ({"applied": applied.facts()} if applied else {}))
+    else:
+        _print(fixed, lags)
+        if options.apply:
+            print_line(applied.text() if applied else f"{options.out}: not written: there is no lag to correct")
+    return 0 if good else 1
+
+
+def _check(options: argparse.Namespace) -> None:
+    for name in ("max_lag", "cut_off"):
+        value = getattr(options, name)
+        if value is not None and not 0 < value < math.inf:
+            raise ConfigError(f"--{name.replace('_', '-')}: found {value:g}, expected more than 0")
+    if options.pair and len(options.streams) != 2:
+        raise ConfigError(f"--pair: found {len(options.streams)} streams, expected two before it")
+    if options.apply != (options.out is not None):
+        raise ConfigError("--apply: found it or --out alone, expected both")
+    if options.apply and (len(options.streams) != 2 or options.other):
+        raise ConfigError(f"--apply: found {len(options.streams)} streams, expected two of one file")
+    for target in (options.out, options.plot):
+        if target:
+            check_target(target, overwrite=options.overwrite)
+
+
+def _signals(opened: Sequence[Recording], options: argparse.Namespace) -> list[Signal]:
+    """Return the movements of the requested streams, or of all inputs that have one."""
+    if options.streams:
+        return [_movement(stream_named(opened, name), options) for name in options.streams]
+    return movements(opened, frame=options.frame, line=options.line)
+
+
+def stream_named(opened: Sequence[Recording], name: str) -> Stream:
+    """Return a stream of the first recording that has it.  Raises GatewayError."""
+    for each in opened:
+        if name in each:
+            return each[name]
+    files, names = (", ".join(map(str, words)) for words in ([each.path for each in opened], chain(*opened)))
+    raise GatewayError(f"{files}: found no stream {name!r}, expected one of {names}")
+
+
+def _pairs(opened: Sequence[Recording], options: argparse.Namespace) -> list[tuple[Signal, Signal]]:
+    """Return the movements of the further pairs."""
+    return [
+        (_movement(stream_named(opened, fixed), options), _movement(stream_named(opened, moving), options))
+        for fixed, moving in options.pair
+    ]
+
+
+def _measure(fixed: Signal, moving: Signal, pairs: Sequence[tuple[Signal, Signal]], options: argparse.Namespace) -> Lag:
+    if not pairs:
+        return measure_lag(fixed, moving, max_lag_s=options.max_lag, cut_off_hz=options.cut_off)
+    return measure_together([(fixed, moving), *pairs], max_lag_s=options.max_lag, cut_off_hz=options.cut_off)
+
+
+def _movement(stream: Stream, options: argparse.Namespace) -> Signal:
+    return movement(stream, frame=options.frame, line=options.line)
+
+
+def lag_facts(signal: Signal, lag: Lag) -> dict[str, Any]:
+    """Return a lag for JSON."""
+    facts = {key: value for key, value in asdict(lag).items() if key != "search"}
+    facts["pairs"] = [asdict(pair) | {"verdict": pair.verdict.name.lower()} for pair in lag.pairs]
+    clock = "source" if signal.is_stamped else "gateway"
+    reason = lag.verdict.value
+    return {
+        "stream": signal.name, "clock": clock, **_finite(facts), "verdict": lag.verdict.name.lower(), "reason": reason,
+    }  # fmt: skip
+
+
+def _finite(value: Any) -> Any:
+    """JSON has no NaN and no infinity: null."""
+    match value:
+        case dict():
+            return {key: _finite(part) for key, part in value.items()}
+        case list() | tuple():
+            return [_finite(part) for part in value]
+        case float() if not math.isfinite(value):
+            return None
+        case _:
+            return value
+
+
+def _print(fixed: Signal, lags: Sequence[tuple[Signal, Lag]]) -> None:
+    print_line(f"behind {fixed.name}: {len(fixed.times_ns):,} samples, {1 / fixed.period_s:.1f} Hz")
+    rows = [("stream", "lag", "95 %", "R²", "skew", "samples", ""), *(_row(*each) for each in lags)]
+    print_line(*aligned(rows, left=1))
+    unstamped = [signal.name for signal in (fixed, *(signal for signal, _ in lags)) if not signal.is_stamped]
+    if unstamped:
+        print_line(f"no stamps in {', '.join(unstamped)}: gateway times are used, so its lag contains the transport")
+    for signal, lag in lags:
+        for line in _remarks(lag):
+            print_line(f"{signal.name}: {line}")
+
+
+def _row(signal: Signal, lag: Lag) -> tuple[str, ...]:
+    if not lag.verdict.has_lag:
+        return signal.name, "", "", _number(lag.r2, ".3f"), "", f"{lag.samples:,}", lag.verdict.value
+    return (
+        signal.name,
+        f"{lag.lag_s * 1e3:+.1f} ms",
+        f"{lag.low_s * 1e3:+.1f} to {lag.high_s * 1e3:+.1f}",
+        f"{lag.r2:.3f}",
+        f"{lag.skew_ppm:+.0f} ppm" if lag.has_skew else "",
+        f"{lag.samples:,}",
+        "",
+    )
+
+
+def _remarks(lag: Lag) -> Iterator[str]:
+    if lag.verdict.has_lag and len(lag.windows) > 1:
+        spread = [window.lag_s * 1e3 for window in lag.windows]
+        text = f"{min(spread):+.1f} to {max(spread):+.1f} ms in {len(spread)} windows"
+        yield f"{lag.verdict.value}: {text}" if lag.verdict.name == "VARIES" else text
+    if lag.verdict.has_lag and not math.isnan(lag.period_s):
+        yield f"period {lag.period_s:.2f} s; this is the lag if it is below a quarter of it, as --max-lag states"
+    elif not math.isnan(lag.period_s):
+        yield (
+            f"period {lag.period_s:.2f} s; move irregularly, add another movement (--pair), "
+            f"or search less than a quarter of it (--max-lag {math.floor(lag.period_s / 4 * 100) / 100:g})"
+        )
+    if lag.verdict is Verdict.AT_EDGE:
+        yield "search further (--max-lag)"
+    if lag.verdict is Verdict.CONTRADICTORY and lag.windows:
+        yield f"{', '.join(f'{window.lag_s * 1e3:+.1f}' for window in lag.windows)} ms in windows"
+    for pair in lag.pairs:
+        yield f"{pair.fixed} and {pair.moving}: {_role(pair)}"
+    if not math.isnan(lag.other_s):
+        yield f"{lag.lag_s * 1e3:+.0f} ms and {lag.other_s * 1e3:+.0f} ms are similar"
+
+
+def _role(pair: Pair) -> str:
+    """What a pair contributes to the lag of several."""
+    if math.isnan(pair.r2):
+        return pair.verdict.value
+    period = "" if math.isnan(pair.period_s) else f", period {pair.period_s:.2f} s"
+    return f"R² {pair.r2:.3f}{period}"
+
+
+def _number(value: float, form: str) -> str:
+    return "" if math.isnan(value) else format(value, form)
+
+
+@dataclass(frozen=True, slots=True)
+class _Applied:
+    """A corrected session.
+
+    Attributes:
+        out: the file.
+        streams: the corrected streams.
+        again: the lag in the file.
+        is_verified: whether the outputs of the gateway were verified; an import has none.
+    """
+
+    out: Path
+    streams: tuple[Signal, ...]
+    again: Lag
+    is_verified: bool
+
+    def facts(self) -> dict[str, Any]:
+        return {"out": str(self.out), "lag": lag_facts(self.streams[0], self.again), "verified": self.is_verified}
+
+    def text(self) -> str:
+        names = ", ".join(each.name for each in self.streams)
+        is_stamped = all(each.is_stamped for each in self.streams)
+        stamps = f"the stamps of {names}" if is_stamped else f"the gateway times of {names}, as its stamps,"
+        proof = "the session verifies" if self.is_verified else "an import has no outputs to verify"
+        measured = f"measured again, the lag is {self.again.lag_s * 1e3:+.1f} ms"
+        return f"{self.out}: {stamps} are corrected; {measured}; {proof}"
+
+
+def _apply(
+    options: argparse.Namespace, fixed: Signal, pairs: Sequence[tuple[Signal, Signal]], moving: Signal, lag: Lag
+) -> _Applied:
+    """Write the corrected session.  Raises GatewayError if the lag is still there; then there is no file."""
+    low_ns, lag_ns, high_ns = (round(value * NS_PER_S) for value in (lag.low_s, lag.lag_s, lag.high_s))
+    skew_ppm = lag.skew_ppm if lag.has_skew else 0.0
+    found: list[Lag] = []
+
+    def check(path: Path) -> None:
+        with recordings.open(path) as recording:
+            again, others = _signals([recording], options), _pairs([recording], options)
+        found.append(_measure(again[0], again[1], others, options))
+        if not is_corrected(lag, found[0]):
+            raise GatewayError(
+                f"{moving.name}: after the correction by {lag_text(lag)} found {lag_text(found[0])}, "
+                f"expected no lag; {options.out} is not written"
+            )
+
+    corrections = {}
+    with recordings.open(options.file) as recording:
+        for one, other in ((fixed, moving), *pairs):
+            stream = recording[other.name]
+            if not Kind(stream.direction).is_input:
+                raise GatewayError(f"{stream.key}: found an output of the gateway, expected a stream that it received")
+            corrections[stream.name, stream.type] = StampCorrection(
+                other.name, one.name, lag_ns, low_ns, high_ns, skew_ppm, lag.middle_ns, other.is_stamped
+            )
+    verified = write_corrected(options.file, options.out, corrections, check=check, overwrite=options.overwrite)
+    return _Applied(options.out, tuple(each for _, each in ((fixed, moving), *pairs)), found[0], verified)

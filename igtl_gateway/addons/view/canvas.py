@@ -1,0 +1,228 @@
+"""The canvas of one topic: its entity and child entities, its frame, and its facts in ``SessionContents``."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+import rerun as rr
+
+from igtl_gateway.addons.view.colours import SERIES
+from igtl_gateway.addons.view.contents import FRAMES, LOG, EntityKind, SessionContents, ShownTopic, escape_path_part
+from igtl_gateway.addons.view.pen import Pen, Pose, Xyz
+from igtl_gateway.base.once import Once
+
+if TYPE_CHECKING:
+    from igtl_gateway.addons.view.robots import Robots
+
+NS_PER_MS = 1_000_000
+
+#: A trail: its length in time, the time between its points, and the time between two drawings.
+TRAIL_NS, _STEP_NS, _DRAW_NS = 5_000 * NS_PER_MS, 20 * NS_PER_MS, 100 * NS_PER_MS
+
+#: Number of points that are sampled for a box; from _MANY points on, outliers are left out.
+_SAMPLE, _MANY = 2000, 500
+#: Coordinates beyond this distance, in metres, are invalid and do not count for the eye of a view.
+_FAR_M = 1e6
+#: The owner of frames that are computed from joint states, instead of a topic.
+MODEL = ""
+#: Maximum number of lines that a topic can log by ``text_once``.
+_ONCES = 20
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """Options for drawing.
+
+    Attributes:
+        colour_by: field that colours clouds; "" = the colours of the cloud, else its intensity, else none.
+        axis_m: length of the axes of a tool, in metres.
+        trails: draw the trails of tools.
+        plain: escape characters that the font of the viewer does not have: a headless viewer exits at one.
+    """
+
+    colour_by: str = ""
+    axis_m: float = 0.02
+    trails: bool = True
+    plain: bool = False
+
+
+@dataclass(slots=True)
+class _Trail:
+    """The latest positions of a tool."""
+
+    points: deque[tuple[int, Xyz]] = field(default_factory=deque)
+    drawn_ns: int = 0
+    frame: str = ""
+
+
+class Canvas:
+    """What the function that draws a message of the topic draws on.
+
+    Attributes:
+        robots: the robots of the session.
+        shown: the facts of the topic; drawing functions refine them.
+        rows: number of rows at the path of the topic: one for each message, see ``SessionView``.
+        memory: what a drawing function keeps between messages (a colour scale, the visible markers).
+    """
+
+    def __init__(
+        self, pen: Pen, seen: SessionContents, shown: ShownTopic, options: Options, number: int, robots: Robots
+    ) -> None:
+        self.pen = pen
+        self.robots = robots
+        self.shown = shown
+        self.options = options
+        self.rows = 0
+        self.memory: dict[str, Any] = {}
+        self._once = Once(_ONCES)
+        self.colour = SERIES[number % len(SERIES)]
+        self._seen = seen
+        self._trails: dict[str, _Trail] = {}
+        self._paths = {"": shown.path}  # child → its entity
+
+    def fields(self, names: Iterable[str]) -> None:
+        """Record the names of fields that can colour a cloud."""
+        self._seen.fields.update(names)
+
+    def frame(self, frame_id: str) -> str:
+        """Return the frame to draw in; the base frame of the session if the message names none."""
+        self.shown.frame = self.pen.displayable(frame_id.lstrip("/")) or self._seen.base_frame
+        return self.shown.frame
+
+    def set_kind(self, what: EntityKind) -> None:
+        """Set the kind of the topic if this is its first message."""
+        if not self.shown.count:
+            self.shown.what = what
+
+    def log(self, *archetypes: Any, child: str = "", frame: str = "", static: bool = False) -> None:
+        """Log a row of the topic, or of the entity ``child`` below it; 3-D contents are in ``frame``.
+
+        ``static`` contents are there at all times: only for entities without rows.
+        """
+        path = self._path(child)
+        if static:
+            self.pen.static(path, rr.CoordinateFrame(frame), *archetypes)
+            return
+        if frame:
+            self.pen.set_default_frame(path, frame)
+        where: tuple[Any, ...] = (rr.CoordinateFrame(frame),) if frame else ()
+        self.pen.log(path, *where, *archetypes)
+        self.rows += not child
+
+    def static(self, archetype: Any, child: str = "") -> None:
+        """Log static data: only for an archetype that no row of the entity has."""
+        self.pen.static(self._path(child), archetype)
+
+    def numbers(self, values: Sequence[float], child: str = "") -> None:
+        """Log a row of numbers for a plot over time."""
+        self.pen.numbers(self._path(child), values)
+        self.rows += not child
+
+    def text(self, text: str, level: str = "INFO", colour: int | None = None) -> None:
+        """Write a line to the log of the session."""
+        self.pen.text(LOG, f"{self.shown.topic}: {text}", level, colour)
+
+    def text_once(self, text: str, about: str = "") -> None:
+        """Write a line to the log of the session, once for each ``about`` (default: the text)."""
+        if self._once.first(about or text):
+            self.text(text)
+
+    def tool(self, pose: Xyz, frame: str, child: str = "", *, labelled: bool = True) -> None:
+        """Draw the axes of a tool and its trail.
+
+        Args:
+            pose: x, y, z in metres, quaternion x, y, z, w.
+            frame: parent frame of the pose.
+            child: entity below the topic, for topics with several tools.
+            labelled: label the axes with the path of the entity, for frames without a name.
+        """
+        path = self._path(child)
+        self.pen.set_default_frame(path, frame)
+        self.pen.pose(path, Pose(frame, f"/{path}" if labelled else "", pose[:3], pose[3:], self.options.axis_m))
+        self.rows += not child
+        if self.options.trails and self.pen.stamp_ns:
+            self._trail(child, frame, pose[:3])
+
+    def box(self, places: npt.NDArray[Any]) -> None:
+        """Extend the bounding box of the topic by (n, 3) positions in metres; outliers are left out."""
+        some = places[:: max(len(places) // _SAMPLE, 1)].astype(np.float64)
+        some = some[(np.abs(some) < _FAR_M).all(axis=1)]
+        if not len(some):
+            return
+        low, high = np.percentile(some, (2, 98), axis=0) if len(some) >= _MANY else (some.min(axis=0), some.max(axis=0))
+        if self.shown.low is not None and self.shown.high is not None:
+            low, high = np.minimum(low, self.shown.low), np.maximum(high, self.shown.high)
+        (a, b, c), (d, e, f) = low.tolist(), high.tolist()
+        self.shown.low, self.shown.high = (a, b, c), (d, e, f)
+
+    def extend_box(self, place: Xyz) -> None:
+        """Extend the bounding box by one position: faster than ``box`` for streams of poses."""
+        low, high = self.shown.low, self.shown.high
+        x, y, z = place
+        if max(abs(x), abs(y), abs(z)) >= _FAR_M:
+            return
+        if low is None or high is None:
+            self.shown.low = self.shown.high = (x, y, z)
+        elif not (low[0] <= x <= high[0] and low[1] <= y <= high[1] and low[2] <= z <= high[2]):
+            self.shown.low = (min(low[0], x), min(low[1], y), min(low[2], z))
+            self.shown.high = (max(high[0], x), max(high[1], y), max(high[2], z))
+
+    def link(self, child: str, frame: str, pose: Xyz, *, static: bool = False, modelled: bool = False) -> None:
+        """Log one edge of the transform tree: the pose of the frame ``child`` in the frame ``frame``.
+
+        Each frame has one entity.  If several topics publish a frame, the first of them counts; every topic that
+        publishes it takes precedence over a pose that is ``modelled``: computed from joint states.
+        """
+        child = self.pen.displayable(child.lstrip("/"))
+        owner = self.pen.owners.get(child)
+        if owner is None or (owner == MODEL and not modelled):
+            if owner == MODEL:
+                self.text_once(f"moves {child} and other links: joint states do not move them now", "takes a robot")
+            owner = self.pen.owners[child] = MODEL if modelled else self.shown.path
+        if not child or child == frame or owner != (MODEL if modelled else self.shown.path):
+            return
+        path = self._seen.frames.get(child)
+        if path is None:
+            path = self._seen.frames[child] = self.pen.unique_path(f"{FRAMES}/{escape_path_part(child)}")
+        self._seen.parents[child] = frame
+        self._seen.places[child] = tuple(pose)
+        axis_m = self.pen.link_axes.get(child)
+        drawn_m = self.options.axis_m if axis_m is None else axis_m
+        pose_drawn = Pose(frame, child, pose[:3], pose[3:], drawn_m, labelled=axis_m is None)
+        if static and not self.pen.has_begun(path):  # a robot may have had a pose for it before
+            self.pen.static_pose(path, pose_drawn)
+        else:
+            self.pen.set_default_frame(path, child)
+            self.pen.begin(path, pose_drawn)
+            self.pen.pose(path, pose_drawn)
+
+    def _path(self, child: str) -> str:
+        """Return the path of the topic's entity, or of the entity ``child`` below it."""
+        path = self._paths.get(child)
+        if path is None:
+            path = self._paths[child] = self.pen.unique_path(f"{self.shown.path}/{child}")
+        return path
+
+    def _trail(self, child: str, frame: str, place: Xyz) -> None:
+        trail = self._trails.get(child)
+        if trail is None:
+            trail = self._trails[child] = _Trail(frame=frame)
+        now = self.pen.stamp_ns
+        if trail.frame != frame:
+            trail.points.clear()
+            trail.frame = frame
+        if trail.points and now - trail.points[-1][0] < _STEP_NS:
+            return
+        trail.points.append((now, place))
+        while now - trail.points[0][0] > TRAIL_NS:
+            trail.points.popleft()
+        if now - trail.drawn_ns >= _DRAW_NS and len(trail.points) > 1:
+            trail.drawn_ns = now
+            strip = np.array([point for _, point in trail.points], np.float32)
+            lines = rr.LineStrips3D([strip], colors=[self.colour], radii=[rr.Radius.ui_points(1.5)])
+            self.log(lines, child=f"{child}/trail" if child else "trail", frame=frame)

@@ -1,0 +1,116 @@
+"""Numbers: plots over time, bar charts, tensors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import rerun as rr
+
+from igtl_gateway.addons.view.canvas import Canvas
+from igtl_gateway.addons.view.colours import SERIES
+from igtl_gateway.addons.view.contents import EntityKind
+from igtl_gateway.addons.view.other_msgs import Float64
+from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.convert.common_msgs import JointState, MultiArray
+from igtl_gateway.convert.igtl_msgs import NdArray, Sensor
+from igtl_gateway.convert.robot_msgs import Joy, TwistStamped, WrenchStamped
+from igtl_gateway.wire.ndarray import NDARRAY_SCALARS
+
+#: Up to this many numbers are curves; more numbers are a bar chart.
+_CURVES = 16
+_WRENCH = (*(f"force {axis} (N)" for axis in "xyz"), *(f"torque {axis} (Nm)" for axis in "xyz"))
+_TWIST = (*(f"linear {axis} (m/s)" for axis in "xyz"), *(f"angular {axis} (rad/s)" for axis in "xyz"))
+#: Units of revolute and of prismatic joints: the message does not state the kind of a joint.
+_JOINTS = {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "Nm or N"}
+
+
+def draw_joints(message: JointState, canvas: Canvas) -> None:
+    """sensor_msgs/JointState: positions at the path of the topic, velocities and efforts below it; moves robots."""
+    for (what, unit), values in zip(_JOINTS.items(), (message.position, message.velocity, message.effort), strict=True):
+        names = [f"{name} ({unit})" for name in message.name]
+        _curves(canvas, values.tolist(), names, "" if what == "position" else what)
+    canvas.robots.move(message.name, message.position.tolist(), canvas)
+
+
+def draw_sensor(message: Sensor, canvas: Canvas) -> None:
+    """igtl_msgs/Sensor."""
+    unit = f" ({message.unit_text})" if message.unit_text else ""
+    _curves(canvas, message.values.tolist(), [f"{number}{unit}" for number in range(1, len(message.values) + 1)])
+
+
+def draw_number(message: Float64, canvas: Canvas) -> None:
+    """std_msgs/Float64."""
+    canvas.numbers([message.data])
+
+
+def draw_twist(message: TwistStamped, canvas: Canvas) -> None:
+    """geometry_msgs/TwistStamped."""
+    _curves(canvas, list(message.twist), _TWIST)
+
+
+def draw_buttons(message: Joy, canvas: Canvas) -> None:
+    """sensor_msgs/Joy: axes, then buttons."""
+    values = [*message.axes.tolist(), *message.buttons.tolist()]
+    axes = len(message.axes)
+    names = [f"axis {number}" if number <= axes else f"button {number - axes}" for number in range(1, len(values) + 1)]
+    _curves(canvas, list(map(float, values)), names)
+
+
+def draw_wrench(message: WrenchStamped, canvas: Canvas) -> None:
+    """geometry_msgs/WrenchStamped."""
+    _curves(canvas, list(message.wrench), _WRENCH)
+
+
+def draw_multi_array(message: MultiArray, canvas: Canvas) -> None:
+    """std_msgs/…MultiArray."""
+    sizes = [each.size for each in message.layout.dim]
+    _array(message.data[message.layout.data_offset :], sizes, canvas)
+
+
+def draw_array(message: NdArray, canvas: Canvas) -> None:
+    """igtl_msgs/NdArray; complex numbers are drawn by their magnitude."""
+    code = NDARRAY_SCALARS.get(message.scalar_type)
+    if code is None:
+        raise ConversionError(
+            f"{message.TYPE}: found scalar type {message.scalar_type}, expected one that can be drawn"
+        )
+    dtype = np.dtype(("<" if not message.is_bigendian else ">") + code[1:])
+    values = np.frombuffer(message.data, dtype)
+    if dtype.kind == "c":
+        canvas.text_once("complex numbers are drawn by their magnitude")
+        values = np.abs(values)
+    _array(values, message.size.tolist(), canvas)
+
+
+def _array(values: npt.NDArray[Any], sizes: Sequence[int], canvas: Canvas) -> None:
+    flat = values.astype(values.dtype.newbyteorder("="), copy=False)
+    long = [size for size in sizes if size > 1]
+    if len(long) > 1 and math.prod(sizes) == len(flat):
+        canvas.set_kind(EntityKind.TENSOR)
+        canvas.log(rr.Tensor(flat.reshape(sizes)))
+    elif 0 < len(flat) <= _CURVES:
+        canvas.set_kind(EntityKind.PLOT)
+        _curves(canvas, flat.astype(np.float64).tolist())
+    elif len(flat):
+        canvas.set_kind(EntityKind.BARS)
+        canvas.log(rr.BarChart(flat))
+
+
+def _curves(canvas: Canvas, values: Sequence[float], names: Sequence[str] = (), child: str = "") -> None:
+    """Draw a curve for each value; a message whose length differs from the first gets separate curves, ``<length>``."""
+    if not values:
+        return
+    if canvas.memory.setdefault(f"curves {child}", len(values)) != len(values):
+        child = f"{child}/{len(values)}" if child else str(len(values))
+    if names and canvas.memory.get(f"names {child}") != names:
+        canvas.memory[f"names {child}"] = names
+        shades = [SERIES[place % len(SERIES)] for place in range(len(names))]
+        canvas.static(
+            rr.SeriesLines(names=[canvas.pen.displayable(name) for name in names], colors=np.array(shades, np.uint32)),
+            child,
+        )
+    canvas.numbers(values, child)

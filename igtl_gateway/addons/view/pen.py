@@ -1,0 +1,267 @@
+"""The pen: writes to a rerun recording stream, with time lines, and with columns for frequent rows.
+
+A call of ``rerun.log`` costs about 100 µs: little for a cloud, too much for a pose.  Poses and numbers are collected
+and sent as columns, which costs a hundredth.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import rerun as rr
+
+from igtl_gateway.addons.view.colours import INFO
+from igtl_gateway.addons.view.contents import PLACES
+from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.gateway.log.entry import Entry
+
+#: The time lines: gateway time, the source stamp (if the sender set one), and the entry number.
+GATEWAY_TIME, SENDER_TIME, ENTRY = "gateway_time", "sender_time", "entry"
+
+#: The largest time on a time line, UTC nanoseconds: in the year 2116.
+LAST_NS = 1 << 62
+
+MAX_ENTITIES = 20_000
+
+#: Number of rows of one entity that are collected before they are sent.
+_ROWS = 2048
+
+Xyz = Sequence[float]
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """The pose of a frame.
+
+    Attributes:
+        parent: the parent frame.
+        child: the frame, which labels the axes; "" = the implicit frame of the entity, without a label.
+        xyz: position in metres.
+        quaternion: x, y, z, w.
+        axis_m: length of the axes in metres; 0 = no axes.
+        labelled: show the name of ``child`` at the axes.
+    """
+
+    parent: str
+    child: str
+    xyz: Xyz
+    quaternion: Xyz
+    axis_m: float
+    labelled: bool = True
+
+
+#: Characters that the built-in font of the rerun viewer does not have: all but Latin, Greek, Cyrillic and some signs.
+_STRANGE = re.compile(r"[^\n\t\x20-\u024f\u0370-\u052f\u2010-\u2026\u20ac\u2190-\u2193\u2212\u2260\u2264\u2265]")
+
+#: Surrogates: how Python represents bytes that are not UTF-8.
+_NO_TEXT = re.compile("[\ud800-\udfff]")
+
+
+@dataclass(slots=True)
+class _Column:
+    """Collected rows of one entity: entry number, gateway time, source stamp (0 = unset), values."""
+
+    rows: list[tuple[int, int, int, Any]] = field(default_factory=list)
+
+
+class Pen:
+    """Draws into one recording; each row has the times of the entry that was last passed to ``at``."""
+
+    def __init__(self, recording: rr.RecordingStream, *, plain: bool = False) -> None:
+        self.recording = recording
+        self._plain = plain
+        recording.set_log_time_enabled(False)
+        recording.set_log_tick_enabled(False)
+        self.number = self.stamp_ns = self.source_ns = 0
+        self.begin_ns = 0  # gateway time of the first entry, UTC ns
+        self.owners: dict[str, str] = {}  # frame → topic that publishes its pose
+        self.link_axes: dict[str, float] = {}  # link of a robot → length of its axes in metres
+        self.cameras: set[str] = set()  # frames with a pinhole
+        self._times_set: tuple[int, int, int] | None = None
+        self._waiting: dict[tuple[str, str], _Column] = {}
+        self._paths: set[str] = set()
+        self._placed: set[str] = set()
+
+    def unique_path(self, path: str) -> str:
+        """Return ``path`` for a new entity, or ``<path>_2`` and so on if it is taken.
+
+        Raises ConversionError above the maximum number of entities: a sender that invents names must not exhaust
+        the memory of the viewer.
+        """
+        if len(self._paths) >= MAX_ENTITIES:
+            raise ConversionError(f"found more than {MAX_ENTITIES:,} entities, expected fewer names")
+        free, number = path, 2
+        while free in self._paths:
+            free, number = f"{path}_{number}", number + 1
+        self._paths.add(free)
+        return free
+
+    def set_default_frame(self, path: str, frame: str) -> None:
+        """On the first call, log statically that the entity is in ``frame``; its rows replace that later.
+
+        A view reports an error for an entity that no transform connects with the frame of the view, even before its
+        first row.  Static data hides all rows of the same component, so it must not be at the entity itself: another
+        entity places its implicit frame (rerun allows that a child frame is first mentioned statically at one entity
+        and later temporally at another: ``Transform3D.child_frame``).
+        """
+        if path not in self._placed:
+            self._placed.add(path)
+            self.static(f"{PLACES}/{path}", rr.Transform3D(parent_frame=frame, child_frame=f"tf#/{path}"))
+
+    def begin(self, path: str, pose: Pose) -> None:
+        """On the first call, log the first pose of a frame for all earlier times, too: its contents need one."""
+        place = f"{PLACES}/{path}/frame"
+        if place not in self._placed:
+            self._placed.add(place)
+            self.static(place, _transform(pose))
+
+    def has_begun(self, path: str) -> bool:
+        """Return whether ``begin`` was called: static data of the frame at its own entity would be an error."""
+        return f"{PLACES}/{path}/frame" in self._placed
+
+    def at(self, entry: Entry) -> None:
+        """Set the times of the following rows from this entry; a ``timeless`` stamp is left out."""
+        self.number = entry.seq
+        self.stamp_ns = 0 if timeless(entry.stamp_ns) else entry.stamp_ns
+        self.begin_ns = self.begin_ns or self.stamp_ns
+        self.source_ns = 0 if timeless(entry.source_ns) else entry.source_ns
+
+    def log(self, path: str, *archetypes: rr.AsComponents) -> None:
+        """Send one row immediately, with all its components."""
+        self._set_time()
+        self.recording.log(path, *archetypes)
+
+    def static(self, path: str, *archetypes: rr.AsComponents) -> None:
+        """Send static data."""
+        self.recording.log(path, *archetypes, static=True)
+
+    def pose(self, path: str, pose: Pose) -> None:
+        """Add a row with axes."""
+        self._wait((path, "named pose" if pose.child else "pose"), pose)
+
+    def static_pose(self, path: str, pose: Pose) -> None:
+        """Send static axes."""
+        axes = rr.TransformAxes3D(pose.axis_m, show_frame=pose.labelled)
+        self.static(path, rr.CoordinateFrame(pose.child), axes, _transform(pose))
+
+    def numbers(self, path: str, values: Sequence[float]) -> None:
+        """Add one value to each of several series, NaN for none."""
+        self._wait((path, f"numbers {len(values)}"), values)
+
+    def series(self, path: str, times_ns: npt.NDArray[np.int64], values: npt.NDArray[np.float64]) -> None:
+        """Send (N,) values at (N,) gateway times, UTC ns; those outside the time lines are left out."""
+        on = (times_ns > 0) & (times_ns <= LAST_NS)
+        if on.any():
+            stamps = np.ascontiguousarray(times_ns[on])
+            times = [rr.TimeColumn(GATEWAY_TIME, timestamp=stamps.view("datetime64[ns]"))]
+            self.recording.send_columns(path, times, rr.Scalars.columns(scalars=values[on]))
+
+    def text(self, path: str, text: str, level: str, colour: int | None = None) -> None:
+        """Write a line to a log, after the time since the first entry."""
+        # the log of rerun cuts a column of times after the date, so the line has the time of the session
+        time = f"{(self.stamp_ns - self.begin_ns) / NS_PER_S:9.3f} s" if self.stamp_ns else ""
+        line = f"{time:11}  {text}"
+        # rerun gives a line without a colour that of the previous line
+        self.log(path, rr.TextLog(self.displayable(line), level=level, color=INFO if colour is None else colour))
+
+    def displayable(self, text: str) -> str:
+        """Return the text; a ``plain`` pen escapes the characters that a headless viewer cannot draw."""
+        text = valid(text)
+        return _STRANGE.sub(lambda found: found[0].encode("unicode_escape").decode(), text) if self._plain else text
+
+    def fields(self, path: str, **values: Any) -> None:
+        """Add a row with fields for the selection panel, without a drawing."""
+        self.log(path, rr.AnyValues(**values))
+
+    def flush(self) -> None:
+        """Send the collected rows."""
+        for key, column in self._waiting.items():
+            if column.rows:
+                self._send(key, column)
+
+    def _set_time(self) -> None:
+        times = (self.number, self.stamp_ns, self.source_ns)
+        if times == self._times_set:
+            return
+        self._times_set = times
+        self.recording.set_time(ENTRY, sequence=self.number)
+        for line, time_ns in ((GATEWAY_TIME, self.stamp_ns), (SENDER_TIME, self.source_ns)):
+            if time_ns:
+                self.recording.set_time(line, timestamp=np.datetime64(time_ns, "ns"))
+            else:
+                self.recording.disable_timeline(line)
+
+    def _wait(self, key: tuple[str, str], values: Any) -> None:
+        column = self._waiting.get(key)
+        if column is None:
+            column = self._waiting[key] = _Column()
+        column.rows.append((self.number, self.stamp_ns, self.source_ns, values))
+        if len(column.rows) >= _ROWS:
+            self._send(key, column)
+
+    def _send(self, key: tuple[str, str], column: _Column) -> None:
+        path, kind = key
+        make = _poses if kind.endswith("pose") else _numbers
+        groups: dict[tuple[bool, bool], list[tuple[int, int, int, Any]]] = {}
+        for row in column.rows:
+            groups.setdefault((row[1] > 0, row[2] > 0), []).append(row)
+        column.rows.clear()
+        for rows in groups.values():  # all rows of a chunk must have the same time lines
+            self.recording.send_columns(path, _times(rows), make([row[3] for row in rows]))
+
+
+def _transform(pose: Pose) -> rr.Transform3D:
+    x, y, z, w = pose.quaternion
+    return rr.Transform3D(
+        translation=pose.xyz,
+        quaternion=rr.Quaternion(xyzw=(x, y, z, w)),
+        parent_frame=pose.parent,
+        child_frame=pose.child or None,
+    )
+
+
+def valid(text: str) -> str:
+    """Replace bytes that are not UTF-8: rerun would reject the whole column."""
+    return text if text.isascii() else _NO_TEXT.sub("\ufffd", text)
+
+
+def timeless(time_ns: int) -> bool:
+    """Return whether a UTC stamp in nanoseconds is unset or outside the time lines (1970 to 2116)."""
+    return not 0 < time_ns <= LAST_NS
+
+
+def _times(rows: list[tuple[int, int, int, Any]]) -> list[rr.TimeColumn]:
+    times = [rr.TimeColumn(ENTRY, sequence=np.array([row[0] for row in rows], np.int64))]
+    for line, column in ((GATEWAY_TIME, 1), (SENDER_TIME, 2)):
+        if rows[0][column]:
+            stamps = np.array([row[column] for row in rows], np.int64)
+            times.append(rr.TimeColumn(line, timestamp=stamps.view("datetime64[ns]")))
+    return times
+
+
+def _poses(values: list[Pose]) -> Any:
+    columns: dict[str, Any] = {
+        "translation": np.array([pose.xyz for pose in values], np.float32),
+        "quaternion": np.array([pose.quaternion for pose in values], np.float32),
+        "parent_frame": [pose.parent for pose in values],
+    }
+    children = [pose.child for pose in values]
+    named = bool(children[0])
+    lengths = np.array([pose.axis_m for pose in values], np.float32)
+    axes = rr.TransformAxes3D.columns(axis_length=lengths, show_frame=[named and pose.labelled for pose in values])
+    if not named:
+        return [*rr.Transform3D.columns(**columns), *axes]
+    columns["child_frame"] = children
+    return [*rr.Transform3D.columns(**columns), *axes, *rr.CoordinateFrame.columns(frame=children)]
+
+
+def _numbers(values: list[Any]) -> Any:
+    table = np.array(values, np.float64)
+    columns = rr.Scalars.columns(scalars=table.reshape(-1))
+    return columns.partition(lengths=[table.shape[1]] * len(table)) if table.shape[1] != 1 else columns

@@ -1,0 +1,247 @@
+"""Images and video: every encoding of ROS, upright and in the right colours."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import rerun as rr
+
+from igtl_gateway.addons.view.canvas import Canvas
+from igtl_gateway.addons.view.colours import span
+from igtl_gateway.addons.view.contents import PLACES
+from igtl_gateway.addons.view.other_msgs import CameraInfo
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.convert.bitstream import is_key_frame
+from igtl_gateway.convert.common_msgs import CompressedImage, CompressedVideo
+from igtl_gateway.convert.framesize import frame_size
+from igtl_gateway.convert.igtl_msgs import ColorTable, VideoFrame
+from igtl_gateway.convert.rosmsg import Image
+from igtl_gateway.convert.videos import FORMATS
+
+Array = npt.NDArray[Any]
+
+_COLOURS = {"rgb": rr.ColorModel.RGB, "rgba": rr.ColorModel.RGBA, "bgr": rr.ColorModel.BGR, "bgra": rr.ColorModel.BGRA}
+_CHANNELS = {"mono": 1, "bgr": 3, "rgb": 3, "bgra": 4, "rgba": 4}
+_NAMED = re.compile(r"(mono|rgba?|bgra?)(8|16)")
+_OPENCV = re.compile(r"(8U|8S|16U|16S|32S|32F|64F)(?:C([1-9][0-9]{0,4}))?")
+_DTYPES = {"8U": "u1", "8S": "i1", "16U": "u2", "16S": "i2", "32S": "i4", "32F": "f4", "64F": "f8"}
+_BAYER = re.compile(r"bayer_(rggb|bggr|gbrg|grbg)(8|16)")
+_MODELS = {3: rr.ColorModel.RGB, 4: rr.ColorModel.RGBA}
+_PIXEL_FORMATS = {
+    "nv12": (rr.PixelFormat.NV12, 1.5),
+    "yuv422_yuy2": (rr.PixelFormat.YUY2, 2.0),
+    "yuyv": (rr.PixelFormat.YUY2, 2.0),
+    "uyvy": (rr.PixelFormat.YUY2, 2.0),
+    "yuv422": (rr.PixelFormat.YUY2, 2.0),
+}
+_UYVY = ("uyvy", "yuv422")
+_MEDIA = {"jpeg": "image/jpeg", "jpg": "image/jpeg", "png": "image/png"}
+_CODECS = {
+    "h264": rr.VideoCodec.H264,
+    "h265": rr.VideoCodec.H265,
+    "vp9": rr.VideoCodec.VP9,
+    "av1": rr.VideoCodec.AV1,
+}
+_WORDS = re.compile("[a-z0-9]+")
+_ALIASES = {"avc": "h264", "hevc": "h265", "vp90": "vp9", "av10": "av1"}
+_COLOUR_PLANES = (3, 4)
+_MAP_UINT16, _MAP_RGB = 5, 19
+_STRIP = 32  #: height of the image of a colour table, in pixels
+
+
+def draw_image(message: Image, canvas: Canvas) -> None:
+    """sensor_msgs/Image."""
+    canvas.shown.width, canvas.shown.height = message.width, message.height
+    frame = canvas.frame(message.header.frame_id)
+    canvas.log(image_archetype(message, canvas), frame=f"{frame}/image" if frame in canvas.pen.cameras else "")
+
+
+def image_archetype(message: Image, canvas: Canvas) -> rr.Image:
+    """Return the archetype of an image.  Raises ConversionError for an unknown encoding."""
+    encoding, width, height = message.encoding.lower(), message.width, message.height
+    if encoding in _PIXEL_FORMATS:
+        pixel_format, octets = _PIXEL_FORMATS[encoding]
+        data = np.frombuffer(message.data, np.uint8, int(width * height * octets))
+        if encoding in _UYVY:
+            data = data.reshape(-1, 2)[:, ::-1]
+        return rr.Image(bytes=data.tobytes(), width=width, height=height, pixel_format=pixel_format)
+    if bayer := _BAYER.fullmatch(encoding):
+        return image_of_pixels(
+            demosaiced(_rows(message, f"u{int(bayer[2]) // 8}", 1)[..., 0], bayer[1]), rr.ColorModel.RGB
+        )
+    if named := _NAMED.fullmatch(encoding):
+        pixels = _rows(message, f"u{int(named[2]) // 8}", _CHANNELS[named[1]])
+        if named[1] == "mono":
+            return grey(pixels[..., 0])
+        return image_of_pixels(_eight_bits(pixels), _COLOURS[named[1]])
+    if opencv := _OPENCV.fullmatch(message.encoding):
+        channels = int(opencv[2] or 1)
+        pixels = _rows(message, _DTYPES[opencv[1]], channels)
+        if channels in _COLOUR_PLANES:
+            # OpenCV's names do not state the order; the gateway uses RGB for them, as OpenIGTLink does
+            return image_of_pixels(_eight_bits(pixels), _MODELS[channels])
+        if channels > 1:
+            canvas.text_once(f"{message.encoding} is drawn by its first component")
+        return grey(pixels[..., 0])
+    raise ConversionError(f"{message.TYPE}: found encoding {message.encoding!r}, expected one that can be drawn")
+
+
+def grey(pixels: Array) -> rr.Image:
+    """Draw one component; the viewer chooses the range of pixels with more than 8 bits."""
+    return image_of_pixels(windowed(pixels) if pixels.dtype.kind == "i" else pixels, rr.ColorModel.L)
+
+
+def image_of_pixels(pixels: Array, model: rr.ColorModel) -> rr.Image:
+    """(height, width) or (height, width, channels) pixels; rerun guesses the wrong shape for single rows."""
+    height, width = pixels.shape[:2]
+    return rr.Image(
+        bytes=np.ascontiguousarray(pixels).tobytes(),
+        width=width,
+        height=height,
+        color_model=model,
+        datatype=pixels.dtype,
+    )
+
+
+def windowed(pixels: Array) -> Array:
+    """Scale numbers to 8 bits, from the 1st to the 99th percentile (a radiological window)."""
+    low, high = span(pixels.reshape(-1)[:: max(pixels.size // 100_000, 1)])
+    spread = high - low or 1.0
+    scaled = np.clip((pixels.astype(np.float32) - np.float32(low)) * np.float32(255.0 / spread), 0, 255)
+    octets: Array = np.nan_to_num(scaled).astype(np.uint8)
+    return octets
+
+
+def demosaiced(mosaic: Array, pattern: str) -> Array:
+    """Convert a Bayer mosaic to 8-bit RGB: all pixels of a 2 × 2 cell get the colours of the cell."""
+    if mosaic.dtype != np.uint8:
+        mosaic = (mosaic >> 8).astype(np.uint8)
+    height, width = mosaic.shape[0] & ~1, mosaic.shape[1] & ~1
+    cell = {(row, column): mosaic[row:height:2, column:width:2] for row in (0, 1) for column in (0, 1)}
+    at = {colour: [(i // 2, i % 2) for i, name in enumerate(pattern) if name == colour] for colour in "rgb"}
+    (red,), (blue,), greens = at["r"], at["b"], at["g"]
+    green = (cell[greens[0]].astype(np.uint16) + cell[greens[1]]) >> 1
+    small = np.stack([cell[red], green.astype(np.uint8), cell[blue]], axis=-1)
+    return small.repeat(2, axis=0).repeat(2, axis=1)
+
+
+def draw_compressed_image(message: CompressedImage, canvas: Canvas) -> None:
+    """sensor_msgs/CompressedImage: JPEG, PNG, or a frame of video."""
+    canvas.frame(message.header.frame_id)
+    words = _WORDS.findall(message.format.lower().replace("h.26", "h26"))
+    media = next((_MEDIA[word] for word in words if word in _MEDIA), None)
+    if media:
+        canvas.log(rr.EncodedImage(contents=bytes(message.data), media_type=media))
+    else:
+        _draw_video(canvas, words, message.data)
+
+
+def draw_compressed_video(message: CompressedVideo, canvas: Canvas) -> None:
+    """foxglove_msgs/CompressedVideo."""
+    canvas.frame(message.frame_id)
+    _draw_video(canvas, [message.format.lower()], message.data)
+
+
+def draw_video_frame(message: VideoFrame, canvas: Canvas) -> None:
+    """igtl_msgs/VideoFrame; raw frames (I420) are drawn as images."""
+    canvas.frame(message.header.frame_id)
+    width, height, _ = message.size
+    if message.codec == "I420":
+        octets = width * height * 3 // 2
+        data = bytes(message.data[:octets])
+        if len(data) < octets:
+            raise ConversionError(f"{message.TYPE}: found {len(data)} bytes of I420, expected {octets}")
+        canvas.shown.width, canvas.shown.height = width, height
+        pixel_format = rr.PixelFormat.Y_U_V12_LimitedRange
+        canvas.log(rr.Image(bytes=data, width=width, height=height, pixel_format=pixel_format))
+        return
+    _draw_video(canvas, [FORMATS.get(message.codec, message.codec.lower())], message.data)
+
+
+def draw_camera(message: CameraInfo, canvas: Canvas) -> None:
+    """sensor_msgs/CameraInfo: a pinhole in its frame; later images with this frame are drawn in it."""
+    frame = canvas.frame(message.header.frame_id)
+    canvas.shown.width, canvas.shown.height = message.width, message.height
+    matrix = np.array(message.k).reshape(3, 3)
+    if not matrix[0, 0] > 0 or not matrix[1, 1] > 0 or not message.width or not message.height:
+        raise ConversionError(
+            f"{message.TYPE}: found focal lengths {message.k[0]:g} and {message.k[4]:g}, expected others"
+        )
+    if canvas.pen.owners.setdefault(f"{frame}/image", canvas.shown.path) != canvas.shown.path:
+        canvas.text_once(f"frame {frame} already has a camera")
+        return
+    pinhole = rr.Pinhole(
+        image_from_camera=matrix,
+        resolution=(message.width, message.height),
+        camera_xyz=rr.ViewCoordinates.RDF,
+        image_plane_distance=0.02,
+        parent_frame=frame,
+        child_frame=f"{frame}/image",
+    )
+    if frame not in canvas.pen.cameras:
+        canvas.pen.cameras.add(frame)
+        canvas.pen.static(f"{PLACES}/{canvas.shown.path}", pinhole)  # a view without a camera reports an error
+    canvas.log(pinhole)
+
+
+def draw_color_table(message: ColorTable, canvas: Canvas) -> None:
+    """igtl_msgs/ColorTable: the colours, with index 0 at the left."""
+    if message.map_type == _MAP_RGB:
+        row = np.frombuffer(message.table, np.uint8)
+        row = row[: row.size // 3 * 3].reshape(1, -1, 3)
+    else:
+        wide = message.map_type == _MAP_UINT16
+        row = np.frombuffer(message.table, (">" if message.is_bigendian else "<") + ("u2" if wide else "u1"))
+        row = (row >> 8 if wide else row).astype(np.uint8).reshape(1, -1, 1).repeat(3, axis=2)
+    if not row.size:
+        raise ConversionError(f"{message.TYPE}: found an empty table, expected 256 or 65536 rows")
+    canvas.shown.width, canvas.shown.height = row.shape[1], _STRIP
+    canvas.log(image_of_pixels(row.repeat(_STRIP, axis=0), rr.ColorModel.RGB))
+
+
+def _draw_video(canvas: Canvas, words: list[str], data: Buffer) -> None:
+    named = [_ALIASES.get(word, word) for word in words]
+    name = next((word for word in named if word in _CODECS), None)
+    if name is None:
+        raise ConversionError(f"{canvas.shown.ros_type}: found format {' '.join(words)!r}, expected one to draw")
+    if size := frame_size(name, data):
+        canvas.shown.width, canvas.shown.height = size
+    key = is_key_frame(name, data)
+    if key:
+        canvas.memory["started"] = name
+    if canvas.memory.get("started") != name:
+        raise ConversionError("found a frame before the first key frame, expected a key frame")
+    canvas.log(rr.VideoStream(_CODECS[name], sample=bytes(data), is_keyframe=key))
+
+
+def _rows(message: Image, kind: str, channels: int) -> Array:
+    """Return pixels (height, width, channels) in native byte order, without row padding."""
+    dtype = np.dtype((">" if message.is_bigendian else "<") + kind)
+    height, width = message.height, message.width
+    row = width * channels * dtype.itemsize
+    step = message.step or row
+    size = memoryview(message.data).nbytes
+    if step < row or size < step * (height - 1) + row * (height > 0) or not height or not width:
+        raise ConversionError(
+            f"{message.TYPE}: found {size} bytes with step {message.step}, expected {height} rows of {row} bytes"
+        )
+    strides = (step, channels * dtype.itemsize, dtype.itemsize)
+    pixels: Array = np.ndarray((height, width, channels), dtype, message.data, 0, strides)
+    native: Array = pixels.astype(dtype.newbyteorder("="), copy=False)
+    return native
+
+
+def _eight_bits(pixels: Array) -> Array:
+    """Convert colours to 8 bits: the upper 8 of 16 bits; floats from 0 … 1; signed numbers by their window."""
+    kind = pixels.dtype
+    if kind == np.uint8:
+        return np.ascontiguousarray(pixels)
+    if kind == np.uint16:
+        return (pixels >> 8).astype(np.uint8)
+    if kind.kind == "f" and float(np.nanmax(pixels, initial=0.0)) <= 1.0:
+        return np.nan_to_num(np.clip(pixels, 0.0, 1.0) * 255.0).astype(np.uint8)
+    return windowed(pixels)

@@ -1,0 +1,61 @@
+"""Tools and frames: axes with trails, and the transform tree."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from igtl_gateway.addons.view.canvas import Canvas
+from igtl_gateway.addons.view.contents import escape_path_part
+from igtl_gateway.convert.common_msgs import PoseArray, PoseStamped, TFMessage
+from igtl_gateway.convert.igtl_msgs import TrackingData
+from igtl_gateway.convert.rosmsg import TransformStamped
+
+_HUGE = 1e18  #: its square fits into float32
+
+
+def draw_transform(message: TransformStamped, canvas: Canvas) -> None:
+    """geometry_msgs/TransformStamped: a tool at the path of the topic, and its frame in the tree."""
+    frame = canvas.frame(message.header.frame_id)
+    _tool((*message.translation, *message.rotation), frame, canvas, "", message.child_frame_id)
+
+
+def draw_pose(message: PoseStamped, canvas: Canvas) -> None:
+    """geometry_msgs/PoseStamped."""
+    _tool(message.pose, canvas.frame(message.header.frame_id), canvas)
+
+
+def draw_poses(message: PoseArray, canvas: Canvas) -> None:
+    """geometry_msgs/PoseArray: tools 1, 2, …"""
+    frame = canvas.frame(message.header.frame_id)
+    for number, pose in enumerate(message.poses.tolist(), 1):
+        _tool(pose, frame, canvas, str(number))
+
+
+def draw_tracking(message: TrackingData, canvas: Canvas) -> None:
+    """igtl_msgs/TrackingData: each tool under its name."""
+    frame = canvas.frame(message.header.frame_id)
+    for tool in message.tools:
+        _tool(tool.pose, frame, canvas, escape_path_part(tool.name))
+
+
+def draw_tf(message: TFMessage, canvas: Canvas) -> None:
+    """tf2_msgs/TFMessage: edges of the transform tree."""
+    for each in message.transforms:
+        frame = canvas.frame(each.header.frame_id)
+        if _is_pose(each.pose):
+            canvas.link(each.child_frame_id, frame, each.pose, static=canvas.shown.topic == "/tf_static")
+
+
+def _tool(pose: Sequence[float], frame: str, canvas: Canvas, child: str = "", child_frame: str = "") -> None:
+    if not _is_pose(pose):
+        canvas.text_once(f"{child or 'tool'}: found {tuple(pose)}, expected a pose", f"place {child}")
+        return
+    canvas.tool(pose, frame, child, labelled=not child_frame)
+    canvas.extend_box(pose[:3])
+    if child_frame:
+        canvas.link(child_frame, frame, pose)
+
+
+def _is_pose(pose: Sequence[float]) -> bool:
+    """Return whether the numbers are finite in float32 and the quaternion is not zero."""
+    return all(abs(part) < _HUGE for part in pose) and any(pose[3:])

@@ -1,0 +1,355 @@
+"""``igtl-gateway view``: a session in rerun: in its window, as a file, as a page, as a picture."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from igtl_gateway.addons.review import Material, review_of
+from igtl_gateway.addons.sync.curves import lag_text
+from igtl_gateway.addons.sync.lag import measure_lag
+from igtl_gateway.addons.sync.verb import lag_facts, stream_named
+from igtl_gateway.api import recording as recordings
+from igtl_gateway.api.lags import movement
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.errors import ConfigError, DamagedRecording, GatewayError, ViewerError
+from igtl_gateway.base.extras import missing
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.cli.common import count_text, size_text, stop_event
+from igtl_gateway.cli.options import RECORDING_OR_BAG, add_file, add_json, add_overwrite, default, output_file
+from igtl_gateway.cli.terminal import cell, clear_live_line, is_terminal, live_line, print_json, print_line, width
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile.beside import check_target, write_error, written
+from igtl_gateway.record.sessionfile.new_file import write_bytes
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.replay.recorded_config import config_to_run
+from igtl_gateway.replay.source import through_gateway
+
+if TYPE_CHECKING:
+    from igtl_gateway.addons.view.session import SessionView
+
+EXAMPLES = """\
+  # in the window of rerun
+  igtl-gateway view out.mcap
+  # as a recording of rerun
+  igtl-gateway view out.mcap --save out.rrd
+  # as a web page for a browser on this machine
+  igtl-gateway view out.mcap --web
+  # as an image, 4.5 s after the start; needs no screen
+  igtl-gateway view out.mcap --screenshot out.png --at 4.5
+  # with another layout: star, ultrasound, navigation, generic
+  igtl-gateway view out.mcap --blueprint navigation
+  # with point clouds coloured by one of their fields
+  igtl-gateway view out.mcap --colour-by intensity
+  # with the lag of a stream behind another one
+  igtl-gateway view out.mcap --sync TRANSFORM/Probe IMAGE/Video
+  # with a robot, if the session has no /robot_description; two arms
+  igtl-gateway view out.mcap --urdf psm.urdf
+  igtl-gateway view out.mcap --urdf /PSM1=psm.urdf --urdf /PSM2=psm.urdf
+
+Shows all ROS messages, and messages of OpenIGTLink peers as the ROS messages
+that they were converted to.  Needs the extra `view`:
+pip install "igtl-gateway[view]" """
+
+_PROGRESS_EVERY = 1000
+_WAIT_S = 0.2
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_file(parser, RECORDING_OR_BAG)
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--save", metavar="OUT.rrd", type=output_file(".rrd"), help="write a recording of rerun")
+    where.add_argument("--web", action="store_true", help="serve a web page on 127.0.0.1 until stopped")
+    where.add_argument(
+        "--screenshot", metavar="OUT.png", type=output_file(".png"), help="write an image; needs no screen"
+    )
+    parser.add_argument(
+        "--port", type=int, metavar="PORT", help="with --web: port of the page " + default("a free one")
+    )
+    parser.add_argument(
+        "--at", type=float, metavar="SECONDS", help="with --screenshot: time from the start " + default("the end")
+    )
+    parser.add_argument(
+        "--blueprint", metavar="NAME", default="", help="layout of the views " + default("chosen by the content")
+    )
+    parser.add_argument("--colour-by", metavar="FIELD", default="", help="colour point clouds by this field")
+    parser.add_argument(
+        "--urdf",
+        metavar="[NAMESPACE=]FILE",
+        action="append",
+        default=[],
+        help="draw this robot; joint states below the namespace move it (repeatable)",
+    )
+    parser.add_argument(
+        "--sync", nargs=2, metavar="STREAM", help="draw the lag of the second stream behind the first, as `sync` does"
+    )
+    parser.add_argument("--no-review", action="store_true", help="do not review the suture plan of the session")
+    add_overwrite(parser)
+    add_json(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    _check(options)
+    with SessionFile.open(options.file):  # before what only a good file needs: rerun, a screen
+        pass
+    if find_spec("rerun") is None:
+        raise ViewerError(missing("rerun"))
+    from igtl_gateway.addons.view.shots import check_driver
+    from igtl_gateway.addons.view.viewer import check_screen
+
+    if options.screenshot:  # before the work, not after it
+        check_driver(os.environ)
+    elif not (options.save or options.web):
+        check_screen(os.environ)
+    clock = SystemClock()
+    started_ns = clock.monotonic_ns()
+    with stop_event() as stop, _folder() as folder:
+        out = options.save or folder / "session.rrd"
+        with (
+            written(options.screenshot, overwrite=options.overwrite) if options.screenshot else nullcontext() as picture
+        ):
+            with written(out, overwrite=options.overwrite) as partial:
+                drawn, facts = _draw(options, partial, stop.is_set)
+                if options.save and stop.is_set():
+                    raise KeyboardInterrupt  # a part of the session is not the file that was asked for
+            facts["seconds"] = round((clock.monotonic_ns() - started_ns) / NS_PER_S, 3)
+            facts["bytes"] = out.stat().st_size
+            if options.json:
+                print_json(facts)
+            else:
+                _print(options, drawn, facts)
+            if facts["damage"]:
+                print_line(
+                    f"igtl-gateway view: only the messages before the damage are drawn: {facts['damage']}", error=True
+                )
+            if picture:
+                return max(_picture(options, out, picture, drawn), bool(facts["damage"]))
+        if not options.save:
+            _show(options, out, stop.wait)
+    return int(bool(facts["damage"]))
+
+
+@contextmanager
+def _folder() -> Iterator[Path]:
+    """A folder for what is not kept."""
+    try:
+        folder = tempfile.TemporaryDirectory(prefix="igtl-view-", ignore_cleanup_errors=True)
+    except OSError as error:
+        raise GatewayError(f"found no directory for temporary files; set TMPDIR: {error}") from None
+    with folder as name:
+        yield Path(name)
+
+
+def _check(options: argparse.Namespace) -> None:
+    if options.at is not None and not options.screenshot:
+        raise ConfigError("--at: found no --screenshot OUT.png, expected it: --at is the time of the image")
+    if options.at is not None and not 0 <= options.at < math.inf:
+        raise ConfigError(f"--at: found {options.at:g}, expected seconds from the start, 0 or more")
+    if options.port is not None and not options.web:
+        raise ConfigError("--port: found no --web, expected it: --port is the port of the web page")
+    if options.overwrite and not (options.save or options.screenshot):
+        raise ConfigError("--overwrite: found neither --save nor --screenshot, expected one of them")
+    if options.port is not None and not 0 <= options.port < 1 << 16:
+        raise ConfigError(f"--port: found {options.port}, expected 0 to 65535")
+    for path in filter(None, (options.save, options.screenshot)):
+        check_target(path, overwrite=options.overwrite)
+
+
+def _robot(word: str) -> tuple[str, Path]:
+    """Return the namespace and the file of a robot."""
+    namespace, separator, name = word.partition("=")
+    if not separator or Path(word).exists():
+        return "", Path(word)
+    return f"/{namespace.strip('/')}" if namespace.strip("/") else "", Path(name)
+
+
+def _draw(options: argparse.Namespace, out: Path, stopped: Any) -> tuple[SessionView, dict[str, Any]]:
+    """The session as a recording of rerun in ``out``."""
+    from igtl_gateway.addons.view import stream
+    from igtl_gateway.addons.view.blueprints import NAMES
+    from igtl_gateway.addons.view.canvas import Options
+    from igtl_gateway.addons.view.pen import valid
+    from igtl_gateway.addons.view.session import SessionView
+
+    if options.blueprint and options.blueprint not in NAMES:
+        raise ConfigError(f"--blueprint: found {options.blueprint!r}, expected {', '.join(NAMES)}")
+    with SessionFile.open(options.file) as file:
+        config = config_to_run(file.session)
+        recording = stream.to_file(out, valid(f"{options.file.stem}-{file.start_ns}"))
+        view = SessionView(
+            recording, config.base_frame, Options(colour_by=options.colour_by, plain=bool(options.screenshot))
+        )
+        measured = _lag(options, view)
+        for word in options.urdf:
+            namespace, urdf = _robot(word)
+            view.add_robot(urdf, namespace)
+        material = None if options.no_review else Material()
+        damage = _draw_entries(file, config, view, material, stopped)
+        if material:
+            _review(material, view)
+        view.finish()
+    name = stream.arrange(recording, options.blueprint, view.seen)
+    try:
+        stream.close(recording, out)
+    except OSError as error:
+        raise write_error(options.save or out, error) from None
+    facts = view.counts
+    return view, {
+        "file": str(options.file),
+        "out": str(options.save or options.screenshot or ""),
+        "blueprint": name,
+        "reviewed": view.seen.reviewed,
+        "lag": measured,
+        "seconds_of_session": view.seen.seconds,
+        "messages": sum(facts.messages.values()),
+        "topics": [
+            {"topic": shown.topic, "type": shown.ros_type, "picture": shown.what.value, "messages": shown.count}
+            for shown in view.seen.shown.values()
+        ],
+        "without_picture": dict(sorted(facts.without_picture.items())),
+        "refused": dict(sorted(facts.refused.items())),
+        "damage": damage,
+        "without_time": dict(sorted(facts.timeless.items())),
+        "without_field": bool(options.colour_by) and options.colour_by not in view.seen.fields,
+    }
+
+
+def _lag(options: argparse.Namespace, view: SessionView) -> dict[str, Any] | None:
+    """Draw the lag between two streams, and return it for JSON."""
+    if not options.sync:
+        return None
+    with recordings.open(options.file) as recording:
+        fixed, moving = (stream_named([recording], name) for name in options.sync)
+        signals = movement(fixed), movement(moving)
+        is_stamped = len(fixed) and bool(np.all(fixed.source_times))
+        shift_ns = int(np.median(fixed.times - fixed.source_times)) if is_stamped else 0
+    lag = measure_lag(*signals)
+    view.lag(*signals, lag, shift_ns)
+    return lag_facts(signals[1], lag) | {"fixed": signals[0].name, "text": lag_text(lag)}
+
+
+def _draw_entries(file: SessionFile, config: Config, view: SessionView, material: Material | None, stopped: Any) -> str:
+    """Draw all entries up to the first that cannot be read; why it cannot, or ""."""
+    progress = _Progress(file.entry_count)
+    try:
+        for entry in _entries(file, config):
+            if stopped():
+                raise KeyboardInterrupt
+            view.take(entry)
+            if material:
+                material.take(entry)
+            progress.step()
+    except DamagedRecording as error:
+        view.end(str(error))
+        return str(error)
+    finally:
+        progress.end()
+    return ""
+
+
+def _entries(file: SessionFile, config: Config) -> Iterator[Entry]:
+    """The entries to draw.
+
+    If OpenIGTLink messages were not converted (the recording of a relay, an imported one), this version converts them.
+    """
+    kinds = {channel.kind for channel in file.channels if channel.count}
+    if Kind.IGTL_IN not in kinds or Kind.ROS_OUT in kinds:
+        yield from file.entries()
+        return
+    converted = through_gateway(file.entries(), replace(config, relay=False), has_links=Kind.LINK in kinds)
+    for number, entry in enumerate(converted, 1):
+        yield replace(entry, seq=number)
+
+
+def _review(material: Material, view: SessionView) -> None:
+    """Judge the plan, where the session has one and what it takes."""
+    try:
+        review = review_of(material)
+    except GatewayError:
+        return
+    view.review(review)
+
+
+class _Progress:
+    """One live line, on a terminal only."""
+
+    def __init__(self, total: int) -> None:
+        self._total = total
+        self._done = 0
+        self._shown = is_terminal(error=True)
+
+    def step(self) -> None:
+        self._done += 1
+        if self._shown and self._done % _PROGRESS_EVERY == 0:
+            live_line(f"drawing {min(self._done / max(self._total, 1), 1.0):4.0%}", error=True)
+
+    def end(self) -> None:
+        if self._shown:
+            clear_live_line(error=True)
+
+
+def _print(options: argparse.Namespace, view: SessionView, facts: dict[str, Any]) -> None:
+    columns = width(shown.topic for shown in view.seen.shown.values())
+    for shown in view.seen.shown.values():
+        note = "not drawn" if shown.ros_type in view.counts.without_picture else shown.what.value
+        print_line(f"  {cell(shown.topic, columns)} {shown.count:>8,}  {note:<10} {shown.ros_type}")
+    for topic, number in facts["refused"].items():
+        print_line(f"? {topic}: {count_text(number, 'message')} cannot be drawn, the log has the reason")
+    for line, number in facts["without_time"].items():
+        print_line(
+            f"? {count_text(number, 'entry', 'entries')} not on the time line {line}: stamps before 1970 or after 2116"
+        )
+    if facts["without_field"]:
+        fields = ", ".join(sorted(view.seen.fields)) or "none"
+        print_line(f"? --colour-by: found no cloud with a field {options.colour_by!r}, expected one of: {fields}")
+    print_line(
+        f"{options.file}: {count_text(facts['messages'], 'message')} drawn in {facts['seconds']:.1f} s, "
+        f"blueprint {facts['blueprint']}" + (", suture plan reviewed" if facts["reviewed"] else "")
+    )
+    if lag := facts["lag"]:
+        print_line(f"{lag['stream']} behind {lag['fixed']}: {lag['text']}")
+    if options.save:
+        print_line(f"{options.save}: {size_text(facts['bytes'])}; `rerun {options.save}` shows it")
+
+
+def _picture(options: argparse.Namespace, recording: Path, out: Path, view: SessionView) -> int:
+    """The picture in the file ``out``; exit code 1 where a view complains."""
+    from igtl_gateway.addons.view.shots import take_shots
+
+    if not view.seen.first_ns:
+        raise GatewayError(f"{options.file}: found no messages, expected at least one")
+    at = None
+    if options.at is not None:
+        at = view.seen.first_ns + round(min(options.at, view.seen.seconds) * NS_PER_S)
+    (shot,) = take_shots(recording, [at])
+    try:
+        write_bytes(out, shot.png)
+    except OSError as error:
+        raise write_error(options.screenshot, error) from None
+    for complaint in shot.complaints:
+        print_line(f"? {complaint}", error=True)
+    if not options.json:
+        print_line(f"{options.screenshot}: {size_text(len(shot.png))}")
+    return 1 if shot.complaints else 0
+
+
+def _show(options: argparse.Namespace, recording: Path, wait: Any) -> None:
+    """The window or the page, until it is closed or Ctrl-C comes."""
+    from igtl_gateway.addons.view.viewer import Viewer
+
+    with Viewer.page(recording, options.port or 0) if options.web else Viewer.window(recording) as viewer:
+        if options.web:
+            print_line(viewer.url, "Press Ctrl-C to stop.", flush=True)
+        while not viewer.ended and not wait(_WAIT_S):
+            pass

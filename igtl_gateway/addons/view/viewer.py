@@ -1,0 +1,93 @@
+"""The viewer as a child process: a window, or a page for a browser; on loopback only, stopped with this process."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Self
+from urllib.parse import quote
+
+from igtl_gateway.addons.view.page import SessionServer
+from igtl_gateway.addons.view.process import ViewerProcess
+from igtl_gateway.base.errors import ViewerError
+
+HOST = "127.0.0.1"
+_LISTENS = re.compile(r"Listening for gRPC connections on 127\.0\.0\.1:(\d+)")
+_HOSTS = re.compile(r"Hosting a web-viewer at http://127\.0\.0\.1:(\d+)")
+_LOG = "error,re_grpc_server=info,re_sdk::web_viewer=info"
+_START_S = 30.0
+_LIVE_MEMORY = "25%"  # of the machine: in a long session the window drops the oldest data
+
+
+class Viewer:
+    """A running viewer; a context manager.
+
+    Attributes:
+        url: address for recording streams (for a page, the address for a browser).
+    """
+
+    def __init__(self, arguments: Sequence[str], expected: Sequence[re.Pattern[str]]) -> None:
+        self.url = ""
+        self._session: SessionServer | None = None
+        self._process = ViewerProcess(arguments, _LOG, expected)
+        self._found = self._process.found
+        if not self._process.ready.wait(_START_S) or not all(self._found):
+            self.close()
+            raise ViewerError(f"the viewer did not start; its last log lines: {self._process.last_lines()}")
+
+    @classmethod
+    def window(cls, recording: Path | None = None) -> Self:
+        """Open a window, with a recording or for a stream.  Raises ViewerError, also without a screen."""
+        check_screen(os.environ)
+        what = [str(recording)] if recording else ["--expect-data-soon", "--memory-limit", _LIVE_MEMORY]
+        viewer = cls([*what, "--bind", HOST, "--port", "auto", "--hide-welcome-screen"], [_LISTENS])
+        viewer.url = f"rerun+http://{HOST}:{viewer._found[0]}/proxy"
+        return viewer
+
+    @classmethod
+    def page(cls, recording: Path, port: int = 0) -> Self:
+        """Serve a page at ``port`` (0: any free port) for browsers on this machine.  Raises ViewerError.
+
+        The session is served only to who has the ``url``, see `igtl_gateway.addons.view.page`.
+        """
+        session = SessionServer(recording, HOST)
+        # with an address to show, rerun starts no server of streams; this one has no token, as others can read it
+        arguments = [session.base, "--serve-web", "--bind", HOST, "--port", "auto", "--web-viewer-port", str(port)]
+        try:
+            viewer = cls(arguments, [_HOSTS])
+        except BaseException:
+            session.close()
+            raise
+        viewer._session = session
+        viewer.url = f"http://{HOST}:{viewer._found[0]}/?url={quote(session.url, safe='')}"
+        return viewer
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    @property
+    def ended(self) -> bool:
+        """Whether the viewer has exited; cheap to read."""
+        return self._process.ended.is_set()
+
+    def close(self) -> None:
+        """Stop the viewer; a second call does nothing."""
+        self._process.close()
+        if self._session:
+            self._session.close()
+            self._session = None
+
+
+def check_screen(environment: Mapping[str, str]) -> None:
+    """Raise ViewerError if no window can be shown."""
+    if sys.platform == "linux" and not any(environment.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
+        raise ViewerError(
+            "found no screen (neither DISPLAY nor WAYLAND_DISPLAY is set), expected a screen for the window; "
+            "without a screen use `igtl-gateway view` with --save, --web or --screenshot"
+        )

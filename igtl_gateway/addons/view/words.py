@@ -1,0 +1,152 @@
+"""Text, status, commands, lists: each message is a line in the log of the session."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import rerun as rr
+
+from igtl_gateway.addons.view.canvas import Canvas
+from igtl_gateway.addons.view.colours import ERROR, WARN
+from igtl_gateway.addons.view.other_msgs import Log
+from igtl_gateway.base.errors import ConversionError, RecordingError
+from igtl_gateway.convert import igtl_msgs
+from igtl_gateway.convert.robot_msgs import Empty, OperatingState, StringStamped
+from igtl_gateway.convert.rosmsg import DiagnosticStatus, String
+
+#: Last part of the topic of a URDF (robot_state_publisher).
+ROBOT_DESCRIPTION = "robot_description"
+
+_LEVELS = (("INFO", None), ("WARN", WARN), ("ERROR", ERROR), ("WARN", WARN))
+_MAX_LINE = 300
+_ROS_WARN, _ROS_ERROR = 30, 40
+_QUERIES = {1: "GET", 2: "START", 3: "STOP", 4: "REPLY"}
+_REPLIES = {1: "success", 2: "failed", 3: "no reply in time", 4: "no peer"}
+
+
+def draw_string(message: String, canvas: Canvas) -> None:
+    """std_msgs/String: the text unchanged; a robot description is drawn as a robot, too."""
+    namespace, _, name = canvas.shown.topic.rpartition("/")
+    if name != ROBOT_DESCRIPTION:
+        _log_text(canvas, message.data)
+        return
+    canvas.log(rr.TextDocument(canvas.pen.displayable(message.data)))
+    try:
+        canvas.robots.describe(message.data, namespace, canvas)
+    except RecordingError as error:
+        raise ConversionError(str(error)) from None
+
+
+def draw_status(message: DiagnosticStatus, canvas: Canvas) -> None:
+    """diagnostic_msgs/DiagnosticStatus."""
+    level, colour = _LEVELS[min(message.level, len(_LEVELS) - 1)]
+    _log_text(canvas, f"{message.name} {message.message}".strip(), level, colour)
+
+
+def draw_state(message: OperatingState, canvas: Canvas) -> None:
+    """crtk_msgs/OperatingState: a fault is an error."""
+    level, colour = _LEVELS[2 if message.state == "FAULT" else 0]
+    words = (message.state, *(["homed"] if message.is_homed else []), *(["busy"] if message.is_busy else []))
+    _log_text(canvas, " ".join(words), level, colour)
+
+
+def draw_stamped_string(message: StringStamped, canvas: Canvas) -> None:
+    """crtk_msgs/StringStamped."""
+    _log_text(canvas, message.string)
+
+
+def draw_empty(_message: Empty, canvas: Canvas) -> None:
+    """std_msgs/Empty: that it came."""
+    _log_text(canvas, "(empty)")
+
+
+def draw_log(message: Log, canvas: Canvas) -> None:
+    """rcl_interfaces/Log: levels are 10 (debug), 20, 30, 40, 50 (fatal)."""
+    level, colour = _LEVELS[(message.level >= _ROS_WARN) + (message.level >= _ROS_ERROR)]
+    _log_text(canvas, f"{message.name}: {message.msg}", level, colour)
+
+
+def draw_command(message: igtl_msgs.Command, canvas: Canvas) -> None:
+    """igtl_msgs/Command."""
+    _log_text(canvas, f"command {message.id} {message.name!r}: {message.content}")
+
+
+def draw_reply(message: igtl_msgs.CommandReply, canvas: Canvas) -> None:
+    """igtl_msgs/CommandReply."""
+    good = message.status == message.SUCCESS
+    outcome = _REPLIES.get(message.status, str(message.status))
+    text = f"reply to {message.id} {message.name!r}: {outcome} {message.error_message} {message.content}".strip()
+    _log_text(canvas, text, *(_LEVELS[0] if good else _LEVELS[1]))
+
+
+def draw_query(message: igtl_msgs.Query, canvas: Canvas) -> None:
+    """igtl_msgs/Query."""
+    kind = _QUERIES.get(message.kind, str(message.kind))
+    _log_text(canvas, f"{kind} {message.type} {message.device_name}".strip())
+
+
+def draw_metadata(message: igtl_msgs.Metadata, canvas: Canvas) -> None:
+    """igtl_msgs/Metadata."""
+    items = [f"{item.key} = {item.value}" for item in message.items]
+    _list(canvas, f"metadata of {message.type} {message.device_name}", items)
+
+
+def draw_capability(message: igtl_msgs.Capability, canvas: Canvas) -> None:
+    """igtl_msgs/Capability."""
+    _list(canvas, "reads", message.types)
+
+
+def draw_links(message: igtl_msgs.LinkStatusList, canvas: Canvas) -> None:
+    """igtl_msgs/LinkStatusList."""
+    rows = [
+        f"{link.link}: {link.peer} {'connected' if link.connected else 'gone'}, {link.profile}, "
+        f"header version {link.header_version}"
+        for link in message.links
+    ]
+    _list(canvas, "peers", rows)
+
+
+def draw_bind(message: igtl_msgs.Bind, canvas: Canvas) -> None:
+    """igtl_msgs/Bind."""
+    _list(canvas, "bundle", [f"{child.type} {child.name}" for child in message.children])
+
+
+def draw_images(message: igtl_msgs.ImageMetaList, canvas: Canvas) -> None:
+    """igtl_msgs/ImageMetaList: names and sizes, without patient data."""
+    _list(canvas, "images", [f"{each.name} ({each.device_name}) {_size(each.size)}" for each in message.images])
+
+
+def draw_labels(message: igtl_msgs.LabelMetaList, canvas: Canvas) -> None:
+    """igtl_msgs/LabelMetaList."""
+    _list(canvas, "labels", [f"{each.label} {each.name} {_size(each.size)}" for each in message.labels])
+
+
+def draw_videos(message: igtl_msgs.VideoMetaList, canvas: Canvas) -> None:
+    """igtl_msgs/VideoMetaList."""
+    _list(canvas, "videos", [f"{each.name} ({each.device_name}) {_size(each.size)}" for each in message.videos])
+
+
+def draw_raw(message: igtl_msgs.RawMessage, canvas: Canvas) -> None:
+    """igtl_msgs/RawMessage: bytes of a type without a conversion."""
+    _log_text(canvas, f"{message.type} {message.device_name}: {memoryview(message.data).nbytes} bytes")
+
+
+def _size(size: Sequence[int]) -> str:
+    return " x ".join(map(str, size))
+
+
+def _list(canvas: Canvas, title: str, items: Sequence[str]) -> None:
+    items = items or ("none",)
+    document = f"**{title}**\n\n" + "\n".join(f"- {item}" for item in items)
+    canvas.log(rr.TextDocument(canvas.pen.displayable(document), media_type="text/markdown"))
+    canvas.text(_line(f"{title}: {', '.join(items)}"))
+
+
+def _log_text(canvas: Canvas, text: str, level: str = "INFO", colour: int | None = None) -> None:
+    canvas.log(rr.TextDocument(canvas.pen.displayable(text)))
+    canvas.text(_line(text), level, colour)
+
+
+def _line(text: str) -> str:
+    line = " ".join(text.split())
+    return line if len(line) <= _MAX_LINE else line[: _MAX_LINE - 1] + "…"

@@ -1,0 +1,302 @@
+"""Publishers: made on first use.  Zenoh routes by itself, so nothing has to be held for subscribers.
+
+A latched topic has a publisher with a cache, which late subscribers ask.  It does not know whether it has subscribers,
+so a second one, which sends nothing, watches that.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from igtl_gateway.addons.zenoh.connection import Connection
+from igtl_gateway.addons.zenoh.library import first_line
+from igtl_gateway.addons.zenoh.names import Kind, Node, attachment, data_key, gid
+from igtl_gateway.addons.zenoh.traffic import Traffic, how_to_send
+from igtl_gateway.addons.zenoh.types import TypeHashes
+from igtl_gateway.addons.zenoh.waiting import Commands
+from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.errors import RosError
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.edges.ros.reports import Reports
+from igtl_gateway.edges.ros.streams import TopicCounts
+from igtl_gateway.gateway.log.note import Level
+
+#: From the declaration on until Zenoh knows the subscribers, a publisher counts as one with a subscriber.
+_SETTLE_NS = 500_000_000
+_HEARTBEAT_S = 0.5
+_CDR_HEADER = 4
+
+
+class TopicPublisher:
+    """One publisher.
+
+    Attributes:
+        matched: whether Zenoh knows a subscriber.
+        in_graph: the token is declared with this number.
+    """
+
+    def __init__(
+        self,
+        topic: str,
+        type_name: str,
+        key: str,
+        qos: Qos,
+        counts: TopicCounts,
+        clock: Clock,
+        traffic: Traffic | None = None,
+        commands: Commands | None = None,
+    ) -> None:
+        self.topic = topic
+        self.type_name = type_name
+        self.key = key
+        self.qos = qos
+        self.counts = counts
+        self.matched = False
+        self.noted_over_budget = 0
+        self._traffic = traffic
+        self._class = traffic.class_of(topic, type_name) if traffic else None
+        if self._class and qos.latched:  # nothing repeats it for late joiners
+            self._class = replace(self._class, debt_s=None)
+        self._commands = commands if self._class and self._class.blocks else None
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._looking = threading.Lock()  # guards matched
+        self._made_ns = clock.monotonic_ns()
+        self._sequence = 0
+        self._gid = bytes(16)
+        self._publisher: Any = None
+        self._watch: Any = None
+        self._listener: Any = None
+        self._token: Any = None
+        #: Latched messages from before the session is open.
+        self._early: deque[bytes] = deque(maxlen=qos.depth if qos.latched else 0)
+
+    def declare(
+        self, zenoh: Any, session: Any, node: Node, number: int, type_hash: str, matched: Callable[[], None]
+    ) -> None:
+        """Declare publisher and token; Zenoh calls ``matched`` when a subscriber is there."""
+        token = node.entity_token(number, Kind.PUBLISHER, self.topic, self.type_name, type_hash, self.qos)
+        how = {
+            "reliability": zenoh.Reliability.RELIABLE if self.qos.reliable else zenoh.Reliability.BEST_EFFORT,
+            "congestion_control": zenoh.CongestionControl.DROP,
+            "allowed_destination": zenoh.Locality.REMOTE,
+        }
+        if self._class:
+            how |= how_to_send(zenoh, self._class)
+
+        def on_matching(_status: Any) -> None:
+            # Zenoh's threads call in any order, and while the publisher is declared: what counts is what is true now.
+            with self._looking:
+                before, self.matched = self.matched, self._watch is not None and self._watch.matching_status.matching
+                came = self.matched and not before
+            if came:
+                matched()
+
+        with self._lock:
+            self._gid = gid(token)
+            self._made_ns = self._clock.monotonic_ns()
+            self._watch = session.declare_publisher(self.key, **how)
+            self._publisher = self._watch
+            if self.qos.latched:
+                ext = zenoh.ext
+                misses = ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=_HEARTBEAT_S)
+                self._publisher = ext.declare_advanced_publisher(
+                    session,
+                    self.key,
+                    cache=ext.CacheConfig(self.qos.depth),
+                    publisher_detection=True,
+                    sample_miss_detection=misses if self.qos.reliable else None,
+                    **how,
+                )
+            self._listener = self._watch.declare_matching_listener(on_matching)
+            on_matching(None)  # a subscriber that was there before
+            self._token = session.liveliness().declare_token(token)
+            while self._early:
+                self.counts.held -= 1
+                self._pass_on(self._early.popleft())
+
+    @property
+    def has_subscriber(self) -> bool:
+        """Whether a message might reach a subscriber."""
+        return self.matched or (self._publisher is not None and self._clock.monotonic_ns() < self._made_ns + _SETTLE_NS)
+
+    def send(self, cdr: bytes) -> str:
+        """Send a message; return why that failed, or ``""``."""
+        if (
+            self._traffic
+            and self._class
+            and not self._traffic.admits(self._class, len(cdr), self._clock.monotonic_ns())
+        ):
+            self.counts.over_budget += 1
+            return ""
+        with self._lock:
+            if self._publisher is None:  # without a session there is no subscriber
+                if self.qos.latched:
+                    if len(self._early) == self._early.maxlen:
+                        self.counts.unheard += 1
+                        self.counts.held -= 1
+                    self._early.append(cdr)
+                    self.counts.held += 1
+                else:
+                    self.counts.unheard += 1
+                return ""
+            return self._pass_on(cdr)
+
+    def _pass_on(self, cdr: bytes) -> str:
+        """To Zenoh, or to the thread that may wait for it."""
+        if self._commands is None:
+            return self._put(cdr)
+        self._commands.put(self.topic, self.counts, lambda: self._put(cdr))
+        return ""
+
+    def _put(self, cdr: bytes) -> str:
+        publisher = self._publisher
+        if publisher is None:  # stopped while it waited
+            self.counts.unheard += 1
+            return ""
+        self._sequence += 1
+        try:
+            publisher.put(cdr, attachment=attachment(self._sequence, self._clock.utc_ns(), self._gid))
+        except Exception as error:  # zenoh's class is one for all causes
+            self.counts.failed += 1
+            return first_line(error)
+        self.counts.published += 1
+        return ""
+
+    def close(self) -> None:
+        """At stop: further messages are not sent."""
+        with self._lock:
+            self.counts.unheard += len(self._early)
+            self.counts.held -= len(self._early)
+            self._early.clear()
+            self._publisher = None
+        with self._looking:
+            _watch, self._watch = self._watch, None  # released at the end, not while its callback waits for the lock
+            self.matched = False
+
+
+class Publishing:
+    """The publishers of a node; see ``RosEdge`` for what each public method does."""
+
+    def __init__(
+        self,
+        connection: Connection,
+        node: Callable[[Any], tuple[Node, int]],
+        hashes: TypeHashes,
+        domain: int,
+        reports: Reports,
+        clock: Clock,
+        matched: Callable[[str], None],
+        traffic: Traffic | None,
+    ) -> None:
+        self._connection = connection
+        self._next = node
+        self._hashes = hashes
+        self._domain = domain
+        self._reports = reports
+        self._clock = clock
+        self._matched = matched
+        self._traffic = traffic
+        self._commands = Commands(reports, clock)
+        self._publishers: dict[str, TopicPublisher] = {}
+        self._closed = False
+
+    def publish(self, topic: str, type_name: str, cdr: bytes, qos: Qos) -> str:
+        """Send CDR bytes (with encapsulation), from any thread; return why that failed, or ``""``."""
+        publisher = self._publishers.get(topic)
+        if publisher is None or publisher.type_name != type_name:
+            publisher = self.advertise(topic, type_name, qos)
+            if publisher is None:
+                self._reports.counts(topic).failed += 1
+                return self._reports.refusal("publish", topic, type_name) or "the node is not running"
+        failure = ""
+        if self._closed:
+            publisher.counts.failed += 1
+            failure = "the node has stopped"
+        elif len(cdr) < _CDR_HEADER:
+            publisher.counts.failed += 1
+            failure = f"{len(cdr)} bytes, expected CDR with {_CDR_HEADER} bytes of encapsulation"
+        failure = failure or publisher.send(cdr)
+        self._reports.publish_failed(publisher.topic, failure)
+        return failure
+
+    def has_subscriber(self, topic: str) -> bool:
+        """Whether a message published now might reach a subscriber."""
+        publisher = self._publishers.get(topic)
+        return publisher is None or publisher.has_subscriber
+
+    def count_if_unsubscribed(self, topic: str) -> bool:
+        """Whether a message of a topic need not be published for want of a subscriber, which is counted then."""
+        publisher = self._publishers.get(topic)
+        if publisher is None or publisher.qos.latched or publisher.has_subscriber:
+            return False
+        publisher.counts.unheard += 1
+        return True
+
+    def advertise(
+        self, topic: str, type_name: str, qos: Qos, counts: TopicCounts | None = None
+    ) -> TopicPublisher | None:
+        """The publisher of the topic, made if there is none; None (and a note) if that is impossible."""
+        if self._reports.refusal("publish", topic, type_name):
+            return None
+        try:
+            with self._connection.lock:
+                publisher = self._publishers.get(topic)
+                if publisher is None:
+                    publisher = self._make(topic, type_name, qos, counts or self._reports.counts(topic))
+                    self._publishers[topic] = publisher
+                if publisher.type_name != type_name:
+                    raise RosError(f"the topic has the type {publisher.type_name}")
+                return publisher
+        except Exception as error:  # zenoh's class is one for all causes
+            self._reports.refuse("publish", topic, type_name, error)
+            return None
+
+    def publisher(self, topic: str) -> TopicPublisher | None:
+        """Return the publisher of a topic, if there is one."""
+        return self._publishers.get(topic)
+
+    def note_dropped(self) -> None:
+        """Note the messages that were dropped since the last call: they exceed the budget, or the line took none."""
+        self._commands.note_dropped()
+        with self._connection.lock:
+            publishers = list(self._publishers.values())
+        for one in publishers:
+            dropped = one.counts.over_budget - one.noted_over_budget
+            if dropped:
+                one.noted_over_budget += dropped
+                text = f"{one.topic}: {dropped} messages dropped, because the budget of the site is exceeded"
+                self._reports.note(Level.WARN, "site_over_budget", text, one.topic, {"dropped": dropped})
+
+    def close(self) -> None:
+        """At stop: refuse all further messages; send the commands that wait, for 2 s at most."""
+        self._closed = True
+        self._commands.stop()
+        with self._connection.lock:
+            for publisher in self._publishers.values():
+                publisher.close()
+
+    def _make(self, topic: str, type_name: str, qos: Qos, counts: TopicCounts) -> TopicPublisher:
+        type_hash = self._hashes.of(type_name)
+        made = TopicPublisher(
+            topic,
+            type_name,
+            data_key(self._domain, topic, type_name, type_hash),
+            qos,
+            counts,
+            self._clock,
+            self._traffic,
+            self._commands,
+        )
+
+        def declare(session: Any) -> None:
+            node, number = self._next(session)
+            zenoh = self._connection.zenoh
+            made.declare(zenoh, session, node, number, type_hash, lambda: self._matched(topic))
+
+        self._connection.declare(declare)
+        return made

@@ -1,0 +1,152 @@
+"""Opens untrusted files: ordinary files only, and files that a header names only in the same folder."""
+
+from __future__ import annotations
+
+import errno
+import stat
+import sys
+from pathlib import Path
+from typing import IO, BinaryIO
+
+from igtl_gateway.base.errors import DamagedRecording, NoSuchRecording, UnsupportedRecording
+from igtl_gateway.base.systems.files import lock, unlock
+from igtl_gateway.base.untrusted import limits
+
+_SEEK_DATA = 3  # as lseek(2)
+
+_NOTHING, _UNSEEN = "nothing", "unseen"
+_KINDS = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a FIFO"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+)
+
+
+def size_of(path: Path) -> int:
+    """Return the size of an ordinary file.  Raises NoSuchRecording if it is missing, else UnsupportedRecording."""
+    try:
+        found = path.stat()
+    except FileNotFoundError as error:
+        raise NoSuchRecording(f"{path}: {error.strerror}") from None
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise UnsupportedRecording(f"{path}: {reason}") from None
+    for is_kind, name in _KINDS:
+        if is_kind(found.st_mode):
+            raise UnsupportedRecording(f"{path}: found {name}, expected a file")
+    return found.st_size
+
+
+def open_file(path: Path) -> BinaryIO:
+    """Open an ordinary file for reading.  Raises UnsupportedRecording; never waits for a FIFO or a device."""
+    size_of(path)
+    try:
+        return path.open("rb")
+    except FileNotFoundError as error:  # deleted since
+        raise NoSuchRecording(f"{path}: {error.strerror}") from None
+    except OSError as error:
+        raise UnsupportedRecording(f"{path}: {error.strerror or error}") from None
+
+
+def stored_bytes(path: Path, size: int) -> int:
+    """Return the number of the ``size`` bytes of a file that are on the disk: holes of a sparse file are not."""
+    if sys.platform == "win32":  # its files have no count of blocks
+        return size
+    try:
+        return min(size, path.stat().st_blocks * 512)
+    except (OSError, ValueError):  # bytes in memory
+        return size
+
+
+def next_data(stream: IO[bytes], at: int) -> int:
+    """Return the next offset from ``at`` on that is not in a hole of a sparse file; the end if there is none."""
+    try:
+        return stream.seek(at, _SEEK_DATA)
+    except OSError as error:
+        return stream.seek(0, 2) if error.errno == errno.ENXIO else at
+    except ValueError:  # bytes in memory
+        return at
+
+
+def is_being_written(stream: IO[bytes]) -> bool:
+    """Return whether another process holds a writer's lock on an open file."""
+    try:
+        lock(stream.fileno(), shared=True)
+        unlock(stream.fileno())
+    except BlockingIOError:
+        return True
+    except OSError:  # bytes in memory, or a file system without locks
+        pass
+    return False
+
+
+def read_bytes(path: Path) -> bytes:
+    """Read a small file.  Raises UnsupportedRecording, or LimitExceeded above the limit ``free``."""
+    with open_file(path) as stream:
+        data = stream.read(limits.current_limits().free + 1)
+    limits.check_limit("free", len(data), str(path))
+    return data
+
+
+def sibling_file(path: Path, name: str) -> Path:
+    """Return the file ``name`` that the file ``path`` refers to: a plain name in the same folder, no link out of it.
+
+    Raises DamagedRecording, or UnsupportedRecording if there is no such ordinary file.
+    """
+    folder = path.parent
+    if not name or name in {".", ".."} or Path(name).name != name or "\\" in name or "\0" in name:
+        raise DamagedRecording(f"{path}: found a reference to the file {name!r}, expected a name in the same folder")
+    target = folder / name
+    if target.is_symlink() and target.resolve().parent != folder.resolve():
+        raise DamagedRecording(f"{path}: found a reference to {name!r}, a link out of the folder")
+    size_of(target)
+    return target
+
+
+def obstacle(path: Path, error: OSError | ValueError | None = None) -> str:
+    """Return why no file can be created or replaced at ``path``; ``""`` if no reason is known.
+
+    Args:
+        error: the error of the attempt, for reasons that cannot be checked before.
+    """
+    kind, folder = _kind(path), path.parent
+    if kind not in ("a file", _NOTHING, _UNSEEN):
+        return f"it is {kind}, expected a file or a new name"
+    above = _kind(folder)
+    if above == _NOTHING:
+        return f"there is no folder {folder}"
+    if above not in ("a folder", _UNSEEN):
+        return f"{folder} is {above}, expected a folder"
+    if error is None:
+        return ""
+    text = (error.strerror if isinstance(error, OSError) else None) or str(error)
+    number = error.errno if isinstance(error, OSError) else None
+    if number == errno.ENOENT:  # in an existing folder: a folder of the kernel, such as /proc
+        return f"no file can be created in {folder} ({text})"
+    if number == errno.ENAMETOOLONG:
+        return f"{text}: {len(bytes(Path(path.name)))} bytes"
+    if number in (errno.EACCES, errno.EPERM, errno.EROFS):
+        return f"{text}, in the folder {folder}"
+    return text
+
+
+def is_same(path: Path, other: Path) -> bool:
+    """Return whether both names are names of the same existing file."""
+    try:
+        return path.samefile(other)
+    except (OSError, ValueError):
+        return False
+
+
+def _kind(path: Path) -> str:
+    """Return the kind of the file at a path; links are followed."""
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError) as error:
+        number = error.errno if isinstance(error, OSError) else None
+        if number not in (errno.ENOENT, errno.ENOTDIR, errno.ELOOP):
+            return _UNSEEN
+        return "a link to nothing" if path.is_symlink() else _NOTHING
+    return next((name for is_kind, name in _KINDS if is_kind(mode)), "a file")

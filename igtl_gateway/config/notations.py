@@ -1,0 +1,282 @@
+"""How addresses, networks, sizes, CPUs and pairs are written in settings: on the command line, in files, as parameters.
+
+Each function returns the value of a string, or raises ConfigError with what it found and what it expected.
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+from dataclasses import dataclass
+
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.untrusted.numbers import whole_number
+
+DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 18944
+
+#: The ways to the ROS graph, and where a router of Zenoh usually listens.
+DDS, ZENOH = "dds", "zenoh"
+#: Classes of streams between sites.
+SITE_CLASSES = ("commands", "poses", "data", "pictures")
+ZENOH_ENDPOINT = "tcp/localhost:7447"
+ZENOH_LISTEN = "tcp/127.0.0.1:7447"
+
+#: Protocol and place; options of the protocol may follow.
+_ENDPOINT = re.compile(
+    r"([a-z][a-z0-9_-]*/)?(?:[^/\s:#?;\[\]]+|\[[0-9a-fA-F:.%]+\]):[0-9]{1,5}(?:[#?;]\S*)?|(unixsock-stream|unixpipe)/\S+",
+    re.ASCII,
+)
+
+#: Units of an age in seconds, and of a size in bytes.
+_AGES = {"h": 3600, "d": 86_400, "w": 7 * 86_400}
+_SIZES = {"MB": 10**6, "GB": 10**9, "TB": 10**12, "MiB": 1 << 20, "GiB": 1 << 30, "TiB": 1 << 40}
+#: Longest age, a hundred years, and largest size, an exabyte.
+_MOST_AGE_S, _MOST_BYTES = 36_525 * 86_400, 10**18
+_BUCKET = re.compile(r"[a-z0-9][a-z0-9.-]{1,61}[a-z0-9]")
+_QUANTITY = re.compile(r"([0-9]{1,15}(?:\.[0-9]{1,9})?) ?([A-Za-z]+)")
+
+_LAST_CPU = 8191  # of any Linux
+
+
+#: Suffixes of file names that users know as one format.
+_FORMATS = {
+    ".mcap": "a recording (MCAP)",
+    ".rrd": "a recording of rerun",
+    ".bag": "a bag of ROS 1",
+    ".db3": "a bag of ROS 2 (SQLite)",
+    ".igtl": "OpenIGTLink bytes",
+    **dict.fromkeys((".pcap", ".pcapng"), "a network capture"),
+    **dict.fromkeys((".mha", ".mhd", ".nrrd", ".nhdr", ".nii"), "an image or a volume"),
+    **dict.fromkeys((".png", ".jpg", ".jpeg", ".svg", ".gif"), "a picture"),
+    **dict.fromkeys((".mp4", ".avi", ".mkv"), "a video"),
+    **dict.fromkeys((".csv", ".parquet", ".arrow"), "a table"),
+    **dict.fromkeys((".toml", ".yaml", ".yml", ".json"), "a configuration"),
+    **dict.fromkeys((".pem", ".key"), "a key"),
+    **dict.fromkeys((".html", ".pdf", ".txt", ".md"), "a document"),
+    **dict.fromkeys((".gz", ".zip", ".zst", ".zstd"), "a compressed file"),
+}
+
+
+class PeerAddress(tuple[str, int]):
+    """Host and port; ``scheme`` is ``"tls"``, ``"tcp"`` or ``""``."""
+
+    scheme = ""
+
+
+@dataclass(frozen=True, slots=True)
+class RetentionRule:
+    """Which recordings are deleted.
+
+    Attributes:
+        text: as it was written.
+        age_s: those that were closed longer ago, seconds; 0: of any age are kept.
+        size: the oldest, while all together are larger than this, bytes; 0: any size is kept.
+    """
+
+    text: str
+    age_s: int = 0
+    size: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class UploadPlace:
+    """A bucket of an object store, and what keys in it begin with: no slash at either end, perhaps empty."""
+
+    bucket: str
+    prefix: str = ""
+
+    def __str__(self) -> str:
+        return f"s3://{self.bucket}/{self.prefix}".rstrip("/")
+
+
+def address(text: str) -> tuple[str, int]:
+    """Parse ``HOST:PORT``, ``:PORT``, ``PORT`` or ``HOST``; IPv6 hosts in brackets."""
+    host, colon, port = text.rpartition(":")
+    if text.startswith("[") and text.endswith("]"):
+        host, colon, port = text, "", ""
+    elif not colon:
+        host, port = ("", text) if whole_number(text) is not None else (text, "")
+    number = whole_number(port, (1 << 16) - 1) if port else DEFAULT_PORT
+    if number is None:
+        raise ConfigError(f"found {text!r}, expected HOST:PORT with a port from 0 to 65535")
+    return host.strip("[]") or DEFAULT_HOST, number
+
+
+def peer_address(text: str) -> PeerAddress:
+    """Parse ``[tls://|tcp://]HOST:PORT``; the part behind the scheme as in ``address``."""
+    scheme, found, rest = text.partition("://")
+    if found and scheme not in ("tls", "tcp"):
+        raise ConfigError(f"found {text!r}, expected tls://HOST:PORT, tcp://HOST:PORT or HOST:PORT")
+    made = PeerAddress(address(rest if found else text))
+    made.scheme = scheme if found else ""
+    return made
+
+
+def recording_name(text: str) -> str:
+    """Return the name of a recording to write, see ``named``."""
+    return named(text, ".mcap")
+
+
+def named(text: str, *suffixes: str) -> str:
+    """Return the name of a file to write, unless its suffix is that of another format: a reader would be misled.
+
+    Any other suffix is part of a name (``day.2``).  ``suffixes`` are those of the format that is written.
+    """
+    _, dot, end = text.rpartition("/")[2].rpartition(".")
+    found = f".{end.lower()}" if dot else ""
+    if found in suffixes or found not in _FORMATS:
+        return text
+    expected = " or ".join(suffixes)
+    raise ConfigError(f"found {text!r}, the name of {_FORMATS[found]}, expected {_FORMATS[suffixes[0]]}: *{expected}")
+
+
+def ros_middleware(text: str) -> str | None:
+    """Parse ``dds`` or ``zenoh[:ENDPOINT]``; return the endpoint of the router, None for DDS.
+
+    "": no endpoint is given; Zenoh's configuration has it, or the usual one counts.
+
+    ``zenoh:HOST:PORT`` stands for ``zenoh:tcp/HOST:PORT``.
+    """
+    name, colon, endpoint = text.partition(":")
+    if text == DDS:
+        return None
+    try:
+        if name == ZENOH:
+            return zenoh_endpoint(endpoint) if colon else ""
+    except ConfigError:
+        pass
+    raise ConfigError(f"found {text!r}, expected {DDS}, {ZENOH} or {ZENOH}:ENDPOINT such as {ZENOH}:{ZENOH_ENDPOINT}")
+
+
+def zenoh_endpoint(text: str) -> str:
+    """Return an endpoint such as ``tls/host:7447``; ``HOST:PORT`` stands for ``tcp/HOST:PORT``."""
+    found = _ENDPOINT.fullmatch(text)
+    if not found:
+        raise ConfigError(f"found {text!r}, expected PROTOCOL/HOST:PORT such as {ZENOH_ENDPOINT}")
+    return text if found[1] or found[2] else f"tcp/{text}"
+
+
+def site_name(text: str) -> str:
+    """Return the name of a site: letters, digits, ``_`` and ``-``."""
+    if text and not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", text):
+        raise ConfigError(f"found {text!r}, expected up to 64 letters, digits, _ and -")
+    return text
+
+
+def site_class(text: str) -> tuple[str, str]:
+    """Parse ``GLOB=CLASS``."""
+    glob, _, name = text.rpartition("=")
+    if not glob or name not in SITE_CLASSES:
+        raise ConfigError(f"found {text!r}, expected GLOB=CLASS with one of {', '.join(SITE_CLASSES)}")
+    return glob, name
+
+
+def network(text: str) -> str:
+    """Return a network such as ``192.168.7.0/24``, an address, or ``any``."""
+    try:
+        if text != "any":
+            ipaddress.ip_network(text, strict=False)
+    except ValueError:
+        raise ConfigError(f"found {text!r}, expected a network such as 192.168.7.0/24, or any") from None
+    return text
+
+
+def size_by_type(text: str) -> tuple[str, int]:
+    """Parse ``TYPE=MIB``; return type and bytes."""
+    name, equals, number = text.partition("=")
+    try:
+        if name and equals and (mib := float(number)) > 0:
+            return name, round(mib * 2**20)
+    except (ValueError, OverflowError):
+        pass
+    raise ConfigError(f"found {text!r}, expected TYPE=MIB such as STRING=4")
+
+
+def type_glob(text: str) -> str:
+    """Return a message type or a glob of types: printable ASCII without blanks."""
+    if not (text.isascii() and text.isprintable() and bool(text) and not set(text) & set(" /,")):
+        raise ConfigError(f"found {text!r}, expected a type or a glob such as COMMAND, GET_*")
+    return text
+
+
+def device_glob(text: str) -> str:
+    """Return a device of CRTK or a glob of them: printable ASCII without blanks and without a slash before it."""
+    if not (text.isascii() and text.isprintable() and text.strip("/") == text != "" and not set(text) & set(" ,")):
+        raise ConfigError(f"found {text!r}, expected a device or a glob such as PSM1/servo_cp, PSM*/move_*")
+    return text
+
+
+def key_value(text: str) -> tuple[str, str]:
+    """Parse ``KEY=VALUE``."""
+    key, equals, value = text.partition("=")
+    if not (key and equals):
+        raise ConfigError(f"found {text!r}, expected KEY=VALUE")
+    return key, value
+
+
+def file_mode(text: str) -> int:
+    """Parse the mode of new files, such as ``0640``: octal, with read and write for their owner, without execute."""
+    try:
+        mode = int(text, 8) if text.isascii() and text.isdigit() and len(text) <= 4 else 0
+    except ValueError:
+        mode = 0
+    if mode & 0o600 != 0o600 or mode & ~0o666:
+        raise ConfigError(f"found {text!r}, expected an octal mode such as 0600 or 0640")
+    return mode
+
+
+def cpus(text: str) -> frozenset[int]:
+    """Parse a list of CPUs such as ``2,4-6``."""
+    found: set[int] = set()
+    for part in text.split(","):
+        first, dash, last = part.strip().partition("-")
+        begin, end = whole_number(first), whole_number(last if dash else first)
+        if begin is None or end is None:
+            raise ConfigError(f"found {text!r}, expected CPUs such as 2,4-6")
+        if end < begin or end > _LAST_CPU:
+            raise ConfigError(f"found {part.strip()!r}, expected CPUs in ascending order, up to {_LAST_CPU}")
+        found.update(range(begin, end + 1))
+    return frozenset(found)
+
+
+def retention(text: str) -> RetentionRule:
+    """Parse a retention such as ``30 d, 200 GB``: an age, a size, or both."""
+    age_s = size = 0
+    for part in text.split(","):
+        found = _QUANTITY.fullmatch(part.strip())
+        number, unit = found.groups() if found else ("", "")
+        if unit in _AGES and not age_s:
+            age_s = _quantity(part, number, _AGES[unit], _MOST_AGE_S, "at most 36525 d")
+        elif unit in _SIZES and not size:
+            size = _quantity(part, number, _SIZES[unit], _MOST_BYTES, "at most 1000000 TB")
+        else:
+            second = " once" if unit in _AGES or unit in _SIZES else ""
+            raise ConfigError(
+                f"found {part.strip()!r} in {text!r}, expected an age ({', '.join(_AGES)}) or a size "
+                f"({', '.join(_SIZES)}){second}, such as 30 d, 200 GB"
+            )
+    return RetentionRule(text, age_s, size)
+
+
+def upload_place(text: str) -> UploadPlace:
+    """Parse ``s3://BUCKET/PREFIX``.  The error does not repeat what may have a key in it."""
+    expected = "expected s3://BUCKET or s3://BUCKET/PREFIX; keys come from the environment or from ~/.aws"
+    scheme, colon, rest = text.partition("://")
+    if any(sign in text for sign in "@?#%\\") or not text.isprintable():
+        raise ConfigError(f"found a URL with @, ?, #, % or a control character, {expected}")
+    bucket, _, prefix = rest.partition("/")
+    prefix = prefix.strip("/")
+    if scheme != "s3" or not colon or not _BUCKET.fullmatch(bucket):
+        raise ConfigError(f"found {text!r}, {expected}")
+    if any(part in ("", ".", "..") for part in prefix.split("/") if prefix) or len(prefix.encode()) > 700:
+        raise ConfigError(f"found the prefix {prefix[:80]!r}, expected names with / between them, up to 700 bytes")
+    return UploadPlace(bucket, prefix)
+
+
+def _quantity(part: str, number: str, unit: int, most: int, most_text: str) -> int:
+    value = round(float(number) * unit)
+    if value < 1:
+        raise ConfigError(f"found {part.strip()!r}, expected more than 0")
+    if value > most:
+        raise ConfigError(f"found {part.strip()!r}, expected {most_text}")
+    return value

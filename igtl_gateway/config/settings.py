@@ -1,0 +1,781 @@
+"""The table of settings: options of ``bridge``, keys of the configuration file and parameters of the ROS node.
+
+Strategy: each setting is one row of ``SETTINGS``.  The row has the name, which is also the key and the parameter, the
+type by its default, the unit, the range and the description.  The command line, the file and the node take what they
+need from the row, and all three check a value with ``Setting.check``: the same mistake has the same message everywhere.
+
+Rows of messages (``to_igtl``, ``to_ros``, ``tf_out``, ``peers``) are tables in a file.  As a parameter they are a list
+of strings; ``app.rows`` has their form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.config import notations
+from igtl_gateway.convert.arms import PROFILE, arms_of_profile
+from igtl_gateway.convert.profiles import AUTO, BY_NAME
+from igtl_gateway.convert.table import TO_ROS
+from igtl_gateway.convert.units import UNITS
+
+#: Tables of a configuration file: what influences messages, which is recorded; the OpenIGTLink side; the host; closed
+#: recordings.
+GATEWAY, IGTL, HOST, RECORD = "gateway", "igtl", "host", "record"
+#: No table: such a setting is an option and a parameter.
+NONE = ""
+#: The setting is a table of a file itself: one row of messages for each ``[[to_igtl]]``.
+ROWS = "rows"
+
+#: What a setting may need beside other settings: a graph of ROS, and a port for clients.
+ROS_GRAPH, CLIENTS = "ROS", "clients"
+#: Such a need → what to report if it is not there.
+_ABSENT = {
+    ROS_GRAPH: "found --no-ros or --relay, expected neither",
+    CLIENTS: "found --connect without --listen, expected --listen",
+}
+
+#: Values of the setting ``profile``.
+PROFILE_NAMES = (AUTO, *BY_NAME)
+#: Values of the setting ``stamp``: the sender's stamp, if it sent one, or the time of receipt.
+SOURCE, RECEIVE = "source", "receive"
+STAMP_POLICIES = (SOURCE, RECEIVE)
+#: Codecs of the setting ``video_codec``; ``edges.video`` has them.
+VIDEO_CODECS = ("h264", "vp9")
+
+#: Upper limit of the timeout of a COMMAND, s: one day.
+MAX_TIMEOUT_S = 86_400.0
+
+_YEAR_S = 365 * 86_400.0
+_MANY = 1_000_000_000
+
+Value = bool | int | float | str | tuple[str, ...]
+
+TYPE_NAMES: dict[type, str] = {
+    str: "a string in quotes",
+    bool: "true or false",
+    int: "an integer",
+    float: "a number",
+    tuple: 'strings such as ["a", "b"]',
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """One row of the table.
+
+    Attributes:
+        name: key in the file, and name of the parameter.
+        default: value without a setting; its type is that of the setting, a tuple is a list of strings.
+        about: what it does, as the help of its option; options in it become parameters in the descriptor.
+        table: table of the file: ``GATEWAY``, ``IGTL``, ``HOST``, ``RECORD``, ``NONE`` or ``ROWS``.
+        option: its option; None: by the name; "": it has none.
+        metavar: placeholder of its value on the command line.
+        unit: of the value.
+        least, most: the range of a number, both included.
+        open_ends: the ends of the range are not part of it.
+        choices: the values that a string may have; with ``reads``, the usual ones.
+        reads: returns the meaning of a string, or of each string of a list.  Raises ConfigError.
+        shown: the default, as the help of the option has it; None: the value, where it is more than nothing.
+        changes: whether it may change while the bridge runs.
+        parameter: whether the node has it: the settings of a relay have no node.
+        adds: the command line adds to the list of the file or of the parameters; other settings are replaced.
+        needs: settings, ``ROS_GRAPH`` or ``CLIENTS``, without which it has no effect.
+    """
+
+    name: str
+    default: Value
+    about: str
+    table: str = NONE
+    option: str | None = None
+    metavar: str | None = None
+    unit: str = ""
+    least: float | None = None
+    most: float | None = None
+    open_ends: bool = False
+    choices: tuple[str, ...] = ()
+    reads: Callable[[str], object] | None = None
+    shown: str | None = None
+    changes: bool = False
+    parameter: bool = True
+    adds: bool = False
+    needs: tuple[str, ...] = ()
+
+    @property
+    def flag(self) -> str:
+        """The option; "" if it has none."""
+        return f"--{self.name.replace('_', '-')}" if self.option is None else self.option
+
+    @property
+    def is_list(self) -> bool:
+        return isinstance(self.default, tuple)
+
+    @property
+    def range_text(self) -> str:
+        """The range of a number, for people; "" if it has none."""
+        if self.least is None or self.most is None:
+            return ""
+        least, most = f"{self.least:.15g}", f"{self.most:.15g}"
+        return f"more than {least} and less than {most}" if self.open_ends else f"{least} to {most}"
+
+    def check(self, value: object) -> Value:
+        """Return a value as its type.  Raises ConfigError with what was found and what is expected, without a place."""
+        kind: type = type(self.default)
+        found = value
+        if kind is tuple:
+            is_list = isinstance(value, list | tuple) and all(isinstance(item, str) for item in value)
+            value = tuple(value) if is_list else None  # type: ignore[arg-type]  # it is one
+        elif kind is float and type(value) is int and abs(value) < 1 << 63:
+            value = float(value)
+        if type(value) is not kind:
+            raise ConfigError(f"found {found!r}, expected {TYPE_NAMES[kind]}")
+        if isinstance(value, int | float) and not self._is_in_range(value):
+            raise ConfigError(f"found {value:.15g}, expected {self.range_text}")
+        if self.choices and not self.reads and value not in self.choices:
+            raise ConfigError(f"found {value!r}, expected one of {', '.join(filter(None, self.choices))}")
+        if self.reads and value:
+            for text in value if isinstance(value, tuple) else (value,):
+                self.reads(str(text))
+        return value  # type: ignore[return-value]  # of the type of the default
+
+    def parse(self, text: str) -> Value:
+        """Return the value of a word of the command line; of a list, one item.  Raises ConfigError."""
+        if self.is_list:
+            self.check((text,))
+            return text
+        value: object = text
+        if isinstance(self.default, int | float):
+            value = _number(text)
+        return self.check(value)
+
+    def _is_in_range(self, value: float) -> bool:
+        if self.least is None or self.most is None:
+            return True
+        return self.least < value < self.most if self.open_ends else self.least <= value <= self.most
+
+
+def _number(text: str) -> int | float | str:
+    """The number of a string, which a file would have without quotes; otherwise the text."""
+    for kind in (int, float):
+        try:
+            return kind(text)
+        except ValueError:
+            pass
+    return text
+
+
+def check_values(place: str, table: str, values: Mapping[str, object]) -> dict[str, Value]:
+    """Return the values of a table of a file.  Raises ConfigError with the path of the setting."""
+    known = of_table(table)
+    checked = {}
+    for name, value in values.items():
+        if name not in known:
+            raise ConfigError(f"{place}.{name}: {unknown(known)}")
+        try:
+            checked[name] = known[name].check(value)
+        except ConfigError as error:
+            raise ConfigError(f"{place}.{name}: {error}") from None
+    return checked
+
+
+def check_needs(values: Mapping[str, object], names: Iterable[str], *, ros: bool) -> None:
+    """Raise ConfigError for settings that have no effect, because what they need is not there.
+
+    Args:
+        values: the values of all settings.
+        names: settings that were given: each is expected to have an effect.
+        ros: whether there is a ROS graph.
+    """
+    met = {ROS_GRAPH: ros, CLIENTS: bool(values["listen"] or values["relay"]) or not values["connect"]}
+    without: dict[str, list[str]] = {}  # need → options
+    for name in dict.fromkeys(names):
+        row = BY_SETTING.get(name)
+        for need in row.needs if row else ():
+            if not met.get(need, values.get(need)):
+                without.setdefault(need, []).append(row.flag if row and row.flag else name)
+    for need, flags in without.items():
+        absent = _ABSENT.get(need) or f"found no {_usage(BY_SETTING[need])}, expected it"
+        raise ConfigError(f"{' and '.join(flags)}: {absent}: the option has no effect here")
+
+
+def _usage(row: Setting) -> str:
+    """Return the option of a setting with the placeholder of its value."""
+    return f"{row.flag} {row.metavar}" if row.metavar else row.flag
+
+
+def unknown(names: Iterable[str]) -> str:
+    """The message about a name that no setting has."""
+    return f"unknown setting, expected one of {', '.join(names)}"
+
+
+def of_table(table: str) -> dict[str, Setting]:
+    """Return the settings of a table of a file, by name."""
+    return {row.name: row for row in SETTINGS if row.table == table}
+
+
+def parameters() -> dict[str, Setting]:
+    """Return the settings that the ROS node has as parameters, by name."""
+    return {row.name: row for row in SETTINGS if row.parameter}
+
+
+_UNITS = tuple(UNITS)
+
+#: Kinds of ROS messages that a peer's messages can be converted to.
+_KINDS = tuple(sorted({row.kind for row in TO_ROS}))
+
+
+def _ros_kind(text: str) -> str:
+    """Return a kind of ROS messages, or ``+`` and a kind.  Raises ConfigError."""
+    if text.removeprefix("+") not in _KINDS:
+        raise ConfigError(f"found {text!r}, expected one of {', '.join(_KINDS)}, also as +kind")
+    return text
+
+
+def _profile(text: str) -> str:
+    """Return the profile of peers, or ``crtk`` with its arms.  Raises ConfigError."""
+    if arms_of_profile(text) is None and text not in PROFILE_NAMES:
+        expected = ", ".join((*PROFILE_NAMES, PROFILE, f"{PROFILE}:/NAMESPACE"))
+        raise ConfigError(f"found {text!r}, expected one of {expected}")
+    return text
+
+
+#: All settings, in the order of the documents.
+SETTINGS: tuple[Setting, ...] = (
+    Setting("config", "", "read the configuration from this file (TOML); options override it", metavar="FILE"),
+    # -- addresses and security ----------------------------------------------------------------------------------------
+    Setting(
+        "listen",
+        (),
+        "listen for OpenIGTLink clients on this address; port 0 selects a free port",
+        IGTL,
+        metavar="[tls://]HOST:PORT",
+        reads=notations.peer_address,
+        shown=f"{notations.DEFAULT_HOST}:{notations.DEFAULT_PORT}, unless --connect is given",
+    ),
+    Setting(
+        "connect",
+        (),
+        "connect to the OpenIGTLink server at this address; reconnect until stopped",
+        IGTL,
+        metavar="[tls://]HOST:PORT",
+        reads=notations.peer_address,
+    ),
+    Setting(
+        "relay",
+        False,
+        "forward all bytes unchanged between each client of --listen and the server of --connect; without ROS",
+        GATEWAY,
+        parameter=False,
+    ),
+    Setting(
+        "allow",
+        (),
+        "accept clients from this network only, 'any' for all; required if --listen is not a loopback address",
+        IGTL,
+        metavar="CIDR",
+        reads=notations.network,
+        needs=(CLIENTS,),
+    ),
+    Setting("tls", False, "use TLS at all addresses except those that begin with tcp://", IGTL),
+    Setting("tls_cert", "", "own certificate (PEM); turns TLS on for --listen", IGTL, metavar="FILE"),
+    Setting(
+        "tls_key",
+        "",
+        "private key of the certificate (PEM)",
+        IGTL,
+        metavar="FILE",
+        shown="file of --tls-cert",
+        needs=("tls_cert",),
+    ),
+    Setting("tls_ca", "", "require a certificate of this CA (PEM) from clients and servers", IGTL, metavar="FILE"),
+    *(
+        Setting(
+            f"deny_{way}",
+            (),
+            f"{text}: COMMAND, 'GET_*', '*' for all",
+            GATEWAY,
+            metavar="TYPE",
+            reads=notations.type_glob,
+            changes=True,
+            adds=True,
+        )
+        for way, text in (("in", "reject messages of this type from peers"), ("out", "send no messages of this type"))
+    ),
+    *(
+        Setting(
+            f"allow_{way}",
+            (),
+            f"{text}, such as {example}; * matches one level, ** any number",
+            GATEWAY,
+            metavar="DEVICE",
+            reads=notations.device_glob,
+            adds=True,
+        )
+        for way, text, example in (
+            ("in", "with a CRTK profile: let peers send this device to its topic", "PSM1/servo_cp or 'PSM1/move_*'"),
+            ("out", "with a CRTK profile: send this command of ROS to peers", "PSM1/servo_cp"),
+        )
+    ),
+    # -- limits of a peer ----------------------------------------------------------------------------------------------
+    Setting(
+        "max_clients",
+        32,
+        "maximum number of connected clients",
+        IGTL,
+        metavar="N",
+        least=1,
+        most=1_000_000,
+        needs=(CLIENTS,),
+    ),
+    Setting("queue_mib", 64, "size of the send queue", IGTL, metavar="MIB", unit="MiB", least=1, most=1 << 20),
+    Setting("queue_messages", 4096, "number of messages in the send queue", IGTL, metavar="N", least=1, most=_MANY),
+    Setting("max_body_mib", 256, "maximum body size", IGTL, metavar="MIB", unit="MiB", least=1, most=1 << 20),
+    Setting(
+        "max_body",
+        (),
+        "maximum body size of a message type or of 'GET_*'",
+        IGTL,
+        metavar="TYPE=MIB",
+        unit="MiB",
+        reads=notations.size_by_type,
+        shown="2 for strings and poses, 16 for lists, 64 for VIDEO",
+    ),
+    Setting(
+        "max_messages",
+        50_000,
+        "maximum rate of messages; a peer that sends faster is slowed down",
+        IGTL,
+        metavar="HZ",
+        unit="Hz",
+        least=1,
+        most=_MANY,
+    ),
+    Setting(
+        "stall_s",
+        10.0,
+        "longest pause inside a message",
+        IGTL,
+        metavar="SECONDS",
+        unit="s",
+        least=0.001,
+        most=_YEAR_S,
+    ),
+    Setting(
+        "min_rate_kib",
+        8.0,
+        "lowest transfer rate of a message",
+        IGTL,
+        metavar="KIB/S",
+        unit="KiB/s",
+        least=0.001,
+        most=float(1 << 20),
+    ),
+    Setting(
+        "idle_s",
+        0.0,
+        "close a link after this time without traffic in either direction; 0: never",
+        IGTL,
+        metavar="SECONDS",
+        unit="s",
+        least=0,
+        most=_YEAR_S,
+        shown="0",
+    ),
+    # -- messages ------------------------------------------------------------------------------------------------------
+    Setting(
+        "profile",
+        AUTO,
+        "profile of all peers; crtk or crtk:/NAMESPACE: auto, with the CRTK topics of the arms at these namespaces "
+        "(* matches one level)",
+        GATEWAY,
+        choices=(*PROFILE_NAMES, PROFILE),
+        reads=_profile,
+        shown=f"{AUTO}, detected from their messages",
+    ),
+    Setting(
+        "crtk",
+        (),
+        "the arms at these namespaces have CRTK topics; a row also has the limits of commands to them",
+        ROWS,
+        "",
+        metavar="NAMESPACE",
+        adds=True,
+        needs=(ROS_GRAPH,),
+    ),
+    Setting(
+        "peers",
+        (),
+        "profile of the server at this address, or of clients that connect to this address",
+        ROWS,
+        "--peer",
+        metavar="HOST:PORT=PROFILE",
+        adds=True,
+    ),
+    Setting(
+        "to_igtl",
+        (),
+        "send this ROS topic to OpenIGTLink as this device and message type",
+        ROWS,
+        "--send",
+        metavar="TOPIC[=DEVICE[:TYPE]]",
+        adds=True,
+        needs=(ROS_GRAPH,),
+    ),
+    Setting(
+        "tf_out",
+        (),
+        "send the poses of frames in BASE, from /tf and /tf_static: one frame as TRANSFORM, several as TDATA",
+        ROWS,
+        metavar="FRAME[,FRAME…]:BASE[=DEVICE[:TYPE]]",
+        adds=True,
+        needs=(ROS_GRAPH,),
+    ),
+    Setting(
+        "to_ros",
+        (),
+        "publish these messages of a device instead of the default ones, or with +KIND in addition to them; "
+        "DEVICE: * matches one level, ** any number",
+        ROWS,
+        "--kinds",
+        metavar="DEVICE=KIND[,KIND…]",
+        adds=True,
+        needs=(ROS_GRAPH,),
+    ),
+    Setting(
+        "kinds",
+        (),
+        "default of to_ros: publish these messages of devices instead of the default ones, or with +KIND in addition",
+        GATEWAY,
+        "",
+        reads=_ros_kind,
+        changes=True,
+    ),
+    Setting(
+        "max_age_s",
+        0.0,
+        "default of to_igtl, to_ros and tf_out: withhold messages that are older on arrival; 0: no limit",
+        GATEWAY,
+        "",
+        unit="s",
+        least=0,
+        most=_YEAR_S,
+        changes=True,
+    ),
+    Setting(
+        "ros",
+        notations.DDS,
+        "the way to the ROS graph: dds by an installed ROS; zenoh without ROS, as nodes with rmw_zenoh, through the "
+        f"router at ENDPOINT, such as {notations.ZENOH_ENDPOINT}",
+        HOST,
+        metavar=f"{notations.DDS}|{notations.ZENOH}[:ENDPOINT]",
+        reads=notations.ros_middleware,
+        parameter=False,
+    ),
+    Setting(
+        "site",
+        "",
+        "name of this site, with --ros zenoh: streams have priorities (commands, poses, data, pictures), and the "
+        "clocks of the gateways of other sites and the latency of their streams are measured",
+        HOST,
+        metavar="NAME",
+        reads=notations.site_name,
+        parameter=False,
+        needs=(ROS_GRAPH,),
+    ),
+    Setting(
+        "site_budget",
+        0,
+        "send no more than this over Zenoh, with --site: pictures are dropped first, then data; poses and commands "
+        "never",
+        HOST,
+        metavar="KIB/S",
+        unit="KiB/s",
+        least=0,
+        most=10_000_000,
+        shown="0, no limit",
+        parameter=False,
+        needs=("site",),
+    ),
+    Setting(
+        "site_classes",
+        (),
+        "class of the topics that match, with --site: commands, poses, data or pictures (repeatable)",
+        HOST,
+        "--site-class",
+        metavar="GLOB=CLASS",
+        reads=notations.site_class,
+        shown="by type",
+        parameter=False,
+        adds=True,
+        needs=("site",),
+    ),
+    Setting("publish_tf", True, "publish poses on /tf", GATEWAY, "--no-tf"),
+    Setting("base_frame", "igtl", "frame of messages that do not name a frame", GATEWAY, ""),
+    Setting("ros_unit", "m", "length unit of ROS messages", GATEWAY, "", choices=_UNITS),
+    Setting("igtl_unit", "mm", "length unit of OpenIGTLink messages", GATEWAY, "", choices=_UNITS),
+    Setting(
+        "stamp",
+        SOURCE,
+        "stamp of a converted message: source: the sender's, if it sent one; receive: the gateway time of receipt",
+        GATEWAY,
+        "",
+        choices=STAMP_POLICIES,
+    ),
+    Setting("check_crc", True, "reject messages whose CRC is wrong", GATEWAY, ""),
+    Setting(
+        "max_streams",
+        512,
+        "maximum number of streams of one session in each direction",
+        GATEWAY,
+        "",
+        least=1,
+        most=_MANY,
+    ),
+    Setting(
+        "command_timeout_s",
+        5.0,
+        "time after which a COMMAND without a reply has failed",
+        GATEWAY,
+        "",
+        unit="s",
+        least=0,
+        most=MAX_TIMEOUT_S,
+        open_ends=True,
+    ),
+    # -- recording -----------------------------------------------------------------------------------------------------
+    Setting("record", "", "record all messages to this MCAP file", metavar="FILE", reads=notations.recording_name),
+    Setting("overwrite", False, "overwrite an existing recording", needs=("record",)),
+    Setting(
+        "file_mode",
+        "0600",
+        "mode of the files that it writes; directories may also be entered by those who may read files",
+        metavar="MODE",
+        reads=notations.file_mode,
+        needs=("record",),
+    ),
+    Setting(
+        "record_topics",
+        (),
+        "also record these ROS topics, in addition to the bridged ones; * matches one level, ** any number",
+        metavar="GLOB",
+        needs=("record", ROS_GRAPH),
+    ),
+    Setting("record_all", False, "also record all ROS topics", needs=("record", ROS_GRAPH)),
+    Setting(
+        "record_include",
+        (),
+        "record only inputs of these streams and their outputs; by TYPE/device, device or topic; * matches one level, "
+        "** any number",
+        metavar="GLOB",
+        needs=("record",),
+    ),
+    Setting(
+        "record_exclude",
+        (),
+        "do not record inputs of these streams and their outputs",
+        metavar="GLOB",
+        needs=("record",),
+    ),
+    Setting(
+        "custom_data",
+        (),
+        "add this key and value to the metadata of the recording, such as operator=Kim",
+        metavar="KEY=VALUE",
+        reads=notations.key_value,
+        needs=("record",),
+    ),
+    Setting(
+        "compression",
+        "lz4",
+        "compression of chunks; streams that do not shrink are stored uncompressed",
+        choices=("none", "lz4", "zstd"),
+        needs=("record",),
+    ),
+    Setting(
+        "flush_interval",
+        0.5,
+        "interval between flushes: what a kill of bridge and recorder can lose; a crash of the bridge loses nothing",
+        metavar="SECONDS",
+        unit="s",
+        least=0,
+        most=_YEAR_S,
+        needs=("record",),
+    ),
+    Setting(
+        "fsync",
+        "never",
+        "when to force data to the disk: a power failure then loses one interval (flush) or open files (close)",
+        choices=("never", "flush", "close"),
+        needs=("record",),
+    ),
+    Setting(
+        "split_size",
+        0,
+        "start a new file after this size",
+        metavar="MIB",
+        unit="MiB",
+        least=0,
+        most=1 << 30,
+        needs=("record",),
+    ),
+    Setting(
+        "split_duration",
+        0.0,
+        "start a new file after this time",
+        metavar="SECONDS",
+        unit="s",
+        least=0,
+        most=_YEAR_S,
+        needs=("record",),
+    ),
+    Setting(
+        "snapshot",
+        0.0,
+        "record to memory, and write the last SECONDS to FILE_<UTC time>.mcap on key s, SIGUSR1 or the ROS service "
+        "~/snapshot",
+        metavar="SECONDS",
+        unit="s",
+        least=0,
+        most=_YEAR_S,
+        needs=("record",),
+    ),
+    Setting(
+        "seal",
+        "",
+        "sign the recording with this private key (Ed25519, PEM) while it is written; `keys new` makes one",
+        metavar="KEY",
+        needs=("record",),
+    ),
+    Setting(
+        "retention",
+        "",
+        "delete closed recordings in the directory of FILE, the oldest first: by age (h, d, w), by size of all "
+        "(MB, GB, TB, MiB, GiB, TiB) or by both, such as '30 d, 200 GB'",
+        RECORD,
+        metavar="RULE",
+        reads=notations.retention,
+        needs=("record",),
+    ),
+    Setting(
+        "upload",
+        "",
+        "copy closed recordings and parts to this object store (S3) in the background; keys come from the environment "
+        "or from ~/.aws",
+        RECORD,
+        metavar="s3://BUCKET[/PREFIX]",
+        reads=notations.upload_place,
+        needs=("record",),
+    ),
+    Setting(
+        "upload_rate",
+        0.0,
+        "with --upload: maximum rate; 0: no limit",
+        RECORD,
+        metavar="MB/S",
+        unit="MB/s",
+        least=0,
+        most=100_000,
+        shown="0",
+        needs=("upload",),
+    ),
+    Setting(
+        "on_record_failure",
+        "continue",
+        "what the bridge does if the recording fails, for example if the disk is full",
+        choices=("continue", "stop"),
+        needs=("record",),
+    ),
+    # -- video ---------------------------------------------------------------------------------------------------------
+    Setting(
+        "video_codec",
+        "",
+        "encode ROS images that are sent as VIDEO, and decode received VIDEO to ROS images",
+        choices=("", *VIDEO_CODECS),
+        needs=(ROS_GRAPH,),
+    ),
+    Setting(
+        "video_bit_rate",
+        4000,
+        "with --video-codec: bit rate of a stream",
+        metavar="KBIT/S",
+        unit="kbit/s",
+        least=10,
+        most=1_000_000,
+        needs=("video_codec",),
+    ),
+    Setting(
+        "video_key_interval",
+        30,
+        "with --video-codec: frames from one key frame to the next",
+        metavar="N",
+        least=1,
+        most=10_000,
+        needs=("video_codec",),
+    ),
+    # -- the host, diagnostics, faults ---------------------------------------------------------------------------------
+    Setting(
+        "realtime_priority",
+        0,
+        "run the threads that pass messages with SCHED_FIFO at this priority, 1 (lowest) to 99; needs CAP_SYS_NICE or "
+        "RLIMIT_RTPRIO",
+        HOST,
+        metavar="N",
+        least=0,
+        most=99,
+    ),
+    Setting(
+        "lock_memory",
+        False,
+        "keep the used memory of the bridge from being paged out; needs CAP_IPC_LOCK or RLIMIT_MEMLOCK",
+        HOST,
+    ),
+    Setting(
+        "cpu_affinity",
+        "",
+        "run the threads that pass messages on these CPUs only, for example 2,4-6",
+        HOST,
+        metavar="LIST",
+        reads=notations.cpus,
+    ),
+    Setting("diagnostics", True, "publish on /diagnostics", option="--no-diagnostics"),
+    Setting("watch", True, "report jumps and implausible stamps", GATEWAY, "--no-watch"),
+    Setting(
+        "cautious",
+        True,
+        "send peers that are not recognised, and show header version 1 only, no type at which common programs lose the "
+        "stream",
+        GATEWAY,
+        "--no-cautious",
+    ),
+    Setting(
+        "metrics",
+        "",
+        "serve counts, rates and queue lengths over HTTP: /metrics for Prometheus, /status as JSON",
+        metavar="[HOST:]PORT",
+        reads=notations.address,
+    ),
+    Setting(
+        "faults",
+        "",
+        "apply these faults to the OpenIGTLink messages",
+        GATEWAY,
+        "--fault",
+        metavar="NAME=VALUE[,…]",
+        parameter=False,
+        needs=("relay",),
+    ),
+    Setting(
+        "fault_seed",
+        0,
+        "seed of the fault injection; the same seed affects the same messages",
+        GATEWAY,
+        "--seed",
+        metavar="N",
+        shown="0",
+        parameter=False,
+        needs=("faults",),
+    ),
+)
+
+BY_SETTING = {row.name: row for row in SETTINGS}

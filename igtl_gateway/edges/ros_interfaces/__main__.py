@@ -1,0 +1,55 @@
+"""Compile the packages before their first import.
+
+python -m igtl_gateway.edges.ros_interfaces                   for this environment; prints their folders
+python -m igtl_gateway.edges.ros_interfaces --ahead FOLDER    for a wheel (tools/release.py)
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+from importlib.util import find_spec
+from pathlib import Path
+
+from igtl_gateway.cli.terminal import print_line
+from igtl_gateway.convert.interfaces import PACKAGES
+from igtl_gateway.edges.ros_interfaces.ahead import LIBRARIES, VERSIONS, ros_versions
+from igtl_gateway.edges.ros_interfaces.cache import compile_package, package_path, prefix_of, wheels_folder
+
+_STAND_INS = Path(__file__).parent / "python"
+
+
+def main() -> int:
+    """Print one line for each package; return 1 if at least one cannot be imported, otherwise 0."""
+    if sys.argv[1:2] == ["--ahead"]:
+        compile_ahead(Path(sys.argv[2]))
+        return 0
+    failed = False
+    for package in PACKAGES:
+        real = find_spec(package)
+        try:
+            if real and real.origin and _STAND_INS not in Path(real.origin).parents:
+                print_line(f"{package}: {Path(real.origin).parent} (installed)")
+            else:
+                print_line(f"{package}: {package_path(package)[0]}")
+        except ImportError as error:
+            print_line(str(error), error=True)
+            failed = True
+    return 1 if failed else 0
+
+
+def compile_ahead(folder: Path) -> None:
+    """Compile all packages into a new ``folder``, for the wheels of this environment.  Raises ImportError."""
+    folder.mkdir()
+    for package in PACKAGES:
+        wheels = wheels_folder(package)
+        with tempfile.TemporaryDirectory() as temporary:
+            work = Path(temporary) / "work"
+            compile_package(package, prefix_of(wheels), work, f"$ORIGIN/{LIBRARIES}")
+            (work / "result" / package).rename(folder / package)
+        (folder / VERSIONS).write_text(json.dumps(ros_versions(wheels), indent=1) + "\n", "utf-8")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

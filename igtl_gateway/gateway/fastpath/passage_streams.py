@@ -1,0 +1,284 @@
+"""The streams of the native passage: copied from compiled streams, and their counts taken over again.
+
+A stream is copied when Python has passed a message of it by the fast path, and all that it needs is native: the link or
+the subscription that it comes from, and the publishers or the links that it goes to.  Until then, Python passes it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from igtl_gateway.convert.express import CLOUD, POINT, POINTS, TEXT
+from igtl_gateway.gateway.fastpath.common import Key
+from igtl_gateway.gateway.fastpath.compiled_to_igtl import CompiledToIgtl
+from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos
+from igtl_gateway.gateway.guarded_stream import GuardedStream
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.outcome import CONVERTED, UNSUBSCRIBED
+from igtl_gateway.native.passage import Guard, Link, Passage, Publisher, Stream, Subscription
+from igtl_gateway.wire.header import HEADER_SIZE
+
+#: Conversions of bulk that can pass natively: the others are of large messages.
+_FORMS = frozenset({TEXT, POINT, POINTS, CLOUD})
+
+#: Largest message, in bytes, that the passage reads for Python, if the limits of the links permit it.
+LARGEST_BYTES = 16 << 20
+
+#: Messages of a stream in Python, after which it is copied if it can be now: half a second at 30 Hz, and 3 % of the
+#: time of a message if it never can.
+_RETRY_AFTER = 16
+
+#: Kind, channel, type and links of entries → number of their stream in the recorder's queue; None: it has none.
+NumberOf = Callable[[Kind, str, str, tuple[int, ...]], int | None]
+#: Kind and number of entries that passed natively.
+OnPassed = Callable[[Kind, int], None]
+
+
+class NativeEdges(Protocol):
+    """What the edges have that the native passage can use; None: Python has to pass the message."""
+
+    def link(self, number: int) -> Link | None: ...
+
+    def ignore(self, channel: str, messages: int) -> None:
+        """Count messages to links that take nothing any more."""
+        ...
+
+    def max_body(self, igtl_type: str) -> int:
+        """Return the limit of the bodies of a type, in bytes."""
+        ...
+
+    def publisher(self, topic: str, ros_type: str) -> Publisher | None: ...
+
+    def subscription(self, topic: str, ros_type: str) -> Subscription | None: ...
+
+
+class _Copy:
+    """A compiled stream and its copy."""
+
+    def __init__(self, compiled: CompiledToRos | CompiledToIgtl, native: Stream, channel: str, ros_type: str) -> None:
+        self.compiled = compiled
+        self.native = native
+        self.channel = channel
+        self.ros_type = ros_type
+
+
+class _Guards:
+    """The states of guarded streams in the passage.
+
+    Compiled streams may share one: a device that sends both header versions is one stream for the guard.
+    """
+
+    def __init__(self) -> None:
+        self._guards: dict[int, tuple[GuardedStream, Guard]] = {}
+
+    def of(self, watched: GuardedStream) -> Guard:
+        if id(watched) not in self._guards:
+            self._guards[id(watched)] = watched, Guard()
+        return self._guards[id(watched)][1]
+
+    def collect(self, watched: GuardedStream | None) -> None:
+        """Take over the state of a guarded stream."""
+        found = self._guards.get(id(watched))
+        if found and found[1].is_dirty:
+            found[0].after_native(*found[1].collect())
+
+    def set(self, watched: GuardedStream | None) -> None:
+        """Pass the state of a guarded stream to the passage."""
+        if found := self._guards.get(id(watched)):
+            found[1].set(*found[0].native_state())
+
+    def collect_all(self) -> None:
+        for watched, _ in self._guards.values():
+            self.collect(watched)
+
+    def set_all(self) -> None:
+        for watched, _ in self._guards.values():
+            self.set(watched)
+
+    def clear(self) -> None:
+        self._guards.clear()
+
+
+class PassageStreams:
+    """The streams of a passage; see ``NativeStreams`` of the fast path for the methods.
+
+    Args:
+        number_of: see ``NumberOf``.
+        on_passed: see ``OnPassed``; called when counts are taken over.
+        keep: OpenIGTLink type → whether a full send queue must not drop its messages.
+    """
+
+    def __init__(
+        self,
+        passage: Passage,
+        edges: NativeEdges,
+        number_of: NumberOf,
+        on_passed: OnPassed,
+        keep: Callable[[str], bool],
+    ) -> None:
+        self._passage = passage
+        self._edges = edges
+        self._number_of = number_of
+        self._on_passed = on_passed
+        self._keep = keep
+        self._copies: dict[Key, _Copy] = {}
+        self._guards = _Guards()
+        self._tries: dict[Key, int] = {}  # messages that Python has passed since the streams were compiled
+
+    @property
+    def count(self) -> int:
+        """Number of streams that pass natively."""
+        return len(self._copies)
+
+    def collect(self, key: Key, stream: CompiledToRos | CompiledToIgtl) -> None:
+        if (copy := self._copies.get(key)) and copy.native.received:
+            self._collect(copy)
+        self._guards.collect(stream.watched)
+
+    def collect_all(self) -> None:
+        for copy in self._copies.values():
+            if copy.native.received:
+                self._collect(copy)
+        self._guards.collect_all()
+
+    def handled(self, key: Key, stream: CompiledToRos | CompiledToIgtl) -> None:
+        self._guards.set(stream.watched)
+        if copy := self._copies.get(key):
+            if not copy.native.is_stale:
+                return
+            self.drop(key)
+        tries = self._tries[key] = self._tries.get(key, 0) + 1
+        if tries & (tries - 1) and tries % _RETRY_AFTER:  # what is missing may come, such as a subscriber
+            return
+        self._copy(key, stream)
+
+    def _copy(self, key: Key, stream: CompiledToRos | CompiledToIgtl) -> None:
+        """Copy a compiled stream, if that is possible now."""
+        if isinstance(stream, CompiledToRos) and isinstance(key[0], int) and isinstance(key[1], bytes):
+            copied = self._copy_to_ros(key[0], key[1], stream)
+        elif isinstance(stream, CompiledToIgtl) and isinstance(key[0], str) and isinstance(key[1], str):
+            copied = self._copy_to_igtl(key[0], key[1], stream)
+        else:
+            return
+        if copied:
+            if stream.watched:
+                copied.native.guard_with(self._guards.of(stream.watched))
+                self._guards.set(stream.watched)
+            self._copies[key] = copied
+
+    def handled_in_full(self) -> None:
+        self._guards.set_all()
+
+    def drop(self, key: Key) -> None:
+        self.replace(key, None)
+
+    def replace(self, key: Key, stream: CompiledToRos | CompiledToIgtl | None) -> None:
+        self._tries.pop(key, None)
+        old = self._copies.pop(key, None)
+        if old:
+            self._collect(old)
+            self._guards.collect(old.compiled.watched)
+        if old and stream:
+            self._copy(key, stream)
+        if old:  # after the copy: a message that comes meanwhile waits for it, and does not go to Python
+            old.native.remove()
+
+    def drop_all(self) -> None:
+        for key in list(self._copies):
+            self.drop(key)
+        self._guards.clear()
+        self._tries.clear()
+
+    def _copy_to_ros(self, link_number: int, names: bytes, compiled: CompiledToRos) -> _Copy | None:
+        link = self._edges.link(link_number)
+        if link and not compiled.place_at:
+            link.add_large(names, min(LARGEST_BYTES, HEADER_SIZE + self._edges.max_body(compiled.type)))
+        number = self._number_of(Kind.IGTL_IN, compiled.channel, compiled.type, (link_number,))
+        if not compiled.is_plain or link is None or number is None:
+            return None
+        outputs = []
+        for topic, ros_type, form, _ in compiled.outputs:
+            publisher = self._edges.publisher(topic, ros_type)
+            own_number = self._number_of(Kind.ROS_OUT, topic, ros_type, ())
+            if publisher is None or own_number is None or (not compiled.place_at and form[0] not in _FORMS):
+                return None
+            outputs.append((*form, own_number, publisher))
+        place = (compiled.place_at,) if compiled.place_at else ()
+        add: Callable[..., Stream] = self._passage.to_ros if place else self._passage.to_ros_bulk
+        native = add(
+            link,
+            names,
+            compiled.sample,
+            *compiled.places,
+            compiled.check_crc,
+            compiled.own,
+            *compiled.ratio,
+            *place,
+            number,
+            tuple(outputs),
+        )
+        return _Copy(compiled, native, compiled.channel, compiled.type)
+
+    def _copy_to_igtl(self, topic: str, ros_type: str, compiled: CompiledToIgtl) -> _Copy | None:
+        subscription = self._edges.subscription(topic, ros_type)
+        number = self._number_of(Kind.ROS_IN, topic, ros_type, ())
+        if subscription is None or number is None or not (compiled.is_pose or compiled.size in _FORMS):
+            return None
+        outputs: list[tuple[Any, ...]] = []
+        for (output, _, _), form in zip(compiled.outputs, compiled.forms, strict=True):
+            links = [self._edges.link(one) for one in output.links]
+            own_number = self._number_of(Kind.IGTL_OUT, output.channel, output.type, output.links)
+            there = tuple(link for link in links if link is not None)
+            if len(there) < len(links) or own_number is None:
+                return None
+            keep = () if compiled.is_pose else (self._keep(output.type),)
+            outputs.append((*form, own_number, output.channel, *keep, there))
+        add: Callable[..., Stream] = self._passage.to_igtl if compiled.is_pose else self._passage.to_igtl_bulk
+        native = add(
+            subscription,
+            compiled.sample,
+            *(compiled.names if compiled.is_pose else (compiled.names,)),
+            compiled.size,
+            compiled.own,
+            *compiled.ratio,
+            number,
+            tuple(outputs),
+        )
+        return _Copy(compiled, native, topic, ros_type)
+
+    def _collect(self, copy: _Copy) -> None:
+        """Take over the counts of a stream, its latest message, and the state of its guard."""
+        received, converted, unheard, sent, ignored, latest = copy.native.collect()
+        if not received:
+            return
+        compiled = copy.compiled
+        counts = {"received": received, CONVERTED: converted, UNSUBSCRIBED: unheard}
+        if isinstance(compiled, CompiledToRos):
+            counts["decoded"] = received
+            for (_, _, _, counter), number in zip(compiled.outputs, sent, strict=True):
+                _add(counter, {"published": number})
+            self._on_passed(Kind.IGTL_IN, received)
+            self._on_passed(Kind.ROS_OUT, sum(sent))
+        else:
+            for (output, links, counter), number, left in zip(compiled.outputs, sent, ignored, strict=True):
+                _add(counter, {"sent": number * links})
+                if left:
+                    self._edges.ignore(output.channel, left)
+            if latest:
+                seq, stamp_ns, source_ns, cdr = latest
+                for peer in compiled.peers:
+                    peer.said_ns = stamp_ns
+                    peer.sent += received
+                compiled.latest[copy.channel] = Entry(
+                    seq, stamp_ns, Kind.ROS_IN, copy.channel, copy.ros_type, (cdr,), (), source_ns
+                )
+            self._on_passed(Kind.ROS_IN, received)
+            self._on_passed(Kind.IGTL_OUT, sum(sent))
+        _add(compiled.count, counts)
+
+
+def _add(counter: dict[str, int], numbers: dict[str, int]) -> None:
+    for word, number in numbers.items():
+        if number:
+            counter[word] = counter.get(word, 0) + number

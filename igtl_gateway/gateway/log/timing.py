@@ -1,0 +1,175 @@
+"""The clock of a sender, estimated from its stamps: offset, drift, and the quality of the stamps.
+
+One-way traffic cannot distinguish a clock that is ahead from a short latency: the smallest observed age
+(arrival − stamp) is the clock's offset *plus* the least latency of the way, and nothing here separates them.  What
+lies above that minimum is jitter: queueing, scheduling, the sender's own pause between stamping and sending.
+Pure: stamps and arrivals are arguments, in UTC nanoseconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
+
+#: Steps that clocks and programs round to, coarsest first.
+_STEPS = (NS_PER_S, 100 * NS_PER_MS, 10 * NS_PER_MS, NS_PER_MS)
+#: A stamp so close to a step lies on it: float64 seconds of today are 240 ns apart.
+_ON_STEP_NS = 500
+#: Number of stamps from which on rounding can be judged.
+_ENOUGH = 10
+#: Minima are kept of blocks so long: shorter than a clock drifts visibly (100 ppm: 1 ms), long enough to catch a
+#: message that did not wait.
+_BLOCK_NS = 10 * NS_PER_S
+#: Least distance of the first and the last block from which the drift is estimated.
+_DRIFT_MIN_NS = 60 * NS_PER_S
+#: A stamp further ahead than this is in the future: clocks kept by NTP on one network are closer.
+FUTURE_NS = 100 * NS_PER_MS
+
+
+class StampTiming:
+    """The estimate from the stamps of one stream; constant memory.
+
+    Attributes:
+        messages: how many were looked at.
+        unset: of these, how many had no stamp.
+        future: how many were stamped more than ``FUTURE_NS`` after their arrival.
+        least_ns: the smallest age: clock offset plus least latency; negative where the sender's clock is ahead.
+        most_ns: the largest age.
+        backwards: stamps before the one before them.
+        repeated: stamps equal to the one before them.
+    """
+
+    __slots__ = (
+        "_block_end_ns",
+        "_block_least_ns",
+        "_excess_ns",
+        "_first",
+        "_last",
+        "_previous_ns",
+        "_steps",
+        "backwards",
+        "future",
+        "least_ns",
+        "messages",
+        "most_ns",
+        "repeated",
+        "unset",
+    )
+
+    def __init__(self) -> None:
+        self.messages = self.unset = self.future = self.backwards = self.repeated = 0
+        self.least_ns = self.most_ns = 0
+        self._previous_ns = 0
+        self._steps: tuple[int, ...] = _STEPS
+        self._excess_ns = 0  # sum over the ages of what is above the least of their block, so far
+        self._block_end_ns = 0
+        self._block_least_ns = 0
+        self._first: tuple[int, int] | None = None  # end and minimum of the first whole block
+        self._last: tuple[int, int] | None = None
+
+    def add(self, stamp_ns: int, arrival_ns: int) -> None:
+        """Look at a message; stamp 0 or below is unset."""
+        self.messages += 1
+        if stamp_ns <= 0:
+            self.unset += 1
+            return
+        age = arrival_ns - stamp_ns
+        self.future += age < -FUTURE_NS
+        if self._steps:
+            self._steps = tuple(step for step in self._steps if _lies_on(stamp_ns, step))
+        self.repeated += stamp_ns == self._previous_ns
+        self.backwards += stamp_ns < self._previous_ns
+        if not self._previous_ns:
+            self.least_ns = self.most_ns = self._block_least_ns = age
+            self._block_end_ns = arrival_ns + _BLOCK_NS
+        elif arrival_ns >= self._block_end_ns:
+            self._last = (self._block_end_ns, self._block_least_ns)
+            self._first = self._first or self._last
+            self._block_least_ns, self._block_end_ns = age, arrival_ns + _BLOCK_NS
+        self._previous_ns = stamp_ns
+        self.least_ns, self.most_ns = min(self.least_ns, age), max(self.most_ns, age)
+        self._block_least_ns = min(self._block_least_ns, age)
+        self._excess_ns += age - self._block_least_ns
+
+    def reset(self) -> None:
+        """Our own clock was set: what is known of the other one is known no more; counts stay."""
+        self._previous_ns = 0
+        self._first = self._last = None
+
+    @property
+    def stamped(self) -> int:
+        """How many messages had a stamp."""
+        return self.messages - self.unset
+
+    @property
+    def jitter_ns(self) -> int:
+        """Mean of what the ages are above the least one of their ten seconds (as far as it was known then)."""
+        return self._excess_ns // self.stamped if self.stamped else 0
+
+    @property
+    def step_ns(self) -> int:
+        """What the stamps are rounded to, 0 where nothing is seen of that (down to a millisecond).
+
+        A sender that stamps its clockwork (every 0.1 s sharp) looks the same.
+        """
+        return self._steps[0] if self._steps and self.stamped - self.repeated >= _ENOUGH else 0
+
+    @property
+    def drift_ppm(self) -> float | None:
+        """How much slower the sender's clock runs than ours, in millionths; None if it cannot be determined."""
+        if not self._first or not self._last or self._last[0] - self._first[0] < _DRIFT_MIN_NS:
+            return None
+        return (self._last[1] - self._first[1]) / (self._last[0] - self._first[0]) * 1e6
+
+    def to_dict(self) -> dict[str, Any]:
+        """As JSON values."""
+        if not self.stamped:
+            return {"messages": self.messages, "unset": self.unset}
+        drift = self.drift_ppm
+        return {
+            "messages": self.messages,
+            "unset": self.unset,
+            "offset_plus_least_latency_ms": self.least_ns / NS_PER_MS,
+            "jitter_ms": self.jitter_ns / NS_PER_MS,
+            "spread_ms": (self.most_ns - self.least_ns) / NS_PER_MS,
+            "drift_ppm": None if drift is None else round(drift, 1),
+            "rounded_to_ms": self.step_ns / NS_PER_MS,
+            "future": self.future,
+            "backwards": self.backwards,
+            "repeated": self.repeated,
+        }
+
+    def __str__(self) -> str:
+        if not self.stamped:
+            return "no stamps"
+        parts = [
+            f"clock offset + least latency {self.least_ns / NS_PER_MS:,.1f} ms (not separable)",
+            f"jitter {self.jitter_ns / NS_PER_MS:,.2f} ms",
+        ]
+        if (drift := self.drift_ppm) is not None:
+            parts.append(f"drift {drift:+.1f} ppm")
+        if self.step_ns:
+            parts.append(f"stamps rounded to {self.step_ns / NS_PER_MS:g} ms")
+        counted = (
+            (self.unset, "unset"),
+            (self.future, "in the future"),
+            (self.backwards, "backwards"),
+            (self.repeated, "repeated"),
+        )
+        parts += [f"{number:,} of {self.messages:,} {what}" for number, what in counted if number]
+        return ", ".join(parts)
+
+
+def best(timings: Iterable[StampTiming]) -> StampTiming | None:
+    """Of the streams of one peer, the best one for estimating its clock: with the least age.
+
+    All of them are stamped by one clock; what is older only waited longer.  None without any message.
+    """
+    return min(timings, key=lambda timing: (not timing.stamped, timing.least_ns), default=None)
+
+
+def _lies_on(stamp_ns: int, step_ns: int) -> bool:
+    rest = stamp_ns % step_ns
+    return min(rest, step_ns - rest) <= _ON_STEP_NS

@@ -1,0 +1,311 @@
+"""The messages of one stream in blocks of arrays: places and times instead of an object for each message.
+
+The message index of a chunk has the place of each message of a channel, so a chunk without the stream is not read, and
+numpy finds the times and payloads of the others.  A chunk is under a checksum and its index is not: the sizes of the
+index records are compared with the summary, and channel and end of each message with the index.
+
+A file without usable index, or whose chunks overlap in time, is read entry by entry; the blocks are the same.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import IO, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.base.errors import UnsupportedRecording
+from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.record.sessionfile.chunks import packed_chunk
+from igtl_gateway.record.sessionfile.contents import ChunkEntry, Index, check_work, work_of
+from igtl_gateway.record.sessionfile.records import (
+    HEAD,
+    MESSAGE,
+    MESSAGE_INDEX,
+    MESSAGE_INDEX_HEAD,
+    MESSAGE_RECORD,
+    Malformed,
+)
+
+Numbers = npt.NDArray[np.int64]
+Bytes = npt.NDArray[np.uint8]
+
+#: Unpacked chunks that are kept, as several streams have messages in the same chunk.
+_KEPT_BYTES = 64 << 20
+#: Entries of one block where a file is read entry by entry.
+_BATCH, _BATCH_BYTES = 10_000, 8 << 20
+_LAST = (1 << 63) - 1  #: of the times in a block
+
+_RECORD = np.dtype(
+    [
+        ("opcode", "u1"),
+        ("length", "<u8"),
+        ("channel", "<u2"),
+        ("sequence", "<u4"),
+        ("log_ns", "<u8"),
+        ("publish_ns", "<u8"),
+    ]
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MessageBlock:
+    """Messages of one stream in order; each array has one element per message.
+
+    Attributes:
+        data: bytes, uint8, with all payloads.
+        begins, ends: places of the payloads in ``data``.  Of OpenIGTLink the whole message, of ROS the CDR message.
+        numbers: entry numbers; 0 in files of other programs.
+        times: gateway time, UTC ns.
+        source_times: the sender's stamp, UTC ns; 0 = unset.
+    """
+
+    data: Bytes
+    begins: Numbers
+    ends: Numbers
+    numbers: Numbers
+    times: Numbers
+    source_times: Numbers
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def payload(self, index: int) -> memoryview:
+        """Payload of one message, not copied."""
+        return self.data.data[int(self.begins[index]) : int(self.ends[index])]
+
+    def where(self, rows: npt.NDArray[Any] | slice) -> MessageBlock:
+        """The messages of a mask, of indices or of a slice."""
+        arrays = (self.begins, self.ends, self.numbers, self.times, self.source_times)
+        return MessageBlock(self.data, *(array[rows] for array in arrays))
+
+
+class Unfit(Exception):
+    """The file must be read entry by entry."""
+
+
+class ChunkReader:
+    """Reads chunks by the index of a file and keeps the last ones unpacked."""
+
+    def __init__(self, stream: IO[bytes], index: Index, path: str) -> None:
+        self._stream, self._index, self._path = stream, index, path
+        self._kept: OrderedDict[int, bytes] = OrderedDict()
+        self._size = 0
+        chunks = index.chunks
+        self._fit = (
+            not index.scanned
+            and all(not chunk.loose for chunk in chunks)
+            and all(one.end_ns <= two.start_ns for one, two in pairwise(chunks))
+        )
+
+    def blocks(
+        self, channels: Collection[int], start_ns: int, end_ns: int, *, whole: bool, is_wire: bool
+    ) -> Iterator[MessageBlock]:
+        """The messages of some MCAP channels from ``start_ns`` on and before ``end_ns`` (UTC).
+
+        Args:
+            whole: the times include all messages, so their number must be that of the summary.
+            is_wire: messages are RawMessages, and the payload is the OpenIGTLink message in it.
+
+        Raises Unfit before the first block, or Malformed, LimitExceeded.
+        """
+        if not self._fit:
+            raise Unfit
+        wanted = set(channels)
+        chunks = [
+            chunk
+            for chunk in self._index.chunks
+            if chunk.end_ns >= start_ns and chunk.start_ns < end_ns and not wanted.isdisjoint(chunk.channels)
+        ]
+        if any(not chunk.places and chunk.size for chunk in self._index.chunks):
+            raise Unfit
+        check_work(self._index.size, work_of(chunks), self._path)
+        places = [self._places(chunk, wanted)[1] for chunk in chunks]
+        count = 0
+        for chunk, offsets in zip(chunks, places, strict=True):
+            block = self._block(chunk, offsets, wanted)
+            count += len(block)
+            inside = (block.times >= start_ns) & (block.times < end_ns)
+            if not inside.all():
+                block = block.where(inside)
+            if is_wire:
+                block = _unwrapped(block)
+            if len(block):
+                yield block
+        expected = sum(self._index.counts.get(number, 0) for number in wanted)
+        if whole and count != expected:
+            raise Malformed(f"found {count} messages by the indexes of the chunks, expected {expected}")
+
+    def span(self, channels: Collection[int]) -> tuple[int, int]:
+        """Times of the first and the last message of some MCAP channels; reads no message.  Raises as `blocks`."""
+        wanted = set(channels)
+        if not self._fit:
+            raise Unfit
+        chunks = [chunk for chunk in self._index.chunks if not wanted.isdisjoint(chunk.channels)]
+        if not chunks:
+            raise Unfit
+        first, last = (self._places(chunk, wanted)[0] for chunk in (chunks[0], chunks[-1]))
+        if not len(first) or not len(last):
+            raise Unfit
+        return int(first.min()), int(last.max())
+
+    def _places(self, chunk: ChunkEntry, wanted: set[int]) -> tuple[Numbers, Numbers]:
+        """Times and offsets of the messages of some channels, by the index of a chunk.  Raises Unfit."""
+        indexes = chunk.message_indexes
+        found = [self._pairs(chunk, number, indexes) for number in sorted(wanted & indexes.keys())]
+        pairs = np.concatenate(found)
+        return pairs[:, 0], pairs[:, 1]
+
+    def _pairs(self, chunk: ChunkEntry, channel: int, indexes: Mapping[int, int]) -> Numbers:
+        """(n, 2): time and offset of the messages of a channel.  Raises Unfit."""
+        at = indexes[channel]
+        end = chunk.at + chunk.length + chunk.index_length
+        self._stream.seek(at)
+        size = HEAD.size + MESSAGE_INDEX_HEAD.size
+        head = self._stream.read(size)
+        if len(head) < size:
+            raise Unfit
+        opcode, length = HEAD.unpack_from(head)
+        number, pairs_size = MESSAGE_INDEX_HEAD.unpack_from(head, HEAD.size)
+        # where the next index begins is in the summary, which has a checksum: a wrong size would lose messages
+        is_whole = (
+            at + HEAD.size + length in {*indexes.values(), end} and length == MESSAGE_INDEX_HEAD.size + pairs_size
+        )
+        if (
+            (opcode, number) != (MESSAGE_INDEX, channel)
+            or not is_whole
+            or at + size + pairs_size > end
+            or pairs_size % 16
+        ):
+            raise Unfit
+        pairs = np.frombuffer(self._stream.read(pairs_size), "<u8")
+        if pairs.nbytes != pairs_size:
+            raise Unfit
+        return pairs.reshape(-1, 2).astype(np.int64)
+
+    def _unpacked(self, chunk: ChunkEntry) -> bytes:
+        data = self._kept.get(chunk.at)
+        if data is not None:
+            self._kept.move_to_end(chunk.at)
+            return data
+        data = packed_chunk(self._stream, chunk, self._path).unpack()
+        self._kept[chunk.at] = data
+        self._size += len(data)
+        while self._size > _KEPT_BYTES and len(self._kept) > 1:
+            self._size -= len(self._kept.popitem(last=False)[1])
+        return data
+
+    def _block(self, chunk: ChunkEntry, places: Numbers, wanted: set[int]) -> MessageBlock:
+        """The messages at some places in a chunk, in order of time."""
+        data = np.frombuffer(self._unpacked(chunk), np.uint8)
+        places = np.sort(places)
+        head = MESSAGE_RECORD.size
+        if len(places) and (places[0] < 0 or places[-1] + head > len(data) or (places[1:] == places[:-1]).any()):
+            raise Malformed(f"chunk at offset {chunk.at:,}: found a message outside of it")
+        records = gathered(data, places, head).view(_RECORD).reshape(-1)
+        ends = places + HEAD.size + records["length"].astype(np.int64)
+        times = records["log_ns"].astype(np.int64)
+        right = (records["opcode"] == MESSAGE) & np.isin(records["channel"], list(wanted)) & (ends <= len(data))
+        if not (right & (ends >= places + head)).all():
+            raise Malformed(f"chunk at offset {chunk.at:,}: found another record, expected a message of the index")
+        publish = records["publish_ns"].astype(np.int64)
+        # in MCAP, publish_time = log_time means "not set"
+        source = np.where(publish == times, 0, publish)
+        numbers = records["sequence"].astype(np.int64)
+        block = MessageBlock(data, places + head, ends, numbers, times, source)
+        if (times[1:] < times[:-1]).any():
+            block = block.where(np.argsort(times, kind="stable"))
+        return block
+
+
+def gathered(data: Bytes, begins: Numbers, size: int) -> Bytes:
+    """(n, size) bytes from each of n places in ``data``; the caller has checked that they are inside."""
+    if not len(begins) or not size:
+        return np.zeros((len(begins), size), np.uint8)
+    # one item of ``size`` bytes at every offset: numpy copies items of this form faster than rows of bytes
+    items: npt.NDArray[np.void] = np.ndarray((len(data) - size + 1,), np.dtype((np.void, size)), data, 0, (1,))
+    return items[begins].view(np.uint8).reshape(-1, size)
+
+
+def numbers_at(data: Bytes, places: Numbers, dtype: str) -> npt.NDArray[Any]:
+    """One number from each of n places; places outside of ``data`` raise Malformed."""
+    kind = np.dtype(dtype)
+    if len(places) and (int(places.min()) < 0 or int(places.max()) + kind.itemsize > len(data)):
+        raise Malformed("found the end of a message, expected a number")
+    return gathered(data, places, kind.itemsize).view(kind).reshape(-1)
+
+
+#: In a RawMessage: the places of the stamp of the sender and of the links, and the smallest head.
+_RAW_SOURCE_AT, _RAW_LINKS_AT, _RAW_HEAD = 12, 32, 52
+
+
+def _unwrapped(block: MessageBlock) -> MessageBlock:
+    """RawMessages → the OpenIGTLink messages in them.  Raises Malformed."""
+    data, begins, ends = block.data, block.begins, block.ends
+    if not len(block):
+        return block
+    if (ends - begins < _RAW_HEAD).any():
+        raise Malformed("found no RawMessage")
+    size = int(_payload_places(data, begins[:1], ends[:1])[0] - begins[0])
+    same = (ends - begins >= size).all()
+    heads = gathered(data, begins, size if same else _RAW_HEAD)
+    # nearly always all messages have the links and names of the first one, so its layout
+    if same and (heads[:, _RAW_LINKS_AT:-4] == heads[0, _RAW_LINKS_AT:-4]).all():
+        at = begins + size
+        sizes = _column(heads, size - 4, "<u4").astype(np.int64)
+    else:
+        at = _payload_places(data, begins, ends)
+        sizes = numbers_at(data, at - 4, "<u4").astype(np.int64)
+    if (at + sizes != ends).any() or (_column(heads, 0, ">u2") != 1).any():
+        raise Malformed("found a RawMessage of another size than its fields, or not in CDR, little-endian")
+    stamped = _column(heads, _RAW_SOURCE_AT, "<u8") != 0
+    # a stamp of the sender that equals the gateway time: the message itself has it
+    source = np.where((block.source_times == 0) & stamped, block.times, block.source_times)
+    return MessageBlock(data, at, ends, block.numbers, block.times, source)
+
+
+def _payload_places(data: Bytes, begins: Numbers, ends: Numbers) -> Numbers:
+    """Places of the payloads of RawMessages.  Raises Malformed."""
+    at = begins + _RAW_LINKS_AT
+    at = at + 4 + 4 * numbers_at(data, at, "<u4").astype(np.int64)
+    for _ in range(2):  # type and device name
+        at = at + 4 + numbers_at(data, np.minimum(at, ends - 4), "<u4").astype(np.int64)
+        at = at + -(at - begins) % 4
+    return at + 4
+
+
+def _column(rows: Bytes, place: int, dtype: str) -> npt.NDArray[Any]:
+    """One number of each row."""
+    return np.ascontiguousarray(rows[:, place : place + np.dtype(dtype).itemsize]).view(dtype).reshape(-1)
+
+
+def blocks_of_entries(entries: Iterable[Entry]) -> Iterator[MessageBlock]:
+    """Blocks of entries, which have to be of one stream."""
+    batch: list[Entry] = []
+    size = 0
+    for entry in entries:
+        batch.append(entry)
+        size += entry.size
+        if len(batch) >= _BATCH or size >= _BATCH_BYTES:
+            yield block_of(batch)
+            batch, size = [], 0
+    if batch:
+        yield block_of(batch)
+
+
+def block_of(entries: Collection[Entry]) -> MessageBlock:
+    """One block of entries: their payloads in one piece.  Raises UnsupportedRecording for times after 2262."""
+    payloads = [entry.data() for entry in entries]
+    ends = np.cumsum([len(payload) for payload in payloads], dtype=np.int64)
+    begins = np.concatenate((np.zeros(1, np.int64), ends[:-1])) if payloads else ends
+    for entry in entries:
+        if (found := max(entry.seq, entry.stamp_ns, entry.source_ns)) > _LAST:
+            raise UnsupportedRecording(f"entry {entry.seq}: found {found}, expected times up to 2^63 - 1 ns")
+    numbers, times, source = (
+        np.array([getattr(entry, name) for entry in entries], np.int64) for name in ("seq", "stamp_ns", "source_ns")
+    )
+    return MessageBlock(np.frombuffer(b"".join(payloads), np.uint8), begins, ends, numbers, times, source)

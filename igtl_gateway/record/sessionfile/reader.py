@@ -1,0 +1,601 @@
+"""Reading a session file: MCAP in, entries out, as ``docs/reference/session-log.md`` specifies.
+
+A file is either read correctly or refused: the checksums of the index, of our metadata and of every chunk are verified;
+damage raises DamagedRecording.  MCAP files without our metadata ("foreign", such as rosbag2 recordings) are read as
+messages from ROS.
+
+Memory is bounded: a few chunks at a time, as long as chunks do not overlap in time; those of our writer never do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Generator, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from io import BytesIO
+from itertools import pairwise
+from pathlib import Path
+from tempfile import TemporaryFile
+from types import TracebackType
+from typing import IO
+
+from mcap.records import Attachment, Channel, Schema
+
+from igtl_gateway.base.errors import DamagedRecording, UnsupportedRecording
+from igtl_gateway.base.untrusted import files, limits
+from igtl_gateway.base.untrusted.numbers import whole_number
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile import facts, layout, migrations, records
+from igtl_gateway.record.sessionfile.bulk import ChunkReader, MessageBlock, Unfit, blocks_of_entries
+from igtl_gateway.record.sessionfile.channels import (
+    SEQUENCES,
+    ChannelSummary,
+    Decode,
+    SkippedChannel,
+    decoder,
+    is_marked,
+    kind_of,
+    next_seq,
+)
+from igtl_gateway.record.sessionfile.chunks import Row
+from igtl_gateway.record.sessionfile.contents import ChunkEntry
+from igtl_gateway.record.sessionfile.index import read_index, read_record, recover_hint
+from igtl_gateway.record.sessionfile.index_check import damaged_indexes
+from igtl_gateway.record.sessionfile.layout import LayoutError
+from igtl_gateway.record.sessionfile.lookup import LatchedStateRule, look_up
+from igtl_gateway.record.sessionfile.merged import MERGE_METADATA, Merge, extract_part, parse_merge
+from igtl_gateway.record.sessionfile.order import message_rows
+from igtl_gateway.record.sessionfile.records import Malformed
+
+_ALL_KINDS = frozenset(Kind)
+#: What stands for inputs that are not wanted.
+_UNWANTED = {kind: Entry(0, 0, kind) for kind in Kind if kind.is_input}
+_UNREAD = _UNWANTED[Kind.EDGE_NOTE]
+#: After all times: of :meth:`SessionFile.blocks`.
+_END_NS = (1 << 63) - 1
+
+
+@dataclass(frozen=True, slots=True)
+class PartSummary:
+    """A file of a split recording: its size in bytes, its entries, UTC ns of the first and the last one (0: none)."""
+
+    path: Path
+    size: int
+    entries: int
+    start_ns: int
+    end_ns: int
+
+
+class SessionFile:
+    """An open session file; a context manager.  Use :meth:`open`.
+
+    Attributes:
+        path: the file.
+        size: bytes of it.
+        session: the session metadata; empty for foreign files.
+        format_version: version of ``docs/reference/session-log.md`` that it follows.
+        ledger: the fate of every message; None where the recording has none.
+        foreign: not a recording of the gateway: every message is a ROS_IN entry, numbered as read.
+        channels: what is in it.
+        skipped: what is in it but is not read.
+        recorded_session, recorded_ledger: the items of both metadata records, as they are; empty without one.
+        merge: of a merged session, which is foreign: what its parts are, and the offsets of their clocks.
+        definitions: ROS type → definition with all that it needs, where the file has one.
+        entry_count: entries that :meth:`entries` returns.
+        start_ns, end_ns: UTC nanoseconds of the first and the last one; 0 in an empty file.
+        parts: the files of a split recording, in order; empty for a file.
+        missing_parts: first and last number of each row of parts before the last one that are not in its folder.
+    """
+
+    parts: tuple[PartSummary, ...] = ()
+    missing_parts: tuple[tuple[int, int], ...] = ()
+
+    def __init__(self, path: Path, stream: IO[bytes]) -> None:
+        self.path = path
+        self._stream = stream
+        self._index = index = read_index(path, stream)
+        self.size = index.size
+        session = self._metadata(layout.SESSION_METADATA)
+        ledger = self._metadata(layout.LEDGER_METADATA)
+        self.recorded_session, self.recorded_ledger = session or {}, ledger or {}
+        self.format_version, self.session = migrations.read_session(path, session)
+        merge = self._metadata(MERGE_METADATA)
+        self.merge: Merge | None = None if merge is None else parse_merge(merge, str(path))
+        self.ledger = None if ledger is None else facts.ledger(ledger.get(layout.LEDGER_KEY, ""), str(path))
+        self.foreign = session is None and not any(map(is_marked, index.channels.values()))
+        self._chunks = ChunkReader(stream, index, str(path))
+        self._decoders: dict[int, Decode] = {}
+        self._streams: dict[int, tuple[Kind, str, str]] = {}  # kind, channel and type of a channel's entries
+        self._known = frozenset(index.channels)
+        if unknown := index.counts.keys() - self._known:
+            raise self._damaged("index", f"found messages of channel {min(unknown)}, of which there is no record")
+        found = [self._open_channel(channel) for channel in index.channels.values()]
+        self.channels = tuple(channel for channel in found if isinstance(channel, ChannelSummary))
+        self.skipped = tuple(channel for channel in found if isinstance(channel, SkippedChannel))
+        self.definitions = {
+            schema.name: schema.data.decode("utf-8", "replace") or layout.NO_FIELDS  # an empty one would look like none
+            for schema in index.schemas.values()
+            if schema.encoding == layout.SCHEMA_ENCODING
+        }
+        self.entry_count = sum(channel.count for channel in self.channels)
+        self.start_ns, self.end_ns = index.start_ns, index.end_ns
+
+    @classmethod
+    def open(cls, path: Path | str, *, incomplete: bool = False) -> SessionFile:
+        """Open a file, the folder of a split recording, or a part of a merged session (``FILE/NAME``), and read all but
+        its entries.
+
+        Args:
+            path: its place.
+            incomplete: parts may be missing between others of a split recording.
+
+        Raises UnsupportedRecording (no such file, not MCAP, of a newer version …) or DamagedRecording.
+        """
+        path = Path(path)
+        if path.is_dir():
+            return SessionParts(path, incomplete=incomplete)
+        stream: IO[bytes]
+        if path.parent.is_file():
+            stream = TemporaryFile()
+            with SessionFile.open(path.parent) as merged:
+                merged.extract(path.name, stream)
+        else:
+            stream = files.open_file(path)
+        try:
+            return cls(path, stream)
+        except BaseException:
+            stream.close()
+            raise
+
+    def close(self) -> None:
+        """Close the file.  Payloads that were read stay valid."""
+        self._stream.close()
+
+    def __enter__(self) -> SessionFile:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def entries(self) -> Iterator[Entry]:
+        """All entries in their order.  Payloads are one buffer each, views of OpenIGTLink messages.
+
+        Raises DamagedRecording where the file turns out to be damaged; the entries before that are right.
+        """
+        return migrations.entries(self.format_version, self._entries())
+
+    def entries_of(self, kinds: Collection[Kind]) -> Iterator[Entry]:
+        """The entries of these kinds; entries without number and content stand for the other inputs.
+
+        Other outputs may be there or not.  Chunks that hold none of the kinds are not unpacked.  Raises as `entries`.
+        """
+        if self.foreign or self.format_version != layout.FORMAT_VERSION:
+            yield from self.entries()
+            return
+        count = yield from self._numbered(self._rows(kinds=kinds), 0, kinds)
+        self._check_count(count, sum(channel.count for channel in self.channels if channel.kind in kinds))
+
+    def entries_from(self, start_ns: int, rule: LatchedStateRule) -> Iterator[Entry]:
+        """The entries from ``start_ns`` (UTC) on, before them at least those that the latched state there follows from.
+
+        The index locates them if it is usable; if not, this returns all entries.  Raises DamagedRecording where the
+        read part of the file turns out to be damaged.
+        """
+        state, rest_ns, seq = self._looked_up(start_ns, rule)
+        if seq is None:
+            yield from self.entries()
+            return
+        yield from state
+        if rest_ns is not None:
+            yield from self._numbered(self._rows(rest_ns), seq)
+
+    def entries_since(self, start_ns: int, seq: int = 0) -> Iterator[Entry]:
+        """The entries from ``start_ns`` (UTC) on; what comes before is not read.  Raises as `entries`.
+
+        Args:
+            seq: number of an earlier entry, from which the 32 bits that the file has of each number are extended.
+        """
+        if self.foreign or self.format_version != layout.FORMAT_VERSION:
+            return (entry for entry in self.entries() if entry.stamp_ns >= start_ns)
+        return self._numbered(self._rows(start_ns), seq)
+
+    def blocks(self, channel: ChannelSummary, start_ns: int = 0, end_ns: int = _END_NS) -> Iterator[MessageBlock]:
+        """The messages of one of ``channels`` in blocks of arrays, from ``start_ns`` on and before ``end_ns`` (UTC).
+
+        Only chunks with these messages are read, if the file has an index.  Raises as `entries`.
+        """
+        is_wire = channel.kind in layout.WIRE_TOPICS
+        whole = start_ns <= self.start_ns and end_ns > self.end_ns
+        numbers = self._numbers_of(channel)
+        if self.format_version == layout.FORMAT_VERSION and channel.kind not in layout.NOTE_KINDS:
+            try:
+                with self._damage_in(f"entries of {channel.stream or channel.topic}"):
+                    blocks = self._chunks.blocks(numbers, start_ns, end_ns, whole=whole, is_wire=is_wire)
+                    yield from (
+                        replace(block, numbers=0 * block.numbers) if self.foreign else block for block in blocks
+                    )
+                return
+            except Unfit:
+                pass
+        named = {each.stream for each in self.channels if each.kind is channel.kind}
+        yield from blocks_of_entries(
+            entry
+            for entry in self.entries_since(start_ns)
+            if entry.kind is channel.kind
+            and entry.stamp_ns < end_ns
+            and (entry.channel == channel.stream or (not channel.stream and entry.channel not in named))
+            and (is_wire or entry.type == channel.type)
+        )
+
+    def span(self, channel: ChannelSummary) -> tuple[int, int]:
+        """Times of the first and the last message of one of ``channels``, UTC ns; (0, 0) without any.
+
+        Raises as `entries`.
+        """
+        if not channel.count:
+            return 0, 0
+        try:
+            with self._damage_in(f"index of {channel.stream or channel.topic}"):
+                return self._chunks.span(self._numbers_of(channel))
+        except Unfit:
+            first = last = 0
+            for block in self.blocks(channel):
+                first, last = first or int(block.times[0]), int(block.times[-1])
+            return first, last
+
+    def _numbers_of(self, channel: ChannelSummary) -> list[int]:
+        """The MCAP channels of one of ``channels``: those of rosbag2 may have several of a topic."""
+        stream = channel.kind, channel.stream, channel.entry_type
+        topics = self._index.channels
+        return [
+            number for number, each in self._streams.items() if each == stream and topics[number].topic == channel.topic
+        ]
+
+    def messages(self) -> Iterator[tuple[Schema | None, Channel, Row]]:
+        """All messages as they are, also of channels that are not read, in order.  Raises as `entries`."""
+        schemas, channels = self._index.schemas, self._index.channels
+        for rows in self._rows(kinds=None):
+            for row in rows or ():
+                channel = channels[row[0]]
+                yield schemas.get(channel.schema_id), channel, row
+
+    def attachments(self) -> Iterator[Attachment]:
+        """All attachments, as they are.  Raises DamagedRecording."""
+        for place in self._index.attachments:
+            with self._damage_in(f"attachment {place.name}"):
+                content = read_record(
+                    self._stream, self._index, records.ATTACHMENT, place, f"{self.path}: {place.name}"
+                )
+                yield records.parse_attachment(content)
+
+    def damaged_indexes(self) -> int:
+        """Chunks whose index of messages is damaged: no entry is lost, but other programs may miss messages."""
+        return damaged_indexes(self._stream, self._index)
+
+    def extract(self, name: str, out: IO[bytes]) -> None:
+        """Write a part of a merged session as a session file of its own.
+
+        Raises UnsupportedRecording if this is no merged session with such a part, DamagedRecording if the part is not
+        as it was merged; OSError of ``out``.
+        """
+        if self.merge is None:
+            raise UnsupportedRecording(
+                f"{self.path / name}: found a part of {self.path.name}, which is not a merged session"
+            )
+        extract_part(self.merge, name, self.messages(), self.attachments(), out, str(self.path))
+
+    def prologue(self) -> list[Entry]:
+        """Inputs before the first entry, which the gateway's state follows from; for files that begin midway.
+
+        Raises DamagedRecording.
+        """
+        place = next((each for each in self._index.attachments if each.name == layout.PROLOGUE_ATTACHMENT), None)
+        if place is None:
+            return []
+        with self._damage_in("prologue"):
+            content = read_record(self._stream, self._index, records.ATTACHMENT, place, f"{self.path}: prologue")
+            attachment = records.parse_attachment(content)
+        return prologue_of(attachment, self.path)
+
+    # -- opening ----------------------------------------------------------------------------------------------
+
+    def _damaged(self, what: str, why: object) -> DamagedRecording:
+        return DamagedRecording(f"{self.path}: {what}: {why}{recover_hint(self.path)}")
+
+    @contextmanager
+    def _damage_in(self, what: str) -> Iterator[None]:
+        """Around code that parses a part of the file: its errors become DamagedRecording."""
+        try:
+            yield
+        except (Malformed, LayoutError) as error:
+            raise self._damaged(what, error) from None
+        except OSError as error:
+            raise DamagedRecording(f"{self.path}: cannot be read: {error.strerror}") from None
+
+    def _metadata(self, name: str) -> dict[str, str] | None:
+        """Items of the first metadata record of that name, checked; None if there is none."""
+        # by the index, which is under a checksum: a damaged name must not make the record disappear
+        place = next((each for each in self._index.metadata if each.name == name), None)
+        if place is None:
+            return None
+        what = f"metadata {name}"
+        limits.check_limit("free", 8 * place.length, f"{self.path}: {what}")
+        with self._damage_in(what):
+            content = read_record(self._stream, self._index, records.METADATA, place, f"{self.path}: {what}")
+            record = records.parse_metadata(content)
+            if record.name != name:
+                raise Malformed(f"found the name {record.name!r}")
+            return layout.unseal(record.metadata)
+
+    def _open_channel(self, channel: Channel) -> ChannelSummary | SkippedChannel:
+        """Decide how a channel is read, or why it is not."""
+        schema = self._index.schemas.get(channel.schema_id) if channel.schema_id else None
+        if channel.schema_id and schema is None:
+            raise self._damaged(f"channel {channel.topic}", f"found schema {channel.schema_id}, which is not there")
+        count = self._index.counts.get(channel.id, 0)
+        kind, why = kind_of(channel, schema, self.foreign)
+        if kind is None or schema is None:
+            return SkippedChannel(channel.topic, schema.name if schema else "", count, why)
+        found = ChannelSummary.of(channel, schema, kind, count)
+        self._decoders[channel.id] = decoder(kind, channel.topic, schema.name)
+        self._streams[channel.id] = kind, found.stream, found.entry_type
+        return found
+
+    # -- reading ----------------------------------------------------------------------------------------------
+
+    def _entries(self) -> Iterator[Entry]:
+        count = yield from self._numbered(self._rows(), 0)
+        self._check_count(count, self.entry_count)
+
+    def _check_count(self, found: int, expected: int) -> None:
+        if found != expected:
+            raise DamagedRecording(f"{self.path}: found {found} entries, expected {expected}{recover_hint(self.path)}")
+
+    def _looked_up(self, start_ns: int, rule: LatchedStateRule) -> tuple[list[Entry], int | None, int | None]:
+        """What :meth:`entries_from` needs: the entries of the state; the time from which on the rest has to be read
+        (None: there is no rest); the entry number before that (None: the index is not usable)."""
+        unusable: tuple[list[Entry], None, None] = [], None, None
+        # streams that share a channel are distinguished by the messages only
+        shared = any(
+            channel.count and not channel.stream and channel.kind in layout.WIRE_TOPICS for channel in self.channels
+        )
+        if shared or self.format_version != layout.FORMAT_VERSION:
+            return unusable
+        found = look_up(self._stream, self._index, start_ns, self._streams, rule, counted=self.foreign)
+        if found is None:
+            return unusable
+        state: list[Entry] = []
+        seq = 0
+        for row, before in found.rows:
+            seq = before + 1 if self.foreign else next_seq(seq, row[1])
+            try:
+                entry = self._decoders[row[0]](row, seq)
+            except LayoutError:
+                return unusable
+            if entry.channel and self._streams[row[0]] != (entry.kind, entry.channel, entry.type):
+                return unusable
+            state.append(entry)
+        return state, found.rest_ns, found.count if self.foreign else seq
+
+    def _numbered(
+        self, rows: Iterator[list[Row] | None], seq: int, kinds: Collection[Kind] = _ALL_KINDS
+    ) -> Generator[Entry, None, int]:
+        """The entries in messages; ``seq`` is the number of one before them, or 0.  For the rest see `entries_of`.
+
+        Returns how many there were, without those that are not of the kinds.
+        """
+        foreign = self.foreign
+        decoders: dict[int, Decode | None] = {
+            number: self._decoders[number] if kind in kinds else None for number, (kind, _, _) in self._streams.items()
+        }
+        unwanted = {
+            number: _UNWANTED[kind]
+            for number, (kind, _, _) in self._streams.items()
+            if kind not in kinds and kind.is_input
+        }
+        first, count = True, 0
+        for some in rows:
+            if some is None:
+                yield _UNREAD
+                continue
+            for row in some:
+                channel, sequence = row[0], row[1]
+                if channel not in decoders:
+                    continue
+                number = seq + 1
+                if sequence != number and not foreign:
+                    number = next_seq(seq, sequence)
+                    # entries before the first one may have been left out
+                    if number == seq or (number - seq >= SEQUENCES // 2 and not first):
+                        raise DamagedRecording(
+                            f"{self.path}: found entry number {sequence}, expected one above {seq % SEQUENCES}"
+                            f"{recover_hint(self.path)}"
+                        )
+                seq, first = number, False
+                decode = decoders[channel]
+                if decode is None:
+                    if channel in unwanted:
+                        yield unwanted[channel]
+                    continue
+                try:
+                    entry = decode(row, seq)
+                except LayoutError as error:
+                    raise DamagedRecording(f"{self.path}: entry {seq}: {error}{recover_hint(self.path)}") from None
+                count += 1
+                yield entry
+        return count
+
+    def _rows(self, from_ns: int = 0, kinds: Collection[Kind] | None = _ALL_KINDS) -> Iterator[list[Row] | None]:
+        """All messages (from a moment on) in order, in lists.
+
+        A chunk that holds nothing of these kinds is not read: it gives None if there are inputs in it, else nothing.
+        Without kinds, all chunks are read.
+        """
+        wanted = {number for number, (kind, _, _) in self._streams.items() if kinds is None or kind in kinds}
+        inputs = {number for number, (kind, _, _) in self._streams.items() if kind.is_input}
+
+        def is_wanted(chunk: ChunkEntry) -> bool:
+            # without an index of its messages, a chunk may hold any
+            return kinds is None or not chunk.places or not wanted.isdisjoint(chunk.channels)
+
+        with self._damage_in("entries"):
+            for chunk, rows in message_rows(self._stream, self._index, str(self.path), from_ns, is_wanted):
+                if rows is not None:
+                    unknown = {row[0] for row in rows} - self._known
+                    if unknown:
+                        raise Malformed(f"found a message of channel {min(unknown)}, of which there is no record")
+                    yield rows
+                elif chunk and not inputs.isdisjoint(chunk.channels):
+                    yield None
+
+
+def prologue_of(attachment: Attachment, path: Path) -> list[Entry]:
+    """The entries of a prologue in the file ``path``.  Raises DamagedRecording, UnsupportedRecording, LimitExceeded."""
+    entries, size = [], 0
+    most = limits.current_limits().unpacked(len(attachment.data))
+    for entry in SessionFile(path, BytesIO(attachment.data)).entries():
+        entries.append(entry)
+        size += entry.size
+        limits.check_limit("count", len(entries), f"{path}: prologue")
+        limits.check_limit("ratio", size, f"{path}: prologue", most)
+    return entries
+
+
+class SessionParts(SessionFile):
+    """The parts of a split recording as one session; see :meth:`SessionFile.open`.  One part is open at a time."""
+
+    def __init__(self, folder: Path, *, incomplete: bool) -> None:
+        self.path = folder
+        found: dict[int, PartSummary] = {}
+        channels: dict[tuple[str, str, Kind, str], ChannelSummary] = {}
+        skipped: list[SkippedChannel] = []
+        self.definitions = {}
+        self.entry_count = self.start_ns = self.end_ns = 0
+        for path in sorted(folder.glob("*.mcap")):
+            with SessionFile.open(path) as part:
+                number = whole_number(part.session.get(layout.PART_KEY))
+                if number is None:
+                    raise UnsupportedRecording(
+                        f"{folder}: found a directory with {path.name}, expected parts of a split recording; "
+                        "name the .mcap file in it"
+                    )
+                size = path.stat().st_size
+                found[number] = PartSummary(path, size, part.entry_count, part.start_ns, part.end_ns)
+                for channel in part.channels:
+                    key = (channel.topic, channel.type, channel.kind, channel.stream)
+                    count = channels[key].count if key in channels else 0
+                    channels[key] = replace(channel, count=channel.count + count)
+                skipped += part.skipped
+                self.definitions |= part.definitions
+                self.entry_count += part.entry_count
+        if not found:
+            raise UnsupportedRecording(f"{folder}: found a directory, expected the .mcap file in it")
+        self.missing_parts = tuple((one + 1, two - 1) for one, two in pairwise((-1, *sorted(found))) if two - one > 1)
+        # the retention deletes parts from the first one on: the first that is left has a prologue
+        if gap := next((first for first, _ in self.missing_parts if first and not incomplete), 0):
+            raise DamagedRecording(f"{folder}: part {gap} of the recording is missing")
+        self.parts = tuple(found[number] for number in sorted(found))
+        self.size = sum(part.size for part in self.parts)
+        with SessionFile.open(self.parts[0].path) as first, SessionFile.open(self.parts[-1].path) as last:
+            own = (layout.PART_KEY, layout.PREVIOUS_KEY)
+            # a recording that lacks its first parts begins midway, and states it as a part does
+            self.session = {key: value for key, value in first.session.items() if min(found) or key not in own}
+            self.format_version = first.format_version
+            self.ledger = last.ledger
+            self.recorded_session = {key: value for key, value in first.recorded_session.items() if key not in own}
+            self.recorded_ledger = last.recorded_ledger
+        self.merge = None
+        full = [part for part in self.parts if part.entries]
+        if full:
+            self.start_ns, self.end_ns = full[0].start_ns, full[-1].end_ns
+        self.foreign = False
+        self.channels, self.skipped = tuple(channels.values()), tuple(skipped)
+
+    def close(self) -> None:
+        """Nothing to close: a part is open only while it is read."""
+
+    def entries(self) -> Iterator[Entry]:
+        """All entries of all parts; as SessionFile.entries."""
+        return self._of_parts(SessionFile.entries)
+
+    def entries_of(self, kinds: Collection[Kind]) -> Iterator[Entry]:
+        """As SessionFile.entries_of."""
+        return self._of_parts(lambda part: part.entries_of(kinds))
+
+    def entries_from(self, start_ns: int, rule: LatchedStateRule) -> Iterator[Entry]:
+        """As SessionFile.entries_from."""
+        return self._of_parts(lambda part: part.entries_from(start_ns, rule))
+
+    def entries_since(self, start_ns: int, seq: int = 0) -> Iterator[Entry]:
+        """As SessionFile.entries_since; parts that end before are not opened."""
+        return self._of_parts(lambda part: part.entries_since(start_ns, seq), start_ns)
+
+    def blocks(self, channel: ChannelSummary, start_ns: int = 0, end_ns: int = _END_NS) -> Iterator[MessageBlock]:
+        """As SessionFile.blocks; parts outside of the times are not opened."""
+        for each in self.parts:
+            if each.entries and each.end_ns >= start_ns and each.start_ns < end_ns:
+                with SessionFile.open(each.path) as part:
+                    yield from part.blocks(channel, start_ns, end_ns)
+
+    def span(self, channel: ChannelSummary) -> tuple[int, int]:
+        """As SessionFile.span; the parts between the first and the last one with the stream are not opened."""
+        first, last = self._span(channel, self.parts), self._span(channel, self.parts[::-1])
+        return first[0], last[1]
+
+    @staticmethod
+    def _span(channel: ChannelSummary, parts: Sequence[PartSummary]) -> tuple[int, int]:
+        """The times in the first of these parts that has the stream."""
+        for each in parts:
+            with SessionFile.open(each.path) as part:
+                span = next(
+                    (
+                        part.span(own)
+                        for own in part.channels
+                        if own.count and replace(own, count=0, qos=None) == replace(channel, count=0, qos=None)
+                    ),
+                    (0, 0),
+                )
+            if span[0]:
+                return span
+        return 0, 0
+
+    def messages(self) -> Iterator[tuple[Schema | None, Channel, Row]]:
+        """As SessionFile.messages."""
+        for each in self.parts:
+            with SessionFile.open(each.path) as part:
+                yield from part.messages()
+
+    def damaged_indexes(self) -> int:
+        """As SessionFile.damaged_indexes, of all parts."""
+        count = 0
+        for each in self.parts:
+            with SessionFile.open(each.path) as part:
+                count += part.damaged_indexes()
+        return count
+
+    def attachments(self) -> Iterator[Attachment]:
+        """Those of the first part, with which the session begins."""
+        with SessionFile.open(self.parts[0].path) as part:
+            yield from part.attachments()
+
+    def _of_parts(self, entries: Callable[[SessionFile], Iterator[Entry]], start_ns: int = 0) -> Iterator[Entry]:
+        seq = 0
+        for each in self.parts:
+            if each.end_ns < start_ns:
+                continue
+            with SessionFile.open(each.path) as part:
+                for entry in entries(part):
+                    if entry.seq:
+                        if entry.seq <= seq:
+                            raise DamagedRecording(
+                                f"{each.path}: found entry number {entry.seq}, expected one above {seq}"
+                            )
+                        seq = entry.seq
+                    yield entry
+
+    def prologue(self) -> list[Entry]:
+        """That of the first part; nothing if the recording has all parts: it begins with the session."""
+        with SessionFile.open(self.parts[0].path) as first:
+            return first.prologue()

@@ -1,0 +1,290 @@
+"""Writing MCAP: chunks of messages, then the summary.
+
+The library's own writer makes objects of each message and copies a payload seven times.  Here a message is packed once,
+behind those before it.  A large message is not even copied once: it ends its chunk, and goes from where it lies into
+the compressor or into the file.
+
+lz4 is for speed: where several large chunks of a stream in a row hardly shrink, the next ones are stored uncompressed,
+and from time to time one is tried again.  zstd is for size: it compresses everything, and a chunk continues behind a
+large message, because an input and its outputs have much in common.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import IO
+
+from mcap.records import (
+    Attachment,
+    AttachmentIndex,
+    Channel,
+    DataEnd,
+    Header,
+    McapRecord,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+)
+
+from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.record.sessionfile import records
+from igtl_gateway.record.sessionfile.chunk_rows import RowStream, add_rows, index_messages
+from igtl_gateway.record.sessionfile.compression import NAMES, Compression, compress
+from igtl_gateway.record.sessionfile.file_end import pack_summary
+from igtl_gateway.record.sessionfile.layout import CHUNK_BYTES, SEAL_METADATA
+from igtl_gateway.record.sessionfile.records import MAGIC, MESSAGE, MESSAGE_HEAD, MESSAGE_RECORD, crc32, pack
+from igtl_gateway.record.sessionfile.sealing import KINDS, SEAL, Sealer, entry_numbers
+
+#: A message of this part of a chunk's size is large.
+_LARGE = 4
+
+#: Compressed size, relative to the uncompressed one, from which on compression is not worthwhile.
+_POOR = 0.9
+#: After this number of such chunks in a row ...
+_TRIES = 4
+#: ... this number is stored uncompressed before the next one is tried.
+_UNCOMPRESSED = 31
+
+
+class McapStream:
+    """Writes one file.  Every method may raise OSError; after that no other may be called.
+
+    Args:
+        file: takes the bytes; it is not closed here.
+        chunk_bytes: size at which a chunk ends.
+        compression: of the chunks.
+        sealer: seals what is written, at each flush and at the end.
+    """
+
+    def __init__(
+        self,
+        file: IO[bytes],
+        *,
+        chunk_bytes: int = CHUNK_BYTES,
+        compression: Compression,
+        sealer: Sealer | None = None,
+    ) -> None:
+        #: Bytes written so far.
+        self.size = 0
+        self._file = file
+        self._sealer = sealer
+        self._chunk_bytes = chunk_bytes
+        self._large = sys.maxsize if compression == "zstd" else chunk_bytes // _LARGE
+        self._compression = compression
+        self._poor: dict[int, int] = {}  # large chunks in a row that hardly shrank, by channel of the large message
+        self._chunk = bytearray()
+        #: Definitions so far; number 1 comes first.
+        self.schemas: list[Schema] = []
+        self.channels: list[Channel] = []
+        self._chunks = bytearray()  # chunk indexes
+        self._chunk_count = self._first = self._last = 0
+        self._attachments: list[AttachmentIndex] = []
+        self._metadata: list[MetadataIndex] = []
+        self._counts: dict[int, int] = {}
+
+    def start(self, profile: str, library: str) -> None:
+        """To be called first."""
+        self._put(MAGIC)
+        self._put_record(records.HEADER, pack(Header(profile, library)))
+
+    def add_metadata(self, name: str, items: dict[str, str]) -> None:
+        """A metadata record, before the messages that wait for their chunk's end."""
+        data = pack(Metadata(name=name, metadata=items))
+        self._metadata.append(MetadataIndex(offset=self.size, length=len(data), name=name))
+        self._put_record(records.METADATA, data)
+
+    def add_attachment(self, name: str, media_type: str, data: bytes, log_time: int = 0, create_time: int = 0) -> None:
+        """An attachment, as add_metadata."""
+        record = pack(
+            Attachment(create_time=create_time, log_time=log_time, name=name, media_type=media_type, data=data)
+        )
+        self._attachments.append(
+            AttachmentIndex(
+                offset=self.size, length=len(record), create_time=create_time, log_time=log_time,
+                data_size=len(data), name=name, media_type=media_type,
+            )
+        )  # fmt: skip
+        self._put_record(records.ATTACHMENT, record)
+
+    def register_schema(self, name: str, encoding: str, text: bytes) -> int:
+        """A schema, in the chunk and between the chunks; returns its number."""
+        schema = Schema(id=len(self.schemas) + 1, data=text, encoding=encoding, name=name)
+        self.schemas.append(schema)
+        self._define(records.SCHEMA, schema)
+        return schema.id
+
+    def register_channel(self, topic: str, encoding: str, schema: int, metadata: dict[str, str]) -> int:
+        """A channel, in the chunk and between the chunks; returns its number, from 1.  ``schema`` 0: it has none."""
+        number = len(self.channels) + 1
+        channel = Channel(id=number, topic=topic, message_encoding=encoding, schema_id=schema, metadata=metadata)
+        self.channels.append(channel)
+        self._define(records.CHANNEL, channel)
+        return number
+
+    def _define(self, opcode: int, record: McapRecord) -> None:
+        data = pack(record)
+        self._chunk += data
+        self.end_full_chunk()
+        self._put_record(opcode, data)
+
+    def add_message(
+        self, channel: int, log_time: int, head: bytes, data: Buffer, publish_time: int, sequence: int
+    ) -> None:
+        """A message, in two pieces; ``data`` may change as soon as this returns.  Times and numbers have to fit."""
+        size = len(head) + len(data)
+        chunk = self._chunk
+        begin = MESSAGE_RECORD.pack(MESSAGE, MESSAGE_HEAD.size + size, channel, sequence, log_time, publish_time)
+        chunk += begin
+        chunk += head
+        if size >= self._large:
+            self._end_chunk(channel, data)
+        else:
+            chunk += data
+            if len(chunk) > self._chunk_bytes:
+                self._end_chunk()
+
+    def takes_rows(self, largest: int) -> bool:
+        """Whether there is :meth:`add_rows`, and messages of up to this size do not end their chunk."""
+        return add_rows is not None and largest < self._large
+
+    def add_rows(
+        self, room: memoryview, begin: int, end: int, streams: list[RowStream | None]
+    ) -> tuple[int, int, int, int, int]:
+        """Messages from the recorder's queue, as ``chunk_rows.add_rows``; :meth:`end_full_chunk` has to follow."""
+        if add_rows is None:
+            raise TypeError("installed without the C part")
+        return add_rows(self._chunk, room, begin, end, streams, self._chunk_bytes)
+
+    def end_full_chunk(self) -> None:
+        """Write the chunk if it has its size."""
+        if len(self._chunk) > self._chunk_bytes:
+            self._end_chunk()
+
+    def flush(self) -> None:
+        """End the chunk, seal what is not sealed yet, and hand all to the operating system."""
+        self._end_chunk()
+        if self._sealer and self._sealer.is_due:
+            self._put_seal(self._sealer)
+        self._file.flush()
+
+    def finish(self, *, last_part: bool = True) -> None:
+        """Write the end of the file; nothing can be added after that.
+
+        Args:
+            last_part: for the seal: the recording has no further part.
+        """
+        self._end_chunk()
+        if self._sealer is None:
+            self._put(self._end_of_file(0))
+            return
+        self._metadata.append(MetadataIndex(offset=self.size, length=0, name=SEAL_METADATA))
+        seal, end = self._sealer.last_seal(self._end_of_file, last_part=last_part)
+        self._file.write(seal)
+        self._file.write(end)
+        self.size += len(seal) + len(end)
+
+    def _put_seal(self, sealer: Sealer) -> None:
+        seal = sealer.seal()
+        self._metadata.append(MetadataIndex(offset=self.size, length=len(seal), name=SEAL_METADATA))
+        self._put(seal)
+        sealer.end_unit(SEAL)
+
+    def _end_of_file(self, seal: int) -> bytes:
+        """The end of the data section, the summary and the footer, behind a last seal of a length (0: without one)."""
+        if seal:
+            self._metadata[-1] = replace(self._metadata[-1], length=seal)
+        data = bytearray(pack(DataEnd(0)))
+        return bytes(data + self._summary(self.size + seal + len(data)))
+
+    def _summary(self, start: int) -> bytes:
+        """The summary, the footer and the last magic, at an offset."""
+        groups: tuple[tuple[int, Buffer], ...] = (
+            (records.SCHEMA, pack(*self.schemas)),
+            (records.CHANNEL, pack(*self.channels)),
+            (records.STATISTICS, pack(self.statistics())),
+            (records.CHUNK_INDEX, self._chunks),
+            (records.ATTACHMENT_INDEX, pack(*self._attachments)),
+            (records.METADATA_INDEX, pack(*self._metadata)),
+        )
+        return pack_summary(start, groups)
+
+    def statistics(self) -> Statistics:
+        """Of the file up to its last complete chunk."""
+        return Statistics(
+            attachment_count=len(self._attachments),
+            channel_count=len(self.channels),
+            channel_message_counts=self._counts,
+            chunk_count=self._chunk_count,
+            message_count=sum(self._counts.values()),
+            metadata_count=len(self._metadata),
+            message_start_time=self._first,
+            message_end_time=self._last,
+            schema_count=len(self.schemas),
+        )
+
+    def _end_chunk(self, channel: int = 0, rest: Buffer = b"") -> None:
+        """Write the chunk, if there is a message in it; ``rest``: the end of its last one, a large one of a channel."""
+        first, last, index, rows = index_messages(self._chunk)
+        if not rows:
+            return
+        size = len(self._chunk) + len(rest)
+        numbers = entry_numbers(self._chunk, index, rows) if self._sealer else (-1, -1)
+        crc = crc32(self._chunk)
+        if rest:
+            crc = crc32(rest, crc)
+        name, parts = self._compressed(channel, rest, size)
+        packed = sum(map(len, parts))
+        begin = self.size
+        self._put(records.pack_chunk_head(first, last, size, crc, name, packed))
+        for part in parts:
+            self._put(part)
+        end = self.size
+        offsets: list[int] = []  # by channel: its number, the place of its index
+        counts = self._counts
+        for number, place, count in rows:
+            offsets += (number, end + place)
+            counts[number] = counts.get(number, 0) + count
+        self._put_record(records.CHUNK, index, *numbers)
+        self._chunks += records.pack_chunk_index(
+            first, last, begin, end - begin, offsets, len(index), name, packed, size
+        )
+        self._first = min(self._first, first) if self._chunk_count else first
+        self._last = max(self._last, last)
+        self._chunk_count += 1
+        self._chunk.clear()
+
+    def _compressed(self, channel: int, rest: Buffer, size: int) -> tuple[str, Sequence[Buffer]]:
+        """The name of the compression of the chunk, and the parts that are to be written."""
+        plain = (self._chunk, rest) if rest else (self._chunk,)
+        if self._compression == "none":
+            return "", plain
+        poor = self._poor.get(channel, 0) if size >= self._large else 0
+        if _TRIES <= poor < _TRIES + _UNCOMPRESSED:
+            self._poor[channel] = poor + 1
+            return "", plain
+        packed = compress(self._compression, plain, size)
+        name = NAMES[self._compression]
+        if size < self._large:
+            return name, packed
+        if sum(map(len, packed)) <= size * _POOR:
+            self._poor[channel] = 0
+            return name, packed
+        self._poor[channel] = min(poor + 1, _TRIES)
+        return "", plain
+
+    def _put_record(self, opcode: int, data: Buffer, first: int = -1, last: int = -1) -> None:
+        """Write the end of a record or of a chunk with its indexes: a unit of the seal, with its entry numbers."""
+        self._put(data)
+        if self._sealer:
+            self._sealer.end_unit(KINDS[opcode], first, last)
+            if self._sealer.is_full:
+                self._put_seal(self._sealer)
+
+    def _put(self, data: Buffer) -> None:
+        self._file.write(data)
+        self.size += len(data)
+        if self._sealer:
+            self._sealer.update(data)

@@ -1,6 +1,0 @@
-"""Guards for data of other programs and people: opening files, limits for reading them, and printing their text.
-
-Every reader opens files with :mod:`igtl_gateway.untrusted.files` and checks :mod:`igtl_gateway.untrusted.limits`
-before it allocates, unpacks, nests or repeats.  All printed text passes :func:`igtl_gateway.untrusted.text.printable`.
-``docs/evidence/hostile-files.md`` lists the tested files.
-"""

@@ -1,0 +1,110 @@
+"""Whole sessions: nothing that was planted is found again, the result verifies, geometry and intervals stay."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from igtl_gateway.addons.deidentify.profile import BASIC, Profile
+from igtl_gateway.addons.deidentify.pseudonyms import Pseudonyms
+from igtl_gateway.addons.deidentify.session import DEIDENTIFIED, deidentify
+from igtl_gateway.app.verification import verify_recording
+from igtl_gateway.cli import main
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.wire import decode
+from igtl_gateway.wire.transform import Transform
+from tests.addons.deidentify.planted import MARK, SOURCE, found, planted_session
+
+KEY, OTHER = bytes(range(32)), bytes(32)
+
+
+@pytest.fixture(scope="module")
+def planted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("planted") / "planted.mcap"
+    planted_session(path)
+    return path
+
+
+def inputs(path: Path) -> list[Any]:
+    with SessionFile.open(path) as file:
+        return [entry for entry in file.entries() if entry.kind.is_input]
+
+
+def test_nothing_that_was_planted_is_found(planted: Path, tmp_path: Path) -> None:
+    assert found(planted)
+    out = tmp_path / "clean.mcap"
+    report = deidentify(planted, out, BASIC, KEY)
+    assert found(out) == []
+    assert MARK not in json.dumps(report.to_dict())
+    assert out.stat().st_mode & 0o777 == 0o600
+    assert verify_recording(out).good
+    with SessionFile.open(out) as file:
+        assert "113100" in file.session[DEIDENTIFIED]
+    assert not {"patient", "name", "text", "metadata", "type", "address", "note", "setting", "session", "time"} - set(
+        report.rules
+    )
+
+
+def test_intervals_and_geometry_stay_to_the_bit(tmp_path: Path) -> None:
+    out = tmp_path / "clean.mcap"
+    deidentify(SOURCE, out, BASIC, KEY)
+    poses, times = {}, {}
+    for path in (SOURCE, out):
+        entries = inputs(path)
+        messages = [decode(entry.data()) for entry in entries if entry.type == "TRANSFORM"]
+        contents = [message.content for message in messages]
+        poses[path] = [content.pack() for content in contents if isinstance(content, Transform)]
+        times[path] = np.array([message.ticks for message in messages], np.uint64)
+    assert poses[SOURCE] == poses[out]
+    assert (np.diff(times[SOURCE]) == np.diff(times[out])).all()
+    assert (times[SOURCE] != times[out]).any()
+    kinds = (Kind.LINK, Kind.EDGE_NOTE)
+    stamps = [[entry.stamp_ns for entry in inputs(path) if entry.kind in kinds] for path in (SOURCE, out)]
+    assert len(set(np.array(stamps[0]) - np.array(stamps[1][:-1]))) == 1
+
+
+def test_the_key_decides_about_the_pseudonyms(tmp_path: Path) -> None:
+    for name in ("acquisition", "paper-types"):
+        source = SOURCE.with_name(f"{name}.mcap")
+        for key in (KEY, OTHER):
+            out = tmp_path / f"{name}-{key[1]}.mcap"
+            deidentify(source, out, Profile(keep_types=("**",)), key)
+            olds, news = (
+                {entry.channel for entry in inputs(path) if entry.kind is Kind.IGTL_IN} for path in (source, out)
+            )
+            same, others = (Pseudonyms(each) for each in (key, bytes(31) + b"x"))
+            expected = {f"{kind}/{same.name(device)}" for kind, _, device in (old.partition("/") for old in olds)}
+            assert news == expected
+            other = {f"{kind}/{others.name(device)}" for kind, _, device in (old.partition("/") for old in olds)}
+            assert not news & other - olds
+            assert len(news - olds) >= 3
+
+
+@pytest.mark.parametrize("name", ["acquisition", "paper-types"])
+def test_recordings_verify_and_keep_their_inputs(name: str, tmp_path: Path) -> None:
+    source, out = SOURCE.with_name(f"{name}.mcap"), tmp_path / "clean.mcap"
+    report = deidentify(source, out, Profile(keep_types=("**",)), KEY, shift_ns=0)
+    assert len(inputs(out)) == len(inputs(source)) + 1 - sum(report.removed.values())
+
+
+def test_the_command_refuses_what_it_cannot_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, short = tmp_path / "out.mcap", tmp_path / "short.key"
+    short.write_bytes(b"short")
+    damaged = tmp_path / "damaged.mcap"
+    damaged.write_bytes(SOURCE.read_bytes()[:100_000])
+    for call, code, said in (
+        ([str(SOURCE), "-o", str(out), "--secret", str(short)], 2, "found 5 bytes, expected at least 16"),
+        ([str(SOURCE), "-o", str(out), "--shift", "0"], 2, "--shift: found 0"),
+        ([str(SOURCE), "-o", str(out), "--shift", "-2000000000"], 1, "expected one from 1970 to 2106"),
+        ([str(SOURCE), "-o", str(SOURCE), "--overwrite"], 2, "the recording itself"),
+        ([str(SOURCE), "-o", str(damaged)], 2, "exists already"),
+        ([str(damaged), "-o", str(out)], 1, "recover"),
+    ):
+        assert main(["deidentify", *call]) == code, call
+        assert said in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["damaged.mcap", "short.key"]

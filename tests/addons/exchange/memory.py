@@ -1,0 +1,43 @@
+"""A recording in memory, for exporters: inputs from a peer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from igtl_gateway.addons.exchange.source import ImportedItem, note_item, numbered, peer_item
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.stamp import ns_to_ticks
+from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.wire import Message, encode
+from igtl_gateway.wire.body import Body
+
+#: When recordings begin, UTC ns.
+START = 1_700_000_000 * 10**9
+MS = 1_000_000
+
+
+@dataclass
+class InMemory:
+    """What an exporter needs of a session file."""
+
+    items: Sequence[ImportedItem]
+    session: dict[str, str] = field(default_factory=dict)
+    channels: Sequence[Any] = ()
+    definitions: dict[str, str] = field(default_factory=dict)
+    skipped: Sequence[Any] = ()
+
+    def entries(self) -> Iterator[Entry]:
+        return numbered(self.items)
+
+
+def sent(at_ms: float, device: str, kind: str, content: Body) -> ImportedItem:
+    """A message of a peer, stamped with its time."""
+    time_ns = START + int(at_ms * MS)
+    return peer_item(time_ns, 1, join(encode(Message(kind, device, content, ns_to_ticks(time_ns)))))
+
+
+def said(at_ms: float, code: str, stream: str) -> ImportedItem:
+    """A note on a stream."""
+    return note_item(START + int(at_ms * MS), code, "note of a test", stream=stream)

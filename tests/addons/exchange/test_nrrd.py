@@ -1,0 +1,125 @@
+"""NRRD headers: spaces, kinds and times, with SimpleITK and pynrrd as referees."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from igtl_gateway.addons.exchange.sequence import DEFAULT_EPOCH_NS, Sequence
+from igtl_gateway.base.errors import DamagedRecording, UnsupportedRecording
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.wire.image import Image
+from tests.addons.exchange.itk import MICROMETRE, corners, images_of, itk_corners, read
+from tests.addons.exchange.test_pixels import nrrd
+from tests.tables import table
+
+VOLUME = ("type: uchar", "dimension: 3", "sizes: 4 3 2", "kinds: domain domain domain")
+OBLIQUE = "space directions: (0.3,0.4,0) (-0.8,0.6,0.1) (0,0.5,2.5)"
+
+
+@table(
+    "space",
+    [
+        *("right-anterior-superior", "left-anterior-superior", "left-posterior-superior", "RAS", "LAS", "LPS"),
+        *("scanner-xyz", "3D-right-handed", "3D-left-handed", ""),
+    ],
+)
+def test_each_space_is_that_of_itk(tmp_path: Path, space: str) -> None:
+    line = f"space: {space}" if space else "space dimension: 3"
+    path = nrrd(tmp_path / "some.nrrd", bytes(24), *VOLUME, line, OBLIQUE, "space origin: (10,-20,30)")
+    assert np.abs(corners(images_of(path)[0]) - itk_corners(read(path), (4, 3, 2))).max() < MICROMETRE
+    noted = [note for note in Sequence(path).notes if "as in ITK" in note]
+    assert bool(noted) == (space.lower()[:2] in {"sc", "3d", ""})
+
+
+@pytest.mark.parametrize(
+    "lines",
+    [
+        ("spacings: 1 2 3",),
+        ("spacings: 1 2 3", "axis mins: 10 20 30"),
+        ("spacings: 1 2 3", "axis mins: 10 20 30", "centers: cell cell cell"),
+        ("space: RAS", OBLIQUE),
+        ("space: LPS", OBLIQUE, "space origin: (1,2,3)", 'space units: "cm" "cm" "cm"'),
+    ],
+)
+def test_less_of_a_place_is_that_of_itk(tmp_path: Path, lines: tuple[str, ...]) -> None:
+    path = nrrd(tmp_path / "some.nrrd", bytes(24), *VOLUME, *lines)
+    assert np.abs(corners(images_of(path)[0]) - itk_corners(read(path), (4, 3, 2))).max() < MICROMETRE
+    assert Sequence(path).notes
+
+
+def test_no_place_at_all_is_noted(tmp_path: Path) -> None:
+    path = nrrd(tmp_path / "some.nrrd", bytes(24), *VOLUME)
+    assert images_of(path)[0].wire_matrix == Image.IDENTITY
+    assert any("the header has no position" in note for note in Sequence(path).notes)
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_sequences_of_slicer(tmp_path: Path, first: bool) -> None:
+    """Volumes over time as ``.seq.nrrd``: the list is the first axis in older files, the last in newer ones."""
+    nrrd_module = pytest.importorskip("nrrd")
+    data = np.arange(3 * 4 * 3 * 2, dtype=np.int16).reshape(3, 4, 3, 2)  # list, i, j, k
+    none = [float("nan")] * 3
+    axes = [[0.5, 0.0, 0.0], [0.0, 0.0, 2.0], [0.0, 1.5, 0.0]]
+    kinds, labels = ["domain"] * 3, [""] * 3
+    header = {
+        "space": "right-anterior-superior",
+        "space directions": [none, *axes] if first else [*axes, none],
+        "kinds": ["list", *kinds] if first else [*kinds, "list"],
+        "labels": ["time", *labels] if first else [*labels, "time"],
+        "space origin": [1.0, 2.0, 3.0],
+        f"axis {0 if first else 3} index type": "numeric",
+        f"axis {0 if first else 3} index values": "0 0.5 2.25",
+        "DataNodeClassName": "vtkMRMLScalarVolumeNode",
+    }
+    path = tmp_path / "some.seq.nrrd"
+    nrrd_module.write(str(path), data if first else np.moveaxis(data, 0, 3), header)
+    with closing(Sequence(path)) as source:
+        times = [item.source_ns - DEFAULT_EPOCH_NS for item in source.items() if item.kind is Kind.IGTL_IN]
+    assert times == [0, 500_000_000, 2_250_000_000]
+    images = images_of(path)
+    assert [image.dimensions for image in images] == [(4, 3, 2)] * 3
+    for number, image in enumerate(images):
+        assert np.array_equal(image.array[..., 0].transpose(2, 1, 0), data[number])
+        assert image.wire_matrix == (0.5, 0, 0, 0, 0, 2, 0, 1.5, 0, 1.75, 2.75, 5)
+
+
+@table(
+    ("lines", "text"),
+    [
+        (("sizes: 4 3 2", "dimension: 4"), "dimension '4'"),
+        (("sizes: 4",), "one size for each"),
+        (("sizes: 4 -3 2",), "expected 0 or more"),
+        (("sizes: 4 3 x",), "expected an integer"),
+        (("sizes: 4 3 2", "kinds: domain domain"), "kinds: found 2"),
+        (("sizes: 4 3 2", "kinds: domain list list"), "axes space, time|expected 2 or 3 spatial axes|frame"),
+        (("sizes: 4 3 2", "space: MARS"), "space: found 'MARS'"),
+        (("sizes: 4 3 2", "space: RAS", "space directions: (1,0,0) (0,1,0)"), "found 2 vectors"),
+        (("sizes: 4 3 2", "space: RAS", "space directions: (1,0,0) (0,1,0) (0,1)"), "4 for all"),
+        (("sizes: 4 3 2", "space: RAS", "space directions: (1,0,0) (0,inf,0) (0,0,1)"), "finite"),
+        (("sizes: 4 3 2", "space: RAS", "space directions: (1,0,0) (0,nan,0) (0,0,1)"), "finite"),
+        (("sizes: 4 3 2", "space: RAS", "space directions: (1,0,0) (0,0,0) (0,0,1)"), "span"),
+        (("sizes: 4 3 2", "spacings: 1 0 1"), "above 0"),
+        (("sizes: 4 3 2", "spacings: 1 nan 1"), "above 0"),
+        (("sizes: 4 3 2", "spacings: 1 1"), "found 2 numbers"),
+        (("sizes: 70000 3 2",), "65535"),
+        (("sizes: 300 4 3 2", "kinds: vector domain domain domain"), "values per pixel"),
+        (("sizes: 4 3 2", "encoding: zrl"), "encoding: found 'zrl'"),
+        (("sizes: 4 3 2", "type: block"), "type: found 'block'"),
+        (("sizes: 4 3 2", "data file: LIST"), "one file"),
+        (("sizes: 4 3 2", "data file: slice%03d.raw 1 2 1"), "one file"),
+        (("sizes: 4 3 2", "data file: /etc/passwd"), "in the same folder"),
+        (("sizes: 4 3 2", "data file: ../some.raw"), "in the same folder"),
+        (("sizes: 4 3 2", "line skip: 3"), "line skip"),
+        (("sizes: 4 3 2", "byte skip: -7"), "byte skip"),
+    ],
+)
+def test_what_is_wrong_is_said(tmp_path: Path, lines: tuple[str, ...], text: str) -> None:
+    path = tmp_path / "some.nrrd"
+    path.write_bytes("\n".join(["NRRD0004", "type: uchar", "encoding: raw", *lines, "", ""]).encode() + bytes(24))
+    with pytest.raises((DamagedRecording, UnsupportedRecording), match=text) as caught:
+        images_of(path)
+    assert str(path) in str(caught.value)

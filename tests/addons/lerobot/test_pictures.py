@@ -1,0 +1,81 @@
+"""Pictures of every form that a recording has, as RGB of 8 bits."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from pathlib import Path
+from typing import Any
+
+import av
+import numpy as np
+import pytest
+
+import igtl_gateway
+from igtl_gateway.addons.lerobot.pictures import Pictures
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.convert.common_msgs import CompressedImage
+from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.wire.image import Image
+from igtl_gateway.wire.video import Video
+from tests.addons.lerobot.sessions import Sent, bars, number_of, write_session
+
+
+def encoded(codec: str, numbers: range, **options: str) -> list[bytes]:
+    """Pictures of :func:`bars`, encoded one after the other."""
+    encoder: Any = av.CodecContext.create(codec, "w")
+    encoder.width, encoder.height, encoder.time_base = 64, 48, Fraction(1, 30)
+    encoder.pix_fmt = {"png": "rgb24", "mjpeg": "yuvj420p"}.get(codec, "yuv420p")
+    encoder.options, encoder.gop_size = options, 5
+    frames = []
+    for number in numbers:
+        frame = av.VideoFrame.from_ndarray(np.repeat(bars(number)[:, :, np.newaxis], 3, axis=2), format="rgb24")
+        frame = frame.reformat(format=encoder.pix_fmt)
+        frame.pts = number
+        frames += [bytes(packet) for packet in encoder.encode(frame)]
+    return frames + [bytes(packet) for packet in encoder.encode(None)]
+
+
+def compressed(form: str, data: bytes) -> Any:
+    return lambda stamp_ns: CompressedImage(Header(stamp_ns, "camera"), form, data)
+
+
+def h264() -> list[bytes]:
+    return encoded("libx264", range(20), tune="zerolatency", preset="ultrafast", **{"x264-params": "repeat-headers=1"})
+
+
+@pytest.mark.parametrize(
+    ("stream", "contents", "first"),
+    [
+        ("/camera", [compressed("rgb8; jpeg compressed bgr8", each) for each in encoded("mjpeg", range(8))], 0),
+        ("/camera", [compressed("png", each) for each in encoded("png", range(8))], 0),
+        ("/camera", [compressed("h264", each) for each in h264()], 0),
+        ("VIDEO/Camera", [Video("H264", (64, 48, 1), each) for each in h264()[2:]], 3),
+        ("/camera", [compressed("png", b"") if n == 3 else compressed("png", each)
+                     for n, each in enumerate(encoded("png", range(8)))], 0),
+    ],
+    ids=["jpeg", "png", "h264", "VIDEO from the middle", "an empty one"],
+)  # fmt: skip
+def test_encoded_pictures(stream: str, contents: list[Any], first: int, tmp_path: Path) -> None:
+    messages: list[Sent] = [(0.03 * number, stream, each) for number, each in enumerate(contents)]
+    path = write_session(tmp_path / "s.mcap", messages)
+    with igtl_gateway.open(path) as recording:
+        pictures = Pictures(recording[stream])
+        assert pictures.size == (48, 64)
+        # before the first key frame there is no picture
+        start = 2 if stream.startswith("VIDEO") else 0
+        usable = pictures.usable.tolist()
+        assert usable[0] == first and len(usable) >= len(contents) - max(first, 1)
+        for index in (usable[-1], usable[0], usable[len(usable) // 2]):  # also backwards
+            assert number_of(pictures.rgb(index)) == index + start
+
+
+@pytest.mark.parametrize("pixels", [np.arange(48).reshape(4, 4, 3), np.arange(64).reshape(4, 4, 4)])
+def test_colours_stay_and_alpha_goes(pixels: Any, tmp_path: Path) -> None:
+    image = Image((4, 4, 1), 3, pixels.astype(np.uint8).tobytes(), num_components=pixels.shape[2])
+    with igtl_gateway.open(write_session(tmp_path / "s.mcap", [(0.0, "IMAGE/A", image)])) as recording:
+        assert np.array_equal(Pictures(recording["IMAGE/A"]).rgb(0), pixels[:, :, :3])
+
+
+def test_other_streams_have_none(tmp_path: Path) -> None:
+    with igtl_gateway.open("fixtures/star.mcap") as recording, pytest.raises(ConfigError, match="expected pictures"):
+        Pictures(recording["/star/tool"])

@@ -1,0 +1,164 @@
+"""Merged sessions against planted clocks (``tools/merge_worlds.py``), and their parts against the recordings."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rosbags.highlevel import AnyReader
+
+from igtl_gateway.addons.merge.merging import Source, merge
+from igtl_gateway.addons.merge.offsets import ClockOffset, Method, Piece
+from igtl_gateway.app.verification import verify_parts
+from igtl_gateway.base.errors import ConfigError, DamagedRecording, GatewayError, UnsupportedRecording
+from igtl_gateway.record.sessionfile.merged import Digest
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.addons.merge.offsets import ClockOffset, Method, Piece
+from tests.tables import table
+from tools.merge_worlds import World, judge, record
+
+WORLD = World(seconds=4)
+AHEAD = {"r1": ClockOffset(Method.GIVEN, (Piece(0, 1_700_000_000),))}
+
+WORLDS = {
+    "constant": WORLD,
+    "behind": replace(WORLD, offsets_s=(0.0, -3600.0)),
+    "drift": replace(WORLD, drifts_ppm=(0.0, 60.0), seconds=200, rate_hz=3),
+    "asymmetric": replace(WORLD, delays_s=(0.2, 0.001)),
+    "equal stamps": replace(WORLD, offsets_s=(0.0, 0.001), coarse_ns=1_000_000, delays_s=(0.002, 0.002)),
+    "loss, duplicates, repetitions": replace(WORLD, loss=0.3, doubled=0.3, repeated=0.5),
+    "clock set": replace(WORLD, step_s=5.0, seconds=8),
+    "three": replace(WORLD, offsets_s=(0.0, 1.7, -2.0), drifts_ppm=(0.0,) * 3, pairs=((0, 1), (1, 2))),
+    "five": replace(
+        WORLD, offsets_s=(1.0, 1.7, -2.0, 0.1, 9.0), drifts_ppm=(0.0,) * 5, pairs=((0, 1), (1, 2), (0, 3), (2, 4))
+    ),
+}
+
+
+@table("name", WORLDS)
+def test_clocks_and_order_are_those_planted(name: str, tmp_path: Path) -> None:
+    world = WORLDS[name]
+    recordings = record(world, tmp_path, seed=1)
+    out = tmp_path / "merged.mcap"
+    facts = merge(recordings.sources, out, given={})
+    found = judge(world, recordings, facts, out)
+    if not world.step_s:  # between the last message before and the first one after, a set clock is unknown
+        assert (found.outside, found.inverted, found.early) == ([], 0, 0)
+    clocks = {part["name"]: part["clock"] for part in facts["parts"]}
+    assert clocks["r1"]["is_drifting"] is (name == "drift")
+    assert len(clocks["r1"]["chain"][0]) == (2 if world.step_s else 1)
+    assert clocks["r0"]["method"] == "reference"
+    for row in facts["latencies"]:
+        planted = world.delays_s[row["from"] > row["to"]] * 1e3
+        assert planted - 1e-5 * world.coarse_ns <= row["min_ms"] + row["error_ms"]
+        assert abs(row["p50_ms"] - planted - 1.4) <= row["error_ms"] + 1 + 1e-6 * world.coarse_ns
+
+
+def test_one_direction_is_a_bound(tmp_path: Path) -> None:
+    world = replace(WORLD, one_way=True)
+    facts = merge(record(world, tmp_path, 1).sources, tmp_path / "merged.mcap", given={})
+    clock = facts["parts"][1]["clock"]
+    assert (clock["method"], clock["low_s"]) == ("one_way", None)
+    assert 1.7 <= clock["high_s"] <= 1.71
+    assert facts["latencies"][0]["error_ms"] is None
+
+
+def test_each_part_is_the_recording(tmp_path: Path) -> None:
+    recordings = record(WORLD, tmp_path, 1)
+    out = tmp_path / "merged.mcap"
+    sources = [*recordings.sources, Source("", FIXTURES / "crtk.mcap")]
+    merge(sources, out, given={"crtk": AHEAD["r1"]})
+    for source in sources:
+        assert _content(out / (source.name or "crtk")) == _content(source.path)
+    with SessionFile.open(out) as file:
+        times = [row[2] for _, _, row in file.messages()]
+        assert file.foreign and file.skipped == ()
+    assert times == sorted(times)
+    assert [(result.good, result.outputs > 0) for result in verify_parts(out)[2:]] == [(True, True)]
+    with AnyReader([out]) as reader:
+        assert {topic.split("/")[1] for topic in reader.topics} == {"r0", "r1", "crtk"}
+        assert sum(1 for _ in reader.messages()) == len(times)
+
+
+def _content(path: Path) -> tuple[Any, ...]:
+    with SessionFile.open(path) as file:
+        messages = [
+            (schema.name, schema.data, channel.topic, channel.metadata, *row[1:4], row[6][row[4] : row[5]])
+            for schema, channel, row in file.messages()
+            if schema
+        ]
+        return messages, list(file.attachments()), file.recorded_session, file.recorded_ledger, list(file.entries())
+
+
+def test_merged_sessions_are_merged_again(tmp_path: Path) -> None:
+    world = replace(WORLDS["three"], pairs=((0, 1), (0, 2)))
+    recordings = record(world, tmp_path, 1)
+    first, out = tmp_path / "first.mcap", tmp_path / "all.mcap"
+    merge(recordings.sources[:2], first, given={})
+    facts = merge([Source("", first), recordings.sources[2]], out, given={})
+    assert [part["name"] for part in facts["parts"]] == ["r0", "r1", "r2"]
+    found = judge(world, recordings, facts, out)
+    assert (found.outside, found.inverted) == ([], 0)
+    # what was given stays known, and nothing else joins them
+    alone = record(replace(WORLD, pairs=()), tmp_path, 2).sources
+    merge(alone, first, given=AHEAD, overwrite=True)
+    again = merge(
+        [Source("x", first), Source("crtk", FIXTURES / "crtk.mcap")], out, given={"crtk": AHEAD["r1"]}, overwrite=True
+    )
+    assert [(part["name"], part["clock"]["offset_s"]) for part in again["parts"]] == [
+        ("x_r0", 0.0), ("x_r1", 1.7), ("crtk", 1.7),
+    ]  # fmt: skip
+
+
+def test_an_empty_recording(tmp_path: Path) -> None:
+    recordings = record(replace(WORLD, seconds=0.1, rate_hz=1), tmp_path, 1)
+    out = tmp_path / "merged.mcap"
+    with pytest.raises(GatewayError, match=r"r1: found no message that crosses .* --offset r1=SECONDS"):
+        merge(recordings.sources, out, given={})
+    assert not out.exists()
+    assert merge(recordings.sources, out, given=AHEAD)["messages"] == 0
+    with SessionFile.open(out / "r1") as part:
+        assert list(part.entries()) == []
+
+
+def test_refusals(tmp_path: Path) -> None:
+    recordings = record(WORLD, tmp_path, 1)
+    one, two = recordings.sources
+    copy = Source("copy", Path(shutil.copy(one.path, tmp_path / "copy.mcap")))
+    cut = Source("cut", tmp_path / "cut.mcap")
+    cut.path.write_bytes(two.path.read_bytes()[:-500])
+    cases: list[tuple[list[Source], dict[str, ClockOffset], type[Exception], str]] = [
+        ([one, copy], {}, ConfigError, "copy.mcap: found the same recording as .*r0.mcap"),
+        ([one, one], {}, ConfigError, "found the same recording"),
+        ([one], {}, ConfigError, "found 1 recording, expected two or more"),
+        ([one, cut], {}, DamagedRecording, "was cut off after .* igtl-gateway recover"),
+        ([one, Source("", tmp_path / "none.mcap")], {}, UnsupportedRecording, "No such file"),
+        ([one, two], {"r0": AHEAD["r1"]}, ConfigError, "offset of 'r0': found no such part, expected one of r1"),
+        ([one, two], {"r1": ClockOffset(Method.GIVEN, (Piece(0, 1 << 62),))}, GatewayError, "out of all calendars"),
+    ]
+    for sources, given, error, text in cases:
+        target = tmp_path / "out.mcap"
+        with pytest.raises(error, match=text):
+            merge(sources, target, given=given)
+        assert not target.exists()
+
+
+def test_a_changed_part_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recordings = record(replace(WORLD, seconds=1), tmp_path, 1)
+    out = tmp_path / "merged.mcap"
+    with monkeypatch.context() as patched:
+        patched.setattr(Digest, "finish", lambda *_: "0" * 64)
+        merge(recordings.sources, out, given={})
+    with pytest.raises(DamagedRecording, match=r"part r1: found digest [0-9a-f]{64}, expected 0{64}"):
+        SessionFile.open(out / "r1")
+    with monkeypatch.context() as patched:
+        patched.setattr("igtl_gateway.addons.merge.merging.topic_token", lambda _name: "../r1")
+        merge(recordings.sources, out, given={"../r1_2": AHEAD["r1"]}, overwrite=True)
+    with pytest.raises(DamagedRecording, match=r'name: found "\.\./r1", expected letters, digits and _'):
+        SessionFile.open(out)
+    merge(recordings.sources, out, given={}, overwrite=True)
+    with pytest.raises(UnsupportedRecording, match="found no part 'other', expected one of r0, r1"):
+        SessionFile.open(out / "other")

@@ -1,0 +1,101 @@
+"""``igtl-gateway merge``, and what other verbs make of a merged session."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from igtl_gateway.cli import main
+from igtl_gateway.convert.common_msgs import PoseStamped
+from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.record.sessionfile.writer import SessionWriter
+from tools.merge_worlds import START_NS, World, record
+
+
+@pytest.fixture
+def two(tmp_path: Path) -> list[str]:
+    recordings = record(World(seconds=3), tmp_path, 1)
+    return [str(source.path) for source in recordings.sources]
+
+
+def test_the_verbs_read_a_merged_session_and_its_parts(
+    two: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "both.mcap"
+    assert main(["merge", two[0], f"planning={two[1]}", "-o", str(out)]) == 0
+    text = capsys.readouterr().out
+    assert "planning  r1.mcap" in text and "messages in both directions" in text and "+1,70" in text
+    assert main(["info", str(out), "--json"]) == 0
+    facts = json.loads(capsys.readouterr().out)
+    assert [part["name"] for part in facts["merge"]["parts"]] == ["r0", "planning"]
+    assert main(["info", str(out)]) == 0
+    assert "merged session of 2 parts" in capsys.readouterr().out
+    assert main(["info", f"{out}/planning"]) == 0
+    assert "/remote/to1/pose" in capsys.readouterr().out
+    assert main(["verify", str(out), "--json"]) == 1  # these recordings hold outputs of no gateway
+    assert [part["file"] for part in json.loads(capsys.readouterr().out)["parts"]] == [f"{out}/r0", f"{out}/planning"]
+    again = tmp_path / "again.mcap"
+    assert main(["merge", str(out), "--extract", "planning", "-o", str(again)]) == 0
+    assert main(["diff", str(again), two[1]]) == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["--offset", "r1"], "--offset: found 'r1', expected NAME=SECONDS"),
+        (["--offset", "r1=nan"], "--offset: found 'r1=nan', expected NAME=SECONDS"),
+        (["--offset", "r9=1"], "offset of 'r9': found no such part, expected one of r1"),
+        (["--sync", "/a", "/b", "--offset", "r1=1"], "--sync: expected two recordings and no --offset"),
+        (["--sync", "/a", "/b"], "found no stream '/a', expected one of"),
+        (["--extract", "r1"], "--extract: expected one merged session"),
+    ],
+)
+def test_wrong_options(
+    words: list[str], text: str, two: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "both.mcap"
+    assert main(["merge", *two, "-o", str(out), *words]) in (1, 2)
+    assert text in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_wrong_files(two: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "b=c.mcap"
+    shutil.copy(two[0], out)
+    assert main(["merge", *two, "-o", str(out)]) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert main(["merge", *two, "-o", two[0], "--overwrite"]) == 2
+    assert "found a recording that is merged" in capsys.readouterr().err
+    assert main(["merge", two[0], f"a b={two[1]}", "-o", str(tmp_path / "x.mcap")]) == 2
+    assert "found the name 'a b', expected letters, digits and _" in capsys.readouterr().err
+    assert main(["merge", two[0], str(out), "-o", str(tmp_path / "x.mcap")]) == 2  # the same, by another name
+    assert "b=c.mcap: found the same recording" in capsys.readouterr().err
+    assert main(["merge", two[0], "--extract", "r1", "-o", str(tmp_path / "x.mcap")]) == 2
+    assert "which is not a merged session" in capsys.readouterr().err
+
+
+def test_offset_from_what_moves(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    times = np.arange(0, 40, 0.02)
+    places = 0.05 * np.sum([np.sin(rate * times + rate**2) for rate in (1.1, 1.73, 2.9, 4.19)], axis=0)
+    files = []
+    for name, ahead_ns in (("one", 0), ("two", 123_000_000)):
+        path = tmp_path / f"{name}.mcap"
+        writer = SessionWriter(path, {"format_version": "1", "config": "{}"})
+        for number, (second, place) in enumerate(zip(times, places, strict=True), 1):
+            stamp_ns = START_NS + round(second * 1e9) + ahead_ns
+            pose = float(place), 0.0, 0.0, 0.0, 0.0, 0.0, 1.0
+            payload = PoseStamped(Header(number, name), pose).pack()
+            writer.write(Entry(number, stamp_ns, Kind.ROS_IN, f"/{name}/pose", PoseStamped.TYPE, (payload,)))
+        writer.close({})
+        files.append(str(path))
+    out = tmp_path / "both.mcap"
+    assert main(["merge", *files, "-o", str(out), "--sync", "/one/pose", "/two/pose", "--json"]) == 0
+    clock = json.loads(capsys.readouterr().out)["parts"][1]["clock"]
+    assert clock["method"] == "streams"
+    assert clock["low_s"] <= 0.123 <= clock["high_s"]
+    assert abs(clock["offset_s"] - 0.123) < 0.005

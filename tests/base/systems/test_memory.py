@@ -1,0 +1,69 @@
+"""Memory is returned once, when a burst is over."""
+
+from __future__ import annotations
+
+import mmap
+import sys
+
+import pytest
+
+from igtl_gateway.base.systems.memory import IdleMemory, own_bytes
+
+MIB = 1 << 20
+
+
+class Process:
+    """A process whose memory the test sets; giving memory back leaves ``used``."""
+
+    def __init__(self) -> None:
+        self.own = self.used = 50 * MIB
+        self.trims = 0
+
+    def trim(self, _pad: int) -> None:
+        self.trims += 1
+        self.own = self.used
+
+
+def test_memory_of_a_burst_is_returned_once_it_is_over() -> None:
+    process = Process()
+    memory = IdleMemory(lambda: process.own, process.trim)
+    for grown in (500, 900, 935):
+        process.own = grown * MIB
+        memory.look()
+    assert process.trims == 0, "it still grows"
+    for _ in range(5):
+        memory.look()
+    assert (process.trims, process.own) == (1, 50 * MIB)
+    process.own = process.used = 300 * MIB  # in use
+    for _ in range(50):
+        memory.look()
+    assert process.trims == 2
+    process.own = process.used = 60 * MIB
+    memory.look()
+    process.own = 200 * MIB
+    for _ in range(5):
+        memory.look()
+    assert process.trims == 3
+
+
+def test_small_changes_and_other_systems_cost_nothing() -> None:
+    process = Process()
+    memory = IdleMemory(lambda: process.own, process.trim)
+    for step in range(20):
+        process.own = (50 + step % 5) * MIB
+        memory.look()
+    assert process.trims == 0
+    other = IdleMemory(lambda: process.own, None)
+    process.own = 900 * MIB
+    for _ in range(10):
+        other.look()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_own_memory_is_what_the_process_takes() -> None:
+    before = own_bytes()
+    # pages of its own: malloc could give what an earlier test has freed
+    with mmap.mmap(-1, 100 * MIB, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS) as block:
+        for page in range(0, len(block), mmap.PAGESIZE):
+            block[page] = 1
+        assert 90 * MIB < own_bytes() - before < 150 * MIB

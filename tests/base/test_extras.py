@@ -1,0 +1,122 @@
+"""The sentence for what is missing: one line with the right extra, in every verb that needs a library of one."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from igtl_gateway.base.errors import Unavailable
+from igtl_gateway.base.extras import PURPOSES, in_use, missing
+from igtl_gateway.cli.verbs import WITHOUT_LABORATORY
+from igtl_gateway.base.errors import Unavailable
+from igtl_gateway.base.extras import PURPOSES, in_use, missing
+from tests.tables import table
+
+ROOT = Path(__file__).parent.parent
+EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
+#: Extra → the module that its row in the documentation names.
+MODULES = {
+    "ros": "rclpy", "zenoh": "zenoh", "view": "rerun", "video": "av", "nifti": "nibabel", "plot": "matplotlib",
+    "pcap": "pcapng", "arrow": "pyarrow", "pandas": "pandas", "lerobot": "av", "cohort": "pyarrow",
+    "seal": "cryptography",
+}  # fmt: skip
+
+
+def test_a_broken_installation_is_told_from_none() -> None:
+    assert missing("av") == 'av is not installed here: pip install "igtl-gateway[video]"'
+    assert missing("av", ModuleNotFoundError("No module named 'av'", name="av")) == missing("av")
+    broken = missing("av", ImportError("libx264.so.164: cannot open shared object file\nmore"))
+    assert broken.startswith("av cannot be imported (libx264.so.164: cannot open shared object file): pip install")
+
+
+def test_the_extra_is_that_of_the_function() -> None:
+    with in_use("lerobot"):
+        assert missing("av").endswith('"igtl-gateway[lerobot]"') and missing("pyarrow").endswith('[lerobot]"')
+        assert missing("rerun").endswith('"igtl-gateway[view]"')  # which the function's extra does not install
+        with in_use():
+            assert missing("av").endswith('"igtl-gateway[lerobot]"')
+    assert missing("av").endswith('"igtl-gateway[video]"')
+    with pytest.raises(Unavailable, match=r"pyarrow is not installed here.*\[cohort\]"), in_use("cohort"):
+        raise ModuleNotFoundError("No module named 'pyarrow'", name="pyarrow")
+    with pytest.raises(ModuleNotFoundError), in_use("cohort"):  # a defect of our own
+        raise ModuleNotFoundError("No module named 'igtl_gateway.x'", name="igtl_gateway.x")
+
+
+def test_the_page_lists_every_extra() -> None:
+    rows = []
+    for extra, purpose in PURPOSES.items():
+        with in_use(extra):
+            message = missing(MODULES[extra]) if extra in MODULES else WITHOUT_LABORATORY
+        rows.append(f"| `{extra}` | {purpose} | {message} |")
+    page = (ROOT / "docs" / "reference" / "command-line.md").read_text("utf-8")
+    found = re.findall(r"^\| `\w+` \| .* \| .*install.* \|$", page, re.MULTILINE)
+    assert found == rows, "\n".join(rows)
+    assert set(PURPOSES) == set(EXTRAS) - {"dev"}
+
+
+STAR = "fixtures/star.mcap"
+#: Modules that are missing, command line, extra.
+WITHOUT = [
+    ("pyarrow", f"export {STAR} --to parquet -o OUT", "arrow"),
+    ("pyarrow", f"export {STAR} --to arrow -o OUT", "arrow"),
+    ("pyarrow", f"export {STAR} --to lerobot --write-recipe OUT", "lerobot"),
+    ("pyarrow", f"export {STAR} --to lerobot --recipe RECIPE -o OUT", "lerobot"),
+    ("pyarrow", f"export {STAR} --to lerobot --check OUT", "lerobot"),
+    ("av", f"export {STAR} --to lerobot --recipe RECIPE -o OUT", "lerobot"),
+    ("pyarrow", f"cohort info {STAR} --out OUT", "cohort"),
+    ("duckdb", "cohort query 'SELECT 1' --out OUT", "cohort"),
+    ("duckdb", "cohort report --out OUT --html PAGE", "cohort"),
+    ("dask", f"cohort info {STAR} --out OUT --scheduler tcp://127.0.0.1:9", "cohort"),
+    ("distributed", f"cohort info {STAR} --out OUT --scheduler tcp://127.0.0.1:9", "cohort"),
+    ("obstore", "cohort info s3://bucket/prefix --out OUT", "cohort"),
+    ("matplotlib", "sync fixtures/ultrasound.mcap --plot PAGE.svg", "plot"),
+    ("nibabel", "import VOLUME.nii -o OUT.mcap", "nifti"),
+    ("pcapng", "import CAPTURE.pcapng -o OUT.mcap", "pcap"),
+    ("rerun", f"view {STAR} --save OUT.rrd", "view"),
+    ("cryptography", "keys new OUT.key", "seal"),
+    ("cryptography", f"seal {STAR} --key OUT.key -o OUT.mcap", "seal"),
+    ("zenoh", "bridge --ros zenoh --listen 127.0.0.1:0 --duration 0.1", "zenoh"),
+    ("zenoh", "zenoh-router", "zenoh"),
+    ("rclpy", f"replay {STAR} --to ros", "ros"),
+    ("rclpy", "bridge --listen 127.0.0.1:0 --duration 0.1", "ros"),
+    ("av", "bridge --listen 127.0.0.1:0 --video-codec h264 --duration 0.1", "video"),
+]
+RECIPE = """\
+[dataset]
+fps = 10
+task = "none"
+[[feature]]
+name = "observation.state"
+stream = "/star/tool"
+[[feature]]
+name = "observation.images.view"
+stream = "/star/camera/image"
+tolerance_ms = "any"
+[[feature]]
+name = "action"
+next_of = "observation.state"
+"""
+
+
+@pytest.mark.slow
+@table(("module", "words", "extra"), WITHOUT, ids=[f"{each[0]}: {each[1][:40]}" for each in WITHOUT])
+def test_a_verb_without_its_library_is_one_line(module: str, words: str, extra: str, tmp_path: Path) -> None:
+    """In processes of their own, where the library cannot be imported, as after a plain installation."""
+    (tmp_path / "RECIPE").write_text(RECIPE, "utf-8")
+    (tmp_path / "VOLUME.nii").write_bytes((348).to_bytes(4, "little") + bytes(340) + b"n+1\0" + bytes(64))
+    (tmp_path / "CAPTURE.pcapng").write_bytes(bytes.fromhex("0a0d0d0a1c0000004d3c2b1a01000000ffffffffffffffff1c000000"))
+    named = re.sub(r"\b(OUT|RECIPE|PAGE|VOLUME|CAPTURE)\b", lambda found: f"{tmp_path}/{found[0]}", words)
+    given = [each.strip("'") for each in re.findall(r"'[^']*'|\S+", named)]
+    code = f"import sys; sys.modules[{module!r}] = None\nfrom igtl_gateway.cli import main\nsys.exit(main({given!r}))"
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60, check=False
+    )  # fmt: skip
+    said = done.stderr.strip().splitlines()
+    assert done.returncode == 1, done.stderr
+    assert f'pip install "igtl-gateway[{extra}]"' in said[-1] and module in said[-1], said
+    assert len(said) == 1, said

@@ -1,0 +1,90 @@
+"""The table of settings: whole, in agreement with the places where the values go, and strict."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import pytest
+
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.realtime import PRIORITIES
+from igtl_gateway.config.configuration import LIVE, Config
+from igtl_gateway.config.settings import BY_SETTING, GATEWAY, ROWS, SETTINGS, VIDEO_CODECS, Setting, of_table, parameters
+from igtl_gateway.edges.tcp import PeerLimits
+from igtl_gateway.edges.video import CODECS, VideoOptions
+from igtl_gateway.record.options import RecordOptions
+from igtl_gateway.config.settings import BY_SETTING, GATEWAY, ROWS, SETTINGS, VIDEO_CODECS, Setting, of_table, parameters
+from tests.tables import table
+
+
+def test_the_table_has_the_fields_of_the_configuration_with_their_defaults() -> None:
+    fields = {field.name: field.default for field in dataclasses.fields(Config)}
+    assert {*of_table(GATEWAY), *of_table(ROWS)} == set(fields)
+    assert [fields.pop(name) for name in LIVE] == [None, None]  # of sessions that are not live
+    assert {name: BY_SETTING[name].default for name in fields} == fields
+
+
+def test_the_defaults_are_those_of_the_parts() -> None:
+    value = {row.name: row.default for row in SETTINGS}
+    limits, video, recording = PeerLimits(), VideoOptions(), RecordOptions()
+    assert (value["max_clients"], value["queue_messages"]) == (limits.max_clients, limits.queue_messages)
+    assert (value["queue_mib"], value["max_body_mib"]) == (limits.queue_bytes >> 20, limits.max_body >> 20)
+    assert (value["max_messages"], value["stall_s"]) == (limits.messages_per_s, limits.stall_s)
+    assert (value["min_rate_kib"], value["idle_s"]) == (limits.min_rate / 2**10, limits.idle_s)
+    assert VIDEO_CODECS == CODECS
+    assert (value["video_bit_rate"], value["video_key_interval"]) == (video.bit_rate // 1000, video.key_frame_interval)
+    assert (value["compression"], value["flush_interval"]) == (recording.compression, recording.flush_s)
+    assert value["fsync"] == recording.fsync
+    assert BY_SETTING["realtime_priority"].most == PRIORITIES[-1]
+
+
+@table("row", SETTINGS, ids=lambda row: str(row.name))
+def test_every_row_is_whole(row: Setting) -> None:
+    assert BY_SETTING[row.name] is row  # no name is there twice
+    assert row.check(row.default) == row.default
+    assert row.about and not row.about.endswith(".")
+    if isinstance(row.default, int | float) and not isinstance(row.default, bool) and row.parameter:
+        assert row.range_text
+    if row.name.endswith("_s"):
+        assert row.unit == "s"
+    for wrong in (None, {"a": 1}, ("a", 1), b"x"):
+        with pytest.raises(ConfigError, match=r"found .*, expected "):
+            row.check(wrong)
+
+
+def test_numbers() -> None:
+    stall, clients = BY_SETTING["stall_s"], BY_SETTING["max_clients"]
+    assert stall.check(5) == 5.0 and isinstance(stall.check(5), float)
+    assert clients.parse("7") == 7
+    for text, words in {
+        "x": "found 'x', expected an integer",
+        "1.5": "found 1.5, expected an integer",
+        "0": "found 0, expected 1 to 1000000",
+    }.items():
+        with pytest.raises(ConfigError) as error:
+            clients.parse(text)
+        assert str(error.value) == words
+    for wrong in (math.nan, math.inf, -1, 0):
+        with pytest.raises(ConfigError, match=r"expected 0\.001 to 31536000"):
+            stall.check(wrong)
+    with pytest.raises(ConfigError, match="found True, expected an integer"):
+        clients.check(True)
+    with pytest.raises(ConfigError, match="found 0, expected more than 0 and less than 86400"):
+        BY_SETTING["command_timeout_s"].check(0)
+
+
+def test_texts_and_lists() -> None:
+    assert BY_SETTING["deny_in"].check(["GET_*"]) == ("GET_*",)
+    assert BY_SETTING["video_codec"].check("") == ""
+    with pytest.raises(ConfigError, match="found 'zip', expected one of none, lz4, zstd"):
+        BY_SETTING["compression"].check("zip")
+    with pytest.raises(ConfigError, match="found 'A B', expected a type or a glob"):
+        BY_SETTING["deny_in"].check(["GET_*", "A B"])
+
+
+def test_the_settings_of_a_relay_are_no_parameters() -> None:
+    # and the middleware, which has to be known before there is a node
+    assert {row.name for row in SETTINGS} - set(parameters()) == {
+        "relay", "faults", "fault_seed", "ros", "site", "site_budget", "site_classes",
+    }  # fmt: skip

@@ -1,0 +1,123 @@
+"""First imports: several at once, and those that fail."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+import sysconfig
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from igtl_gateway.edges.ros_interfaces import cache
+
+WHEELS = pytest.mark.skipif(
+    find_spec("ros_wheels_bootstrapper") is None, reason="the packages are compiled for the ROS wheels only"
+)
+FIRST_IMPORT = """
+import sys
+from pathlib import Path
+from igtl_gateway.edges.ros_interfaces import cache
+cache.cache_folders = lambda: [Path(sys.argv[1])]
+import tf2_msgs.msg
+import rclpy.serialization
+assert rclpy.serialization.serialize_message(tf2_msgs.msg.TFMessage())
+print(tf2_msgs.msg.__file__)
+"""
+
+
+@WHEELS
+def test_two_first_imports_at_once_compile_once(tmp_path: Path) -> None:
+    left_over = tmp_path / "tf2_msgs.work" / "tf2_msgs"  # from a process that was killed
+    left_over.mkdir(parents=True)
+    (left_over / "dispatch.c").write_text("this is not C")
+    command = [sys.executable, "-c", FIRST_IMPORT, str(tmp_path)]
+    both = [
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+        for _ in range(2)
+    ]
+    outputs = [process.communicate(timeout=100) for process in both]
+    assert [process.returncode for process in both] == [0, 0], outputs
+    (imported,) = {Path(out.strip()) for out, _ in outputs}
+    assert imported.parent.parent.name == "tf2_msgs" and tmp_path in imported.parents
+    assert sum(err.count("compiling") for _, err in outputs) == 1
+    assert {path.name for path in tmp_path.iterdir()} == {imported.parents[2].name, "tf2_msgs.lock"}
+
+
+@WHEELS
+def test_a_package_in_any_of_the_folders_is_used(tmp_path: Path) -> None:
+    preferred, other = tmp_path / "preferred", tmp_path / "other"
+    place = other / cache._key("tf2_msgs", cache.wheels_folder("tf2_msgs")) / "tf2_msgs"
+    place.mkdir(parents=True)
+    assert cache.compiled("tf2_msgs", [preferred, other]) == place
+
+
+def test_a_changed_definition_is_compiled_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    definition = tmp_path / "A.msg"
+    monkeypatch.setattr(cache, "interface_files", lambda _: [definition])
+    definition.write_text("int32 a\n")
+    key = cache._key("p_msgs", tmp_path)
+    assert cache._key("p_msgs", tmp_path) == key
+    assert cache._key("p_msgs", tmp_path / "elsewhere") != key
+    definition.write_text("int32 b\n")
+    assert cache._key("p_msgs", tmp_path) != key
+
+
+def test_another_version_of_ros_is_compiled_again(tmp_path: Path) -> None:
+    installed = tmp_path / "ros_std_msgs-5.3.6.dist-info"
+    installed.mkdir()
+    key = cache._key("tf2_msgs", tmp_path)
+    (tmp_path / "unrelated-1.0.dist-info").mkdir()
+    assert cache._key("tf2_msgs", tmp_path) == key
+    installed.rename(tmp_path / "ros_std_msgs-5.3.7.dist-info")
+    assert cache._key("tf2_msgs", tmp_path) != key
+
+
+@pytest.mark.parametrize(
+    ("package", "missing", "outputs"),
+    [
+        ("igtl_msgs", ["ros_wheels_bootstrapper", "rclpy"], "igtl_msgs needs ROS 2: rclpy is not installed here"),
+        ("igtl_msgs", ["ros_wheels_bootstrapper"], "ros2/igtl_msgs with colcon"),
+        ("tf2_msgs", ["ros_wheels_bootstrapper"], "install ros-lyrical-tf2-msgs"),
+    ],
+    ids=["no ROS", "sourced ROS, ours", "sourced ROS, its own"],
+)
+def test_without_the_wheels(
+    package: str, missing: list[str], outputs: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("ROS_DISTRO", "lyrical")
+    monkeypatch.setattr(cache, "find_spec", lambda name: None if name in missing else ModuleSpec(name, None))
+    with pytest.raises(ImportError) as error:
+        cache.compiled(package, [tmp_path])
+    assert outputs in str(error.value)
+    assert error.value.name == package
+
+
+@WHEELS
+def test_without_a_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(shutil, "which", lambda _: None)
+    monkeypatch.setattr(sysconfig, "get_path", lambda *_, **__: str(tmp_path))
+    with pytest.raises(ImportError, match=r"no gcc and g\+\+ and Python.h .* apt install g\+\+ python3\.\d+-dev"):
+        cache.compiled("tf2_msgs", [tmp_path])
+
+
+@WHEELS
+def test_without_a_writable_folder(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(ImportError, match=r"neither .*file/a nor .*file/b is writable"):
+        cache.compiled("tf2_msgs", [tmp_path / "file" / "a", tmp_path / "file" / "b"])
+
+
+@WHEELS
+def test_when_the_compiler_fails_its_output_is_in_the_note(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    program = tmp_path / "build.py"
+    program.write_text("import sys\nsys.exit('one\\ntwo\\nerror: three')")
+    monkeypatch.setattr(cache, "_BUILD", program)
+    with pytest.raises(ImportError) as error:
+        cache.compiled("tf2_msgs", [tmp_path / "cache"])
+    assert str(error.value) == "tf2_msgs could not be compiled: error: three"
+    assert error.value.__notes__ == ["one\ntwo\nerror: three"]
+    assert not list((tmp_path / "cache").glob("*/tf2_msgs"))

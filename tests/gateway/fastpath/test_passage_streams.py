@@ -1,0 +1,902 @@
+"""The native passage: the same entries, counts and bytes as Python, and nothing lost at its borders."""
+
+from __future__ import annotations
+
+import math
+import os
+import random
+import socket
+import struct
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+
+from igtl_gateway.app import bridge as app
+from igtl_gateway.app.bridge import Bridge, BridgeOptions
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.config.configuration import Config, ToIgtlRow, ToRosRow
+from igtl_gateway.convert import rosmsg
+from igtl_gateway.convert.arms import ArmsRow
+from igtl_gateway.convert.common_msgs import PoseStamped
+from igtl_gateway.convert.rosmsg import Header, TransformStamped
+from igtl_gateway.edges.tcp import PeerLimits
+from igtl_gateway.gateway import Session, guarded_stream, make_core
+from igtl_gateway.gateway.live_settings import LiveSettings
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.native.passage import is_compiled
+from igtl_gateway.record.options import RecordOptions
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.replay.verify import DeclaredLosses, verify
+from igtl_gateway.wire import Message, encode
+from igtl_gateway.wire.framer import Framer
+from igtl_gateway.wire.image import Image
+from igtl_gateway.wire.point import Points
+from igtl_gateway.wire.polydata import PolyData
+from igtl_gateway.wire.query import EmptyQuery
+from igtl_gateway.wire.text import Status
+from igtl_gateway.wire.text import String as StringBody
+from igtl_gateway.wire.transform import Position, Transform
+from tests.gateway.fastpath.test_cache import igtl_bulk, igtl_messages, ros_bulk, ros_messages
+from tests.native.middleware import Middleware, RosEdge
+
+pytestmark = pytest.mark.skipif(not is_compiled(), reason="the package was installed without its native passage")
+
+TIMEOUT_S = 20.0
+TOPIC, POSES = "/igtl/out/tool", "/igtl/out/pose"
+HERE = ("127.0.0.1", 0)
+
+
+class Peer:
+    """An OpenIGTLink client that keeps all that it receives."""
+
+    def __init__(self, address: tuple[str, int]) -> None:
+        self.socket = socket.create_connection(address)
+        self.received: list[bytes] = []
+        self._thread = threading.Thread(target=self._read, daemon=True)
+        self._thread.start()
+
+    def send(self, data: bytes) -> None:
+        self.socket.sendall(data)
+
+    def close(self) -> None:
+        with suppress(OSError):  # the bridge has closed it
+            self.socket.shutdown(socket.SHUT_RDWR)
+        self._thread.join(TIMEOUT_S)
+        self.socket.close()
+
+    def _read(self) -> None:
+        framer = Framer()
+        while data := self._some():
+            self.received += [bytes(message) for message in framer.feed(data)]
+
+    def _some(self) -> bytes:
+        try:
+            return self.socket.recv(1 << 16)
+        except OSError:
+            return b""
+
+
+class Scene:
+    """A bridge on the ROS edge of ``middleware``, with one peer or more."""
+
+    def __init__(self, bridge: Bridge, middleware: Middleware) -> None:
+        self.bridge = bridge
+        self.middleware = middleware
+        self.peers: list[Peer] = []
+
+    @property
+    def ros(self) -> RosEdge:
+        ros: Any = self.bridge.ros
+        return ros  # type: ignore[no-any-return]
+
+    @property
+    def native(self) -> int:
+        """Number of streams that pass natively."""
+        assert self.bridge._passage
+        return self.bridge._passage.streams.count
+
+    def connect(self) -> Peer:
+        peer = Peer(self.bridge.addresses[0])
+        self.peers.append(peer)
+        wait_for(lambda: len([one for one in self.bridge.tcp.links() if one.connected]) == len(self.peers))
+        return peer
+
+    def disconnect(self, peer: Peer) -> None:
+        self.peers.remove(peer)
+        peer.close()
+        wait_for(lambda: len([one for one in self.bridge.tcp.links() if one.connected]) == len(self.peers))
+
+    def send_ros(self, message: Any, topic: str = TOPIC, source_ns: int = 0, lost: int = 0) -> None:
+        self.ros.deliver(topic, message.TYPE, message.pack(), source_ns, lost=lost)
+
+    def received(self, kind: str) -> int:
+        """Number of messages of a direction that the gateway has received."""
+        return sum(fates["received"] for fates in self.bridge.ledger()["streams"].get(kind, {}).values())
+
+
+def wait_for(condition: Any) -> None:
+    until = time.monotonic() + TIMEOUT_S
+    while not condition():
+        assert time.monotonic() < until, "it took too long"
+        time.sleep(0.002)
+
+
+@contextmanager
+def scene(
+    monkeypatch: pytest.MonkeyPatch, config: Config | None = None, path: Path | None = None, **options: Any
+) -> Iterator[Scene]:
+    middleware = Middleware()
+    monkeypatch.setattr(app, "RosEdge", lambda **arguments: RosEdge(middleware, **arguments))
+    how = BridgeOptions((HERE,), record=path, recording=RecordOptions(overwrite=True), **options)
+    bridge = Bridge(config or Config().watched(), how, SystemClock())
+    bridge.start()
+    made = Scene(bridge, middleware)
+    try:
+        yield made
+    finally:
+        bridge.stop()
+        for peer in made.peers:
+            peer.close()
+    assert not made.ros.errors
+    assert bridge.losses["gaps"] == []
+
+
+def transform(number: float, stamp_ns: int | None = None, device: str = "ToolToBase", version: int = 1) -> bytes:
+    stamp_ns = time.time_ns() if stamp_ns is None else stamp_ns
+    content = Transform((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 10.0 + number, 2.0, 3.0))
+    return join(encode(Message("TRANSFORM", device, content, ns_to_ticks(stamp_ns), version)))
+
+
+def pose(number: float, stamp_ns: int | None = None, frame: str = "base") -> TransformStamped:
+    stamp_ns = time.time_ns() if stamp_ns is None else stamp_ns
+    return TransformStamped(Header(stamp_ns, frame), "tool", (0.01 + number * 1e-5, 0.2, 0.3), (0.0, 0.0, 0.0, 1.0))
+
+
+def entries_of(path: Path) -> list[Entry]:
+    with SessionFile.open(path) as session:
+        return list(session.entries())
+
+
+def check_recording(path: Path, config: Config, ledger: dict[str, Any]) -> Counter[Kind]:
+    """Check that the full path gives the recorded outputs and the ledger; returns the entries of each kind."""
+    entries = entries_of(path)
+    report = verify(entries, config, DeclaredLosses())
+    assert report.good, report.firsts
+    core = make_core(config, fast_path=False)
+    session = Session(core)
+    for entry in entries:
+        if entry.kind.is_input:
+            session.recorded(entry)
+    assert core.ledger.to_dict() == ledger["streams"]
+    return Counter(entry.kind for entry in entries)
+
+
+# -- what passes ------------------------------------------------------------------------------------------------------
+
+
+def test_a_stream_becomes_native_soon_after_its_publisher_can(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A publisher holds its first messages until discovery ends; the stream must not wait for as long again."""
+    with scene(monkeypatch) as here:
+        peer = here.connect()
+        native_publisher = here.ros.native_publisher
+        here.ros.native_publisher = lambda *_: None  # type: ignore[method-assign]
+        for number in range(100):
+            peer.send(transform(number))
+            wait_for(lambda number=number: here.received("igtl_in") > number)
+        assert here.native == 0
+        here.ros.native_publisher = native_publisher  # type: ignore[method-assign]
+        for number in range(100, 118):
+            peer.send(transform(number))
+            wait_for(lambda number=number: here.received("igtl_in") > number)
+        assert here.native == 1
+
+
+def test_poses_to_ros_pass_natively(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = tmp_path / "session.mcap"
+    sent = [transform(number) for number in range(300)]
+    with scene(monkeypatch, path=path) as here:
+        peer = here.connect()
+        for message in sent:
+            peer.send(message)
+            time.sleep(0.0005)
+        wait_for(lambda: here.received("igtl_in") == len(sent))
+        assert here.native == 1
+        link = here.bridge.tcp.native_link(1)
+        assert link and link.is_native and link.received_messages > len(sent) / 2
+        published = [cdr for topic, cdr in here.middleware.published if topic.endswith("/transform")]
+    kinds = check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+    assert kinds[Kind.IGTL_IN] == len(sent) == len(published)
+    recorded = [entry.data() for entry in entries_of(path) if entry.kind is Kind.ROS_OUT]
+    assert Counter(cdr for _, cdr in here.middleware.published) == Counter(recorded)
+
+
+def test_poses_to_igtl_pass_natively_to_all_peers(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = tmp_path / "session.mcap"
+    with scene(monkeypatch, path=path) as here:
+        peers = [here.connect(), here.connect()]
+        for number in range(300):
+            here.send_ros(pose(number))
+        wait_for(lambda: all(len(peer.received) >= 300 for peer in peers))
+        assert here.native == 1
+        here.ros.sync()
+        assert here.ros.counters()[TOPIC]["received"] == 300
+    kinds = check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+    assert kinds[Kind.IGTL_OUT] == 300
+    recorded = [entry.data() for entry in entries_of(path) if entry.kind is Kind.IGTL_OUT]
+    for peer in peers:
+        assert [message for message in peer.received if b"TRANSFORM" in message[:14]] == recorded
+
+
+def test_without_the_passage_it_is_the_same(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = tmp_path / "session.mcap"
+    with scene(monkeypatch, path=path, native=False) as here:
+        peer = here.connect()
+        for number in range(20):
+            here.send_ros(pose(number))
+            peer.send(transform(number))
+        wait_for(lambda: here.received("igtl_in") == 20 and len(peer.received) >= 20)
+        assert here.bridge._passage is None
+    check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+
+
+CONFIG = Config(
+    to_igtl=(ToIgtlRow(topic=TOPIC), ToIgtlRow(topic=POSES, max_age_s=30.0), ToIgtlRow(topic="/igtl/out/text")),
+    to_ros=(ToRosRow(device="Aged", max_age_s=30.0),),
+)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_random_sessions_are_what_the_full_path_gives(
+    seed: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    rng, path, config = random.Random(seed), tmp_path / "session.mcap", CONFIG.watched()
+    native = 0
+    with scene(monkeypatch, config, path, diagnostics=False) as here:
+        peers = [here.connect()]
+        for step in range(500):
+            kind = rng.random()
+            if kind < 0.45:
+                _send_odd_pose(here, rng, step)
+            elif kind < 0.93:
+                rng.choice(peers).send(_odd_message(rng, step))
+            elif kind < 0.96:
+                here.send_ros(rosmsg.String(f"text {step}"), "/igtl/out/text")
+            elif kind < 0.97 and len(peers) < 3:
+                peers.append(here.connect())
+            elif kind < 0.975 and len(peers) > 1:
+                here.disconnect(peers.pop(rng.randrange(len(peers))))
+            elif kind < 0.985:
+                here.bridge.change(rng.choice(CHANGES))
+            if rng.random() < 0.05:
+                time.sleep(rng.choice([0.001, 0.02, 0.12]))
+            native = max(native, here.native)
+            if not rng.randrange(100):
+                here.bridge.ledger()
+        wait_for(lambda: not here.middleware.waiting())
+        time.sleep(0.2)
+    assert native >= 2
+    check_recording(path, config, here.bridge.losses)
+
+
+#: Two of three give back what most messages need to pass.
+CHANGES: tuple[dict[str, object], ...] = (
+    {"active": False},
+    {"active": True, "deny_in": (), "deny_out": ()},
+    {"deny_in": ("TRANSFORM",)},
+    {"deny_out": ("POSITION",)},
+    {"active": True, "deny_in": (), "deny_out": (), "max_age_s": 0.0, "kinds": ()},
+    {"active": True, "max_age_s": 0.5},
+    {"active": True, "kinds": ("transform",)},
+)
+
+
+def _stamp(rng: random.Random) -> int:
+    now_ns = time.time_ns()
+    return rng.choice([now_ns] * 30 + [0, 1, now_ns - NS_PER_S, now_ns + NS_PER_S, now_ns - 40 * NS_PER_S])
+
+
+def _numbers(rng: random.Random, step: int) -> tuple[float, float, float]:
+    if rng.random() < 0.02:
+        return rng.choice([(math.nan, 0.0, 0.0), (3e38, 0.0, 0.0), (math.inf, 1.0, 2.0), (300.0, 200.0, 100.0)])
+    return 0.3 + step * 1e-6, 0.2, 0.1
+
+
+def _rotation(rng: random.Random) -> tuple[float, float, float, float]:
+    if rng.random() < 0.02:
+        return rng.choice([(0.0, 0.0, 0.0, 0.0), (math.nan, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0, -3.0)])
+    x, y, z, w = (rng.uniform(-1, 1) for _ in range(4))
+    return x, y, z, w
+
+
+def _send_odd_pose(here: Scene, rng: random.Random, step: int) -> None:
+    header = Header(_stamp(rng), rng.choice(["base"] * 40 + ["camera"]))
+    if rng.random() < 0.5:
+        message: Any = TransformStamped(header, "tool", _numbers(rng, step), _rotation(rng))
+        here.send_ros(message, TOPIC, time.time_ns(), rng.choice([0] * 20 + [2]))
+    else:
+        here.send_ros(
+            PoseStamped(header, (*_numbers(rng, step), *_rotation(rng))), POSES, rng.choice([0, time.time_ns()])
+        )
+
+
+def _odd_message(rng: random.Random, step: int) -> bytes:
+    kind, ticks, version = rng.random(), ns_to_ticks(_stamp(rng)), rng.choice([1, 1, 1, 2])
+    device = rng.choice(["ToolToBase", "Aged", "Third"])
+    if kind < 0.9:
+        content: Any = Transform((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, *_numbers(rng, step)))
+        message = Message("TRANSFORM", device, content, ticks, version)
+    elif kind < 0.95:
+        content = Position(_numbers(rng, step), _rotation(rng), "all")
+        message = Message("POSITION", device, content, ticks, version)
+    elif kind < 0.98:
+        message = Message("STRING", device, StringBody.of("text"), ticks, version)
+    else:
+        message = Message("STATUS", device, Status(1, 0, "", "ok"), ticks, version)
+    data = bytearray(join(encode(message)))
+    if rng.random() < 0.02:
+        data[rng.choice([50, 60, len(data) - 1])] ^= 1
+    return bytes(data)
+
+
+XYZ = tuple(rosmsg.PointField(name, 4 * place, 7, 1) for place, name in enumerate("xyz"))
+
+
+@pytest.mark.parametrize("kind", ["text", "point", "cloud"])
+def test_texts_points_and_small_clouds_pass_natively(
+    kind: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    path, topic = tmp_path / "session.mcap", "/igtl/out/bulk"
+    rows = (ToIgtlRow(topic=topic, type="POINT"),) if kind == "point" else ()
+    config = Config(to_igtl=rows).watched()
+    with scene(monkeypatch, config, path) as here:
+        peer = here.connect()
+        for number in range(100):
+            content: Any
+            places = np.full((1 + number % 7, 3), number, np.float32)
+            if number == 90:
+                places[0, 0] = math.nan
+            if kind == "text":
+                here.send_ros(rosmsg.String("für" if number == 90 else f"text {number}"), topic)
+                name, content = "STRING", StringBody.of(f"text {number}")
+            else:
+                data, count = places.tobytes(), len(places)
+                header = Header(time.time_ns(), "base")
+                here.send_ros(rosmsg.PointCloud2(header, 1, count, XYZ, False, 12, 12 * count, data, True), topic)
+                swapped: Any = places.astype(">f4")
+                point = kind == "point"
+                name, content = ("POINT", Points.of(swapped)) if point else ("POLYDATA", PolyData(swapped))
+            peer.send(join(encode(Message(name, "Bulk", content, ns_to_ticks(time.time_ns())))))
+            time.sleep(0.001)
+        wait_for(lambda: here.received("ros_in") == 100 and here.received("igtl_in") == 100)
+        assert here.native >= 1
+    check_recording(path, config, here.bridge.losses)
+
+
+def _is_possible(step: Any) -> bool:
+    """Return whether a step does not break the stream of bytes, and has a stamp that a recording can hold."""
+    if step[0] == "igtl":
+        return int.from_bytes(step[1][42:50], "big") == len(step[1]) - 58
+    return bool(step[-1] >= 0)
+
+
+steps = st.lists(
+    st.one_of(igtl_messages(), ros_messages(), igtl_bulk(), ros_bulk()).filter(_is_possible), min_size=10, max_size=40
+)
+
+
+@settings(
+    max_examples=int(os.environ.get("PASSAGE_SESSIONS", "8")), deadline=None, derandomize=True, phases=[Phase.generate]
+)
+@given(steps)
+def test_sessions_of_the_fast_path_are_what_the_full_path_gives(steps: list[Any]) -> None:
+    with pytest.MonkeyPatch.context() as monkeypatch, tempfile.TemporaryDirectory() as folder:
+        path, config = Path(folder) / "session.mcap", Config().watched()
+        with scene(monkeypatch, config, path) as here:
+            peers = [here.connect(), here.connect()]
+            for _ in range(3):  # a stream passes natively from its third message on
+                for kind, *step in steps:
+                    if kind == "igtl":
+                        data, link = step
+                        peers[link - 1].send(data)
+                    else:
+                        topic, ros_type, cdr, source_ns = step
+                        here.ros.deliver(topic, ros_type, cdr, source_ns)
+            expected = 3 * sum(kind == "igtl" for kind, *_ in steps)
+            wait_for(lambda: here.received("igtl_in") == expected and not here.middleware.waiting())
+        check_recording(path, config, here.bridge.losses)
+
+
+def test_nothing_passes_natively_under_the_settings_before_a_change(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    path, config = tmp_path / "session.mcap", Config().watched()
+    sent = Counter[str]()
+    with scene(monkeypatch, config, path) as here:
+        peer = here.connect()
+        stop = threading.Event()
+
+        def flood() -> None:
+            while not stop.is_set():
+                peer.send(transform(sent["igtl_in"] % 100) * 5)
+                sent["igtl_in"] += 5
+                here.send_ros(pose(sent["ros_in"] % 100))
+                sent["ros_in"] += 1
+                time.sleep(0.0002)
+
+        thread = threading.Thread(target=flood)
+        thread.start()
+        try:
+            for change in ({"active": False}, {"deny_in": ("TRANSFORM",)}, {"deny_out": ("TRANSFORM",)}) * 4:
+                wait_for(lambda: here.native == 2)
+                here.bridge.change(change)
+                assert here.native < 2
+                time.sleep(0.01)
+                here.bridge.change({"active": True, "deny_in": (), "deny_out": ()})
+        finally:
+            stop.set()
+            thread.join()
+        wait_for(lambda: here.received("igtl_in") == sent["igtl_in"] and here.received("ros_in") == sent["ros_in"])
+    check_recording(path, config, here.bridge.losses)
+    active, refused = True, 0
+    for entry in entries_of(path):
+        if entry.kind is Kind.EDGE_NOTE and (settings := LiveSettings.from_note(Note.unpack(entry.data()))):
+            active = settings.active
+        assert active or entry.kind not in (Kind.IGTL_OUT, Kind.ROS_OUT)
+        refused += not active and entry.kind in (Kind.IGTL_IN, Kind.ROS_IN)
+    rows = [*here.bridge.losses["streams"]["igtl_in"].values(), *here.bridge.losses["streams"]["ros_in"].values()]
+    assert refused == sum(row["dropped"]["inactive"] for row in rows) > 0
+
+
+# -- its borders -------------------------------------------------------------------------------------------------------
+
+
+def test_a_peer_that_does_not_read_loses_what_python_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    with scene(monkeypatch) as here:
+        peer = socket.create_connection(here.bridge.addresses[0])
+        wait_for(here.bridge.tcp.links)
+        number = 0
+        while here.bridge.tcp.counters()[1].queued_messages == 0 and number < 100_000:
+            here.send_ros(pose(number))
+            number += 1
+        here.send_ros(pose(number))
+        total = number + 1
+        wait_for(lambda: here.received("ros_in") == total)
+        counts = here.bridge.tcp.counters()[1]
+        assert counts.sent_messages + counts.queued_messages + sum(counts.dropped.values()) == total
+        framer = Framer()
+        messages: list[bytes | memoryview] = []
+        peer.settimeout(TIMEOUT_S)
+        while len(messages) < total - sum(here.bridge.tcp.counters()[1].dropped.values()):
+            messages += framer.feed(peer.recv(1 << 20))
+        places = [struct.unpack_from(">f", message, len(message) - 12)[0] for message in messages]
+        assert places == sorted(places), "the order of the messages has changed"
+        here.send_ros(pose(number + 1))  # the way is clear again
+        wait_for(lambda: here.bridge.tcp.counters()[1].queued_messages == 0)
+        link = here.bridge.tcp.native_link(1)
+        assert link and link.clear
+        peer.close()
+
+
+@contextmanager
+def counted_by_python(here: Scene) -> Iterator[list[str]]:
+    """Yield a list of the inputs that Python handles: their topics, and IGTL for messages of links."""
+    handled: list[str] = []
+    hub = here.bridge.hub
+    ros, igtl = hub.ros, hub.igtl
+
+    def from_ros(topic: str, *arguments: Any) -> None:
+        handled.append(topic)
+        ros(topic, *arguments)
+
+    def from_link(*arguments: Any) -> None:
+        handled.append("IGTL")
+        igtl(*arguments)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(hub, "ros", from_ros)
+        patch.setattr(hub, "igtl", from_link)
+        yield handled
+
+
+def test_poses_of_ros_stay_native_while_peers_come_and_go(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """In Python, all of them would wait for it each time that a peer connects, sends its first message, or leaves."""
+    path = tmp_path / "session.mcap"
+    with scene(monkeypatch, path=path) as here:
+        first = here.connect()
+        for number in range(20):
+            here.send_ros(pose(number))
+        wait_for(lambda: here.native == 1)
+        with counted_by_python(here) as handled:
+            for number in range(100, 400, 100):
+                other = here.connect()
+                for step in range(20):
+                    here.send_ros(pose(number + step))
+                other.send(join(encode(Message("GET_STATUS", "Other", EmptyQuery()))))
+                wait_for(lambda: any(b"STATUS" in one[:14] for one in other.received))  # noqa: B023 (it ends here)
+                here.send_ros(pose(number + 20))
+                here.disconnect(other)
+                here.send_ros(pose(number + 21))
+            wait_for(lambda: here.received("ros_in") == 20 + 3 * 22)
+        wait_for(lambda: sum(b"TRANSFORM" in one[:14] for one in first.received) == 20 + 3 * 22)
+        assert TOPIC not in handled
+    check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+
+
+def test_streams_of_a_peer_stay_native_while_others_come_and_go(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    path = tmp_path / "session.mcap"
+    with scene(monkeypatch, path=path) as here:
+        first = here.connect()
+        for number in range(100):
+            first.send(transform(number))
+            time.sleep(0.001)
+        wait_for(lambda: here.received("igtl_in") == 100)
+        assert here.native == 1
+        with counted_by_python(here) as handled:
+            for number in range(3):
+                other = here.connect()
+                here.disconnect(other)
+                first.send(transform(100 + number))
+            wait_for(lambda: here.received("igtl_in") == 103)
+        assert handled == []
+        assert here.native == 1
+    check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+
+
+def test_a_link_that_takes_nothing_any_more_leaves_the_others_native(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Such as that of a peer that has left, and whose last messages wait for their turn."""
+    with scene(monkeypatch) as here:
+        peer, gone = here.connect(), here.connect()
+        for number in range(20):
+            here.send_ros(pose(number))
+        wait_for(lambda: here.native == 1 and len(gone.received) == 20)
+        here.bridge.tcp._links[2].sender.mute("it has left")
+        with counted_by_python(here) as handled:
+            for number in range(20, 50):
+                here.send_ros(pose(number))
+            wait_for(lambda: len(peer.received) == 50)
+        assert handled == []
+        assert here.received("ros_in") == 50
+        assert here.bridge.ledger()["links"]["0"]["ignored"] == {"TRANSFORM/tool": 30}
+        assert len(gone.received) == 20
+
+
+def test_poses_that_waited_for_a_lock_pass_natively(monkeypatch: pytest.MonkeyPatch) -> None:
+    with scene(monkeypatch) as here:
+        peer = here.connect()
+        for number in range(20):
+            here.send_ros(pose(number))
+        wait_for(lambda: here.native == 1)
+
+        def send_rest() -> None:
+            for number in range(20, 50):
+                here.send_ros(pose(number))
+
+        with counted_by_python(here) as handled:
+            with here.bridge.hub.sequence:
+                sending = threading.Thread(target=send_rest)
+                sending.start()
+                time.sleep(0.1)  # more than a thread of the middleware waits
+            sending.join(TIMEOUT_S)
+            wait_for(lambda: len(peer.received) == 50)
+        assert handled == []
+        places = [struct.unpack_from(">f", message, len(message) - 12)[0] for message in peer.received]
+        assert places == sorted(places), "the order of the messages has changed"
+
+
+def test_messages_in_pieces_and_in_blocks_arrive_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    with scene(monkeypatch) as here:
+        peer = here.connect()
+        for number in range(10):
+            peer.send(transform(number))
+        wait_for(lambda: here.native == 1)
+        block = b"".join(transform(number) for number in range(2_000))
+        text = join(encode(Message("STRING", "Text", StringBody.of("x" * 60_000))))
+        rng, stream = random.Random(1), block + text + block + text + block
+        while stream:
+            size = rng.choice([1, 57, 58, 200, 5_000, 70_000])
+            peer.send(stream[:size])
+            stream = stream[size:]
+        wait_for(lambda: here.received("igtl_in") == 10 + 6_000 + 2)
+
+
+def picture(number: int, side: int = 160) -> bytes:
+    pixels = bytes([number % 256]) * (side * side * 3)
+    content = Image((side, side, 1), 3, pixels, 3)
+    return join(encode(Message("IMAGE", "Camera", content, ns_to_ticks(time.time_ns()))))
+
+
+@pytest.mark.parametrize("size", [1_000, 70_000, 1 << 20])
+def test_poses_pass_while_python_handles_pictures(size: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = tmp_path / "session.mcap"
+    with scene(monkeypatch, path=path) as here:
+        peer = here.connect()
+        stream = b"".join(transform(number) + (picture(number) if number % 10 == 0 else b"") for number in range(400))
+        stream += join(encode(Message("STATUS", "Robot", Status(1, 0, "", "ok"))))
+        while stream:
+            peer.send(stream[:size])
+            stream = stream[size:]
+        wait_for(lambda: here.received("igtl_in") == 441)
+        assert here.native == 1
+        link = here.bridge.tcp.native_link(1)
+        assert link and link.received_messages > 200 and not link.large_waiting
+    check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+    inputs = [entry for entry in entries_of(path) if entry.kind is Kind.IGTL_IN]
+    assert inputs[-1].type == "STATUS", "a message of the full path has overtaken others"
+    pictures = [entry.data()[-1] for entry in inputs if entry.type == "IMAGE"]
+    assert pictures == [number % 256 for number in range(0, 400, 10)]
+
+
+def test_a_picture_above_the_limit_ends_the_link(monkeypatch: pytest.MonkeyPatch) -> None:
+    with scene(monkeypatch, limits=PeerLimits(max_body=100_000)) as here:
+        peer = here.connect()
+        for number in range(10):
+            peer.send(picture(number) + transform(number))
+            time.sleep(0.005)
+        wait_for(lambda: here.received("igtl_in") == 20)
+        peer.send(picture(11, 300)[:80_000])
+        wait_for(lambda: not here.bridge.tcp.links())
+        assert here.bridge.tcp.link_faults() == {"too_large": 1}
+
+
+def test_a_peer_that_leaves_inside_a_picture_is_noted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = tmp_path / "session.mcap"
+    with scene(monkeypatch, path=path) as here:
+        peer = here.connect()
+        for number in range(6):
+            peer.send(picture(number) + transform(number))
+            time.sleep(0.01)
+        wait_for(lambda: here.received("igtl_in") == 12)
+        peer.send(picture(7) + picture(8)[:70_000])
+        wait_for(lambda: here.received("igtl_in") == 13)
+        here.disconnect(peer)
+    notes = [Note.unpack(entry.data()) for entry in entries_of(path) if entry.kind is Kind.EDGE_NOTE]
+    (truncated,) = [note for note in notes if note.code == "truncated"]
+    assert truncated.data["received"] == 70_000
+    check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+
+
+def test_other_types_and_bad_messages_go_to_python_and_the_link_comes_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    with scene(monkeypatch) as here:
+        peer = here.connect()
+        for number in range(10):
+            peer.send(transform(number))
+        wait_for(lambda: here.native == 1)
+        for number in range(5):
+            bad = bytearray(transform(number))
+            bad[70] ^= 255
+            peer.send(join(encode(Message("STATUS", "Robot", Status(1, 0, "", "ok")))) + bytes(bad) + transform(number))
+            time.sleep(0.002)
+        wait_for(lambda: here.received("igtl_in") == 25)
+        dropped = here.bridge.ledger()["streams"]["igtl_in"]["TRANSFORM/ToolToBase"]["dropped"]
+        assert sum(dropped.values()) == 5
+        for number in range(20):
+            peer.send(transform(number))
+            time.sleep(0.002)
+        wait_for(lambda: here.received("igtl_in") == 45)
+        link = here.bridge.tcp.native_link(1)
+        assert link and link.is_native
+
+
+def test_a_message_that_is_too_large_ends_the_link_as_in_python(monkeypatch: pytest.MonkeyPatch) -> None:
+    with scene(monkeypatch) as here:
+        peer = here.connect()
+        for number in range(10):
+            peer.send(transform(number))
+            time.sleep(0.002)
+        wait_for(lambda: here.native == 1)
+        peer.send(transform(1)[:42] + struct.pack(">QQ", 2**60, 0))
+        wait_for(lambda: not here.bridge.tcp.links())
+        assert here.bridge.tcp.link_faults() == {"too_large": 1}
+        assert here.native == 0
+
+
+def test_the_rate_limit_holds(monkeypatch: pytest.MonkeyPatch) -> None:
+    with scene(monkeypatch, limits=PeerLimits(messages_per_s=200)) as here:
+        peer = here.connect()
+        begun = time.monotonic()
+        for number in range(1_200):
+            peer.send(transform(number))
+        wait_for(lambda: here.received("igtl_in") == 1_200)
+        assert time.monotonic() - begun > 1.5  # 200 at once, then what one reading takes (620), then 200 in a second
+
+
+def test_a_peer_that_leaves_inside_a_message_is_noted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = tmp_path / "session.mcap"
+    with scene(monkeypatch, path=path) as here:
+        peer = here.connect()
+        for number in range(20):
+            peer.send(transform(number))
+            time.sleep(0.001)
+        wait_for(lambda: here.native == 1)
+        peer.send(transform(1)[:70])
+        time.sleep(0.05)
+        here.disconnect(peer)
+    notes = [Note.unpack(entry.data()) for entry in entries_of(path) if entry.kind is Kind.EDGE_NOTE]
+    (truncated,) = [note for note in notes if note.code == "truncated"]
+    assert truncated.data["received"] == 70
+    check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+
+
+def test_outputs_without_a_subscriber_are_not_built(monkeypatch: pytest.MonkeyPatch) -> None:
+    with scene(monkeypatch) as here:
+        here.middleware.subscribers = {"/tf": 0}
+        peer = here.connect()
+        for number in range(100):
+            peer.send(transform(number))
+        wait_for(lambda: here.received("igtl_in") == 100)
+        assert here.native == 1
+        assert not [topic for topic, _ in here.middleware.published if topic == "/tf"]
+        here.middleware.subscribers = {"/tf": 0, "/igtl/in/ToolToBase/transform": 0}
+        for number in range(100):
+            peer.send(transform(number))
+        wait_for(lambda: here.received("igtl_in") == 200)
+        assert here.bridge.ledger()["streams"]["igtl_in"]["TRANSFORM/ToolToBase"]["unheard"] >= 99
+
+
+def test_losses_of_the_middleware_are_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    with scene(monkeypatch) as here:
+        here.connect()
+        for number in range(50):
+            here.send_ros(pose(number), lost=1 if number in (10, 20) else 0)
+        wait_for(lambda: here.received("ros_in") == 50)
+        here.ros.sync()
+        assert here.ros.counters()[TOPIC]["lost"] == 2
+
+
+def test_a_failing_middleware_is_counted_and_hangs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    with scene(monkeypatch) as here:
+        peer = here.connect()
+        sent = 0
+        while here.native < 2:
+            peer.send(transform(sent))
+            here.send_ros(pose(sent))
+            sent += 1
+            time.sleep(0.005)
+        link = here.bridge.tcp.native_link(1)
+        wait_for(lambda: link and link.is_native and here.received("igtl_in") == sent)
+        here.middleware.failing = 1
+        peer.send(transform(sent))
+        here.send_ros(pose(sent))
+        wait_for(lambda: here.received("igtl_in") == sent + 1 and here.ros.errors)
+        here.middleware.failing = 0
+        here.send_ros(pose(sent + 1))
+        wait_for(lambda: here.received("ros_in") == sent + 2)
+        here.ros.sync()
+        assert here.ros.counters()["/igtl/in/ToolToBase/transform"]["failed"] == 1
+        here.ros.errors.clear()
+
+
+def test_many_threads_of_the_middleware_keep_the_order_of_a_topic(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    path, topics = tmp_path / "session.mcap", [f"/igtl/out/tool{number}" for number in range(4)]
+    with scene(monkeypatch, path=path) as here:
+        peer = here.connect()
+
+        def deliver(topic: str) -> None:
+            for number in range(300):
+                here.send_ros(pose(number), topic)
+
+        for topic in topics:
+            here.ros.subscribe(topic, TransformStamped.TYPE)
+        threads = [threading.Thread(target=deliver, args=(topic,)) for topic in topics]
+        sender = threading.Thread(target=peer.send, args=(b"".join(map(transform, range(600))),))
+        for thread in (*threads, sender):
+            thread.start()
+        for thread in (*threads, sender):
+            thread.join()
+        wait_for(lambda: here.received("ros_in") == 1_200 and here.received("igtl_in") == 600)
+    check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+    for topic in topics:
+        stamps = [entry.data() for entry in entries_of(path) if entry.channel == topic]
+        assert stamps == sorted(stamps, key=lambda cdr: struct.unpack_from("<iI", cdr, 4))
+
+
+def test_a_latched_or_guarded_topic_is_judged_by_python(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path = tmp_path / "session.mcap"
+    with scene(monkeypatch, path=path) as here:
+        here.connect()
+        for number in range(30):
+            here.send_ros(pose(number))
+            time.sleep(0.02)
+        for _ in range(3):  # metres instead of millimetres
+            time.sleep(0.11)
+            jump = TransformStamped(Header(time.time_ns(), "base"), "tool", (10.0, 200.0, 300.0), (0.0, 0.0, 0.0, 1.0))
+            here.send_ros(jump)
+    notes = [Note.unpack(entry.data()) for entry in entries_of(path) if entry.kind is Kind.NOTE]
+    assert [note.code for note in notes if note.code == "unit_jump"] == ["unit_jump"]
+    check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+
+
+def test_messages_pass_natively_while_an_oddity_of_their_stream_is_recent(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(guarded_stream, "EPISODE_NS", NS_PER_S)
+    path = tmp_path / "session.mcap"
+    with scene(monkeypatch, path=path) as here:
+        peer = here.connect()
+        link = here.bridge.tcp.native_link(1)
+        assert link
+
+        def send(number: int, stamp_ns: int) -> int:
+            """Return how many of the messages passed natively."""
+            wait_for(lambda: not here.native or link.is_native)
+            before, received = link.received_messages, here.received("igtl_in")
+            peer.send(transform(number, stamp_ns))
+            wait_for(lambda: here.received("igtl_in") == received + 1)
+            return int(link.received_messages - before)
+
+        begin_ns = time.time_ns()
+        while not here.native:
+            send(0, begin_ns)
+        send(1, begin_ns)
+        assert not send(2, begin_ns - NS_PER_S)  # Python begins the episode
+        assert sum(send(number, time.time_ns()) for number in range(3, 13)) == 10
+        until = time.monotonic() + TIMEOUT_S
+        while send(13, time.time_ns()):  # until Python ends it
+            assert time.monotonic() < until, "the episode does not end"
+            time.sleep(0.02)
+        assert send(14, time.time_ns())
+    notes = [Note.unpack(entry.data()) for entry in entries_of(path) if entry.kind is Kind.NOTE]
+    odd = [note.code for note in notes if note.code in guarded_stream.CODES]
+    assert odd == [guarded_stream.BACKWARDS, guarded_stream.CALM]
+    check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+
+
+# -- robots -----------------------------------------------------------------------------------------------------------
+
+
+def _servo(x: float, stamp_ns: int) -> bytes:
+    content = Transform((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, x, 0.0, 0.0))
+    return join(encode(Message("TRANSFORM", "PSM1/servo_cp", content, ns_to_ticks(stamp_ns))))
+
+
+@pytest.mark.parametrize("native", [True, False])
+def test_a_burst_of_commands_beside_native_streams_moves_the_robot_at_its_limit(
+    native: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    path = tmp_path / "session.mcap"
+    arms = (ArmsRow("/PSM*", max_age_s=60.0),)
+    config = Config(crtk=arms, allow_in=("PSM1/servo_cp",)).watched()
+    sent = 0
+    with scene(monkeypatch, config, path, native=native, diagnostics=False) as here:
+        peer = here.connect()
+        begin_ns = time.time_ns()
+        for burst in range(12):
+            if burst % 4 == 0:
+                here.send_ros(PoseStamped(Header(time.time_ns()), (0.0,) * 6 + (1.0,)), "/PSM1/measured_cp")
+            stamps = [begin_ns + (10 * burst + number) * 10 * NS_PER_MS for number in range(10)]
+            xs = [0.002 * (10 * burst + number) if burst % 3 else 1e-5 * number for number in range(10)]
+            mixed = [data for at, ns in zip(xs, stamps, strict=True) for data in (_servo(at, ns), transform(at))]
+            peer.send(b"".join(mixed))
+            sent += len(mixed)
+            wait_for(lambda sent=sent: here.received("igtl_in") == sent)
+            time.sleep(0.03)
+        assert (here.native > 0) is native if native else here.bridge._passage is None
+    check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+    points: list[tuple[int, float]] = []
+    cause_ns = 0
+    for entry in entries_of(path):
+        if entry.kind.is_input:
+            cause_ns = entry.stamp_ns
+        elif entry.kind is Kind.ROS_OUT and entry.channel == "/PSM1/servo_cp":
+            points.append((cause_ns, PoseStamped.unpack(entry.data()).pose[0]))
+    assert len(points) > 3
+    for number, (at_ns, x) in enumerate(points):
+        for before_ns, before in points[:number]:
+            assert abs(x - before) <= 0.25 * (at_ns - before_ns) / NS_PER_S * (1 + 1e-9) + 1e-12

@@ -1,0 +1,37 @@
+"""The percentiles of the native passage."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from igtl_gateway.gateway.fastpath.passage_times import PHASES, percentiles
+from igtl_gateway.native.passage import is_compiled
+from tests.gateway.fastpath.test_passage_streams import pose, scene, transform, wait_for
+
+
+def test_percentiles_are_those_of_the_bucket_that_has_them() -> None:
+    counts = [(1_000, 500), (2_000, 490), (80_000, 9), (900_000, 1)]
+    assert percentiles(counts) == {"p50_us": 1.0, "p99_us": 2.0, "p999_us": 80.0, "max_us": 900.0}
+    assert percentiles([(7, 1)]) == dict.fromkeys(("p50_us", "p99_us", "p999_us", "max_us"), 0.007)
+
+
+@pytest.mark.skipif(not is_compiled(), reason="the package was installed without its native passage")
+def test_each_phase_of_a_message_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    with scene(monkeypatch) as here:
+        peer = here.connect()
+        sent = native = 0
+        while native < 30:
+            peer.send(transform(sent))
+            here.send_ros(pose(sent), source_ns=1)
+            sent += 1
+            native += here.native == 2
+            time.sleep(0.002)
+        wait_for(lambda: here.received("igtl_in") == sent)
+        times = here.bridge.native_times()
+    assert list(times["ros_to_igtl"]) == list(PHASES)
+    assert list(times["igtl_to_ros"]) == list(PHASES[1:])
+    for phases in times.values():
+        for found in phases.values():
+            assert 0 < found["p50_us"] <= found["p99_us"] <= found["p999_us"] <= found["max_us"]
