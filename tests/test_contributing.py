@@ -16,6 +16,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from tests.conftest import SLOW
+from tests.places import ROOT
 from tests.tables import table
 
 MAKEFILE = (ROOT / "Makefile").read_text("utf-8")

@@ -14,7 +14,7 @@ from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.testing.gateway import ManualGateway
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.transform import Transform
-from tests.integration.bridge import ROOT
+from tests.places import ROOT
 from tests.testing.outside import run_pytest
 
 

@@ -17,7 +17,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from igtl_gateway.cli import main
-from tests.integration.bridge import ROOT
+from tests.places import ROOT
 from tools import notebooks
 
 STAR = ROOT / "fixtures" / "star.mcap"

@@ -22,9 +22,10 @@ from igtl_gateway.cli import complete
 from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT
 from igtl_gateway.cli.verbs import VERBS
 from igtl_gateway.config.settings import parameters
-from tests.integration.bridge import ROOT, START_S, Program, RawPeer, RosClient, environment, string
+from tests.integration.bridge import START_S, Program, RawPeer, RosClient, environment, string
 from tests.launch_commands import commands
 from tests.launch_files import LaunchFile, every, read
+from tests.places import ROOT
 
 PACKAGE = ROOT / "ros2" / "igtl_gateway_ros"
 #: What the bridge publishes, subscribes to or serves, without the packages of the Python distribution's own wheels.

@@ -21,14 +21,14 @@ from igtl_gateway.api.moments import Moment
 from igtl_gateway.api.source import Source
 from igtl_gateway.api.stream import STREAM_HEAD, Stream, narrowed
 from igtl_gateway.api.transforms import TransformTree
-from igtl_gateway.config.configuration import Config
 from igtl_gateway.base.errors import BeingRecorded, ConfigError, DamagedRecording, GatewayError
+from igtl_gateway.base.untrusted import limits as file_limits
+from igtl_gateway.base.untrusted.limits import FileLimits
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.remote import RemoteFile, is_url
-from igtl_gateway.base.untrusted import limits as file_limits
-from igtl_gateway.base.untrusted.limits import FileLimits
 
 if TYPE_CHECKING:
     import pandas

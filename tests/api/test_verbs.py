@@ -13,7 +13,7 @@ import igtl_gateway
 from igtl_gateway.addons.review import Thresholds
 from igtl_gateway.base.errors import ConfigError, DamagedRecording, GatewayError, UnsupportedRecording
 from igtl_gateway.cli import main
-from tests.integration.bridge import ROOT
+from tests.places import ROOT
 from tests.tables import table
 
 FIXTURES = ROOT / "fixtures"

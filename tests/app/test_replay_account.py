@@ -25,8 +25,7 @@ from igtl_gateway.config.faults import Faults
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.source import FORMS, RECOMPUTED, STREAMS
-from igtl_gateway.gateway.log.entry import Entry
-from igtl_gateway.record.sessionfile.reader import SessionFile
+from tests.places import FIXTURES
 from tests.tables import table
 
 TYPES = FIXTURES / "paper-types.mcap"

@@ -13,8 +13,6 @@ import pytest
 from igtl_gateway.base.errors import Unavailable
 from igtl_gateway.base.extras import PURPOSES, in_use, missing
 from igtl_gateway.cli.verbs import WITHOUT_LABORATORY
-from igtl_gateway.base.errors import Unavailable
-from igtl_gateway.base.extras import PURPOSES, in_use, missing
 from tests.tables import table
 
 ROOT = Path(__file__).parent.parent

@@ -18,10 +18,6 @@ from igtl_gateway.base.globs import MAX_LENGTH, matches
 from igtl_gateway.cli import main
 from igtl_gateway.config.configuration import Config, ToIgtlRow
 from igtl_gateway.convert.names import frames_of
-from igtl_gateway.addons.deidentify.configuration import _BRACES
-from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.base.globs import MAX_LENGTH, matches
-from igtl_gateway.addons.review.messages import _END
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from tests.tables import table

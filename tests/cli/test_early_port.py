@@ -12,7 +12,6 @@ from igtl_gateway.cli import main
 from igtl_gateway.cli.early_port import early_ports
 from igtl_gateway.edges.reserved import ReservedPorts
 from igtl_gateway.edges.tcp import TcpEdge
-from igtl_gateway.base.errors import Unavailable
 from tests.tables import table
 
 USUAL = ("127.0.0.1", 18944)

@@ -23,6 +23,7 @@ from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway_lab.cli.simulate import scenario_facts
 from tests.integration.hostile_cases import raw
 from tests.integration.hostile_files import bags, foreign, images, streams
+from tests.places import ROOT
 from tests.tables import table
 
 FIXTURE = ROOT / "fixtures" / "paper-types.mcap"

@@ -28,7 +28,8 @@ from igtl_gateway.config.settings import (
     parameters,
 )
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
-from tests.integration.bridge import ROOT, Bridge, RawPeer, string
+from tests.integration.bridge import Bridge, RawPeer, string
+from tests.places import ROOT
 from tests.tables import table
 
 EXAMPLE = ROOT / "examples" / "operating-room.toml"

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.config.configuration import Config, PeerRow, TfOutRow, ToIgtlRow, ToRosRow, device_of_topic
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.globs import matches
 from igtl_gateway.base.qos import Qos
+from igtl_gateway.config.configuration import Config, PeerRow, TfOutRow, ToIgtlRow, ToRosRow, device_of_topic
 from tests.tables import table
 
 EXAMPLE = """

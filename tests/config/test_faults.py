@@ -12,11 +12,27 @@ from hypothesis import strategies as st
 from igtl_gateway.base.buffers import join
 from igtl_gateway.base.errors import ChecksumMismatch, ConfigError
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ticks_to_ns
-from igtl_gateway.config.faults import CLOCK_STEP, CORRUPT, DISCONNECT, EARLY, FAULTS, LOSS, OVERTAKEN_WITHIN_NS, REORDER, TRUNCATE, Fate, FaultLine, Faults, RelayFaults, Unit
+from igtl_gateway.config.faults import (
+    CLOCK_STEP,
+    CORRUPT,
+    DISCONNECT,
+    EARLY,
+    FAULTS,
+    LOSS,
+    OVERTAKEN_WITHIN_NS,
+    REORDER,
+    TRUNCATE,
+    Fate,
+    FaultLine,
+    Faults,
+    RelayFaults,
+    Unit,
+)
 from igtl_gateway.gateway.stamps import moved
 from igtl_gateway.wire import Message, decode, encode
 from igtl_gateway.wire.message import Item
 from igtl_gateway.wire.text import String
+from tests.places import ROOT
 from tests.tables import table
 
 #: 2026-01-01T00:00:00Z, and a message every ten milliseconds.

@@ -6,10 +6,10 @@ from collections.abc import Callable
 
 import pytest
 
-from igtl_gateway.config import notations
 from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.config.notations import peer_address
 from igtl_gateway.base.realtime import cpus_text
+from igtl_gateway.config import notations
+from igtl_gateway.config.notations import peer_address
 from tests.tables import table
 
 

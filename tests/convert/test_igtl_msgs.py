@@ -16,8 +16,8 @@ from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert import igtl_msgs
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.structs import Struct
-from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.record.sessionfile.layout import OWN_TYPES
+from tests.places import ROOT
 from tests.tables import table
 
 DEFINITIONS = ROOT / "ros2" / "igtl_msgs" / "msg"

@@ -12,6 +12,7 @@ import pytest
 from igtl_gateway.base.version import __version__
 from igtl_gateway.convert.interfaces import PACKAGES, SHARES, definition_folder, interface_files
 from igtl_gateway.record.sessionfile.schemas import RosTypes
+from tests.places import ROOT
 from tests.tables import table
 
 IGTL_MSGS = ROOT / "ros2" / "igtl_msgs"
@@ -20,7 +21,7 @@ STANDARD = {"builtin_interfaces", "geometry_msgs", "std_msgs"}
 
 
 def test_every_package_has_a_stand_in_and_definitions() -> None:
-    stand_ins = ROOT / "igtl_gateway" / "ros_interfaces" / "python"
+    stand_ins = ROOT / "igtl_gateway" / "edges" / "ros_interfaces" / "python"
     assert sorted(path.parent.name for path in stand_ins.glob("*/__init__.py")) == sorted(PACKAGES)
     for package in PACKAGES:
         assert interface_files(package)

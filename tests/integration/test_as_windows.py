@@ -24,7 +24,8 @@ from igtl_gateway.gateway.log.entry import Kind as EntryKind
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from tests.addons.zenoh.routers import client, router
 from tests.addons.zenoh.test_edge import until
-from tests.integration.bridge import ROOT, Bridge, RawPeer, environment, free_port, gateway, string
+from tests.integration.bridge import Bridge, RawPeer, environment, free_port, gateway, string
+from tests.places import ROOT
 
 AS_WINDOWS = Path(__file__).parent / "as_windows"
 PYTHONPATH = os.pathsep.join([str(AS_WINDOWS), str(ROOT)])

@@ -10,7 +10,8 @@ import time
 
 import pytest
 
-from tests.integration.bridge import ROOT, Bridge, RawPeer, environment, message
+from tests.integration.bridge import Bridge, RawPeer, environment, message
+from tests.places import ROOT
 
 pytestmark = pytest.mark.slow
 

@@ -37,7 +37,6 @@ from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from tests.integration.bridge import (
     HEADER_SIZE,
-    ROOT,
     SECOND_DOMAIN,
     TIMEOUT_S,
     Bridge,
@@ -52,6 +51,7 @@ from tests.integration.bridge import (
 )
 from tests.integration.netns import NETEM, Lines, NotHereError, Weather, far_address
 from tests.integration.talker import PERIOD_S, TICK, Server, Talker
+from tests.places import ROOT
 
 _log = logging.getLogger(__name__)
 

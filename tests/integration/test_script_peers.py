@@ -19,10 +19,11 @@ from igtl_gateway import Server
 from igtl_gateway.api.peer import Endpoint
 from igtl_gateway.base.errors import Refused
 from igtl_gateway.wire.query import StartTracking
-from tests.integration.bridge import ROOT, Bridge, Program, RosClient, environment, free_port
+from tests.integration.bridge import Bridge, Program, RosClient, environment, free_port
 from tests.peers import reference
 from tests.peers.pyigtl_peer import PyigtlPeer
 from tests.peers.reference import ReferencePeer
+from tests.places import ROOT
 
 POSE = np.array([[0.0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]])
 PIXELS = np.arange(24, dtype=np.uint8).reshape(1, 4, 6)

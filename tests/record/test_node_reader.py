@@ -24,6 +24,7 @@ from rosbags.typesys.store import Typestore
 
 from igtl_gateway.addons.exchange.targets import export_to
 from igtl_gateway.record.sessionfile.reader import SessionFile
+from tests.places import FIXTURES
 from tests.tables import table
 from tests.test_fixtures import NAMES
 

@@ -18,9 +18,7 @@ from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.slice import SMALL_BYTES, Depth, Slice, SliceReport, SliceWindow, input_groups
 from igtl_gateway.replay.verify import DeclaredLosses, verify
-from igtl_gateway.gateway.log.entry import Entry, Kind
-from igtl_gateway.gateway.log.note import Note
-from igtl_gateway.record.sessionfile.reader import SessionFile
+from tests.places import FIXTURES
 from tests.tables import table
 
 NAMES = ("star", "paper-types", "every-type")

@@ -14,7 +14,6 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from igtl_gateway.convert.interfaces import SHARES, definition_folder
 from igtl_gateway.replay.stamp_places import StampPlaces
-from igtl_gateway.convert.interfaces import SHARES, definition_folder
 from tests.tables import table
 
 STORE = get_typestore(Stores.ROS2_JAZZY)

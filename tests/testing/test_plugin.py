@@ -8,7 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.integration.bridge import ROOT
+from tests.places import ROOT
 from tests.testing.outside import run_pytest
 
 FIXTURES = ROOT / "fixtures"

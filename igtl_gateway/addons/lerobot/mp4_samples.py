@@ -10,8 +10,8 @@ import struct
 from collections.abc import Iterator
 from typing import IO
 
-from igtl_gateway.errors import DamagedRecording
-from igtl_gateway.untrusted import limits
+from igtl_gateway.base.errors import DamagedRecording
+from igtl_gateway.base.untrusted import limits
 
 _HEAD = struct.Struct(">I4s")
 _LARGE = struct.Struct(">Q")

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from igtl_gateway.base.errors import UnsupportedRecording
 from igtl_gateway.addons.exchange.formats import FORMATS, open_source
+from igtl_gateway.base.errors import UnsupportedRecording
 from tests.tables import table
 
 

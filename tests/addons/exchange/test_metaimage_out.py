@@ -14,8 +14,18 @@ from igtl_gateway.addons.exchange.sequence_out import export_sequence
 from igtl_gateway.wire.image import BIG_ENDIAN, LITTLE_ENDIAN, LPS, RAS, SCALARS, Image
 from igtl_gateway.wire.transform import Transform
 from tests.addons.exchange import plus
-from tests.addons.exchange.itk import MICROMETRE, OBLIQUE, corners, images_of, itk_corners, orientations, orthonormal, read
+from tests.addons.exchange.itk import (
+    MICROMETRE,
+    OBLIQUE,
+    corners,
+    images_of,
+    itk_corners,
+    orientations,
+    orthonormal,
+    read,
+)
 from tests.addons.exchange.memory import InMemory, sent
+from tests.places import ROOT
 from tests.tables import table
 
 DOCS = ROOT / "docs" / "reference" / "formats.md"

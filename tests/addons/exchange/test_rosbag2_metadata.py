@@ -12,9 +12,9 @@ from typing import Any
 import pytest
 import zstandard
 
-from igtl_gateway.base.errors import DamagedRecording, RecordingError
 from igtl_gateway.addons.exchange.rosbag2 import Rosbag2
 from igtl_gateway.addons.exchange.rosbag2_metadata import METADATA, read_metadata
+from igtl_gateway.base.errors import DamagedRecording, RecordingError
 from tests.tables import table
 
 STRING = "std_msgs/msg/String"

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from igtl_gateway.base.errors import DamagedRecording, LimitExceeded, RecordingError
 from igtl_gateway.addons.exchange.rosbag2 import Rosbag2
 from igtl_gateway.addons.exchange.rosbag2_sqlite import NO_TIME, Message, SqliteStorage
+from igtl_gateway.base.errors import DamagedRecording, LimitExceeded, RecordingError
 from tests.tables import table
 
 STRING = "std_msgs/msg/String"

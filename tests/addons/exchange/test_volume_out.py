@@ -29,6 +29,7 @@ from igtl_gateway.wire.image import SCALARS, Image
 from tests.addons.exchange import plus
 from tests.addons.exchange.itk import MICROMETRE, corners, images_of, itk_corners, read, sitk
 from tests.addons.exchange.memory import InMemory, sent
+from tests.places import ROOT
 from tests.tables import table
 
 #: Images of a stream that are judged: the others differ in pixels only.

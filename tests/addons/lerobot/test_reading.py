@@ -18,9 +18,6 @@ from igtl_gateway.addons.lerobot.checking import check_rules
 from igtl_gateway.addons.lerobot.export import export_lerobot
 from igtl_gateway.base.untrusted.limits import FileLimits, limits_in_force
 from igtl_gateway.cli import main
-from igtl_gateway.addons.lerobot.checking import check_rules
-from igtl_gateway.addons.lerobot.export import export_lerobot
-from igtl_gateway.base.untrusted.limits import FileLimits, limits_in_force
 from tests.addons.lerobot.sessions import Sent, arm, bars, write_session
 from tests.tables import table
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.addons.lerobot.recipe_file import read_recipe
+from igtl_gateway.base.errors import ConfigError
 from tests.tables import table
 
 GOOD = {

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from igtl_gateway.errors import DamagedRecording, LimitExceeded
-from igtl_gateway.lerobot.video import VideoFile, read_video
-from igtl_gateway.untrusted import limits
+from igtl_gateway.addons.lerobot.video import VideoFile, read_video
+from igtl_gateway.base.errors import DamagedRecording, LimitExceeded
+from igtl_gateway.base.untrusted import limits
 
 pytest.importorskip("av")
 

@@ -16,7 +16,7 @@ from igtl_gateway.app.verification import verify_parts
 from igtl_gateway.base.errors import ConfigError, DamagedRecording, GatewayError, UnsupportedRecording
 from igtl_gateway.record.sessionfile.merged import Digest
 from igtl_gateway.record.sessionfile.reader import SessionFile
-from igtl_gateway.addons.merge.offsets import ClockOffset, Method, Piece
+from tests.places import FIXTURES
 from tests.tables import table
 from tools.merge_worlds import World, judge, record
 

@@ -9,10 +9,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.addons.sync.lag import MOST_SKEW_PPM, Verdict, measure_lag, measure_together
 from igtl_gateway.addons.sync.signal import Floats, Signal
 from igtl_gateway.addons.sync.statistics import chi_squared, student
+from igtl_gateway.base.stamp import NS_PER_S
 from tests.addons.sync.trajectories import trajectory
 from tests.addons.sync.worlds import irregular, stamps, world
 from tests.tables import table

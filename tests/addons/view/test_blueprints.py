@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.addons.view.contents import EntityKind, SessionContents, ShownTopic, path_of
+from igtl_gateway.base.errors import ConfigError
 from tests.tables import table
 
 rr = pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")

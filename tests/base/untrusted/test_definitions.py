@@ -14,9 +14,10 @@ import pytest
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
 from igtl_gateway.base.errors import DamagedRecording, LimitExceeded
-from igtl_gateway.record.sessionfile.schemas import RosTypes
 from igtl_gateway.base.untrusted import limits
 from igtl_gateway.base.untrusted.definitions import IDL, PLACEHOLDER, definition_text, parse_definition, type_hash
+from igtl_gateway.record.sessionfile.schemas import RosTypes
+from tests.places import ROOT
 from tests.tables import table
 from tools.import_mutations import Bend, definition
 

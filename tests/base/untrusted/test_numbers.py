@@ -17,14 +17,8 @@ from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.faults import Faults
 from igtl_gateway.config.notations import address, cpus
 from igtl_gateway.convert.images import pixel_layout
-from igtl_gateway.addons.zenoh.config import DOMAIN, domain_of
-from igtl_gateway.base.errors import ConfigError, ConversionError, DamagedRecording
-from igtl_gateway.config.faults import Faults
-from igtl_gateway.config.notations import address, cpus
-from igtl_gateway.base.qos import Qos
 from igtl_gateway.record.sessionfile.layout import parse_qos_yaml
-from igtl_gateway.base.untrusted.numbers import MOST, check_numbers, whole_number
-from igtl_gateway.base.untrusted.text import parse_json, parse_toml
+from tests.places import ROOT
 from tests.tables import table
 
 PACKAGE = ROOT / "igtl_gateway"

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import pytest
 
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.clocksteps import CLOCK_STEP, ClockStep, without_jump
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
-from igtl_gateway.base.stamp import NS_PER_S
 from tests.tables import table
 
 HOUR_NS = 3600 * NS_PER_S

@@ -10,7 +10,14 @@ import lz4.frame  # type: ignore[import-untyped]
 import pytest
 import zstandard
 
-from igtl_gateway.record.sessionfile.compression import COMPRESSIONS, NAMES, Compression, compress, declared_size, decompress
+from igtl_gateway.record.sessionfile.compression import (
+    COMPRESSIONS,
+    NAMES,
+    Compression,
+    compress,
+    declared_size,
+    decompress,
+)
 from igtl_gateway.record.sessionfile.records import Malformed
 from tests.tables import table
 

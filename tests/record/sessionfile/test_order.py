@@ -12,11 +12,11 @@ import pytest
 from mcap.reader import make_reader
 
 from igtl_gateway.base.errors import LimitExceeded
+from igtl_gateway.base.untrusted import limits
 from igtl_gateway.record.sessionfile import chunks, order
 from igtl_gateway.record.sessionfile.index import read_index
 from igtl_gateway.record.sessionfile.order import message_rows
 from igtl_gateway.record.sessionfile.records import Malformed
-from igtl_gateway.base.untrusted import limits
 from tests.record.sessionfile.test_index import DEFINITIONS, bag, messages
 from tests.tables import table
 from tools import mcap_build as build
