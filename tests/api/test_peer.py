@@ -29,7 +29,7 @@ from igtl_gateway.wire.framer import Framer
 from igtl_gateway.wire.query import StartTracking
 from igtl_gateway.wire.text import String
 from tests.places import PEMS
-from tests.wire.test_corpus import OWN
+from tests.wire.handmade import CORPUS
 
 POSE = np.array([[0.0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]])
 
@@ -48,7 +48,7 @@ def peer(server: Server) -> Iterator[Peer]:
 
 
 def corpus() -> Iterator[bytes]:
-    for path in sorted(OWN.glob("*.bin")):
+    for path in sorted(CORPUS.glob("*.bin")):
         framer = Framer()
         yield from map(bytes, framer.feed(path.read_bytes()))
 

@@ -18,7 +18,8 @@ from tests.addons.zenoh.test_edge import Side, counts, port, sides, started, tex
 
 __all__ = ["port", "sides"]
 
-PEMS = Path(__file__).parents[1] / "tcp" / "pems"
+from tests.places import PEMS
+
 TLS = "transport__link__tls__"
 
 
