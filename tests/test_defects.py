@@ -6,7 +6,6 @@ import ast
 import re
 import struct
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 
@@ -21,9 +20,9 @@ from igtl_gateway.wire.header import crc64
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import Cells, PolyData
 from igtl_gateway.wire.text import String
+from tests.places import ROOT
 from tests.script import T0_NS, Script
 
-ROOT = Path(__file__).parent.parent
 PAGE = (ROOT / "docs" / "evidence" / "defects.md").read_text("utf-8")
 ROWS = [line for line in PAGE.splitlines() if line.startswith("|") and "::" in line]
 

@@ -33,10 +33,10 @@ from igtl_gateway.replay.verify import verify
 from igtl_gateway.wire import Header, decode
 from igtl_gateway.wire.query import QUERIES
 from igtl_gateway.wire.registry import BODIES
+from tests.places import FIXTURES
 from tests.tables import table
 from tools.fixtures import Recipe, difference, make, packs_alike, recipes
 
-FIXTURES = Path(__file__).parent.parent / "fixtures"
 NAMES = ("star", "paper-types", "every-type", "acquisition", "lego", "ultrasound", "crtk", "brain")
 RECIPES = recipes()
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.places import ROOT
 from tests.tables import table
 
-ROOT = Path(__file__).parents[1]
 TREES = (ROOT / "igtl_gateway", ROOT / "lab" / "igtl_gateway_lab")
 #: The place.
 HOME = "sessionfile/new_file.py"

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parent.parent
+from tests.places import ROOT
+
 #: Interrupts its own process at the import with a number, and runs the program as the console script does.
 PROGRAM = """\
 import os, signal, sys

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from tests.places import ROOT
 from tests.tables import table
 
-ROOT = Path(__file__).parents[2]
 EXAMPLE = re.compile(r"```python\n([^`]*)```\n\n((?:    .*\n)+)")
 DOCUMENTS = sorted((ROOT / "docs" / "how-to").glob("python-*.md"))
 EXAMPLES = [

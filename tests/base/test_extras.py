@@ -13,9 +13,9 @@ import pytest
 from igtl_gateway.base.errors import Unavailable
 from igtl_gateway.base.extras import PURPOSES, in_use, missing
 from igtl_gateway.cli.verbs import WITHOUT_LABORATORY
+from tests.places import ROOT
 from tests.tables import table
 
-ROOT = Path(__file__).parent.parent
 EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["optional-dependencies"]
 #: Extra → the module that its row in the documentation names.
 MODULES = {

@@ -14,14 +14,13 @@ import sysconfig
 import threading
 from collections import deque
 from collections.abc import Callable
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from igtl_gateway.edges.ros import receiver
 from igtl_gateway.edges.ros.receiver import DirectReceiver
+from tests.places import ROOT
 
 TIMEOUT_S = 10.0
 
@@ -215,7 +214,7 @@ def take(tmp_path_factory: pytest.TempPathFactory) -> Callable[[int], Any]:
     source, target = folder / "taking.c", folder / "taking.so"
     source.write_text(_MODULE)
     compiler = shlex.split(sysconfig.get_config_var("CC") or "cc")[0]
-    includes = [f"-I{sysconfig.get_path('include')}", f"-I{Path(receiver.__file__).parent}"]
+    includes = [f"-I{sysconfig.get_path('include')}", f"-I{ROOT / 'igtl_gateway' / 'native'}"]
     command = [compiler, "-shared", "-fPIC", "-Wall", "-Wextra", "-Werror", *includes, "-o", str(target), str(source)]
     try:
         subprocess.run(command, check=True, capture_output=True, text=True)

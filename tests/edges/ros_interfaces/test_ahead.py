@@ -27,7 +27,7 @@ def packages(prefix: Path) -> Path:
 
 
 def compiled(prefix: Path) -> Path:
-    return packages(prefix) / "igtl_gateway" / "ros_interfaces" / "compiled"
+    return packages(prefix) / "igtl_gateway" / "edges" / "ros_interfaces" / "compiled"
 
 
 def used(prefix: Path, package: str = "tf2_msgs") -> bool:
