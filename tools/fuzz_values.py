@@ -31,7 +31,7 @@ from igtl_gateway.record.seal.keys import load_trusted
 from tools import fuzz_files
 from tools.fuzz_files import Reader, Report, read_configuration, read_import, run, verb
 from tools.import_mutations import Case
-from tools.kinds import documents, others, recordings
+from tools.kinds import documents, others, recordings, sealed, tables
 from tools.kinds.values import CHOICES, Maker
 
 _MEMORY_BYTES = 4 << 30
@@ -77,6 +77,11 @@ FORMATS = {
     "profile": Format(documents.profile, _reads(read_profile), (f"deidentify {_GOOD} -o O.mcap --profile F",)),
     "recipe": Format(documents.recipe, _reads(read_recipe), (f"export {_GOOD} --to lerobot --recipe F --out O",)),
     "robot": Format(documents.robot, _reads(lambda path: parse_urdf(read_bytes(path), str(path))), ()),
+    "rosbag2mcap": Format(others.rosbag2_mcap, read_import),
+    "seal": Format(sealed.seal, sealed.read_seal, ("verify F --seal", "info F", "recover F -o O.mcap")),
+    "time stamp": Format(sealed.time_stamp, sealed.read_time_stamp, ()),
+    "parquet": Format(tables.table, tables.read_table, ()),
+    "lerobot": Format(tables.data_set, tables.read_data_set, (f"export {_GOOD} --to lerobot --check F",)),
     "key": Format(documents.key, _reads(lambda path: load_trusted([path])), ("keys show F",)),
 }
 

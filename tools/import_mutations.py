@@ -60,7 +60,7 @@ class Case:
         """Write it into an empty folder; returns what an importer opens."""
         for name, data in self.files.items():
             path = folder / name
-            path.parent.mkdir(exist_ok=True)
+            path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(data)
         first = next(iter(self.files))
         return folder / first.partition("/")[0]

@@ -12,8 +12,10 @@ from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import String
 from igtl_gateway.wire.transform import Transform
 from tests.record import samples
-from tools.kinds.recordings import igtl_message, recorded
+from tools import mcap_build as build
+from tools.kinds.recordings import igtl_message, recorded, strike
 from tools.kinds.values import Maker
+from tools.mcap_build import Chunk, Record
 
 Files = Mapping[str, bytes]
 _S = 1_000_000_000
@@ -138,10 +140,18 @@ def rosbag2(make: Maker) -> Files:
     base.commit()
     image = base.serialize()
     base.close()
+    return {
+        "a/a_0.db3": make.words("sqlite", image, 100),
+        "a/metadata.yaml": _metadata(make, "sqlite3", "a_0.db3", count),
+    }
+
+
+def _metadata(make: Maker, storage: str, file: str, count: int) -> bytes:
+    """metadata.yaml of a bag with one topic."""
     written = make.written
     yaml = f"""rosbag2_bagfile_information:
   version: {written("yaml.version", "8")}
-  storage_identifier: {written("yaml.storage", "sqlite3")}
+  storage_identifier: {written("yaml.storage", storage)}
   duration:
     nanoseconds: {written("yaml.duration", "5")}
   starting_time:
@@ -157,9 +167,31 @@ def rosbag2(make: Maker) -> Files:
   compression_format: {written("yaml.packing", '""')}
   compression_mode: {written("yaml.mode", '""')}
   relative_file_paths: {written("yaml.files", "")}
-    - {written("yaml.file", "a_0.db3")}
+    - {written("yaml.file", file)}
 """
-    return {"a/a_0.db3": make.words("sqlite", image, 100), "a/metadata.yaml": yaml.encode("utf-8", "surrogatepass")}
+    return yaml.encode("utf-8", "surrogatepass")
+
+
+def rosbag2_mcap(make: Maker) -> Files:
+    """A folder with a storage file in MCAP, record by record, and its metadata."""
+    schema = build.schema(1, "std_msgs/msg/String", "ros2msg", make.coded("definition", "string data\n"))
+    items = {"offered_qos_profiles": "- history: 1\n  depth: 10\n  reliability: 1\n  durability: 2\n"}
+    records: list[Record] = [
+        (build.SCHEMA, schema),
+        (build.CHANNEL, build.channel(1, 1, "/chatter", "cdr", items)),
+    ]
+    count = make.rng.choice((1, 3, 20))
+    for at in range(count):
+        data = make.blob("data", make.words("cdr", samples.string_cdr("hello"), 20, 1))
+        time_ns = (_EPOCH_S + at) * _S
+        records.append((build.MESSAGE, build.message(1, at, time_ns, time_ns, data)))
+    chunk = Chunk(tuple(records), compression=make.rng.choice(("", "zstd", "lz4")))
+    header = build.HEADER, build.header(make.text("profile", "ros2"), "libmcap 1.0")
+    parts = [strike(make, part) for part in (header, chunk)]
+    made = build.assemble(parts)
+    made.summary = [(code, make.words(f"summary.{code}", data, 80)) for code, data in made.summary]
+    storage = made.finish(start=make.length("footer.summary", len(made.data), 64))
+    return {"a/a_0.mcap": storage, "a/metadata.yaml": _metadata(make, "mcap", "a_0.mcap", count)}
 
 
 # -- captures ------------------------------------------------------------------------------------------------------

@@ -80,7 +80,7 @@ def session(make: Maker) -> Mapping[str, bytes]:
     for each in numbered:
         writer.write(each)
     writer.close({})
-    parts = [_part(make, part) for part in build.parse(memory.getvalue())]
+    parts = [strike(make, part) for part in build.parse(memory.getvalue())]
     made = build.assemble(parts)
     names = {build.STATISTICS: "statistics", build.CHUNK_INDEX: "chunk index", build.METADATA_INDEX: "metadata index",
              build.SCHEMA: "summary schema", build.CHANNEL: "summary channel"}  # fmt: skip
@@ -98,7 +98,8 @@ def _plain(text: str) -> str:
     return text.encode("utf-8", "backslashreplace").decode()
 
 
-def _part(make: Maker, part: Record | Chunk) -> Record | Chunk:
+def strike(make: Maker, part: Record | Chunk) -> Record | Chunk:
+    """A record, or the chunk around some, with its fields."""
     if isinstance(part, Chunk):
         records = tuple(_record(make, each) for each in part.records)
         made = replace(part, records=records)
