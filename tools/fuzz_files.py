@@ -288,7 +288,8 @@ def run(
             warnings.catch_warnings(),
             tempfile.TemporaryDirectory(prefix="fuzz-", dir=memory if memory.is_dir() else None) as folder,
         ):
-            warnings.simplefilter("error", RuntimeWarning)  # of numpy: they would reach the terminal
+            for category in (RuntimeWarning, UserWarning):  # of numpy and cryptography: they would reach the terminal
+                warnings.simplefilter("error", category)
             while goes_on(sum(fuzzer.report.cases for fuzzer in fuzzers.values())):
                 for fuzzer in fuzzers.values():
                     fuzzer.batch(Path(folder), size)

@@ -26,7 +26,7 @@ from tools.kinds.values import Maker
 from tools.seal_mutations import Original, sealed_file
 
 Files = Mapping[str, bytes]
-_DIGEST = hashlib.sha256(b"a seal").digest()
+DIGEST = hashlib.sha256(b"a seal").digest()
 
 
 @cache
@@ -86,19 +86,19 @@ def _metadata(data: bytes) -> tuple[str, dict[str, str]]:
 
 
 @cache
-def _authority() -> tuple[bytes, tuple[Any, ...]]:
-    """A reply about ``_DIGEST``, and the certificates that confirm it."""
+def authority() -> tuple[bytes, tuple[Any, ...]]:
+    """A reply about ``DIGEST``, and the certificates that confirm it."""
     folder = Path(tempfile.mkdtemp(prefix="fuzz-tsa-"))
     try:
-        authority = new_authority(folder / "authority", "Clock")
-        return authority.reply(_DIGEST.hex()).read_bytes(), load_authorities([authority.root])
+        made = new_authority(folder / "authority", "Clock")
+        return made.reply(DIGEST.hex()).read_bytes(), load_authorities([made.root])
     finally:
         shutil.rmtree(folder)
 
 
 def time_stamp(make: Maker) -> Files:
     """A reply: tag, length and content of each of its values in DER."""
-    reply, _ = _authority()
+    reply, _ = authority()
     return {"a.tsr": _der(make, "der", reply)}
 
 
@@ -128,5 +128,5 @@ def _length(size: int) -> bytes:
 
 def read_time_stamp(path: Path, _rng: Random) -> str:
     """The check of a reply."""
-    found: TimeStamp = check_reply(path.read_bytes(), _DIGEST, _authority()[1])
+    found: TimeStamp = check_reply(path.read_bytes(), DIGEST, authority()[1])
     return "read" if not found.problem else "refused"

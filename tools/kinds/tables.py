@@ -99,18 +99,17 @@ def _sets() -> dict[str, dict[str, bytes]]:
 def data_set(make: Maker) -> Files:
     """A folder of a training set: any value of its documents, and any word of its tables."""
     form = make.one_of("form", ("v2.1", "v3.0"))
-    made = {}
-    for name, data in _sets()[form].items():
-        place = f"form.{form}.{name}"
-        if name.endswith(".json"):
-            data = make.json(place, json.loads(data)).encode("utf-8", "surrogatepass")
-        elif name.endswith(".jsonl"):
-            rows = [make.json(place, json.loads(line)) for line in data.decode().splitlines()]
-            data = "\n".join(rows).encode("utf-8", "surrogatepass")
-        elif name.endswith(".parquet"):
-            data = _struck(make, f"{place}.", data)
-        made[f"set/{name}"] = data
-    return made
+    return {f"set/{name}": _document(make, f"form.{form}.{name}", data) for name, data in _sets()[form].items()}
+
+
+def _document(make: Maker, place: str, data: bytes) -> bytes:
+    """A file of a data set with its fields."""
+    if place.endswith(".json"):
+        return make.json(place, json.loads(data)).encode("utf-8", "surrogatepass")
+    if place.endswith(".jsonl"):
+        rows = [make.json(place, json.loads(line)) for line in data.decode().splitlines()]
+        return "\n".join(rows).encode("utf-8", "surrogatepass")
+    return _struck(make, f"{place}.", data) if place.endswith(".parquet") else data
 
 
 def read_data_set(path: Path, _rng: Random) -> str:

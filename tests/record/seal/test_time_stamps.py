@@ -15,11 +15,15 @@ from igtl_gateway.app.sealing import UNTIMED, seal_recording, stamp_recording, v
 from igtl_gateway.base.errors import ConfigError, UnsupportedRecording
 from igtl_gateway.cli import main
 from igtl_gateway.record.seal.keys import SigningKey
+from igtl_gateway.record.seal.time_stamps import check_reply
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.seal_check import CHANGED, CUT, SEALED, TIME_STAMP
 from tests.places import ROOT
 from tests.record.seal.authority import Authority, new_authority
 from tests.record.seal.foreign import plain_mcap
+from tools.fuzz_values import case_of
+from tools.kinds.sealed import DIGEST
+from tools.kinds.sealed import authority as known_authority
 
 pytest.importorskip("rfc3161_client", reason='pip install "igtl-gateway[seal]"')
 pytestmark = pytest.mark.skipif(not shutil.which("openssl"), reason="openssl makes the replies of the authority")
@@ -172,3 +176,9 @@ def test_a_file_of_another_program(summary: bool, key: Path, authority: Authorit
     assert verify_seal(tmp_path / "stamped.mcap", (), (authority.root,)).good
     reader = make_reader(BytesIO((tmp_path / "stamped.mcap").read_bytes()), validate_crcs=True)
     assert sum(1 for _ in reader.iter_messages()) == 3
+
+
+def test_an_empty_name_in_a_certificate_is_no_warning_on_the_terminal(recwarn: pytest.WarningsRecorder) -> None:
+    (reply,) = case_of("time stamp/der.0.1.1.0.3.0.0.3.0.0.1.bytes=none/0").files.values()
+    assert check_reply(reply, DIGEST, known_authority()[1]).problem
+    assert [str(each.message) for each in recwarn] == []
