@@ -23,6 +23,7 @@ FOUND = (
     "session/config.to_igtl[].metadata=1e308/1000213",
     "session/qos.depth=digits/1",
     "pcapng/interface.if_tsresol=none/3",
+    "lerobot/form.v2.1.meta/episodes_stats.jsonl.(key)=forged/201001856",
     "rosbag1/type.lab/Empties.data@0=u32 ones</1",
     "rosbag1/type.lab/Stamped.data@28=u32 ones</2",
 )

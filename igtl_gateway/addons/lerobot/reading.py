@@ -48,7 +48,9 @@ _EPISODE = shape.fields(
 )
 _TASK = shape.fields({"task_index": shape.number, "task": shape.text}, ("task_index", "task"))
 _VIDEO = ("chunk_index", "file_index", "from_timestamp", "to_timestamp")
-_STATS = shape.fields({"episode_index": shape.number, "stats": shape.map_of(shape.map_of(shape.anything))})
+_STATS = shape.fields(
+    {"episode_index": shape.number, "stats": shape.map_of(shape.map_of(shape.anything))}, ("episode_index", "stats")
+)
 
 
 @dataclass(frozen=True, slots=True)
