@@ -15,12 +15,12 @@ from typing import Any
 
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
-from igtl_gateway.seal import envelope
-from igtl_gateway.seal.keys import SigningKey
-from igtl_gateway.seal.time_stamps import TimeStamp, check_reply, load_authorities
-from igtl_gateway.sessionfile.records import HEAD, METADATA
-from igtl_gateway.sessionfile.seal_check import check_seal
-from tests.seal.authority import new_authority
+from igtl_gateway.record.seal import envelope
+from igtl_gateway.record.seal.keys import SigningKey
+from igtl_gateway.record.seal.time_stamps import TimeStamp, check_reply, load_authorities
+from igtl_gateway.record.sessionfile.records import HEAD, METADATA
+from igtl_gateway.record.sessionfile.seal_check import check_seal
+from tests.record.seal.authority import new_authority
 from tools import mcap_build
 from tools.kinds.values import Maker
 from tools.seal_mutations import Original, sealed_file

@@ -14,11 +14,11 @@ from random import Random
 import pyarrow as pa
 from pyarrow import parquet
 
-from igtl_gateway.exchange.parquet_in import read_parquet
-from igtl_gateway.lerobot.checking import check_rules
-from igtl_gateway.lerobot.export import export_lerobot
-from igtl_gateway.untrusted.text import printable
-from tests.lerobot.sessions import Sent, arm, write_session
+from igtl_gateway.addons.exchange.parquet_in import read_parquet
+from igtl_gateway.addons.lerobot.checking import check_rules
+from igtl_gateway.addons.lerobot.export import export_lerobot
+from igtl_gateway.base.untrusted.text import printable
+from tests.addons.lerobot.sessions import Sent, arm, write_session
 from tools.kinds.values import Maker
 
 Files = Mapping[str, bytes]
