@@ -28,6 +28,7 @@ from igtl_gateway.app.commands import SERVICE
 from igtl_gateway.app.metrics import METRICS
 from igtl_gateway.app.recording import PAUSE, RESUME, SNAPSHOT
 from igtl_gateway.app.recording import TYPE as TRIGGER
+from igtl_gateway.base.extras import PURPOSES
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.stamp import NS_PER_MS
 from igtl_gateway.base.untrusted.limits import MEANINGS, FileLimits
@@ -424,11 +425,11 @@ def _profiles() -> str:
         "## Peer profiles",
         prose(
             """What the gateway knows about OpenIGTLink programs.  The profile of a peer is set by option (`profile`,
-            `[[peers]]` in [the configuration](../../igtl_gateway/config.py)) or detected from its messages; until then
-            it is `unrecognised`.  *header version*: the initial version; it rises to that which the peer has sent.
-            *types*, *queries* and `RTS_`: what the gateway may send to it.  *empty bodies*: whether it accepts a
-            version 1 message without content as the reply to a query that cannot be answered.  *ping*: after this
-            time without a message to it, the gateway sends a GET_STATUS.  In the sources, § is a section of the
+            `[[peers]]` in [the configuration](../../igtl_gateway/config/configuration.py)) or detected from its
+            messages; until then it is `unrecognised`.  *header version*: the initial version; it rises to that which
+            the peer has sent.  *types*, *queries* and `RTS_`: what the gateway may send to it.  *empty bodies*: whether
+            it accepts a version 1 message without content as the reply to a query that cannot be answered.  *ping*:
+            after this time without a message to it, the gateway sends a GET_STATUS.  In the sources, § is a section of the
             project's notes on the protocol; *reproduced* was tested with the program or its library."""
         ),
         table(heads, rows),
@@ -579,13 +580,13 @@ def _names() -> str:
         "## Names, topics and frames",
         prose(
             f"""Messages of a device are published on `/igtl/in/<device>/<kind>`; `kind` is in the tables below.  Rows
-            `[[to_ros]]` of [the configuration](../../igtl_gateway/config.py) select other topics, other frames, and
-            kinds.  In the topic, characters other than letters, digits and `_` become `_`; a leading digit gets the
-            prefix
-            `_`; names of more than {MAX_TOKEN} characters are cut and get a hash.  If two devices would have the same
-            topic, the second one gets a hash too.  A pose of a device with the name `AToB` is the pose of frame `A` in
-            frame `B`, as in PLUS and other programs; every other name is a frame in the base frame `{base}`.  Frames
-            in the [metadata](messages.md#metadata-keys) override those of the name; frames in the configuration
+            `[[to_ros]]` of [the configuration](../../igtl_gateway/config/configuration.py) select other topics, other
+            frames, and kinds.  In the topic, characters other than letters, digits and `_` become `_`; a leading digit
+            gets the prefix `_`; names of more than {MAX_TOKEN} characters are cut and get a hash.  If two devices would
+            have the same topic, the second one gets a hash too.  A pose of a device with the name `AToB` is the pose of
+            frame `A` in frame `B`, as in PLUS and other programs; every other name is a frame in the base frame
+            `{base}`.  Frames in the [metadata](messages.md#metadata-keys) override those of the name; frames in the
+            configuration
             override both.  Poses are also published on `/tf` (`publish_tf`)."""
         ),
         table(("device", "topic of a TRANSFORM", "parent frame", "child frame"), rows),
@@ -1213,12 +1214,26 @@ def _cohort_columns() -> str:
     )
 
 
+def _extras() -> str:
+    return table(("extra", "needed for"), ((f"`{extra}`", purpose) for extra, purpose in PURPOSES.items()))
+
+
+def _rules_of_plus() -> str:
+    if str(ROOT) not in sys.path:
+        sys.path.insert(0, str(ROOT))
+    from tests.addons.exchange import plus
+
+    return table(("rule",), ((rule,) for rule in plus.RULES))
+
+
 #: Page → name of a table → the table, which stands between a comment with its name and ``END``.
 PARTS: dict[str, dict[str, Callable[[], str]]] = {
     "how-to/cohort.md": {"columns": _cohort_columns},
     "how-to/crtk.md": {"names": _crtk_names, "codes": _command_codes},
     "how-to/faults.md": {"faults": _faults},
     "how-to/metrics.md": {"metrics": _metrics},
+    "reference/command-line.md": {"extras": _extras},
+    "reference/formats.md": {"rules of PLUS": _rules_of_plus},
     "reference/limits.md": {"limits": _file_limits},
 }
 

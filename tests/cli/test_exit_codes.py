@@ -169,5 +169,5 @@ def test_the_same_cause_has_the_same_code(group: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("module", ["rclpy", "rerun", "av", "nibabel"])
-def test_the_documentation_has_the_sentence_for_each_extra(module: str) -> None:
-    assert missing(module).partition(": ")[2].partition(" (")[0] in DOCUMENT
+def test_the_documentation_has_the_extra_of_each_module(module: str) -> None:
+    assert f"| `{missing(module).partition('[')[2].partition(']')[0]}` |" in DOCUMENT
