@@ -427,10 +427,11 @@ def _profiles() -> str:
             """What the gateway knows about OpenIGTLink programs.  The profile of a peer is set by option (`profile`,
             `[[peers]]` in [the configuration](../../igtl_gateway/config/configuration.py)) or detected from its
             messages; until then it is `unrecognised`.  *header version*: the initial version; it rises to that which
-            the peer has sent.  *types*, *queries* and `RTS_`: what the gateway may send to it.  *empty bodies*: whether
-            it accepts a version 1 message without content as the reply to a query that cannot be answered.  *ping*:
-            after this time without a message to it, the gateway sends a GET_STATUS.  In the sources, § is a section of the
-            project's notes on the protocol; *reproduced* was tested with the program or its library."""
+            the peer has sent.  *types*, *queries* and `RTS_`: what the gateway may send to it.  *empty bodies*:
+            whether it accepts a version 1 message without content as the reply to a query that cannot be answered.
+            *ping*: after this time without a message to it, the gateway sends a GET_STATUS.  In the sources, § is a
+            section of the project's notes on the protocol; *reproduced* was tested with the program or its
+            library."""
         ),
         table(heads, rows),
         "### Peers that are not recognised",
