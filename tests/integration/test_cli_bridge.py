@@ -16,6 +16,7 @@ from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_ros2.decoder import DecoderFactory
 
+from tests import processes
 from tests.integration.bridge import (
     SECOND_DOMAIN,
     TIMEOUT_S,
@@ -240,8 +241,7 @@ def test_kill_9_of_bridge_and_recorder_leaves_what_was_flushed(programs: list[Pr
     with RawPeer(bridge.port) as peer:
         peer.send(string("before the power went"))
         wait_flushed(path, is_there)
-        for recorder in children(bridge.process.pid):
-            os.kill(recorder, signal.SIGKILL)
+        processes.kill(*children(bridge.process.pid))
         result = bridge.end(signal.SIGKILL)
     assert result.code == -signal.SIGKILL
     assert is_there(cut_off(path))

@@ -19,6 +19,7 @@ import pytest
 
 from igtl_gateway.record.options import FLUSH_S
 from igtl_gateway.record.sessionfile.reader import SessionFile
+from tests import processes
 from tests.integration.bridge import Bridge, children, gateway
 from tests.integration.load import BATCH, SLACK_S, Load, counted, recover
 
@@ -82,8 +83,7 @@ def test_after_kill_9_of_both_everything_older_than_the_flush_interval_is_there(
         time.sleep(FLUSH_S + SLACK_S + 0.5 + moment)  # not to wait for anything: to kill at any moment of an interval
         (recorder,) = children(bridge.process.pid)
         killed = time.monotonic()
-        os.kill(recorder, signal.SIGKILL)
-        bridge.process.send_signal(signal.SIGKILL)
+        processes.kill(recorder, bridge.process.pid)
         assert bridge.process.wait(10) == -signal.SIGKILL
     finally:
         load.close()

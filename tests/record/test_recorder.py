@@ -42,6 +42,7 @@ from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.seal_check import SEALED, check_seal
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from tests.places import ROOT
+from tests.processes import kill
 from tests.record import samples
 
 DEADLINE_S = 30.0
@@ -670,8 +671,7 @@ def test_after_kill_9_of_both_everything_flushed_is_there(path: Path, work: str)
                 assert clock.monotonic_ns() < deadline_ns
                 tick.wait(0.05)
         finally:
-            for process in (*workers(child.pid), child.pid):
-                os.kill(process, signal.SIGKILL)
+            kill(*workers(child.pid), child.pid)
         assert child.wait() == -signal.SIGKILL
     entries = list(scanned(path))
     assert len(entries) >= 1000
