@@ -93,7 +93,7 @@ REFERENCE = {
     ),
     "Lags": (
         "api.lags.lag",
-        "sync.lag.Lag",
+        "addons.sync.lag.Lag",
     ),
 }
 
