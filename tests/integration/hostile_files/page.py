@@ -8,8 +8,9 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from tests.integration.hostile_files.case import ROOT, VERBS, Danger
+from tests.integration.hostile_files.case import VERBS, Danger
 from tests.integration.hostile_files.table import CASES, FAULTS, Outcome
+from tests.places import ROOT
 
 PAGE = ROOT / "docs" / "evidence" / "hostile-files.md"
 RESULTS = Path(__file__).with_name("results.json")
