@@ -6,8 +6,6 @@ command line starts fast.
 
 from __future__ import annotations
 
-import sys
-
 from igtl_gateway.base.version import __version__
 
 TYPE_CHECKING = False  # as typing has it, whose import takes longer than all else here
@@ -15,15 +13,16 @@ TYPE_CHECKING = False  # as typing has it, whose import takes longer than all el
 if TYPE_CHECKING:
     from typing import Any
 
+    from igtl_gateway.addons.review.api import review
+    from igtl_gateway.addons.sync.lags import lag
     from igtl_gateway.api import aio
     from igtl_gateway.api.alignment import align
     from igtl_gateway.api.bridge import Bridge
-    from igtl_gateway.api.lags import lag
     from igtl_gateway.api.peer import Peer, Server, connect, serve
     from igtl_gateway.api.poses import Poses
     from igtl_gateway.api.recording import Recording, open
     from igtl_gateway.api.stream import Stream
-    from igtl_gateway.api.verbs import diff, replay, review, verify
+    from igtl_gateway.api.verbs import diff, replay_recording, verify
 
 __all__ = [
     "Bridge",
@@ -39,62 +38,47 @@ __all__ = [
     "diff",
     "lag",
     "open",
-    "replay",
+    "replay_recording",
     "review",
     "serve",
     "verify",
 ]
 
-#: Public name → its module in ``igtl_gateway.api``; a name that is its module is that module.
+#: Public name → its module; a name that is its module is that module.
 _HOMES: dict[str, str] = {
-    "Bridge": "bridge",
-    "Peer": "peer",
-    "Poses": "poses",
-    "Recording": "recording",
-    "Server": "peer",
-    "Stream": "stream",
-    "aio": "aio",
-    "align": "alignment",
-    "connect": "peer",
-    "diff": "verbs",
-    "lag": "lags",
-    "open": "recording",
-    "replay": "verbs",
-    "review": "verbs",
-    "serve": "peer",
-    "verify": "verbs",
+    "Bridge": "api.bridge",
+    "Peer": "api.peer",
+    "Poses": "api.poses",
+    "Recording": "api.recording",
+    "Server": "api.peer",
+    "Stream": "api.stream",
+    "aio": "api.aio",
+    "align": "api.alignment",
+    "connect": "api.peer",
+    "diff": "api.verbs",
+    "lag": "addons.sync.lags",
+    "open": "api.recording",
+    "replay_recording": "api.verbs",
+    "review": "addons.review.api",
+    "serve": "api.peer",
+    "verify": "api.verbs",
 }
-#: Public functions whose names packages have, too: the package is called, see `CallablePackage`.
-_PACKAGES = frozenset({"replay", "review"})
 
 
 def __getattr__(name: str) -> Any:
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    if name in _PACKAGES:
-        from importlib import import_module
-
-        found = import_module(f"{__name__}.{name}")
-    else:
-        found = _load(name)
-    globals()[name] = found
-    return found
-
-
-def _load(name: str) -> Any:
-    """Return a public name from its module in ``igtl_gateway.api``."""
     from importlib import import_module
 
     home = _HOMES[name]
-    module = import_module(f"{__name__}.api.{home}")
-    return module if name == home else getattr(module, name)
+    if home.startswith("addons."):
+        from igtl_gateway.base.addons import check_present
 
-
-class CallablePackage(type(sys)):  # type: ignore[misc]
-    """A package that is called as the public function of its name: ``igtl_gateway.replay("out.mcap")``."""
-
-    def __call__(self, *arguments: Any, **options: Any) -> Any:
-        return _load(self.__name__.rpartition(".")[2])(*arguments, **options)
+        check_present(home.split(".")[1])
+    module = import_module(f"{__name__}.{home}")
+    found = module if home.endswith(f".{name}") else getattr(module, name)
+    globals()[name] = found
+    return found
 
 
 def __dir__() -> list[str]:

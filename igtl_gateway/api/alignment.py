@@ -94,7 +94,7 @@ class Aligned:
         Raises:
             Unavailable: pyarrow is not installed; the extra ``arrow`` installs it.
         """
-        from igtl_gateway.addons.exchange import arrow_tables  # pyarrow is an extra
+        from igtl_gateway.api import arrow_tables  # pyarrow is an extra
 
         columns: dict[str, tuple[Any, str]] = {"time_ns": (self.times, "ns")}
         tables = {}

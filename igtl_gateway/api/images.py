@@ -9,8 +9,8 @@ from typing import Any, overload
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addons.exchange.placement import ImagePlacement
 from igtl_gateway.api.display import as_array, html_line, shape_text
+from igtl_gateway.api.placement import ImagePlacement
 from igtl_gateway.api.source import Source
 from igtl_gateway.base.errors import ConfigError, MalformedBody
 from igtl_gateway.convert.igtl_msgs import Volume

@@ -9,8 +9,8 @@ from typing import Any, overload
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addons.exchange.igtl_columns import quaternions_of, rotations
 from igtl_gateway.api.display import as_array, html_table
+from igtl_gateway.api.igtl_columns import quaternions_of, rotations
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.convert.units import UNITS
 

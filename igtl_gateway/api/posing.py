@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addons.exchange.cdr_columns import NotColumns, ros_columns
-from igtl_gateway.addons.exchange.columns import name_ros_fields
-from igtl_gateway.addons.exchange.igtl_columns import POSE_TYPES, pose_rows
+from igtl_gateway.api.cdr_columns import NotColumns, ros_columns
+from igtl_gateway.api.columns import name_ros_fields
+from igtl_gateway.api.igtl_columns import POSE_TYPES, pose_rows
 from igtl_gateway.api.poses import Poses, matrices_of
 from igtl_gateway.api.source import Source
 from igtl_gateway.base.errors import ConfigError, DamagedRecording, GatewayError

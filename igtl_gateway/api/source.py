@@ -108,7 +108,7 @@ class Source:
 
     def table(self, channel: ChannelSummary, blocks: Iterable[MessageBlock]) -> pyarrow.Table:
         """Return the messages of a stream as an Arrow table.  Raises Unavailable without pyarrow."""
-        from igtl_gateway.addons.exchange import arrow_tables  # pyarrow is an extra
+        from igtl_gateway.api import arrow_tables  # pyarrow is an extra
 
         name = channel.stream or channel.topic
         definitions = self.file.definitions

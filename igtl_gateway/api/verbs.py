@@ -1,4 +1,4 @@
-"""The verbs of the command line as functions: ``replay``, ``verify``, ``review``, ``diff``.
+"""The verbs of the command line as functions: ``replay_recording``, ``verify``, ``diff``.
 
 Each calls the function that its verb calls.  Nothing prints; a failure is an exception of `igtl_gateway.base.errors`.
 """
@@ -7,14 +7,10 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import fields
 from os import PathLike
 from pathlib import Path
 from typing import get_args
 
-from igtl_gateway.addons.review import Review, Thresholds
-from igtl_gateway.addons.review.material import CLOUDS
-from igtl_gateway.addons.review.recorded import ReviewSelection, checked_thresholds, review_session
 from igtl_gateway.api.keywords import addresses, numbers, of_a_replay, one_of, ros_arguments, texts
 from igtl_gateway.api.peer import HOST, PORT
 from igtl_gateway.api.recording import Recording, session_of
@@ -94,43 +90,7 @@ def diff(
         return compare_sessions(first, second, texts("streams", streams), Tolerance(tolerance_mm, tolerance_deg))
 
 
-def review(
-    path: AnyRecording,
-    *,
-    plan: str = "",
-    cloud: str = "",
-    tool: str = "",
-    clouds: int = CLOUDS,
-    thresholds: Thresholds | None = None,
-) -> Review:
-    """Review the suture plan of a recording: the distance of each point from the tissue, and the depth noise there.
-
-    Args:
-        path: the recording, or a rosbag2 MCAP file: its path, or an open one.
-        plan: topic of the plan; "": pairs of points on the tissue.
-        cloud: topic of the point cloud; "": the largest.
-        tool: topic or frame of the tool; "": the one that comes nearest.
-        clouds: maximum number of clouds, evenly spread over time.
-        thresholds: the limits that make a figure a reason; None: the defaults.
-
-    Returns:
-        The review: ``review.last.wrong`` has the wrong stitches of the last version of the plan.
-
-    Raises:
-        GatewayError: the recording has no plan or no cloud.
-        ConfigError: it does not have the requested ones, or a threshold is out of range.
-
-    Examples:
-        >>> len(review("fixtures/star.mcap").last.stitches)
-        11
-    """
-    limits = thresholds or Thresholds()
-    checked_thresholds({each.name: getattr(limits, each.name) for each in fields(Thresholds)}, clouds)
-    with session_of(path) as file:
-        return review_session(file, ReviewSelection(plan, cloud, tool, clouds), limits)
-
-
-def replay(
+def replay_recording(
     path: AnyRecording,
     to: To = "igtl",
     *,

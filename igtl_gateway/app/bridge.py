@@ -15,7 +15,7 @@ from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from igtl_gateway.app.commands import SERVICE, SERVICE_TYPE, CommandService
 from igtl_gateway.app.hub import LARGE_BYTES, Hub, Rest, Sink
@@ -24,6 +24,7 @@ from igtl_gateway.app.recording import serve_recording
 from igtl_gateway.app.ros_log import NOTED, RosLog
 from igtl_gateway.app.timer import Timer
 from igtl_gateway.app.video import VideoCodecs
+from igtl_gateway.base.addons import part_of
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.errors import RosError, Unavailable
 from igtl_gateway.base.globs import matches
@@ -56,7 +57,6 @@ from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.selection import StateInputRule
 
 if TYPE_CHECKING:
-    from igtl_gateway.addons.upload.live import BridgeUploads
     from igtl_gateway.record.recorder import Recorder
     from igtl_gateway.record.worker import RecordingSummary
 
@@ -79,6 +79,24 @@ _NEVER_RECORDED = ("/parameter_events", "/rosout", "**/_*")
 _OWN_USE = frozenset({CommandReply.TYPE, CompressedImage.TYPE})
 
 Address = tuple[str, int]
+
+
+class Uploads(Protocol):
+    """The upload beside a bridge, of the add-on ``upload``."""
+
+    def counters(self) -> dict[str, Any]:
+        """Return what waits, was sent and was confirmed, so far."""
+        ...
+
+    def left_text(self) -> str:
+        """Return what was uploaded, and what is left and how it is finished."""
+        ...
+
+    def stop(self) -> None:
+        """Upload what is left, for a limited time."""
+        ...
+
+
 OnEntry = Callable[[Entry], None]
 
 
@@ -174,7 +192,7 @@ class Bridge:
         self.addresses: list[Address] = []
         self.recorder: Recorder | None = None
         self.summary: RecordingSummary | None = None
-        self.uploads: BridgeUploads | None = None
+        self.uploads: Uploads | None = None
         self._clock = clock
         self._settings = LiveSettings.of(config)
         self._change_lock = threading.Lock()
@@ -244,10 +262,8 @@ class Bridge:
                 host=host,
                 passage=passage,
             )
-        from igtl_gateway.addons.zenoh.edge import ZenohEdge  # here: it needs an extra
-        from igtl_gateway.addons.zenoh.traffic import Traffic
-
-        return ZenohEdge(
+        traffic = part_of("zenoh", "traffic:Traffic")
+        side: RosSide = part_of("zenoh", "edge:ZenohEdge")(
             node_name=name,
             on_message=message,
             wants=wants,
@@ -255,8 +271,9 @@ class Bridge:
             on_listener=listener,
             endpoint=options.zenoh,
             site=options.site.name,
-            traffic=Traffic(options.site.classes, options.site.bytes_per_s) if options.site.name else None,
+            traffic=traffic(options.site.classes, options.site.bytes_per_s) if options.site.name else None,
         )
+        return side
 
     def start(self, *, active: bool = True) -> None:
         """Open both sides and the recording.
@@ -296,9 +313,7 @@ class Bridge:
                     lock=self._passage.recorder_lock if self._passage else None,
                 )
                 if self.options.upload:
-                    from igtl_gateway.addons.upload.live import BridgeUploads  # its modules are a tenth of the start
-
-                    self.uploads = BridgeUploads(
+                    self.uploads = part_of("upload", "live:BridgeUploads")(
                         self.options.record, self.options.upload, self.options.upload_rate, self._on_edge_note
                     )
             if self._passage:

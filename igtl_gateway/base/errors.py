@@ -43,6 +43,10 @@ class ConfigError(GatewayError):
     """A setting is missing, unknown or out of range."""
 
 
+class MissingAddon(GatewayError):
+    """This installation lacks an add-on, a folder of ``igtl_gateway/addons``."""
+
+
 class Unavailable(GatewayError):
     """A function is not available on this machine: a package is missing, or a port is in use."""
 
@@ -165,3 +169,10 @@ class BeingRecorded(DamagedRecording):
 
 class LimitExceeded(DamagedRecording):
     """The file needs more memory, nesting, repetition or time than the limits allow (``--limit``)."""
+
+
+def failure_text(error: Exception) -> str:
+    """Return why a message is not written: the text of our own errors, otherwise type and text of the error."""
+    if isinstance(error, GatewayError | ValueError) and str(error):
+        return str(error)
+    return f"cannot be decoded: {type(error).__name__}: {error}"

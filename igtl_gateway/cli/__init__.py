@@ -24,7 +24,7 @@ from igtl_gateway.cli.early_port import early_ports
 from igtl_gateway.cli.options import HelpFormatter, add_file_mode, add_limits_of_files, shorten_usage
 from igtl_gateway.cli.ros_arguments import without_ros_arguments
 from igtl_gateway.cli.terminal import Parser, discard_outputs, flush_outputs, open_outputs, print_line
-from igtl_gateway.cli.verbs import LABORATORY, VERBS, WITHOUT_LABORATORY, Verb, available
+from igtl_gateway.cli.verbs import LABORATORY, WITHOUT_LABORATORY, Verb, available, own_verb
 from igtl_gateway.cli.versions import VersionAction
 from igtl_gateway.config import notations
 from igtl_gateway.record.sessionfile.new_file import files_with_mode
@@ -63,8 +63,9 @@ def _run(given: Sequence[str], asked: str, ready: Callable[[], None] | None, **e
     """Run the verb ``asked``; ``extra`` are attributes of its options beside those of the command line."""
     parser = _parser()
     verbs = _verbs(parser)
-    # import only the module of the requested verb: `info` must not wait for ROS
-    known = VERBS if asked in VERBS else available()  # the entry points of all distributions take a while
+    # import only the module of the requested verb: `info` must not wait for ROS; nor for the entry points of all
+    own = own_verb(asked)
+    known = {asked: own} if own else available()
     if asked in LABORATORY and asked not in known:
         return _print_error(asked, WITHOUT_LABORATORY, USAGE)
     for name, verb in known.items():

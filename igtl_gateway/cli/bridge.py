@@ -8,19 +8,20 @@ from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from igtl_gateway.app.bridge_options import bridge_options
 from igtl_gateway.app.interpreter import tune_interpreter
 from igtl_gateway.app.managed import ManagedBridge
 from igtl_gateway.app.settings import declared
+from igtl_gateway.base.addons import check_present, part_of
 from igtl_gateway.base.clock import Clock, SystemClock
 from igtl_gateway.base.errors import ConfigError, ViewerError
 from igtl_gateway.base.extras import missing
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.cli import admission, recording
 from igtl_gateway.cli.bridge_output import BridgeOutput, JsonOutput, TextOutput
-from igtl_gateway.cli.bridge_session import BridgeSession, PlainRunner, options_of_session
+from igtl_gateway.cli.bridge_session import BridgeSession, LiveWindow, PlainRunner, options_of_session
 from igtl_gateway.cli.common import stop_event
 from igtl_gateway.cli.options import default
 from igtl_gateway.cli.ros_arguments import add_ros_arguments
@@ -31,9 +32,6 @@ from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.notations import DDS, address, ros_middleware
 from igtl_gateway.edges.ros.env import prepare_environment, tune_malloc
 from igtl_gateway.edges.ros.host import NodeHost
-
-if TYPE_CHECKING:
-    from igtl_gateway.addons.view.live import LiveWindow
 
 EXAMPLES = """\
   # OpenIGTLink server on 127.0.0.1:18944, ROS 2 node /igtl_gateway
@@ -347,8 +345,8 @@ class _Show:
 
 
 def _window(config: Config) -> LiveWindow:
+    check_present("view")
     if find_spec("rerun") is None:
         raise ViewerError(missing("rerun"))
-    from igtl_gateway.addons.view.live import LiveWindow
-
-    return LiveWindow(config)
+    window: LiveWindow = part_of("view", "live:LiveWindow")(config)
+    return window

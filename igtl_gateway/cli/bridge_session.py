@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 from igtl_gateway.app.bridge import Bridge, BridgeOptions
 from igtl_gateway.app.entry_watch import EntryWatch
@@ -14,10 +14,22 @@ from igtl_gateway.app.status import BridgeStatus
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.edges.ros.host import NodeHost
+from igtl_gateway.gateway.log.entry import Entry
 
 if TYPE_CHECKING:
-    from igtl_gateway.addons.view.live import LiveWindow
     from igtl_gateway.app.metrics import MetricsServer
+
+
+class LiveWindow(Protocol):
+    """The window of ``--view``, of the add-on ``view``."""
+
+    def __call__(self, entry: Entry) -> None:
+        """Show an entry; never blocks."""
+        ...
+
+    def close(self) -> str:
+        """Show what is left and return why showing has stopped; "" if it has not."""
+        ...
 
 
 class BridgeSession:

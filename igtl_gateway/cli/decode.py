@@ -9,7 +9,7 @@ from contextlib import ExitStack, contextmanager
 from io import BufferedReader, BufferedWriter, FileIO
 from pathlib import Path
 
-from igtl_gateway.addons.exchange.formats import IGTL, START, format_of
+from igtl_gateway.base.addons import is_present, part_of
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import ConfigError, GatewayError, MessageTooLarge, WireError
 from igtl_gateway.base.untrusted.files import is_same
@@ -20,6 +20,11 @@ from igtl_gateway.record.sessionfile.new_file import open_new
 from igtl_gateway.wire import decode, describe, encode
 from igtl_gateway.wire.framer import DEFAULT_MAX_BODY, Framer
 from igtl_gateway.wire.header import HEADER_VERSIONS
+
+#: This number of bytes at the start of a file shows its format.
+_START = 512
+#: The format of raw messages, as the add-on ``exchange`` names it.
+_IGTL = "igtl"
 
 EXAMPLES = """\
   # one JSON object per message
@@ -114,10 +119,11 @@ def _decode(options: argparse.Namespace, source: BufferedReader[FileIO], target:
 def _check_format(name: str, source: BufferedReader[FileIO]) -> None:
     """Raise ConfigError for a file of another format that `import` reads, or that is a recording."""
     try:
-        kind = format_of(source.peek(START)[:START])
+        start = source.peek(_START)[:_START]
     except OSError as error:
         raise ConfigError(f"{name}: {_reason(error)}") from None
-    if kind and kind.name != IGTL:
+    kind = part_of("exchange", "formats:format_of")(start) if is_present("exchange") else None
+    if kind and kind.name != _IGTL:
         raise ConfigError(
             f"{name}: found a file of the format {kind.name} ({' '.join(kind.suffixes)}), expected OpenIGTLink bytes; "
             "`igtl-gateway info` shows a recording, `igtl-gateway import` reads other formats"

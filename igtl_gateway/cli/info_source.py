@@ -5,18 +5,15 @@ from __future__ import annotations
 import shutil
 import sys
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from igtl_gateway.addons.exchange.formats import open_source
-from igtl_gateway.addons.exchange.import_verb import import_facts
-from igtl_gateway.addons.exchange.source import numbered
+from igtl_gateway.base.addons import part_of
 from igtl_gateway.base.errors import ConfigError, UnsupportedRecording
 from igtl_gateway.record.sessionfile.new_file import open_new
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.side_file import SIDE_FILE
-from igtl_gateway.record.sessionfile.writer import SessionWriter
 
 STANDARD_INPUT = Path("-")
 
@@ -40,7 +37,7 @@ def recording_of(path: Path) -> Iterator[Path]:
             with open_new(place) as file:
                 shutil.copyfileobj(sys.stdin.buffer, file)
         else:
-            _import(path, place)
+            part_of("exchange", "as_session:write_session")(path, place)
         yield place
 
 
@@ -53,12 +50,3 @@ def _is_bag(path: Path) -> bool:
             return False
     except UnsupportedRecording:
         return True
-
-
-def _import(path: Path, place: Path) -> None:
-    with closing(open_source(path)) as source:
-        facts = import_facts(path, source)
-        writer = SessionWriter(place, facts, qos_of=source.qos_of, definition_of=source.definition_of)
-        for entry in numbered(source.items()):
-            writer.write(entry)
-        writer.close({})

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from igtl_gateway.addons.merge.offsets import Method
 from igtl_gateway.cli.terminal import aligned, print_line
+from igtl_gateway.record.sessionfile.merged import Method
 
 
 def print_merge(facts: Mapping[str, Any]) -> None:

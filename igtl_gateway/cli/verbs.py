@@ -1,4 +1,6 @@
-"""The verbs of the command line: the verbs of this package, and verbs that other distributions add by entry points.
+"""The verbs of the command line: those of the core, of its add-ons, and of other distributions.
+
+An add-on (`igtl_gateway.base.addons`) has its verbs in its folder: ``VERBS`` of its ``addon.py``.
 
 A distribution adds a verb by an entry point of the group ``igtl_gateway.verbs``: its name is the verb, its value names
 a ``Verb``.  The laboratory (``igtl-gateway-lab``) adds ``simulate``, ``bench`` and ``demo`` that way.
@@ -6,8 +8,11 @@ a ``Verb``.  The laboratory (``igtl-gateway-lab``) adds ``simulate``, ``bench`` 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
+
+from igtl_gateway.base.addons import ADDONS, FOLDER, is_present, part_of
 
 if TYPE_CHECKING:
     from importlib import metadata
@@ -37,42 +42,42 @@ def _own(name: str, text: str, *, reads_files: bool = True, writes_files: bool =
     return Verb(text, f"igtl_gateway.cli.{name}", reads_files, writes_files)
 
 
-def _of(addon: str, text: str, module: str = "verb", *, reads_files: bool = True, writes_files: bool = False) -> Verb:
-    return Verb(text, f"igtl_gateway.addons.{addon}.{module}", reads_files, writes_files)
-
-
 VERBS = {
     "bridge": _own("bridge", "run the gateway between OpenIGTLink and ROS 2", reads_files=False),
     "replay": _own("replay", "send a recording to OpenIGTLink peers, to ROS 2 or to both"),
     "verify": _own("verify", "check that the outputs of a recording follow from its inputs, byte for byte"),
     "diff": _own("diff", "compare two recordings stream by stream, in millimetres and degrees"),
-    "sync": _of("sync", "measure the lags between streams from what moves in them", writes_files=True),
     "slice": _own("slice", "cut a part out of a recording, by time and stream; the part verifies", writes_files=True),
-    "merge": _of("merge", "make one session of several recorders; each part verifies", writes_files=True),
-    "deidentify": _of(
-        "deidentify", "write a session without names, text and dates of persons; it verifies", writes_files=True
-    ),
-    "import": _of("exchange", "convert a recording of another program to a session", "import_verb", writes_files=True),
-    "export": _of("exchange", "convert a session to formats of other programs", "export_verb", writes_files=True),
     "recover": _own("recover", "repair a damaged recording and report what is lost", writes_files=True),
     "seal": _own("seal", "sign a recording, so that verify --seal finds every change", writes_files=True),
     "keys": _own("seal_keys", "make, rotate and show the keys of seals", reads_files=False),
     "retain": _own("retain", "delete recordings of a directory by age and by size"),
-    "upload": _of("upload", "copy the recordings of a directory to an object store"),
     "info": _own("info", "show the contents of a recording"),
     "doctor": _own("doctor", "connect to a peer, or wait for one, and diagnose the connection", reads_files=False),
     "lint": _own("lint", "check a recording with the rules of doctor"),
-    "view": _of("view", "show a session in rerun: in a window, as a file, web page or image", writes_files=True),
-    "review": _of("review", "check each stitch of a suture plan against the measured tissue"),
-    "cohort": _of("cohort", "info, lint, verify, review or sync over many sessions, as tables", writes_files=True),
     "decode": _own("decode", "print the messages of a raw OpenIGTLink byte stream as JSON lines"),
-    "zenoh-router": _of("zenoh", "run a router of Zenoh, which ROS nodes with rmw_zenoh need", reads_files=False),
     "completion": _own("completion", "print a script that completes words in bash, zsh or fish", reads_files=False),
 }
 
 #: Verbs of the laboratory, for the error message if it is not installed.
 LABORATORY = ("simulate", "bench", "demo")
 WITHOUT_LABORATORY = "found no laboratory, which has this verb; install it: pip install igtl-gateway-lab"
+
+#: Verb of an add-on → the add-on.
+_ADDON_OF = {verb: addon for addon, verbs in ADDONS.items() for verb in verbs}
+
+
+def own_verb(name: str) -> Verb | None:
+    """Return a verb of this distribution; one of an absent add-on has no module, and its help has the reason."""
+    if name in VERBS:
+        return VERBS[name]
+    addon = _ADDON_OF.get(name)
+    if addon is None:
+        return None
+    if not is_present(addon):
+        return Verb(f"found no add-on {addon!r}, which has this verb: {FOLDER}.{addon} is not installed", "")
+    verbs: Mapping[str, Verb] = part_of(addon, "addon:VERBS")
+    return verbs[name]
 
 
 def available() -> dict[str, Verb]:
@@ -83,6 +88,9 @@ def available() -> dict[str, Verb]:
     from importlib import metadata  # here: our own verbs do not wait for it
 
     verbs = dict(VERBS)
+    for name, addon in _ADDON_OF.items():
+        if is_present(addon) and (verb := own_verb(name)):
+            verbs[name] = verb
     for entry in sorted(metadata.entry_points(group=GROUP), key=lambda each: each.name):
         if entry.name not in verbs:
             verbs[entry.name] = _loaded(entry)

@@ -64,7 +64,7 @@ def test_replay_to_a_peer(capsys: pytest.CaptureFixture[str]) -> None:
     lines: list[str] = []
     with igtl_gateway.serve(0, queue_messages=100_000) as server:
         address = (server.host, server.port)
-        result = igtl_gateway.replay(LEGO, connect=[address], rate=None, on_line=lines.append)
+        result = igtl_gateway.replay_recording(LEGO, connect=[address], rate=None, on_line=lines.append)
         server._talk.wait(lambda: server.counts.received >= result.messages or None, 10, "all messages")
         assert result.complete
         assert result.account is not None
@@ -90,7 +90,7 @@ def test_replay_stops() -> None:
         port = taken.getsockname()[1]
     threading.Timer(0.1, stop.set).start()
     with pytest.raises(GatewayError, match="stopped before it started"):  # no peer came
-        igtl_gateway.replay(LEGO, listen=[("127.0.0.1", port)], stop=stop)
+        igtl_gateway.replay_recording(LEGO, listen=[("127.0.0.1", port)], stop=stop)
 
 
 @table(
@@ -115,7 +115,7 @@ def test_replay_stops() -> None:
 )
 def test_arguments_of_replay(options: dict[str, object], text: str) -> None:
     with pytest.raises(ConfigError, match="^" + text):
-        igtl_gateway.replay(LEGO, **options)  # type: ignore[arg-type]
+        igtl_gateway.replay_recording(LEGO, **options)  # type: ignore[arg-type]
 
 
 def test_other_files(tmp_path: Path) -> None:

@@ -12,9 +12,9 @@ import numpy.typing as npt
 import pytest
 
 import igtl_gateway
+from igtl_gateway.addons.sync.lags import movement
 from igtl_gateway.addons.sync.plus import plus_lag
 from igtl_gateway.addons.sync.signal import Signal, main_component
-from igtl_gateway.api.lags import movement
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.cli import main
 from igtl_gateway.convert.common_msgs import JointState, PoseStamped

@@ -314,7 +314,7 @@ def _end(name: str, end: EndReview) -> Row:
 
 def _sync(file: SessionFile, settings: Mapping[str, Any]) -> Rows:
     from igtl_gateway.addons.sync.lag import measure_lag, measure_together
-    from igtl_gateway.api.lags import movement, movements
+    from igtl_gateway.addons.sync.lags import movement, movements
     from igtl_gateway.api.recording import of_session
 
     recording = of_session(file)

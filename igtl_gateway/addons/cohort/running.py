@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.addons.cohort import ends
 from igtl_gateway.addons.cohort.results import Results
+from igtl_gateway.addons.cohort.run import KnownFile, Reply, Runner, RunPlace, RunSettings
 from igtl_gateway.addons.cohort.scheduler import cluster
 from igtl_gateway.addons.cohort.sources import Located, digest
 from igtl_gateway.addons.cohort.task import Programs, failed, job_of
@@ -22,54 +22,8 @@ from igtl_gateway.base.version import __version__
 if TYPE_CHECKING:
     from igtl_gateway.addons.cohort.columns import Row
 
-Reply = dict[str, Any]
-#: A file, and the SHA-256 of its content at the last time.
-Item = tuple[Located, str]
-Do = Callable[["Work", Sequence[Item]], Iterator[tuple[Item, Reply]]]
-
 #: Rows are written after this time, or of this number of files: what a killed run loses.
 _FLUSH_S, _FLUSH_FILES = 5, 500
-
-
-@dataclass(frozen=True, slots=True)
-class Where:
-    """Where the tasks run.
-
-    Attributes:
-        workers: number of files at a time on this machine.
-        scheduler: address of the scheduler of a cluster; "": this machine.
-        tls_ca, tls_cert, tls_key: files for TLS; "": none.
-    """
-
-    workers: int
-    scheduler: str = ""
-    tls_ca: str = ""
-    tls_cert: str = ""
-    tls_key: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Work:
-    """What a run does with each file.
-
-    Attributes:
-        verb: one of ``ends.VERB_NAMES``.
-        settings: of the verb.
-        limits: words of ``--limit``.
-        memory: bytes that a worker's data may take; 0: any number.
-        timeout_s: time for a file, s.
-    """
-
-    verb: str
-    settings: Mapping[str, Any]
-    limits: Sequence[str] = ()
-    memory: int = 2 << 30
-    timeout_s: float = 600.0
-
-    @property
-    def text(self) -> str:
-        """The settings that decide about the rows."""
-        return json.dumps({"limits": sorted(self.limits), **self.settings}, sort_keys=True)
 
 
 @dataclass(slots=True)
@@ -101,7 +55,11 @@ class RunSummary:
 
 
 def run_cohort(
-    work: Work, files: Sequence[Located], results: Results, where: Where, progress: Callable[[RunSummary], None]
+    work: RunSettings,
+    files: Sequence[Located],
+    results: Results,
+    where: RunPlace,
+    progress: Callable[[RunSummary], None],
 ) -> RunSummary:
     """Do what is not done yet, and write its rows.
 
@@ -117,7 +75,7 @@ def run_cohort(
     with results.locked():
         summary = RunSummary(len(files))
         known = results.current()
-        todo: list[Item] = []
+        todo: list[KnownFile] = []
         for each in files:
             row = known.get((each.shown, work.verb))
             if row and row["version"] == __version__ and row["settings"] == work.text and row["status"] in ends.FINAL:
@@ -135,10 +93,10 @@ def run_cohort(
 
 
 def _do(
-    work: Work,
-    todo: Sequence[Item],
+    work: RunSettings,
+    todo: Sequence[KnownFile],
     results: Results,
-    where: Where,
+    where: RunPlace,
     summary: RunSummary,
     progress: Callable[[RunSummary], None],
 ) -> None:
@@ -172,7 +130,7 @@ def _do(
         flush()
 
 
-def _add(rows: dict[str, list[Row]], work: Work, file: Located, reply: Mapping[str, Any]) -> None:
+def _add(rows: dict[str, list[Row]], work: RunSettings, file: Located, reply: Mapping[str, Any]) -> None:
     content = reply.get("content") or ""
     name = {"task": digest(file.shown, work.verb, work.text, __version__, content or file.mark), "file": file.shown}
     names = ("status", "error", "requests", "bytes_read", "seconds")
@@ -190,7 +148,9 @@ def _is_different(reply: Mapping[str, Any]) -> bool:
     )
 
 
-def _replies(work: Work, todo: Sequence[Item], where: Where) -> Generator[tuple[Item, Reply], None, None]:
+def _replies(
+    work: RunSettings, todo: Sequence[KnownFile], where: RunPlace
+) -> Generator[tuple[KnownFile, Reply], None, None]:
     """Yield each file with its reply, as they end."""
     with cluster(where) if where.scheduler else _here(min(where.workers, len(todo))) as do:
         again = []
@@ -206,11 +166,11 @@ def _replies(work: Work, todo: Sequence[Item], where: Where) -> Generator[tuple[
 
 
 @contextmanager
-def _here(workers: int) -> Iterator[Do]:
+def _here(workers: int) -> Iterator[Runner]:
     """Context manager: threads of this process, of which each keeps a program of its own."""
     pool = ThreadPoolExecutor(workers, thread_name_prefix="igtl-cohort")
 
-    def do(work: Work, todo: Sequence[Item]) -> Iterator[tuple[Item, Reply]]:
+    def do(work: RunSettings, todo: Sequence[KnownFile]) -> Iterator[tuple[KnownFile, Reply]]:
         futures = {
             pool.submit(programs.run_task, job_of(work, item), work.memory, work.timeout_s): item for item in todo
         }

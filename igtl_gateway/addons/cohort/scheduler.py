@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from igtl_gateway.addons.cohort.run import KnownFile, Reply, Runner, RunPlace, RunSettings
 from igtl_gateway.addons.cohort.sources import digest
 from igtl_gateway.addons.cohort.task import failed, job_of, run_task
 from igtl_gateway.base import extras
@@ -18,13 +19,11 @@ from igtl_gateway.base.untrusted.files import open_file
 if TYPE_CHECKING:
     from dask.distributed import Client
 
-    from igtl_gateway.addons.cohort.running import Do, Item, Reply, Where, Work
-
 _CONNECT_S = 20
 
 
 @contextmanager
-def cluster(where: Where) -> Iterator[Do]:
+def cluster(where: RunPlace) -> Iterator[Runner]:
     """Context manager: the workers of Dask behind a scheduler.  Raises Unavailable."""
     try:
         from dask import distributed
@@ -34,7 +33,7 @@ def cluster(where: Where) -> Iterator[Do]:
         if name.partition(".")[0] == "distributed":
             logging.getLogger(name).setLevel(logging.CRITICAL)
 
-    def do(work: Work, todo: Sequence[Item]) -> Iterator[tuple[Item, Reply]]:
+    def do(work: RunSettings, todo: Sequence[KnownFile]) -> Iterator[tuple[KnownFile, Reply]]:
         moment = str(SystemClock().utc_ns())  # Dask answers a key that it knows from memory
         keys = [f"igtl-{work.verb}-{digest(file.name, file.mark, work.text, moment)}" for file, _ in todo]
         jobs = [job_of(work, item) for item in todo]
@@ -58,7 +57,7 @@ def cluster(where: Where) -> Iterator[Do]:
 
 
 @contextmanager
-def _client(where: Where) -> Iterator[Client]:
+def _client(where: RunPlace) -> Iterator[Client]:
     from dask.distributed import Client, Security
 
     security = None

@@ -12,15 +12,13 @@ import queue
 import sys
 import threading
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 from igtl_gateway.addons.cohort.ends import FAILED, KILLED, MEMORY, TIMEOUT
+from igtl_gateway.addons.cohort.run import KnownFile, RunSettings
 from igtl_gateway.base.child import Child
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.stamp import NS_PER_S
-
-if TYPE_CHECKING:
-    from igtl_gateway.addons.cohort.running import Item, Work
 from igtl_gateway.base.systems.processes import KILL
 
 #: How often a job is tried again whose program was killed: another process may have been the cause.
@@ -156,7 +154,7 @@ def run_task(job: Mapping[str, Any], memory: int, timeout_s: float) -> dict[str,
     return _of_this_process.run_task(job, memory, timeout_s)
 
 
-def job_of(work: Work, item: Item) -> dict[str, Any]:
+def job_of(work: RunSettings, item: KnownFile) -> dict[str, Any]:
     """Return the job of a file."""
     file, content = item
     return {

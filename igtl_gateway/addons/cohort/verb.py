@@ -160,13 +160,14 @@ def _run_report(options: argparse.Namespace) -> int:
 def _run_files(options: argparse.Namespace) -> int:
     _check(options)
     from igtl_gateway.addons.cohort.results import Results
-    from igtl_gateway.addons.cohort.running import Where, Work, run_cohort
+    from igtl_gateway.addons.cohort.run import RunPlace, RunSettings
+    from igtl_gateway.addons.cohort.running import run_cohort
     from igtl_gateway.addons.cohort.sources import locate
 
     results = Results(options.out)
     files = locate(options.sources)
-    work = Work(options.action, _settings(options), options.limit, options.memory_mib << 20, options.timeout)
-    where = Where(
+    work = RunSettings(options.action, _settings(options), options.limit, options.memory_mib << 20, options.timeout)
+    where = RunPlace(
         options.workers or usable_cpus(),
         options.scheduler,
         options.tls_ca,

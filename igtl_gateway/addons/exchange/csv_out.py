@@ -20,7 +20,9 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from igtl_gateway.addons.exchange.account import ExportAccount
-from igtl_gateway.addons.exchange.columns import (
+from igtl_gateway.addons.exchange.folder import FileNames, Folder, new_folder
+from igtl_gateway.addons.exchange.recording import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
+from igtl_gateway.api.columns import (
     HEAD,
     MAX_COLUMNS,
     Cells,
@@ -29,8 +31,7 @@ from igtl_gateway.addons.exchange.columns import (
     name_ros_fields,
     table_rows,
 )
-from igtl_gateway.addons.exchange.folder import FileNames, Folder, failure_text, new_folder
-from igtl_gateway.addons.exchange.recording import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
+from igtl_gateway.base.errors import failure_text
 from igtl_gateway.base.untrusted.decoding import MessageDecoder
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.new_file import open_text

@@ -12,7 +12,7 @@ from typing import BinaryIO, TypeVar
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.recording import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
 from igtl_gateway.base.buffers import Buffer
-from igtl_gateway.base.errors import GatewayError
+from igtl_gateway.base.errors import failure_text
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.beside import written_folder
 from igtl_gateway.record.sessionfile.new_file import open_new
@@ -145,10 +145,3 @@ class _Causes:
     def on_input(self, _entry: Entry) -> None:
         """Note an input."""
         self.written = ""
-
-
-def failure_text(error: Exception) -> str:
-    """Return why a message is not written: the text of our own errors, otherwise type and text of the error."""
-    if isinstance(error, GatewayError | ValueError) and str(error):
-        return str(error)
-    return f"cannot be decoded: {type(error).__name__}: {error}"

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import BinaryIO
 
 from igtl_gateway.addons.exchange.header import Frames, ImageFile, ImageFileHeader, header_lines
-from igtl_gateway.addons.exchange.placement import ImagePlacement, Vector
 from igtl_gateway.addons.exchange.raster import (
     BZIP2,
     COMPONENT,
@@ -29,6 +28,7 @@ from igtl_gateway.addons.exchange.raster import (
     parse_number,
     parse_whole,
 )
+from igtl_gateway.api.placement import ImagePlacement, Vector
 from igtl_gateway.base.errors import DamagedRecording, UnsupportedRecording
 from igtl_gateway.base.untrusted import files, limits
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from igtl_gateway.addons.exchange.placement import ImagePlacement
+from igtl_gateway.api.placement import ImagePlacement
 from igtl_gateway.base.errors import DamagedRecording, UnsupportedRecording
 from igtl_gateway.base.untrusted import limits
 

@@ -24,7 +24,6 @@ from igtl_gateway.addons.exchange import pixels
 from igtl_gateway.addons.exchange.header import ImageFile
 from igtl_gateway.addons.exchange.metaimage import read_metaimage
 from igtl_gateway.addons.exchange.nrrd import read_nrrd
-from igtl_gateway.addons.exchange.placement import COORDINATE
 from igtl_gateway.addons.exchange.raster import WIDER, check_room
 from igtl_gateway.addons.exchange.source import (
     ImportedItem,
@@ -36,6 +35,7 @@ from igtl_gateway.addons.exchange.source import (
     note_item,
     peer_item,
 )
+from igtl_gateway.api.placement import COORDINATE
 from igtl_gateway.base.buffers import Buffer, join
 from igtl_gateway.base.errors import DamagedRecording
 from igtl_gateway.base.stamp import NS_PER_S, ns_to_ticks

@@ -13,11 +13,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
-from igtl_gateway.addons.exchange.folder import failure_text
 from igtl_gateway.addons.exchange.recording import Recording, chosen_entries, matches_stream, message_time_ns
 from igtl_gateway.addons.exchange.sequence import TRANSFORM_STATUS
 from igtl_gateway.base.buffers import Buffer
-from igtl_gateway.base.errors import ConfigError, UnsupportedRecording
+from igtl_gateway.base.errors import ConfigError, UnsupportedRecording, failure_text
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Note

@@ -15,10 +15,10 @@ import numpy as np
 
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.metaimage_out import SIZE_KEY, SIZE_WIDTH, metaimage_header
-from igtl_gateway.addons.exchange.placement import ImagePlacement
 from igtl_gateway.addons.exchange.recording import Recording
 from igtl_gateway.addons.exchange.sequence import EPOCH_FIELD
 from igtl_gateway.addons.exchange.sequence_frames import IDENTITY, SequenceFrame, SequenceFrames
+from igtl_gateway.api.placement import ImagePlacement
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import UnsupportedRecording
 from igtl_gateway.base.stamp import NS_PER_S

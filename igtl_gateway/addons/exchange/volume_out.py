@@ -19,8 +19,8 @@ import numpy as np
 
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.folder import export_one_file_each
-from igtl_gateway.addons.exchange.placement import ImagePlacement, Vector, has_own_normal
 from igtl_gateway.addons.exchange.recording import Recording
+from igtl_gateway.api.placement import ImagePlacement, Vector, has_own_normal
 from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext
 from igtl_gateway.convert.igtl_msgs import Volume

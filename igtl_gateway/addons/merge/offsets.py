@@ -15,13 +15,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import Enum
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.record.sessionfile.merged import Method
 
 Array = npt.NDArray[Any]
 
@@ -31,16 +31,6 @@ MOST_SKEW = 200_000.0
 MOST_PIECES = 64
 #: Stamps are whole nanoseconds.
 _ROUNDING_NS = 1.0
-
-
-class Method(Enum):
-    """How an offset is known."""
-
-    BOTH_WAYS = "messages in both directions"
-    ONE_WAY = "messages in one direction: a bound"
-    GIVEN = "given"
-    STREAMS = "the movement in two streams"
-    REFERENCE = "the reference"
 
 
 @dataclass(frozen=True, slots=True)

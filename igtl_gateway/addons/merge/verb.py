@@ -8,12 +8,12 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from igtl_gateway.addons.merge.merging import Source, merge
-from igtl_gateway.addons.merge.offsets import ClockOffset, Method, Piece
+from igtl_gateway.addons.merge.offsets import ClockOffset, Piece
 from igtl_gateway.addons.sync.defaults import MAX_LAG_S
 from igtl_gateway.addons.sync.lag import measure_lag
+from igtl_gateway.addons.sync.lags import movement
 from igtl_gateway.addons.sync.verb import stream_named
 from igtl_gateway.api import recording as recordings
-from igtl_gateway.api.lags import movement
 from igtl_gateway.base.errors import ConfigError, GatewayError
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.files import is_same
@@ -23,6 +23,7 @@ from igtl_gateway.cli.options import add_json, add_overwrite, default, new_recor
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.convert.names import topic_token
 from igtl_gateway.record.sessionfile.beside import check_target, written
+from igtl_gateway.record.sessionfile.merged import Method
 from igtl_gateway.record.sessionfile.new_file import open_new
 from igtl_gateway.record.sessionfile.reader import SessionFile
 

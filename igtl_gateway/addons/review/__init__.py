@@ -10,13 +10,8 @@ one.  The review compares every planned entry and exit point with the tissue aro
 * ``executed`` finds where the tool passed each planned point.
 
 Pure functions on arrays: no file, no clock, no LAPACK.  Formulae and limits: ``docs/how-to/review.md``.
-
-Called, the package is the function `igtl_gateway.api.verbs.review`.
 """
 
-import sys
-
-from igtl_gateway import CallablePackage
 from igtl_gateway.addons.review.assess import review_of
 from igtl_gateway.addons.review.material import Material
 from igtl_gateway.addons.review.model import (
@@ -44,5 +39,3 @@ __all__ = [
     "Thresholds",
     "review_of",
 ]
-
-sys.modules[__name__].__class__ = CallablePackage

@@ -16,9 +16,9 @@ from igtl_gateway.addons.sync.correction import StampCorrection, is_corrected
 from igtl_gateway.addons.sync.curves import lag_text
 from igtl_gateway.addons.sync.defaults import CUT_OFF_HZ, MAX_LAG_S
 from igtl_gateway.addons.sync.lag import Lag, Pair, Verdict, measure_lag, measure_together
+from igtl_gateway.addons.sync.lags import movement, movements
 from igtl_gateway.addons.sync.signal import Signal
 from igtl_gateway.api import recording as recordings
-from igtl_gateway.api.lags import movement, movements
 from igtl_gateway.api.recording import Recording
 from igtl_gateway.api.stream import Stream
 from igtl_gateway.base.errors import ConfigError, GatewayError

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -15,9 +16,6 @@ from igtl_gateway.addons.view.colours import SERIES
 from igtl_gateway.addons.view.contents import FRAMES, LOG, EntityKind, SessionContents, ShownTopic, escape_path_part
 from igtl_gateway.addons.view.pen import Pen, Pose, Xyz
 from igtl_gateway.base.once import Once
-
-if TYPE_CHECKING:
-    from igtl_gateway.addons.view.robots import Robots
 
 NS_PER_MS = 1_000_000
 
@@ -60,6 +58,18 @@ class _Trail:
     frame: str = ""
 
 
+class RobotModels(Protocol):
+    """The robots of a session (`igtl_gateway.addons.view.robots`), for the functions that draw their messages."""
+
+    def describe(self, data: str | bytes, namespace: str, canvas: Canvas, urdf: Path | None = None) -> None:
+        """Take a robot description (URDF)."""
+        ...
+
+    def move(self, names: tuple[str, ...], positions: Sequence[float], canvas: Canvas) -> None:
+        """Move the joints with these names."""
+        ...
+
+
 class Canvas:
     """What the function that draws a message of the topic draws on.
 
@@ -71,7 +81,7 @@ class Canvas:
     """
 
     def __init__(
-        self, pen: Pen, seen: SessionContents, shown: ShownTopic, options: Options, number: int, robots: Robots
+        self, pen: Pen, seen: SessionContents, shown: ShownTopic, options: Options, number: int, robots: RobotModels
     ) -> None:
         self.pen = pen
         self.robots = robots

@@ -10,20 +10,18 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import rerun as rr
 
+from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.colours import GREY, WARN, rgba
 from igtl_gateway.addons.view.contents import EntityKind, escape_path_part
 from igtl_gateway.addons.view.meshes import MeshFolders
 from igtl_gateway.addons.view.robot_model import MOVING, Joint, JointKind, Robot, Visual, Xyz
 from igtl_gateway.addons.view.urdf import parse_urdf
 from igtl_gateway.base.errors import RecordingError
-
-if TYPE_CHECKING:
-    from igtl_gateway.addons.view.canvas import Canvas
 
 #: CRTK: joint states with these names are commands and goals, not positions of the robot.
 _WANTED = ("setpoint_", "goal_", "servo_", "interpolate_", "move_")

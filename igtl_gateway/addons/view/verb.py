@@ -18,9 +18,9 @@ import numpy as np
 from igtl_gateway.addons.review import Material, review_of
 from igtl_gateway.addons.sync.curves import lag_text
 from igtl_gateway.addons.sync.lag import measure_lag
+from igtl_gateway.addons.sync.lags import movement
 from igtl_gateway.addons.sync.verb import lag_facts, stream_named
 from igtl_gateway.api import recording as recordings
-from igtl_gateway.api.lags import movement
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import ConfigError, DamagedRecording, GatewayError, ViewerError
 from igtl_gateway.base.extras import missing

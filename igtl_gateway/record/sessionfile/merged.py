@@ -14,12 +14,12 @@ import re
 import struct
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from enum import Enum
 from typing import IO, Any
 
 import numpy as np
 from mcap.records import Attachment, Channel, Schema
 
-from igtl_gateway.addons.merge.offsets import Method
 from igtl_gateway.base.errors import DamagedRecording, UnsupportedRecording
 from igtl_gateway.base.untrusted.shape import fields, list_of, map_of, number, text, wrong
 from igtl_gateway.base.untrusted.text import parse_json
@@ -48,6 +48,16 @@ MessageIn = tuple[Schema | None, Channel, Row]
 
 _NAME = re.compile(r"\w+", re.ASCII)
 _MESSAGE = struct.Struct("<IIQQQ")
+
+
+class Method(Enum):
+    """How the offset of a part's clock is known."""
+
+    BOTH_WAYS = "messages in both directions"
+    ONE_WAY = "messages in one direction: a bound"
+    GIVEN = "given"
+    STREAMS = "the movement in two streams"
+    REFERENCE = "the reference"
 
 
 def _number_or_null(value: Any, place: str) -> None:

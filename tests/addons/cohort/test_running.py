@@ -17,7 +17,8 @@ from igtl_gateway.addons.cohort import running, task
 from igtl_gateway.addons.cohort.columns import TABLES
 from igtl_gateway.addons.cohort.jobs import run_job
 from igtl_gateway.addons.cohort.results import Results
-from igtl_gateway.addons.cohort.running import RunSummary, Where, Work, run_cohort
+from igtl_gateway.addons.cohort.run import RunPlace, RunSettings
+from igtl_gateway.addons.cohort.running import RunSummary, run_cohort
 from igtl_gateway.addons.cohort.sources import locate
 from igtl_gateway.base.errors import GatewayError
 from tests.places import FIXTURES
@@ -51,11 +52,11 @@ def run(
     progress: Callable[[RunSummary], None] = lambda summary: None,
 ) -> RunSummary:
     settings: dict[str, Any] = {}
-    work = Work(verb, settings, (), memory, timeout_s)
-    return run_cohort(work, locate([str(folder)]), Results(out), Where(workers), progress)
+    work = RunSettings(verb, settings, (), memory, timeout_s)
+    return run_cohort(work, locate([str(folder)]), Results(out), RunPlace(workers), progress)
 
 
-def in_this_process(work: Work, todo: Any, where: Where) -> Any:
+def in_this_process(work: RunSettings, todo: Any, where: RunPlace) -> Any:
     """The replies without threads and programs, one after the other."""
     for file, content in todo:
         job = {

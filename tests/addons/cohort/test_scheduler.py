@@ -21,7 +21,8 @@ pytest.importorskip("distributed", reason='needs Dask: pip install "igtl-gateway
 from dask import distributed
 
 from igtl_gateway.addons.cohort.results import Results
-from igtl_gateway.addons.cohort.running import RunSummary, Where, Work, run_cohort
+from igtl_gateway.addons.cohort.run import RunPlace, RunSettings
+from igtl_gateway.addons.cohort.running import RunSummary, run_cohort
 from igtl_gateway.addons.cohort.sources import locate
 from igtl_gateway.base.errors import ConfigError, Unavailable
 from tests.places import FIXTURES
@@ -32,9 +33,9 @@ ON_REQUEST = pytest.mark.skipif(
 
 
 def run(
-    folder: Path, out: Path, where: Where, progress: Callable[[RunSummary], None] = lambda summary: None
+    folder: Path, out: Path, where: RunPlace, progress: Callable[[RunSummary], None] = lambda summary: None
 ) -> RunSummary:
-    return run_cohort(Work("info", {}), locate([str(folder)]), Results(out), where, progress)
+    return run_cohort(RunSettings("info", {}), locate([str(folder)]), Results(out), where, progress)
 
 
 @pytest.fixture
@@ -51,15 +52,15 @@ def test_a_scheduler_gives_the_tables_of_this_machine(sessions: Path, tmp_path: 
     with distributed.LocalCluster(
         n_workers=1, threads_per_worker=1, processes=False, protocol="tcp", dashboard_address=None, silence_logs=50
     ) as cluster:
-        summary = run(sessions, tmp_path / "cluster", Where(1, cluster.scheduler_address))
+        summary = run(sessions, tmp_path / "cluster", RunPlace(1, cluster.scheduler_address))
     assert dict(summary.ends) == {"ok": 4, "unsupported": 1}
-    run(sessions, tmp_path / "here", Where(1))
+    run(sessions, tmp_path / "here", RunPlace(1))
     tables = [Results(tmp_path / name).read("streams") for name in ("cluster", "here")]
     assert tables[0] == tables[1]
 
 
 def test_files_of_tls_that_are_missing_are_named(sessions: Path, tmp_path: Path) -> None:
-    where = Where(1, "tls://127.0.0.1:9", str(sessions / "0.mcap"), str(sessions / "0.mcap"), "/nothing.pem")
+    where = RunPlace(1, "tls://127.0.0.1:9", str(sessions / "0.mcap"), str(sessions / "0.mcap"), "/nothing.pem")
     with pytest.raises(ConfigError, match=r"--tls-key /nothing\.pem: No such file"):
         run(sessions, tmp_path / "out", where)
 
@@ -125,10 +126,10 @@ def test_tls_between_programs_wrong_certificates_and_the_end_of_a_scheduler(sess
         for files in (others, [ours[0], *others[1:]]):
             start = time.monotonic()
             with pytest.raises(Unavailable, match="found no scheduler of Dask"):
-                run(sessions, out, Where(1, address, *map(str, files)))
+                run(sessions, out, RunPlace(1, address, *map(str, files)))
             assert time.monotonic() - start < 30
         with pytest.raises(Unavailable, match="the scheduler is gone; what is done is kept"):
-            run(sessions, out, Where(1, address, *map(str, ours)), end)
+            run(sessions, out, RunPlace(1, address, *map(str, ours)), end)
     with programs(tmp_path, ours) as (address, scheduler):
-        summary = run(sessions, out, Where(1, address, *map(str, ours)))
+        summary = run(sessions, out, RunPlace(1, address, *map(str, ours)))
     assert (summary.files, summary.before) == (5, 2)

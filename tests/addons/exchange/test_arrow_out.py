@@ -14,8 +14,8 @@ from pyarrow import parquet
 
 import igtl_gateway
 from igtl_gateway.addons.exchange import arrow_out
-from igtl_gateway.addons.exchange.arrow_tables import fitted, unified
 from igtl_gateway.addons.exchange.targets import export_to
+from igtl_gateway.api.arrow_tables import fitted, unified
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter

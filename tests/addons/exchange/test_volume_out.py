@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from igtl_gateway.addons.exchange.folder import FileNames
-from igtl_gateway.addons.exchange.placement import ImagePlacement
 from igtl_gateway.addons.exchange.recording import IGTL_KINDS, ROS_KINDS, chosen_entries
 from igtl_gateway.addons.exchange.sequence_out import export_sequence
 from igtl_gateway.addons.exchange.volume_out import export_nrrd
+from igtl_gateway.api.placement import ImagePlacement
 from igtl_gateway.base.errors import UnsupportedRecording
 from igtl_gateway.convert.context import ToIgtlContext
 from igtl_gateway.convert.igtl_msgs import Volume

@@ -11,10 +11,10 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from igtl_gateway.addons.merge.merging import Source, merge
-from igtl_gateway.addons.merge.offsets import ClockOffset, Method, Piece
+from igtl_gateway.addons.merge.offsets import ClockOffset, Piece
 from igtl_gateway.app.verification import verify_parts
 from igtl_gateway.base.errors import ConfigError, DamagedRecording, GatewayError, UnsupportedRecording
-from igtl_gateway.record.sessionfile.merged import Digest
+from igtl_gateway.record.sessionfile.merged import Digest, Method
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from tests.places import FIXTURES
 from tests.tables import table

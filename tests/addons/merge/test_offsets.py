@@ -10,7 +10,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from igtl_gateway.addons.merge.offsets import MOST_PIECES, Contradiction, Method, measure_offset
+from igtl_gateway.addons.merge.offsets import MOST_PIECES, Contradiction, measure_offset
+from igtl_gateway.record.sessionfile.merged import Method
 
 Array = npt.NDArray[Any]
 START_NS = 1_700_000_000_000_000_000

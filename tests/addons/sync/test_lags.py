@@ -11,8 +11,8 @@ import pytest
 
 import igtl_gateway
 from igtl_gateway.addons.sync.lag import measure_lag
+from igtl_gateway.addons.sync.lags import movements, picture_components
 from igtl_gateway.addons.sync.signal import Signal, moves
-from igtl_gateway.api.lags import movements, picture_components
 from igtl_gateway.base.errors import GatewayError
 from igtl_gateway.convert.common_msgs import JointState
 from igtl_gateway.convert.rosmsg import Header

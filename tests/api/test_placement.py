@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from igtl_gateway.addons.exchange.placement import ImagePlacement, has_own_normal, normal
 from igtl_gateway.addons.exchange.volume_out import nrrd_header
+from igtl_gateway.api.placement import ImagePlacement, has_own_normal, normal
 from igtl_gateway.base.errors import DamagedRecording
 from igtl_gateway.wire.image import LPS, RAS, Image
 from tests.addons.exchange.itk import (

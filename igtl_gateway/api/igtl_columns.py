@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addons.exchange.cdr_columns import Column
+from igtl_gateway.api.cdr_columns import Column
 from igtl_gateway.base.errors import ConversionError, WireError
 from igtl_gateway.convert.context import ToRosContext
 from igtl_gateway.convert.poses import ROUNDING, pose_of_matrix, rotation_matrix

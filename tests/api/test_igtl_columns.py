@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from igtl_gateway.addons.exchange.columns import name_igtl_fields, table_rows
-from igtl_gateway.addons.exchange.igtl_columns import crcs, pose_columns, pose_rows
+from igtl_gateway.api.columns import name_igtl_fields, table_rows
+from igtl_gateway.api.igtl_columns import crcs, pose_columns, pose_rows
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.bulk import block_of
 from igtl_gateway.wire import decode

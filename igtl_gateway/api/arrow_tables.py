@@ -17,11 +17,10 @@ from typing import Any
 
 import numpy as np
 
-from igtl_gateway.addons.exchange.cdr_columns import Column, NotColumns, ros_columns, unit_text
-from igtl_gateway.addons.exchange.columns import HEAD, UNITS_OF_NAMES, name_igtl_fields, name_ros_fields
-from igtl_gateway.addons.exchange.folder import failure_text
-from igtl_gateway.addons.exchange.igtl_columns import POSE_TYPES, pose_columns, pose_rows
-from igtl_gateway.base.errors import ConversionError, GatewayError, Unavailable
+from igtl_gateway.api.cdr_columns import Column, NotColumns, ros_columns, unit_text
+from igtl_gateway.api.columns import HEAD, UNITS_OF_NAMES, name_igtl_fields, name_ros_fields
+from igtl_gateway.api.igtl_columns import POSE_TYPES, pose_columns, pose_rows
+from igtl_gateway.base.errors import ConversionError, GatewayError, Unavailable, failure_text
 from igtl_gateway.base.extras import missing
 from igtl_gateway.base.untrusted.decoding import MessageDecoder
 from igtl_gateway.gateway.log.entry import Kind

@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from igtl_gateway.addons.exchange.arrow_tables import TableMaker, joined, side_by_side
+from igtl_gateway.api.arrow_tables import TableMaker, joined, side_by_side
 from igtl_gateway.base.errors import Unavailable
 from igtl_gateway.base.untrusted.decoding import MessageDecoder
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -47,6 +47,6 @@ def test_rows_without_message_are_null() -> None:
 
 def test_without_pyarrow_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    monkeypatch.delitem(sys.modules, "igtl_gateway.addons.exchange.arrow_tables")
+    monkeypatch.delitem(sys.modules, "igtl_gateway.api.arrow_tables")
     with pytest.raises(Unavailable, match=r'pyarrow .*pip install "igtl-gateway\[arrow\]"'):
-        __import__("igtl_gateway.addons.exchange.arrow_tables")
+        __import__("igtl_gateway.api.arrow_tables")

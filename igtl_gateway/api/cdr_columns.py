@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from rosbags.interfaces import Nodetype
 
-from igtl_gateway.addons.exchange.columns import field_unit
+from igtl_gateway.api.columns import field_unit
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.record.sessionfile.bulk import Bytes, MessageBlock, Numbers, gathered, numbers_at
 from igtl_gateway.record.sessionfile.records import Malformed

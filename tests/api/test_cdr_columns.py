@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
-from igtl_gateway.addons.exchange.cdr_columns import NotColumns, ros_columns, unit_text
-from igtl_gateway.addons.exchange.columns import name_ros_fields
+from igtl_gateway.api.cdr_columns import NotColumns, ros_columns, unit_text
+from igtl_gateway.api.columns import name_ros_fields
 from igtl_gateway.base.untrusted.decoding import MessageDecoder
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.bulk import MessageBlock, block_of

@@ -1,0 +1,13 @@
+"""The add-on cohort: many sessions."""
+
+from __future__ import annotations
+
+from igtl_gateway.cli.verbs import Verb
+
+VERBS = {
+    "cohort": Verb(
+        "info, lint, verify, review or sync over many sessions, as tables",
+        f"{__package__}.verb",
+        writes_files=True,
+    ),
+}

@@ -1,0 +1,14 @@
+"""The add-on exchange: files of other programs."""
+
+from __future__ import annotations
+
+from igtl_gateway.cli.verbs import Verb
+
+VERBS = {
+    "import": Verb(
+        "convert a recording of another program to a session",
+        f"{__package__}.import_verb",
+        writes_files=True,
+    ),
+    "export": Verb("convert a session to formats of other programs", f"{__package__}.export_verb", writes_files=True),
+}

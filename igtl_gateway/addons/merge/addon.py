@@ -1,0 +1,11 @@
+"""The add-on merge: one session of several recorders."""
+
+from __future__ import annotations
+
+from igtl_gateway.cli.verbs import Verb
+
+VERBS = {
+    "merge": Verb(
+        "make one session of several recorders; each part verifies", f"{__package__}.verb", writes_files=True
+    ),
+}

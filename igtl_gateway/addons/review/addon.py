@@ -1,0 +1,9 @@
+"""The add-on review: a suture plan against the measured tissue."""
+
+from __future__ import annotations
+
+from igtl_gateway.cli.verbs import Verb
+
+VERBS = {
+    "review": Verb("check each stitch of a suture plan against the measured tissue", f"{__package__}.verb"),
+}

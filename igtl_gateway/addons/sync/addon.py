@@ -1,0 +1,9 @@
+"""The add-on sync: lags between streams."""
+
+from __future__ import annotations
+
+from igtl_gateway.cli.verbs import Verb
+
+VERBS = {
+    "sync": Verb("measure the lags between streams from what moves in them", f"{__package__}.verb", writes_files=True),
+}

@@ -1,0 +1,9 @@
+"""The add-on upload: closed recordings to an object store."""
+
+from __future__ import annotations
+
+from igtl_gateway.cli.verbs import Verb
+
+VERBS = {
+    "upload": Verb("copy the recordings of a directory to an object store", f"{__package__}.verb"),
+}

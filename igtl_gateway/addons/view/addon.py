@@ -1,0 +1,13 @@
+"""The add-on view: a session in rerun."""
+
+from __future__ import annotations
+
+from igtl_gateway.cli.verbs import Verb
+
+VERBS = {
+    "view": Verb(
+        "show a session in rerun: in a window, as a file, web page or image",
+        f"{__package__}.verb",
+        writes_files=True,
+    ),
+}
