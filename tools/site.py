@@ -83,16 +83,16 @@ REFERENCE = {
         "api.bridge.RecordingResult",
     ),
     "Verbs": (
-        "api.verbs.replay",
+        "api.verbs.replay_recording",
         "api.verbs.verify",
-        "api.verbs.review",
+        "addons.review.api.review",
         "api.verbs.diff",
         "app.replaying.ReplayResult",
         "app.verification.Verification",
         "app.comparison.RecordingDiff",
     ),
     "Lags": (
-        "api.lags.lag",
+        "addons.sync.lags.lag",
         "addons.sync.lag.Lag",
     ),
 }

@@ -405,7 +405,7 @@ def test_numpy_takes_poses_images_and_clouds() -> None:
 
 def test_a_missing_file_is_a_file_not_found_error_for_every_function(tmp_path: Path) -> None:
     path = tmp_path / "nope.mcap"
-    for function in (igtl_gateway.open, igtl_gateway.verify, igtl_gateway.addons.review, igtl_gateway.replay):
+    for function in (igtl_gateway.open, igtl_gateway.verify, igtl_gateway.review, igtl_gateway.replay_recording):
         for kind in (FileNotFoundError, UnsupportedRecording):
             with pytest.raises(kind, match=r"nope\.mcap: No such file"):
                 function(path)
@@ -510,6 +510,6 @@ def test_the_verbs_take_an_open_recording(tmp_path: Path) -> None:
         assert igtl_gateway.verify(recording) == igtl_gateway.verify(STAR)
         assert igtl_gateway.diff(recording, STAR).equal and igtl_gateway.diff(recording, recording).equal
         assert recording[TOOL].count == 1200, "and it stays open"
-        for verb in (igtl_gateway.addons.review, igtl_gateway.verify):
+        for verb in (igtl_gateway.review, igtl_gateway.verify):
             with pytest.raises(ConfigError, match="found a part of a recording, expected the whole one"):
                 verb(recording.between(1, 2))

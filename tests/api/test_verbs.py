@@ -121,6 +121,6 @@ def test_arguments_of_replay(options: dict[str, object], text: str) -> None:
 def test_other_files(tmp_path: Path) -> None:
     other = tmp_path / "other.mcap"
     other.write_bytes(b"not a recording")
-    for call in (igtl_gateway.verify, igtl_gateway.addons.review, igtl_gateway.replay):
+    for call in (igtl_gateway.verify, igtl_gateway.review, igtl_gateway.replay_recording):
         with pytest.raises((UnsupportedRecording, DamagedRecording), match=r"other\.mcap"):
             call(other)

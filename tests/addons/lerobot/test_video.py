@@ -62,12 +62,12 @@ def test_what_comes_behind_the_boxes_is_left_to_the_decoder(path: Path) -> None:
 def test_decoding_has_a_limit_of_time(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The time of the caller does not count."""
     now = [0]
-    monkeypatch.setattr(limits.SystemClock, "monotonic_ns", lambda _: now[0])
+    monkeypatch.setattr("igtl_gateway.base.clock.SystemClock.monotonic_ns", lambda _: now[0])
     with limits.limits_in_force(limits.parse_limits(["seconds=3"])):
         for _ in read_video(path):
             now[0] += 60_000_000_000
     steps = iter(range(0, 1_000_000_000_000, 1_000_000_000))
-    monkeypatch.setattr(limits.SystemClock, "monotonic_ns", lambda _: next(steps))
+    monkeypatch.setattr("igtl_gateway.base.clock.SystemClock.monotonic_ns", lambda _: next(steps))
     with (
         limits.limits_in_force(limits.parse_limits(["seconds=3"])),
         pytest.raises(LimitExceeded, match=r"a\.mp4: found more than 3 s of work, expected at most 3 s \(--limit sec"),

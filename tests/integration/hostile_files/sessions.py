@@ -22,13 +22,13 @@ from tests.integration.hostile_files.case import (
     GIB,
     MIB,
     NAUGHTY,
-    ROOT,
     Danger,
     Hostile,
     file,
     lz4_zeros,
     zstd_zeros,
 )
+from tests.places import ROOT
 from tests.record import samples
 from tools import mcap_build as build
 from tools.mcap_build import Chunk, Record
