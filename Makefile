@@ -56,9 +56,8 @@ format: $(READY)
 lint: $(READY)
 	@$(BIN)/ruff check --quiet --output-format concise .
 
-# Exit code 2 is an error of mypy itself: on a busy machine its workers start too late.
 types: $(READY)
-	@$(BIN)/mypy --no-error-summary || { [ $$? -eq 2 ] && $(BIN)/mypy --no-error-summary --num-workers 0; }
+	@$(BIN)/mypy --no-error-summary
 
 # Names of the standard library that exist on macOS and on Windows, see docs/how-to/systems.md.
 types-elsewhere: $(READY)
