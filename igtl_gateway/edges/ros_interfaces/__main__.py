@@ -12,7 +12,6 @@ import tempfile
 from importlib.util import find_spec
 from pathlib import Path
 
-from igtl_gateway.cli.terminal import print_line
 from igtl_gateway.convert.interfaces import PACKAGES
 from igtl_gateway.edges.ros_interfaces.ahead import LIBRARIES, VERSIONS, ros_versions
 from igtl_gateway.edges.ros_interfaces.cache import compile_package, package_path, prefix_of, wheels_folder
@@ -30,11 +29,11 @@ def main() -> int:
         real = find_spec(package)
         try:
             if real and real.origin and _STAND_INS not in Path(real.origin).parents:
-                print_line(f"{package}: {Path(real.origin).parent} (installed)")
+                sys.stdout.write(f"{package}: {Path(real.origin).parent} (installed)\n")
             else:
-                print_line(f"{package}: {package_path(package)[0]}")
+                sys.stdout.write(f"{package}: {package_path(package)[0]}\n")
         except ImportError as error:
-            print_line(str(error), error=True)
+            sys.stderr.write(f"{error}\n")
             failed = True
     return 1 if failed else 0
 
