@@ -25,7 +25,7 @@ from tempfile import TemporaryDirectory, gettempdir
 from igtl_gateway.addons.exchange.targets import TARGETS
 from igtl_gateway.cli import main
 from igtl_gateway.wire.header import HEADER_SIZE, crc64
-from tests.test_fixtures import FIXTURES
+from tests.places import FIXTURES
 from tools import mcap_build as build
 
 #: Messages of a mutant, at most.

@@ -29,8 +29,9 @@ from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.wire.polydata import CELL, Attribute, PolyData
 from tests.addons.exchange import mutants
 from tests.addons.exchange.judges import Shape, by_meshio, by_vtk, entries_of_tables, messages_in
+from tests.places import FIXTURES
 from tests.tables import table
-from tests.test_fixtures import FIXTURES, NAMES
+from tests.test_fixtures import NAMES
 
 #: Recordings with several IMAGE streams: of which one a sequence is made.
 SEQUENCES = {"every-type": ("Slice", "TRANSFORM/*"), "paper-types": ("Grey", "TRANSFORM/*")}

@@ -12,9 +12,9 @@ import sys
 from pathlib import Path
 
 from igtl_gateway.cli.terminal import print_line
-from tests.integration.hostile_files.case import ROOT
 from tests.integration.hostile_files.page import RESULTS, answers, results, write
 from tests.integration.hostile_files.table import CASES, Outcome, outcomes, summary
+from tests.places import ROOT
 
 
 def main() -> int:

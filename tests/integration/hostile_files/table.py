@@ -32,7 +32,8 @@ from tests.integration.hostile_files import (
     stamps,
     streams,
 )
-from tests.integration.hostile_files.case import BESIDES, FORGED, GOOD, ROOT, SMALL, VERBS, Hostile
+from tests.integration.hostile_files.case import BESIDES, FORGED, GOOD, SMALL, VERBS, Hostile
+from tests.places import ROOT
 from tests.record.seal.authority import new_authority
 
 CASES: tuple[Hostile, ...] = (
