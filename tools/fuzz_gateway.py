@@ -162,7 +162,7 @@ def ros_seeds() -> list[tuple[str, bytes]]:
     """(ROS type, CDR) of the golden recording: all types that the gateway takes."""
     found: dict[tuple[str, bytes], None] = {}
     with SessionFile.open(ROOT / "fixtures/every-type.mcap") as file:
-        for entry in file.entries_of({Kind.ROS_IN, Kind.ROS_OUT}):
+        for entry in file.entries_of_kinds({Kind.ROS_IN, Kind.ROS_OUT}):
             if entry.size <= MAX_FILE and entry.type in _TAKEN:
                 found[entry.type, entry.data()] = None
     if not found:

@@ -199,7 +199,7 @@ class Recording(Mapping[str, Stream]):
         """The notes of the session, in order: problems, drops, links."""
         first, last = self._window
         found = []
-        for entry in self._source.limited(lambda: self._source.file.entries_of(_NOTES)):
+        for entry in self._source.limited(lambda: self._source.file.entries_of_kinds(_NOTES)):
             if entry.seq and entry.kind in _NOTES and first <= entry.stamp_ns < last:
                 note = Note.of(entry.data())
                 found.append(

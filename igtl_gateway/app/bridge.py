@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from igtl_gateway.app.commands import SERVICE, SERVICE_TYPE, CommandService
-from igtl_gateway.app.hub import LARGE_BYTES, Hub, Rest, Sink
+from igtl_gateway.app.hub import LARGE_BYTES, DeferredSend, Hub, Sink
 from igtl_gateway.app.passage import BridgePassage, make_passage
 from igtl_gateway.app.recording import serve_recording
 from igtl_gateway.app.ros_log import NOTED, RosLog
@@ -516,10 +516,10 @@ class Bridge:
             text = f"{DIAGNOSTICS_TOPIC} stops: {type(error).__name__}: {error}"
             self.hub.note(Note(Level.ERROR, "internal_error", text))
 
-    def _record(self, entry: Entry) -> Rest | None:
+    def _record(self, entry: Entry) -> DeferredSend | None:
         return self.recorder.reserve(entry) if self.recorder else None
 
-    def _dispatch(self, entry: Entry) -> Rest | None:
+    def _dispatch(self, entry: Entry) -> DeferredSend | None:
         """Pass an output to its edge.  The hub calls this in the order of the log, with its lock held.
 
         Large outputs are passed without the lock, by the function that is returned.

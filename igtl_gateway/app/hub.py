@@ -23,8 +23,8 @@ from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
 
 #: What a sink leaves to be done without the lock, such as the copy of a picture.
-Rest = Callable[[], None]
-Sink = Callable[[Entry], Rest | None]
+DeferredSend = Callable[[], None]
+Sink = Callable[[Entry], DeferredSend | None]
 
 #: Payloads of this size on are converted before their input has its number, and sent after that: then small messages do
 #: not wait for them.
@@ -159,7 +159,7 @@ class Hub:
         links: tuple[int, ...],
         source_ns: int,
         prepared: Prepared | None = None,
-    ) -> list[tuple[Sink, Rest]]:
+    ) -> list[tuple[Sink, DeferredSend]]:
         """Process an input; return what its sinks have left to be done without the lock."""
         now_ns = self._utc_ns() + self.sequence.ahead_ns
         if now_ns < self.sequence.last_ns:
@@ -176,7 +176,7 @@ class Hub:
             source_ns=source_ns,
             prepared=prepared,
         )
-        rests: list[tuple[Sink, Rest]] = []
+        rests: list[tuple[Sink, DeferredSend]] = []
         for sink in self._sinks:  # all entries to one sink, then the next: sending does not wait for recording
             for entry in entries:
                 try:
@@ -186,7 +186,7 @@ class Hub:
                     self._note_sink_failure(sink, error)
         return rests
 
-    def _finish(self, rests: list[tuple[Sink, Rest]]) -> None:
+    def _finish(self, rests: list[tuple[Sink, DeferredSend]]) -> None:
         for sink, rest in rests:
             try:
                 rest()

@@ -131,9 +131,9 @@ def planned_entries(
     if how.recompute or config.relay:
         found = file.entries()
     elif start_ns is None:
-        found = file.entries_of(how.kinds)
+        found = file.entries_of_kinds(how.kinds)
     else:
-        found = file.entries_from(start_ns, latched_state_rule(is_latched))
+        found = file.entries_with_state(start_ns, latched_state_rule(is_latched))
     entries: Iterable[Entry] = chain(file.prologue(), found)
     if how.recompute:
         has_links = any(c.kind is Kind.LINK for c in file.channels if c.count)

@@ -41,7 +41,7 @@ _LOOK_S = 0.2
 #: Longest wait for the first message of peers, which may show what they are; 3D Slicer sends one at once.
 _HELLO_NS, _HELLO_LOOK_S = 500 * NS_PER_MS, 0.01
 
-Tell = Callable[[str], None]
+OnLine = Callable[[str], None]
 Address = tuple[str, int]
 To = Literal["igtl", "ros", "both"]
 
@@ -139,7 +139,7 @@ def open_sides(
     how: ReplayPlan,
     stop: Event,
     stack: ExitStack,
-    tell: Tell,
+    tell: OnLine,
     *,
     relay: bool = False,
 ) -> ReplaySides | None:
@@ -174,7 +174,9 @@ def open_sides(
     return igtl or ros
 
 
-def _open_igtl(options: ReplayOptions, stop: Event, stack: ExitStack, tell: Tell, *, relay: bool) -> ReplaySides | None:
+def _open_igtl(
+    options: ReplayOptions, stop: Event, stack: ExitStack, tell: OnLine, *, relay: bool
+) -> ReplaySides | None:
     """A sender to OpenIGTLink peers, once they are there."""
     listeners = Listeners(options.profile, options.exact, relay)
     peers = _Peers(tell, listeners)
@@ -228,7 +230,7 @@ def _open_igtl(options: ReplayOptions, stop: Event, stack: ExitStack, tell: Tell
 class _Peers:
     """Reports links, and counts how many are up at a time."""
 
-    tell: Tell
+    tell: OnLine
     listeners: Listeners
     most: int = 0
     _up: set[int] = field(default_factory=set)
@@ -241,7 +243,7 @@ class _Peers:
 
 
 def _open_ros(
-    options: ReplayOptions, file: SessionFile, how: ReplayPlan, stop: Event, stack: ExitStack, tell: Tell
+    options: ReplayOptions, file: SessionFile, how: ReplayPlan, stop: Event, stack: ExitStack, tell: OnLine
 ) -> ReplaySides | None:
     """A sender to the ROS graph, its topics advertised."""
     edge = RosEdge(

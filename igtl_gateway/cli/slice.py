@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
             lambda: chain(file.prologue(), file.entries()),
             config_to_run(file.session, options.config),
             window,
-            file.entries_since,
+            file.entries_starting_at,
         )
         _write(file, part, window, options)
         if options.json:

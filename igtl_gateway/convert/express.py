@@ -189,14 +189,14 @@ COMPILED = False
 #: Clouds to OpenIGTLink have only the fields x, y and z as float32; all numbers are finite.
 TEXT, POINT, POINTS, CLOUD, PICTURE, BLUE_FIRST, MESH, TRIANGLES = range(8)
 
-Fill = Callable[..., tuple[Any, ...] | None]
+FillTemplate = Callable[..., tuple[Any, ...] | None]
 
 #: Like ``pose_to_ros``, with other meanings of some arguments.  ``sample``: the bytes before and after the content.
 #: ``at``, ``size``: the sizes of these two.  ``forms``: for each form the conversion, a template (for clouds and images
 #: up to the data; for a point the whole message; for a marker all but its points), the offsets of its stamp (0: none)
 #: and of its width (of a marker: of the number of its points), and for a marker the number of bytes after the points.
 #: The result has None for a form that does not apply to the content.
-bulk_to_ros: Fill | None = None
+bulk_to_ros: FillTemplate | None = None
 
 #: Like ``pose_to_igtl``, with other meanings of some arguments.  ``sample``: the bytes before the content.  ``names``:
 #: for a cloud the offsets of its height and of its data, the size of a point, and the offsets of x, y and z in it; for
@@ -204,7 +204,7 @@ bulk_to_ros: Fill | None = None
 #: size, the bytes from their number to them, and zeros; then begin and end of each part of the sample that must be
 #: equal.  ``size``: the conversion.  ``forms``: for each form the bytes before and after the content, and the offset of
 #: the digits in the latter.  The result has a tuple of buffers for a large image: its pixels are a view on ``cdr``.
-bulk_to_igtl: Fill | None = None
+bulk_to_igtl: FillTemplate | None = None
 
 if not TYPE_CHECKING:
     try:

@@ -18,14 +18,14 @@ from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.wire.image import LPS
 
-Triple = tuple[float, float, float]
+Xyz = tuple[float, float, float]
 
 _AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 #: Numbers from this one on round to the infinity of float32.
 _FLOAT32_END = 2.0**128 - 2.0**103
 
 
-def split_axes(nine: Sequence[float]) -> tuple[tuple[float, ...], Triple]:
+def split_axes(nine: Sequence[float]) -> tuple[tuple[float, ...], Xyz]:
     """Return direction (three unit vectors, nine numbers) and spacing (their lengths) of three finite vectors T, S, N.
 
     A vector of zero length gets the unit vector of its axis; ``join_axes`` returns zeros for it, all positive.
@@ -61,8 +61,8 @@ class Placement:
     """
 
     direction: tuple[float, ...]
-    spacing: Triple
-    center: Triple
+    spacing: Xyz
+    center: Xyz
 
     @classmethod
     def of_wire(cls, matrix: Sequence[float], coordinate: int, lengths: LengthUnits) -> Self:
@@ -83,13 +83,13 @@ class Placement:
             raise ConversionError(f"{place}: found {self}, expected finite numbers (float32 in {lengths.igtl})")
         return flip_lps_ras(matrix) if coordinate == LPS else matrix
 
-    def origin(self, size: Sequence[int]) -> Triple:
+    def origin(self, size: Sequence[int]) -> Xyz:
         """Return the centre of the first voxel of an image of ``size`` voxels, in the length unit of ROS."""
         x, y, z = (center - half for center, half in zip(self.center, self._half(size), strict=True))
         return x, y, z
 
     @classmethod
-    def from_origin(cls, direction: tuple[float, ...], spacing: Triple, origin: Triple, size: Sequence[int]) -> Self:
+    def from_origin(cls, direction: tuple[float, ...], spacing: Xyz, origin: Xyz, size: Sequence[int]) -> Self:
         """Return the placement for an origin: the inverse of ``origin``.
 
         A centre of 0 is exact.  The error of any other centre is at most 2^-52 of the larger of origin and extent.  As
@@ -99,7 +99,7 @@ class Placement:
         x, y, z = (first + step for first, step in zip(origin, half, strict=True))
         return cls(direction, spacing, (x, y, z))
 
-    def _half(self, size: Sequence[int]) -> Triple:
+    def _half(self, size: Sequence[int]) -> Xyz:
         """Return the vector from the first voxel to the centre: (n - 1) / 2 steps along each axis."""
         steps = [(count - 1) / 2 * spacing for count, spacing in zip(size, self.spacing, strict=True)]
         d = self.direction

@@ -16,7 +16,7 @@ from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.structs import BOOL, STRING, UINT8, Struct, fixed_array, number_sequence
 
 Array = npt.NDArray[Any]
-Six = tuple[float, float, float, float, float, float]
+SixNumbers = tuple[float, float, float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +25,7 @@ class TwistStamped(Struct):
 
     TYPE: ClassVar[str] = "geometry_msgs/msg/TwistStamped"
     header: Annotated[Header, HEADER]
-    twist: Annotated[Six, fixed_array("float64", 6, as_name="geometry_msgs/Twist")]
+    twist: Annotated[SixNumbers, fixed_array("float64", 6, as_name="geometry_msgs/Twist")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ class WrenchStamped(Struct):
 
     TYPE: ClassVar[str] = "geometry_msgs/msg/WrenchStamped"
     header: Annotated[Header, HEADER]
-    wrench: Annotated[Six, fixed_array("float64", 6, as_name="geometry_msgs/Wrench")]
+    wrench: Annotated[SixNumbers, fixed_array("float64", 6, as_name="geometry_msgs/Wrench")]
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,7 @@ from igtl_gateway.convert.robot_msgs import (
     Empty,
     Joy,
     OperatingState,
-    Six,
+    SixNumbers,
     StringStamped,
     TwistStamped,
     WrenchStamped,
@@ -107,7 +107,7 @@ def sensor_to_wrench(content: Sensor, to: ToRosContext) -> WrenchStamped:
     return WrenchStamped(Header(to.stamp_ns, to.frame_id), _six(content, to))
 
 
-def _six(content: Sensor, to: ToRosContext) -> Six:
+def _six(content: Sensor, to: ToRosContext) -> SixNumbers:
     values = tuple(map(float, content.values))
     if len(values) != _SIX:
         raise ConversionError(f"SENSOR {to.device_name!r}: found {len(values)} values, expected {_SIX}")

@@ -1,7 +1,7 @@
-"""The core of the gateway: passes each input to the room for its kind, and settles the outcome.
+"""The core of the gateway: passes each input to the stage for its kind, and settles the outcome.
 
-The rooms are in the order of the traffic.  ``to_ros``: receive, route, convert.  ``to_igtl``: receive, compose,
-latest, deliver.  ``dialogue``: queries, commands, links.  A room returns an ``Outcome``, which the ``Bookkeeper``
+The stages are in the order of the traffic.  ``to_ros``: receive, route, convert.  ``to_igtl``: receive, compose,
+latest, deliver.  ``dialogue``: queries, commands, links.  A stage returns an ``Outcome``, which the ``Bookkeeper``
 settles.  A message that fails does not affect others: a note gives the reason, and the ledger counts it.
 """
 
@@ -20,7 +20,7 @@ from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.commanding import Commands
 from igtl_gateway.gateway.dialogue.links import LINKS_QOS, LINKS_TOPIC, Links
 from igtl_gateway.gateway.dialogue.querying import Queries
-from igtl_gateway.gateway.fastpath import Fast, FastPath, Prepare
+from igtl_gateway.gateway.fastpath import FastHandler, FastPath, PrepareMessage
 from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.live_settings import LiveSettings
 from igtl_gateway.gateway.log.clocksteps import ClockStep
@@ -40,7 +40,7 @@ from igtl_gateway.gateway.to_igtl.tracking import Tracking
 from igtl_gateway.gateway.to_ros.convert import RAW_QOS, Converter
 from igtl_gateway.gateway.to_ros.receive import IgtlReceiver
 from igtl_gateway.gateway.to_ros.route import Router
-from igtl_gateway.gateway.to_ros.subscribers import Ask, Subscribers
+from igtl_gateway.gateway.to_ros.subscribers import HasSubscriber, Subscribers
 from igtl_gateway.gateway.to_ros.volumes import Volumes
 from igtl_gateway.wire.query import split_query
 
@@ -105,10 +105,10 @@ class Gateway:
             commands=commands,
             activity=activity,
         )
-        receiver = IgtlReceiver(
+        igtl_receiver = IgtlReceiver(
             config, peers, denied_in, router, links=links, queries=queries, commands=commands, activity=activity
         )
-        sender = RosReceiver(
+        ros_receiver = RosReceiver(
             config,
             peers,
             streams,
@@ -122,17 +122,17 @@ class Gateway:
             commands=commands,
             activity=activity,
         )
-        self._rooms: dict[Kind, Callable[[Entry], Outcome]] = {
-            Kind.IGTL_IN: receiver.take,
-            Kind.ROS_IN: sender.take,
+        self._stages: dict[Kind, Callable[[Entry], Outcome]] = {
+            Kind.IGTL_IN: igtl_receiver.take,
+            Kind.ROS_IN: ros_receiver.take,
             Kind.LINK: links.take,
             Kind.EDGE_NOTE: self._on_edge_note,
         }
         self.fast_path = FastPath(
             config, self.ledger, peers, streams.qos, subscribers, volumes, latest.entries, enabled=fast_path
         )
-        self.fast: Fast = self.fast_path.take
-        self.prepare: Prepare = self.fast_path.prepare
+        self.fast: FastHandler = self.fast_path.take
+        self.prepare: PrepareMessage = self.fast_path.prepare
         self.collect: Callable[[], None] = self.fast_path.collect
         streams.advertise(LINKS_TOPIC, LINKS_QOS)
 
@@ -141,11 +141,11 @@ class Gateway:
 
         Outputs (``*_OUT``, ``NOTE``) are accepted and cause nothing.
         """
-        room = self._rooms.get(entry.kind)
-        if room is None:
+        stage = self._stages.get(entry.kind)
+        if stage is None:
             return []
         try:
-            outcome = room(entry)
+            outcome = stage(entry)
             outcome.items += self._opened_streams()
             if outcome.origin:
                 self.fast_path.learn(entry, outcome)
@@ -171,12 +171,12 @@ class Gateway:
         return self._guard
 
     @property
-    def has_subscriber(self) -> Ask | None:
+    def has_subscriber(self) -> HasSubscriber | None:
         """Function that returns whether a topic has a subscriber; None, as in recorded sessions: build all outputs."""
         return self._subscribers.ask
 
     @has_subscriber.setter
-    def has_subscriber(self, ask: Ask | None) -> None:
+    def has_subscriber(self, ask: HasSubscriber | None) -> None:
         self._subscribers.ask = ask
 
     def subscription(self, topic: str, ros_type: str) -> Qos | None:

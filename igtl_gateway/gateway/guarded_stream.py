@@ -184,7 +184,7 @@ class GuardedStream:
 
         Args:
             now_ns: gateway time.
-            told_ns: stamp of the message; ``now_ns`` if it has none or if source stamps are not forwarded.
+            stamp_ns: stamp of the message; ``now_ns`` if it has none or if source stamps are not forwarded.
             place: translation of a pose; None for other messages.
         """
         if not self._watch:
@@ -226,7 +226,7 @@ class GuardedStream:
         """Return whether a message may pass without a remark: then it is checked, else nothing changes.
 
         Args:
-            now_ns, told_ns: as for ``observe``.
+            now_ns, stamp_ns: as for ``observe``.
             data, numbers, at: the message, and format (None: not a pose) and offset of its translation.
         """
         if self.max_age_ns:

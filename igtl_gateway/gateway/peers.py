@@ -63,7 +63,7 @@ class Peer:
         shown: highest received header version.
         recent: whether all signs of a profile count, and messages have the metadata that a profile expects.
         held_until_ns: gateway time until which latched messages are held back at most; 0: they were sent.
-        said_ns: gateway time of the last message to the peer.
+        last_sent_ns: gateway time of the last message to the peer.
         sent: number of messages to the peer.
         stream_requests: requests by (type, requested device name).
     """
@@ -78,7 +78,7 @@ class Peer:
     shown: int = 0
     recent: bool = False
     held_until_ns: int = 0
-    said_ns: int = 0
+    last_sent_ns: int = 0
     sent: int = 0
     stream_requests: dict[tuple[str, str], StreamRequest] = field(default_factory=dict)
 
@@ -198,7 +198,7 @@ class Peers:
         # who bridges CRTK arms has peers that read their types
         unknown = UNRECOGNISED if self._config.cautious and not self._config.all_arms else DEFAULT
         profile = BY_NAME.get(name, unknown)
-        peer = Peer(link, address, role, profile, name != AUTO, said_ns=now_ns)
+        peer = Peer(link, address, role, profile, name != AUTO, last_sent_ns=now_ns)
         peer.recent = self._config.knows_peers
         if name == AUTO and peer.recent:
             peer.frames = TrackedFrames(streams=role == "client")

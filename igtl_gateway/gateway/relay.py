@@ -24,7 +24,7 @@ from igtl_gateway.config.faults import Fate, FaultLine, RelayFaults
 from igtl_gateway.gateway.activity import INACTIVE, Activity
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.links import LINK_DOWN, LINK_UP
-from igtl_gateway.gateway.fastpath import Fast, Prepare, no_fast_path
+from igtl_gateway.gateway.fastpath import FastHandler, PrepareMessage, no_fast_path
 from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.live_settings import LiveSettings
 from igtl_gateway.gateway.log.changes import SETTING, is_change
@@ -34,7 +34,7 @@ from igtl_gateway.gateway.log.ledger import Ledger
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.output import Output, note_output
 from igtl_gateway.gateway.stamps import moved
-from igtl_gateway.gateway.to_ros.subscribers import Ask
+from igtl_gateway.gateway.to_ros.subscribers import HasSubscriber
 from igtl_gateway.wire import decode
 
 #: Key in the note of a link that was opened for another link: the number of that link.
@@ -51,10 +51,10 @@ class RelayGateway:
 
     def __init__(self, config: Config) -> None:
         self.config = config
-        self.fast: Fast = no_fast_path
-        self.prepare: Prepare = no_fast_path
+        self.fast: FastHandler = no_fast_path
+        self.prepare: PrepareMessage = no_fast_path
         self.collect: Callable[[], None] = no_fast_path
-        self.has_subscriber: Ask | None = None
+        self.has_subscriber: HasSubscriber | None = None
         self.deadline_set: Callable[[], None] | None = None
         self.guard = Guard(watch=False)
         self.ledger = Ledger()

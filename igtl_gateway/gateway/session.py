@@ -14,12 +14,12 @@ from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.stamp import ticks_to_ns
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.core import Gateway
-from igtl_gateway.gateway.fastpath import Fast, Prepare, Prepared
+from igtl_gateway.gateway.fastpath import FastHandler, Prepared, PrepareMessage
 from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.ledger import Ledger
 from igtl_gateway.gateway.relay import RelayGateway
-from igtl_gateway.gateway.to_ros.subscribers import Ask
+from igtl_gateway.gateway.to_ros.subscribers import HasSubscriber
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.header import HEADER_SIZE, NAMES, TICKS_AT, U64, Header
 
@@ -28,10 +28,10 @@ class Core(Protocol):
     """What the session and the edges need of a core; see ``Gateway`` and ``RelayGateway``."""
 
     config: Config
-    fast: Fast
-    prepare: Prepare
+    fast: FastHandler
+    prepare: PrepareMessage
     collect: Callable[[], None]
-    has_subscriber: Ask | None
+    has_subscriber: HasSubscriber | None
     deadline_set: Callable[[], None] | None
 
     @property

@@ -111,8 +111,8 @@ static PyObject *pose_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
     double numbers[12];
     if (!pose_from_ros(&stream, (const uint8_t *)PyBytes_AS_STRING(args[0]), PyBytes_GET_SIZE(args[0]), &header_ns, numbers))
         Py_RETURN_NONE;
-    int64_t said_ns = header_ns ? header_ns : source_ns;
-    int64_t stamp_ns = own && said_ns > 0 ? said_ns : received_ns;
+    int64_t sent_ns = header_ns ? header_ns : source_ns;
+    int64_t stamp_ns = own && sent_ns > 0 ? sent_ns : received_ns;
     Py_ssize_t forms = PyTuple_GET_SIZE(args[8]);
     PyObject *result = PyTuple_New(1 + forms);
     if (!result)
@@ -311,8 +311,8 @@ static PyObject *bulk_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
     PyObject *result = NULL;
     if (!find_in_ros(&stream, view.buf, view.len, &found))
         goto general;
-    int64_t said_ns = found.header_ns ? found.header_ns : source_ns;
-    int64_t stamp_ns = own && said_ns > 0 ? said_ns : received_ns;
+    int64_t sent_ns = found.header_ns ? found.header_ns : source_ns;
+    int64_t stamp_ns = own && sent_ns > 0 ? sent_ns : received_ns;
     int apart = stream.form == PICTURE && found.size >= LARGE_BYTES && is_flat(args[0]);
     if (!(result = PyTuple_New(1 + forms_count)))
         goto done;

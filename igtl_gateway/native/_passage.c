@@ -898,8 +898,8 @@ static int pass_to_igtl(Passage *self, Stream *stream, const uint8_t *cdr, ssize
         return 0;
     if (is_bulk)
         header_ns = found.header_ns;
-    int64_t said_ns = header_ns ? header_ns : source_ns;
-    int64_t shown_ns = stream->own && said_ns > 0 ? said_ns : stamp_ns;
+    int64_t sent_ns = header_ns ? header_ns : source_ns;
+    int64_t shown_ns = stream->own && sent_ns > 0 ? sent_ns : stamp_ns;
     struct output *built[MAX_OUTPUTS];
     ssize_t bytes = size, sizes[MAX_OUTPUTS];
     for (int i = 0; i < count; i++) {

@@ -249,9 +249,9 @@ class _RecorderWorker:
         self._taken_away = ""
         self._gone = False
         self._ledger: dict[str, Any] | None = None  # from the moment on at which the recording is to end
-        self._told_ns: int | None = None
+        self._drops_reported_ns: int | None = None
         self._noted = Once()  # types without a definition
-        self._told_refused: set[str] = set()
+        self._reported_refused: set[str] = set()
         self._told_state = WorkerState()
         self._is_cut = False  # the next file follows one that was taken away
         self._left_out_before = 0  # of the pause that is on
@@ -611,8 +611,8 @@ class _RecorderWorker:
     def _refused(self, entry: Entry, error: LayoutError) -> None:
         """Report once per stream that entries do not fit the format."""
         stream = entry.channel or entry.kind.value
-        if stream not in self._told_refused and len(self._told_refused) < MAX_STREAMS:
-            self._told_refused.add(stream)
+        if stream not in self._reported_refused and len(self._reported_refused) < MAX_STREAMS:
+            self._reported_refused.add(stream)
             self._note(Note(Level.ERROR, REFUSED, f"not recorded: {error}", stream))
 
     def _flush_if_due(self, now_ns: int) -> None:
@@ -633,14 +633,14 @@ class _RecorderWorker:
 
     def _report_drops(self, now_ns: int) -> None:
         """At most once a second, of what the queue did not take since the last time."""
-        if self._failure or (self._told_ns is not None and now_ns - self._told_ns < _NOTE_NS):
+        if self._failure or (self._drops_reported_ns is not None and now_ns - self._drops_reported_ns < _NOTE_NS):
             return
         if self._queue.refused == self._not_queued.total():
             return
         before = Counter(self._not_queued)
         self._ask_drops()
         untold = self._not_queued - before
-        self._told_ns = now_ns
+        self._drops_reported_ns = now_ns
         text = f"the disk is too slow: {untold.total()} entries of {len(untold)} streams are not in the recording"
         self._note(Note(Level.WARN, DROPPED, text, data={"dropped": dict(sorted(untold.items()))}))
 

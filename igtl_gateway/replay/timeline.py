@@ -51,4 +51,4 @@ def clock_steps_of(file: SessionFile) -> list[ClockStep]:
     streams = (file.ledger or {}).get("streams")
     if file.foreign or (streams is not None and CLOCK_STEP not in streams.get("edges", {}).get("", {})):
         return []
-    return [step for entry in file.entries_of({Kind.EDGE_NOTE}) if entry.seq and (step := ClockStep.of(entry))]
+    return [step for entry in file.entries_of_kinds({Kind.EDGE_NOTE}) if entry.seq and (step := ClockStep.of(entry))]

@@ -25,7 +25,7 @@ _COORDINATES = (RAS, LPS)
 _ITEM_SIZES = {scalar: np.dtype(name).itemsize for scalar, name in SCALARS.items()}
 _ORDER = {BIG_ENDIAN: ">", LITTLE_ENDIAN: "<"}
 
-Triple = tuple[int, int, int]
+Sizes3 = tuple[int, int, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,19 +67,19 @@ class Image:
     _SUB: ClassVar[Struct] = compile_struct(LAYOUT[7:])
     IDENTITY: ClassVar[tuple[float, ...]] = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
-    dimensions: Triple
+    dimensions: Sizes3
     scalar_type: int
     pixels: Buffer
     num_components: int = 1
     endian: int = LITTLE_ENDIAN
     coordinate: int = RAS
     wire_matrix: tuple[float, ...] = IDENTITY
-    subvol_offset: Triple = (0, 0, 0)
-    subvol_size: Triple | None = None
+    subvol_offset: Sizes3 = (0, 0, 0)
+    subvol_size: Sizes3 | None = None
     image_version: int = 1
 
     @property
-    def sub_size(self) -> Triple:
+    def sub_size(self) -> Sizes3:
         """Size of what the pixels cover: the sub-volume, or the whole."""
         return self.dimensions if self.subvol_size is None else self.subvol_size
 

@@ -13,7 +13,7 @@ from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import TruncatedMessage
 from igtl_gateway.wire.body import describe_crc
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
-from igtl_gateway.wire.image import LITTLE_ENDIAN, RAS, Image, Triple
+from igtl_gateway.wire.image import LITTLE_ENDIAN, RAS, Image, Sizes3
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
 from igtl_gateway.wire.transform import pack_floats, unpack_floats
 
@@ -61,18 +61,18 @@ class Video:
     _SUB: ClassVar[Struct] = compile_struct(LAYOUT[7:])
 
     codec: str
-    size: Triple
+    size: Sizes3
     data: Buffer
     frame_type: int = KEY_FRAME
     endian: int = LITTLE_ENDIAN
     coordinate: int = RAS
     wire_matrix: tuple[float, ...] = Image.IDENTITY
-    subvol_offset: Triple = (0, 0, 0)
-    subvol_size: Triple | None = None
+    subvol_offset: Sizes3 = (0, 0, 0)
+    subvol_size: Sizes3 | None = None
     video_version: int = 1
 
     @property
-    def sub_size(self) -> Triple:
+    def sub_size(self) -> Sizes3:
         """Size of what the frame shows: the sub-volume, or the whole."""
         return self.size if self.subvol_size is None else self.subvol_size
 

@@ -51,7 +51,7 @@ def got(made: Listeners, one: Entry) -> bytes | None:
 
 def sent_of_every_type() -> list[Entry]:
     with SessionFile.open(EVERY_TYPE) as file:
-        return [one for one in file.entries_of({Kind.IGTL_OUT}) if one.kind is Kind.IGTL_OUT]
+        return [one for one in file.entries_of_kinds({Kind.IGTL_OUT}) if one.kind is Kind.IGTL_OUT]
 
 
 def test_slicer_gets_no_query_and_no_reply_that_crashes_it() -> None:

@@ -103,7 +103,7 @@ def test_a_part_begins_with_the_latched_topics_of_the_file() -> None:
 def test_entries_of_some_kinds_tell_of_the_inputs_between_them(name: str) -> None:
     with SessionFile.open(TYPES.with_stem(name)) as file:
         wanted = frozenset({Kind.IGTL_OUT, Kind.IGTL_IN})
-        few, every = list(file.entries_of(wanted)), list(file.entries())
+        few, every = list(file.entries_of_kinds(wanted)), list(file.entries())
     assert [entry for entry in few if entry.kind in wanted] == [entry for entry in every if entry.kind in wanted]
 
     def caused(entries: list[Entry]) -> list[bool]:

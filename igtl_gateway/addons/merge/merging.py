@@ -249,7 +249,7 @@ def _links(recorders: Sequence[_Recorder]) -> dict[tuple[str, str], _Link]:
 def _passed(recorder: _Recorder, kinds: Mapping[Kind, bytes]) -> Passed:
     keys, times, streams = array("Q"), array("q"), array("q")
     names: dict[str, int] = {}
-    for entry in recorder.file.entries_of(kinds):
+    for entry in recorder.file.entries_of_kinds(kinds):
         if entry.kind in kinds and _is_distinct(entry):
             digest = hashlib.blake2b(kinds[entry.kind], digest_size=8)
             if entry.kind in (Kind.ROS_IN, Kind.ROS_OUT):

@@ -38,11 +38,11 @@ _FIRST_WAIT_S, _LAST_WAIT_S = 1.0, 60.0
 _BLOCK = 1 << 20
 
 
-class Differs(Exception):
+class ContentDiffers(Exception):
     """The file is not as it was when it was closed, or the store has something else under its key."""
 
 
-class Stopped(Exception):
+class UploadStopped(Exception):
     """The uploader is to end now."""
 
 
@@ -177,10 +177,10 @@ class Uploader:
         name = recording.name
         try:
             self._send(recording, state)
-        except Differs as error:
+        except ContentDiffers as error:
             self._tell(name, Level.ERROR, DIFFERS, f"upload of {name}: {error}")
             return True
-        except Stopped:
+        except UploadStopped:
             return False
         except (OSError, StoreError) as error:
             why = str(error) if isinstance(error, StoreError) else os_error_text(error)
@@ -202,15 +202,17 @@ class Uploader:
         return True
 
     def _send(self, recording: StoredRecording, state: UploadState) -> None:
-        """Upload a file and confirm it.  Raises Differs, Stopped, StoreError, OSError."""
+        """Upload a file and confirm it.  Raises ContentDiffers, UploadStopped, StoreError, OSError."""
         if not recording.name.isascii() and recording.name != recording.name.encode(errors="replace").decode():
-            raise Differs("found a name that is invalid UTF-8, expected one that an object can have; rename the file")
+            raise ContentDiffers(
+                "found a name that is invalid UTF-8, expected one that an object can have; rename the file"
+            )
         known = state.files.get(recording.name, FileState())
         if known.sha256 and not known.is_of(recording):
-            raise Differs(f"found {recording.size:,} bytes that changed after it was closed, expected no change")
+            raise ContentDiffers(f"found {recording.size:,} bytes that changed after it was closed, expected no change")
         with closing(open_unlinked(recording.path)) as stream:
             if identity_of(os.fstat(stream.fileno())) != recording.identity:
-                raise Differs("found another file than a moment ago")
+                raise ContentDiffers("found another file than a moment ago")
             part_bytes = max(PART_BYTES, math.ceil(recording.size / _MOST_PARTS / PART_BYTES) * PART_BYTES)
             if not known.sha256 or known.part_bytes != part_bytes:
                 digests = self._digests(stream, part_bytes)
@@ -244,18 +246,20 @@ class Uploader:
         if found is None:
             raise StoreError("the store accepted the file, and does not have it")
         if (found.size, found.sha256) != (known.size, known.sha256):
-            raise Differs(
+            raise ContentDiffers(
                 f"the store has another object with this key: found {found.size:,} bytes with SHA-256 "
                 f"{found.sha256[:16] or 'unknown'}, expected {known.size:,} with {known.sha256[:16]}"
             )
         if known.etag != found.etag and known.checksum != found.checksum:
-            raise Differs(f"the store has other bytes: found the tag {found.etag[:40]!r}, expected {known.etag!r}")
+            raise ContentDiffers(
+                f"the store has other bytes: found the tag {found.etag[:40]!r}, expected {known.etag!r}"
+            )
 
     def _put(self, stream: IO[bytes], key: str, known: FileState) -> None:
         stream.seek(0)
         data = stream.read(known.part_bytes + 1)
         if hashlib.sha256(data).hexdigest() != known.sha256:
-            raise Differs("found other bytes than when it was closed (SHA-256)")
+            raise ContentDiffers("found other bytes than when it was closed (SHA-256)")
         self._store.put(key, data, known.sha256)
 
     def _put_parts(
@@ -277,7 +281,7 @@ class Uploader:
         stream.seek(0)
         while data := stream.read(known.part_bytes):
             if self._stops():
-                raise Stopped
+                raise UploadStopped
             number += 1
             whole.update(data)
             tag, has = hashlib.md5(data, usedforsecurity=False).hexdigest(), there.get(number)
@@ -289,7 +293,7 @@ class Uploader:
         if whole.hexdigest() != known.sha256:
             with suppress(StoreError):
                 self._store.abort(key, upload)
-            raise Differs("found other bytes than when it was closed (SHA-256)")
+            raise ContentDiffers("found other bytes than when it was closed (SHA-256)")
         try:
             self._store.complete(key, upload, parts)
         except StoreError as error:
@@ -307,7 +311,7 @@ class Uploader:
             md5, sha, left = hashlib.md5(usedforsecurity=False), hashlib.sha256(), part_bytes
             while left and (data := stream.read(min(_BLOCK, left))):
                 if self._stops():
-                    raise Stopped
+                    raise UploadStopped
                 for each in (whole, md5, sha):
                     each.update(data)
                 left -= len(data)

@@ -37,7 +37,7 @@ _TYPE_BYTES = 12  # of the type name in a header
 MAX_TRACKED = 16
 
 #: Whether a coordinate frame is known.
-Known = Callable[[str], bool]
+IsKnownFrame = Callable[[str], bool]
 
 #: Types that the gateway reads, under the names that programs send.
 READABLE = tuple(sorted(BODIES.keys() - ALIASES.keys()))
@@ -90,7 +90,7 @@ def acknowledgement(igtl_type: str, device: str, now_ns: int, status: int) -> li
     return [OutboundMessage(name, device, QueryReply(status), now_ns)] if name in QUERIES else []
 
 
-def start_stream(message: Message, igtl_type: str, peer: Peer, known: Known) -> StartedStream:
+def start_stream(message: Message, igtl_type: str, peer: Peer, known: IsKnownFrame) -> StartedStream:
     """Start a stream to a peer (STT_)."""
     content = message.content
     frame = visible(content.coordinate_name) if isinstance(content, StartTracking) else ""

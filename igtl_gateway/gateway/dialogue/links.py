@@ -104,7 +104,7 @@ class Links:
     @property
     def due_ns(self) -> int | None:
         """Gateway time (UTC ns) of the next ping, and of latched messages that are held back; None if there is none."""
-        pings = (peer.said_ns + peer.profile.ping_ns for peer in self._peers_to_ping())
+        pings = (peer.last_sent_ns + peer.profile.ping_ns for peer in self._peers_to_ping())
         held = (peer.held_until_ns for peer in self._peers.all() if peer.held_until_ns)
         return min(chain(pings, held), default=None)
 
@@ -135,7 +135,7 @@ class Links:
         items: list[Item] = []
         now_ns = entry.stamp_ns
         for peer in list(self._peers_to_ping()):
-            if peer.said_ns + peer.profile.ping_ns <= now_ns:
+            if peer.last_sent_ns + peer.profile.ping_ns <= now_ns:
                 items += self._delivery.to(entry, [peer], [OutboundMessage("GET_STATUS", "", EmptyQuery(), now_ns)])
         return items
 

@@ -39,11 +39,13 @@ _MOST_LEARNED = 32
 Prepared = tuple[CompiledToIgtl | CompiledToRos | None, Any]
 
 #: See ``FastPath.prepare``.
-Prepare = Callable[[Kind, Buffer, str, str, tuple[int, ...], int], Prepared | None]
+PrepareMessage = Callable[[Kind, Buffer, str, str, tuple[int, ...], int], Prepared | None]
 
 #: Entry number, gateway time (UTC ns), kind, payload, channel, type, links, source stamp and the result of ``prepare``
 #: of an input → its entry and the entries that it causes; nothing if the input must take the full path.
-Fast = Callable[[int, int, Kind, Sequence[Buffer], str, str, tuple[int, ...], int, Prepared | None], list[Entry] | None]
+FastHandler = Callable[
+    [int, int, Kind, Sequence[Buffer], str, str, tuple[int, ...], int, Prepared | None], list[Entry] | None
+]
 
 
 class FastPath:

@@ -25,7 +25,7 @@ from igtl_gateway.convert.express import (
     QUATERNION,
     TEXT,
     TRIANGLES,
-    Fill,
+    FillTemplate,
 )
 from igtl_gateway.convert.rosmsg import PointCloud2, String, TransformStamped
 from igtl_gateway.gateway.fastpath.common import NAMES_AT, CompileContext, end_of_name
@@ -82,7 +82,7 @@ def compile_to_igtl(
     stream, out, watched = origin
     cdr, size = entry.payload[0], _TO_IGTL.get(stream.conversion.convert, 0)
     form = _BULK_TO_IGTL.get(stream.conversion.convert)
-    fill: Fill | None = express.pose_to_igtl if size else express.bulk_to_igtl
+    fill: FillTemplate | None = express.pose_to_igtl if size else express.bulk_to_igtl
     if not (size or form is not None) or fill is None or bytes(cdr[:2]) != _LITTLE_ENDIAN:
         return None
     asked = {out.igtl_type, *TRACKING}  # of tracking data, poses of other streams are parts

@@ -27,7 +27,7 @@ from igtl_gateway.convert.express import (
     QUATERNION,
     TEXT,
     TRIANGLES,
-    Fill,
+    FillTemplate,
 )
 from igtl_gateway.convert.polydata import exceeds_standard
 from igtl_gateway.convert.table import ConversionToRos
@@ -122,7 +122,7 @@ def compile_to_ros(
     own = common.config.stamp_of(stream.row) == SOURCE
     if stream.max_age_s and not own:  # the guard checks a stamp that the output does not have
         return None
-    fill: Fill | None = express.pose_to_ros if size else express.bulk_to_ros
+    fill: FillTemplate | None = express.pose_to_ros if size else express.bulk_to_ros
     if fill is None:
         return None
     place_at = at + _PLACE_AT[size] if size else None

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from igtl_gateway.base.buffers import Buffer
-from igtl_gateway.convert.express import Fill
+from igtl_gateway.convert.express import FillTemplate
 from igtl_gateway.gateway.guarded_stream import GuardedStream
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.ledger import Ledger
@@ -39,7 +39,7 @@ class CompiledToIgtl:
 
     def __init__(
         self,
-        fill: Fill,
+        fill: FillTemplate,
         sample: bytes,
         names: tuple[int, ...],
         size: int,
@@ -115,7 +115,7 @@ class CompiledToIgtl:
         count["received"] = count.get("received", 0) + 1
         count[CONVERTED] = count.get(CONVERTED, 0) + 1
         for peer in self.peers:
-            peer.said_ns = stamp_ns
+            peer.last_sent_ns = stamp_ns
             peer.sent += 1
         entry = self.latest[channel] = Entry(seq, stamp_ns, Kind.ROS_IN, channel, ros_type, payload, (), source_ns)
         entries = [entry]

@@ -10,12 +10,12 @@ import numpy as np
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.convert.assembly import Form, VolumeAssembler
-from igtl_gateway.convert.express import Fill
+from igtl_gateway.convert.express import FillTemplate
 from igtl_gateway.gateway.guarded_stream import GuardedStream
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.ledger import Ledger
 from igtl_gateway.gateway.outcome import CONVERTED, UNSUBSCRIBED
-from igtl_gateway.gateway.to_ros.subscribers import Ask
+from igtl_gateway.gateway.to_ros.subscribers import HasSubscriber
 
 #: The assembler with the latest image of a device, and form and dtype of the images of a stream.
 Volume = tuple[VolumeAssembler, Form, np.dtype[Any]]
@@ -56,7 +56,7 @@ class CompiledToRos:
 
     def __init__(
         self,
-        fill: Fill,
+        fill: FillTemplate,
         sample: bytes,
         places: tuple[int, int],
         entry: Entry,
@@ -90,7 +90,7 @@ class CompiledToRos:
         self._defer = defer
         self.is_plain = not self._latched and volume is None
 
-    def prepare(self, payload: Sequence[Buffer], ask: Ask | None) -> Prepared | None:
+    def prepare(self, payload: Sequence[Buffer], ask: HasSubscriber | None) -> Prepared | None:
         """Convert a message before it has a number; None if the result depends on its gateway time, or on others."""
         if not self.own or self._latched:
             return None
@@ -100,7 +100,7 @@ class CompiledToRos:
         made = self._convert(payload, outputs, _NO_TIME)
         return (outputs, made) if made and made[1] != _NO_TIME else None
 
-    def _wanted(self, ask: Ask | None) -> Outputs:
+    def _wanted(self, ask: HasSubscriber | None) -> Outputs:
         """Return the outputs that have a subscriber."""
         return self.outputs if ask is None else tuple(one for one in self.outputs if ask(one[0], one[1]))
 
@@ -115,7 +115,7 @@ class CompiledToRos:
         stamp_ns: int,
         payload: Sequence[Buffer],
         links: tuple[int, ...],
-        ask: Ask | None,
+        ask: HasSubscriber | None,
         prepared: Prepared | None = None,
     ) -> list[Entry] | None:
         """Return the entries of a message; [] sends it to the full path, None also all further messages.

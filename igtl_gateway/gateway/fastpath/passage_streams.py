@@ -268,7 +268,7 @@ class PassageStreams:
             if latest:
                 seq, stamp_ns, source_ns, cdr = latest
                 for peer in compiled.peers:
-                    peer.said_ns = stamp_ns
+                    peer.last_sent_ns = stamp_ns
                     peer.sent += received
                 compiled.latest[copy.channel] = Entry(
                     seq, stamp_ns, Kind.ROS_IN, copy.channel, copy.ros_type, (cdr,), (), source_ns

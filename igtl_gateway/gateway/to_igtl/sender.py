@@ -94,7 +94,7 @@ def send(out: OutboundMessage, peers: Iterable[Peer], now_ns: int, *, asked: boo
                 if adapted[adapt] is not content:
                     content, name = adapted[adapt], adapt.__name__
             forms.setdefault((peer.version, name, _expected(peer, content)), (content, []))[1].append(peer.link)
-            peer.said_ns = now_ns
+            peer.last_sent_ns = now_ns
     for (version, _, expected), (content, links) in sorted(forms.items(), key=lambda form: form[0]):
         message = Message(out.igtl_type, out.device, content, ns_to_ticks(out.stamp_ns))
         if version > 1:

@@ -10,7 +10,7 @@ from igtl_gateway.convert.table import ConversionToRos
 from igtl_gateway.gateway.log.entry import Entry
 
 #: Topic and ROS type → whether the topic has a subscriber.
-Ask = Callable[[str, str], bool]
+HasSubscriber = Callable[[str, str], bool]
 
 
 class Subscribers:
@@ -29,7 +29,7 @@ class Subscribers:
     """
 
     def __init__(self, *, needs_tf: bool) -> None:
-        self.ask: Ask | None = None
+        self.ask: HasSubscriber | None = None
         self.waiting: dict[str, tuple[Entry, ConversionToRos, object, ToRosContext]] = {}
         self._needs_tf = needs_tf
 

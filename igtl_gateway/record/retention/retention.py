@@ -34,7 +34,7 @@ _MOST_GAIN_NS = 300 * NS_PER_S
 _REST_NS = 3600 * NS_PER_S
 
 #: Returns why a recording must be kept, or "".
-Hindrance = Callable[[StoredRecording], str]
+ReasonToKeep = Callable[[StoredRecording], str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ class RetentionReport:
     complete: bool = True
 
 
-def choose(found: StoredFiles, rule: RetentionRule, now_ns: int | None, hindrance: Hindrance) -> list[Choice]:
+def choose(found: StoredFiles, rule: RetentionRule, now_ns: int | None, hindrance: ReasonToKeep) -> list[Choice]:
     """Return the recordings that a rule selects, the oldest first.
 
     Args:
@@ -149,7 +149,7 @@ class Retention:
         folder: Path,
         rule: RetentionRule,
         clock: Clock,
-        hindrance: Hindrance = lambda _recording: "",
+        hindrance: ReasonToKeep = lambda _recording: "",
         *,
         trust_clock: bool = False,
         is_live: Callable[[Path], bool] = lambda _folder: False,

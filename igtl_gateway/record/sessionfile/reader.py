@@ -166,7 +166,7 @@ class SessionFile:
         """
         return migrations.entries(self.format_version, self._entries())
 
-    def entries_of(self, kinds: Collection[Kind]) -> Iterator[Entry]:
+    def entries_of_kinds(self, kinds: Collection[Kind]) -> Iterator[Entry]:
         """The entries of these kinds; entries without number and content stand for the other inputs.
 
         Other outputs may be there or not.  Chunks that hold none of the kinds are not unpacked.  Raises as `entries`.
@@ -177,7 +177,7 @@ class SessionFile:
         count = yield from self._numbered(self._rows(kinds=kinds), 0, kinds)
         self._check_count(count, sum(channel.count for channel in self.channels if channel.kind in kinds))
 
-    def entries_from(self, start_ns: int, rule: LatchedStateRule) -> Iterator[Entry]:
+    def entries_with_state(self, start_ns: int, rule: LatchedStateRule) -> Iterator[Entry]:
         """The entries from ``start_ns`` (UTC) on, before them at least those that the latched state there follows from.
 
         The index locates them if it is usable; if not, this returns all entries.  Raises DamagedRecording where the
@@ -191,7 +191,7 @@ class SessionFile:
         if rest_ns is not None:
             yield from self._numbered(self._rows(rest_ns), seq)
 
-    def entries_since(self, start_ns: int, seq: int = 0) -> Iterator[Entry]:
+    def entries_starting_at(self, start_ns: int, seq: int = 0) -> Iterator[Entry]:
         """The entries from ``start_ns`` (UTC) on; what comes before is not read.  Raises as `entries`.
 
         Args:
@@ -222,7 +222,7 @@ class SessionFile:
         named = {each.stream for each in self.channels if each.kind is channel.kind}
         yield from blocks_of_entries(
             entry
-            for entry in self.entries_since(start_ns)
+            for entry in self.entries_starting_at(start_ns)
             if entry.kind is channel.kind
             and entry.stamp_ns < end_ns
             and (entry.channel == channel.stream or (not channel.stream and entry.channel not in named))
@@ -354,8 +354,8 @@ class SessionFile:
             raise DamagedRecording(f"{self.path}: found {found} entries, expected {expected}{recover_hint(self.path)}")
 
     def _looked_up(self, start_ns: int, rule: LatchedStateRule) -> tuple[list[Entry], int | None, int | None]:
-        """What :meth:`entries_from` needs: the entries of the state; the time from which on the rest has to be read
-        (None: there is no rest); the entry number before that (None: the index is not usable)."""
+        """What :meth:`entries_with_state` needs: the entries of the state; the time from which on the rest has to be
+        read (None: there is no rest); the entry number before that (None: the index is not usable)."""
         unusable: tuple[list[Entry], None, None] = [], None, None
         # streams that share a channel are distinguished by the messages only
         shared = any(
@@ -382,7 +382,7 @@ class SessionFile:
     def _numbered(
         self, rows: Iterator[list[Row] | None], seq: int, kinds: Collection[Kind] = _ALL_KINDS
     ) -> Generator[Entry, None, int]:
-        """The entries in messages; ``seq`` is the number of one before them, or 0.  For the rest see `entries_of`.
+        """The entries in messages; ``seq`` is the number of one before them, or 0.  See also `entries_of_kinds`.
 
         Returns how many there were, without those that are not of the kinds.
         """
@@ -520,17 +520,17 @@ class SessionParts(SessionFile):
         """All entries of all parts; as SessionFile.entries."""
         return self._of_parts(SessionFile.entries)
 
-    def entries_of(self, kinds: Collection[Kind]) -> Iterator[Entry]:
-        """As SessionFile.entries_of."""
-        return self._of_parts(lambda part: part.entries_of(kinds))
+    def entries_of_kinds(self, kinds: Collection[Kind]) -> Iterator[Entry]:
+        """As SessionFile.entries_of_kinds."""
+        return self._of_parts(lambda part: part.entries_of_kinds(kinds))
 
-    def entries_from(self, start_ns: int, rule: LatchedStateRule) -> Iterator[Entry]:
-        """As SessionFile.entries_from."""
-        return self._of_parts(lambda part: part.entries_from(start_ns, rule))
+    def entries_with_state(self, start_ns: int, rule: LatchedStateRule) -> Iterator[Entry]:
+        """As SessionFile.entries_with_state."""
+        return self._of_parts(lambda part: part.entries_with_state(start_ns, rule))
 
-    def entries_since(self, start_ns: int, seq: int = 0) -> Iterator[Entry]:
+    def entries_starting_at(self, start_ns: int, seq: int = 0) -> Iterator[Entry]:
         """As SessionFile.entries_since; parts that end before are not opened."""
-        return self._of_parts(lambda part: part.entries_since(start_ns, seq), start_ns)
+        return self._of_parts(lambda part: part.entries_starting_at(start_ns, seq), start_ns)
 
     def blocks(self, channel: ChannelSummary, start_ns: int = 0, end_ns: int = _END_NS) -> Iterator[MessageBlock]:
         """As SessionFile.blocks; parts outside of the times are not opened."""

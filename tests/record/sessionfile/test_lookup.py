@@ -48,7 +48,9 @@ def scanned(file: SessionFile, start_ns: int) -> list[Entry]:
 
 def found(file: SessionFile, start_ns: int) -> list[Entry]:
     return played(
-        chain(file.prologue(), file.entries_from(start_ns, latched.latched_state_rule(told(file)))), file, start_ns
+        chain(file.prologue(), file.entries_with_state(start_ns, latched.latched_state_rule(told(file)))),
+        file,
+        start_ns,
     )
 
 
@@ -67,7 +69,8 @@ def before(path: Path, start_ns: int) -> int:
     """How many entries before the moment are read at all."""
     with SessionFile.open(path) as file:
         return sum(
-            entry.stamp_ns < start_ns for entry in file.entries_from(start_ns, latched.latched_state_rule(told(file)))
+            entry.stamp_ns < start_ns
+            for entry in file.entries_with_state(start_ns, latched.latched_state_rule(told(file)))
         )
 
 

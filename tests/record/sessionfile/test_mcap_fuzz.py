@@ -30,7 +30,7 @@ def _entries(path: Path) -> None:
 
 def _some_entries(path: Path) -> None:
     with SessionFile.open(path) as file:
-        for _ in file.entries_of({Kind.LINK, Kind.EDGE_NOTE}):
+        for _ in file.entries_of_kinds({Kind.LINK, Kind.EDGE_NOTE}):
             pass
         file.prologue()
 
@@ -38,7 +38,7 @@ def _some_entries(path: Path) -> None:
 def _entries_from_the_middle(path: Path) -> None:
     with SessionFile.open(path) as file:
         rule = latched.latched_state_rule(lambda topic, _type: "a" in topic)
-        for _ in file.entries_from((file.start_ns + file.end_ns) // 2, rule):
+        for _ in file.entries_with_state((file.start_ns + file.end_ns) // 2, rule):
             pass
 
 
