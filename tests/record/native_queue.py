@@ -10,9 +10,9 @@ from pathlib import Path
 
 import pytest
 
-from igtl_gateway.record import shared_queue
+from tests.places import ROOT
 
-HEADER = Path(shared_queue.__file__).with_name("_queue.h")
+HEADER = ROOT / "igtl_gateway" / "native" / "_queue.h"
 
 _SHIM = """
 #include "_queue.h"

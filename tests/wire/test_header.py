@@ -5,13 +5,12 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-from pathlib import Path
 
-from igtl_gateway.convert import express
 from igtl_gateway.wire import header, message
 from igtl_gateway.wire.header import Header
+from tests.places import ROOT
 
-_C_SOURCE = Path(express.__file__).with_name("_bytes.h")
+_C_SOURCE = ROOT / "igtl_gateway" / "native" / "_bytes.h"
 #: What the recorder's process must not wait for.
 _HEAVY = ("numpy", "igtl_gateway.wire.message", "igtl_gateway.wire.registry")
 
