@@ -113,7 +113,7 @@ def checked(settings: Mapping[str, Any]) -> dict[str, Any]:
     for name, value in settings.items():
         row = BY_SETTING.get(name)
         if row is None or name in _OF_THE_COMMAND_LINE:
-            raise ConfigError(f"{name}: {unknown(BY_SETTING.keys() - _OF_THE_COMMAND_LINE)}")
+            raise ConfigError(f"{name}: {unknown(name, BY_SETTING.keys() - _OF_THE_COMMAND_LINE)}")
         try:
             values[name] = _rows(row, value) if row.table == ROWS else row.check(_plain(row, value))
         except ConfigError as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import io
 import tempfile
 from collections import Counter
@@ -22,6 +21,7 @@ from igtl_gateway.api.source import Source
 from igtl_gateway.api.stream import STREAM_HEAD, Stream, narrowed
 from igtl_gateway.api.transforms import TransformTree
 from igtl_gateway.base.errors import BeingRecorded, ConfigError, DamagedRecording, GatewayError
+from igtl_gateway.base.near import did_you_mean, near_names
 from igtl_gateway.base.untrusted import limits as file_limits
 from igtl_gateway.base.untrusted.limits import FileLimits
 from igtl_gateway.config.configuration import Config
@@ -163,11 +163,8 @@ class Recording(Mapping[str, Stream]):
         both = [each for each in streams if streams[each].name == key]
         if both:
             raise KeyError(f"{self.path}: found stream {key!r} {len(both)} times, expected one of {both}")
-        near = (
-            difflib.get_close_matches(key, streams, 3, 0.5)
-            or [each for each in streams if key.lower() in each.lower()][:3]
-        )
-        expected = f"did you mean {', '.join(map(repr, near))}?" if near else "recording.streams has the names"
+        near = near_names(key, streams, 0.5) or [each for each in streams if key.lower() in each.lower()][:3]
+        expected = did_you_mean(near) or "recording.streams has the names"
         raise KeyError(f"{self.path}: found no stream {key!r}; {expected}")
 
     def __iter__(self) -> Iterator[str]:

@@ -36,7 +36,7 @@ def of_parameters(overrides: Mapping[str, Any]) -> dict[str, Any]:
     known, values = parameters(), {}
     for name, found in overrides.items():
         if name not in known:
-            raise ConfigError(f"parameter {name}: {unknown(known)}")
+            raise ConfigError(f"parameter {name}: {unknown(name, known)}")
         row = known[name]
         try:
             # ROS gives an empty list no type, and no value

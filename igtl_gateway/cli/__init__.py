@@ -14,22 +14,26 @@ from __future__ import annotations
 import argparse
 import importlib
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from igtl_gateway.base import extras
 from igtl_gateway.base.errors import ConfigError, GatewayError, OutputError, UnsupportedRecording
+from igtl_gateway.base.near import did_you_mean, near_names
 from igtl_gateway.base.systems.signals import endings_interrupt
 from igtl_gateway.base.untrusted import limits
 from igtl_gateway.cli.early_port import early_ports
 from igtl_gateway.cli.options import HelpFormatter, add_file_mode, add_limits_of_files, shorten_usage
 from igtl_gateway.cli.ros_arguments import without_ros_arguments
 from igtl_gateway.cli.terminal import Parser, discard_outputs, flush_outputs, open_outputs, print_line
-from igtl_gateway.cli.verbs import LABORATORY, WITHOUT_LABORATORY, Verb, available, own_verb
+from igtl_gateway.cli.verbs import LABORATORY, OTHER_WORDS, RARE, WITHOUT_LABORATORY, Verb, available, groups, own_verb
 from igtl_gateway.cli.versions import VersionAction
 from igtl_gateway.config import notations
 from igtl_gateway.record.sessionfile.new_file import files_with_mode
 
 FAILURE, USAGE = 1, 2
+
+_ABOUT = "Gateway between OpenIGTLink and ROS 2 that records, replays and verifies sessions."
+_NAME_COLUMNS = 14
 
 
 def main(argv: Sequence[str] | None = None, ready: Callable[[], None] | None = None) -> int:
@@ -66,8 +70,9 @@ def _run(given: Sequence[str], asked: str, ready: Callable[[], None] | None, **e
     # import only the module of the requested verb: `info` must not wait for ROS; nor for the entry points of all
     own = own_verb(asked)
     known = {asked: own} if own else available()
-    if asked in LABORATORY and asked not in known:
-        return _print_error(asked, WITHOUT_LABORATORY, USAGE)
+    if asked and asked not in known:
+        return _print_error(asked, WITHOUT_LABORATORY if asked in LABORATORY else _no_verb(asked, known), USAGE)
+    parser.description = f"{_ABOUT}\n\n{_list_of(known, everything='--help-all' in given)}"
     for name, verb in known.items():
         added = verbs.add_parser(name, help=verb.help, formatter_class=HelpFormatter)
         if name == asked:
@@ -75,7 +80,9 @@ def _run(given: Sequence[str], asked: str, ready: Callable[[], None] | None, **e
                 return _print_error(asked, verb.help, FAILURE)
             complete(added, verb)
             added.set_defaults(**extra)
-    options = parser.parse_args(given)
+    options, rest = parser.parse_known_args(given)
+    if rest:
+        (verbs.choices[asked] if asked else parser).error(_no_option(rest[0], verbs.choices.get(asked, parser)))
     if not options.verb:
         parser.print_help()
         return USAGE
@@ -123,19 +130,46 @@ def parser_of_all_verbs() -> tuple[Parser, list[Parser]]:
     return parser, parsers
 
 
+def _no_verb(asked: str, known: Mapping[str, Verb]) -> str:
+    """The message about a word that is not a verb."""
+    if asked in OTHER_WORDS:
+        return f"found no verb {asked!r}, expected igtl-gateway {OTHER_WORDS[asked]}"
+    question = did_you_mean(near_names(asked, known))
+    return f"found no verb {asked!r}, {question or 'expected one that `igtl-gateway --help` lists'}"
+
+
+def _no_option(word: str, parser: argparse.ArgumentParser) -> str:
+    """The message about a word of the command line that a verb has no place for."""
+    name = word.partition("=")[0]
+    question = did_you_mean(near_names(name, parser._option_string_actions)) if name.startswith("--") else ""
+    return f"unrecognized arguments: {word}" + (f"; {question}" if question else "")
+
+
+def _list_of(known: Mapping[str, Verb], *, everything: bool) -> str:
+    """The list of verbs in their groups, a line for each."""
+    lines = []
+    for group, rows in groups(known).items():
+        if group != RARE or everything:
+            lines += [f"{group}:", *(f"  {name:<{_NAME_COLUMNS}}{verb.help}" for name, verb in rows.items())]
+    return "\n".join(lines)
+
+
 def _parser() -> Parser:
     parser = Parser(
         prog="igtl-gateway",
-        description="Gateway between OpenIGTLink and ROS 2 that records, replays and verifies sessions.",
+        usage="%(prog)s [-h] [--version] [--help-all] VERB ...",
+        description=_ABOUT,
         epilog="`igtl-gateway VERB --help` lists the options of a verb, with examples.",
         formatter_class=HelpFormatter,
     )
     parser.add_argument("--version", action=VersionAction, help="print the versions of program, formats and libraries")
+    parser.add_argument("--help-all", action="help", help="show this message with the verbs that are rarely needed")
     return parser
 
 
 def _verbs(parser: Parser) -> argparse._SubParsersAction[Parser]:
-    return parser.add_subparsers(dest="verb", metavar="VERB", title="verbs")
+    # the description lists them in groups
+    return parser.add_subparsers(dest="verb", metavar="VERB", prog=parser.prog, help=argparse.SUPPRESS)
 
 
 def complete(parser: argparse.ArgumentParser, verb: Verb) -> None:

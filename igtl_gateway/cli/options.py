@@ -39,11 +39,6 @@ class HelpFormatter(argparse.RawDescriptionHelpFormatter):
     def __init__(self, prog: str) -> None:
         super().__init__(prog, width=min(shutil.get_terminal_size().columns, _WIDEST_HELP) - 2)
 
-    def _format_action(self, action: argparse.Action) -> str:
-        if action.nargs == argparse.PARSER:  # the verbs, without a line for the word VERB
-            return "".join(map(self._format_action, self._iter_indented_subactions(action)))
-        return super()._format_action(action)
-
 
 def default(value: object) -> str:
     """The end of a help text: ``(default: 64)``."""

@@ -19,6 +19,13 @@ if TYPE_CHECKING:
 
 GROUP = "igtl_gateway.verbs"
 
+#: Groups of verbs in the help, in its order.
+START, RUN, INSPECT, CONVERT, KEEP = "Start", "Run", "Inspect", "Convert", "Keep"
+MANY, MEASURE, OTHER = "Many", "Measure", "Other"
+#: Verbs that only ``--help-all`` lists.
+RARE = "Rarely needed"
+GROUPS = (START, RUN, INSPECT, CONVERT, KEEP, MANY, MEASURE, OTHER, RARE)
+
 
 @dataclass(frozen=True, slots=True)
 class Verb:
@@ -30,38 +37,55 @@ class Verb:
             it is imported only when the verb is requested.
         reads_files: whether it reads untrusted files; such a verb has ``--limit``.
         writes_files: whether it writes files and has no setting for their mode; such a verb has ``--file-mode``.
+        group: where the help lists it, of ``GROUPS``.
+        place: in its group, the smallest first.
     """
 
     help: str
     module: str
     reads_files: bool = True
     writes_files: bool = False
+    group: str = OTHER
+    place: int = 99
 
 
-def _own(name: str, text: str, *, reads_files: bool = True, writes_files: bool = False) -> Verb:
-    return Verb(text, f"igtl_gateway.cli.{name}", reads_files, writes_files)
+def _own(name: str, text: str, group: str, place: int, *, reads_files: bool = True, writes_files: bool = False) -> Verb:
+    return Verb(text, f"igtl_gateway.cli.{name}", reads_files, writes_files, group, place)
 
 
 VERBS = {
-    "bridge": _own("bridge", "run the gateway between OpenIGTLink and ROS 2", reads_files=False),
-    "replay": _own("replay", "send a recording to OpenIGTLink peers, to ROS 2 or to both"),
-    "verify": _own("verify", "check that the outputs of a recording follow from its inputs, byte for byte"),
-    "diff": _own("diff", "compare two recordings stream by stream, in millimetres and degrees"),
-    "slice": _own("slice", "cut a part out of a recording, by time and stream; the part verifies", writes_files=True),
-    "recover": _own("recover", "repair a damaged recording and report what is lost", writes_files=True),
-    "seal": _own("seal", "sign a recording, so that verify --seal finds every change", writes_files=True),
-    "keys": _own("seal_keys", "make, rotate and show the keys of seals", reads_files=False),
-    "retain": _own("retain", "delete recordings of a directory by age and by size"),
-    "info": _own("info", "show the contents of a recording"),
-    "doctor": _own("doctor", "connect to a peer, or wait for one, and diagnose the connection", reads_files=False),
-    "lint": _own("lint", "check a recording with the rules of doctor"),
-    "decode": _own("decode", "print the messages of a raw OpenIGTLink byte stream as JSON lines"),
-    "completion": _own("completion", "print a script that completes words in bash, zsh or fish", reads_files=False),
+    "bridge": _own("bridge", "run the gateway between OpenIGTLink and ROS 2", RUN, 1, reads_files=False),
+    "replay": _own("replay", "send a recording to OpenIGTLink peers, to ROS 2 or to both", RUN, 2),
+    "verify": _own("verify", "check that recorded outputs follow from the inputs, byte for byte", INSPECT, 3),
+    "diff": _own("diff", "compare two recordings by stream, in millimetres and degrees", INSPECT, 4),
+    "slice": _own(
+        "slice", "cut a part out of a recording, by time and stream; it verifies", CONVERT, 3, writes_files=True
+    ),
+    "recover": _own("recover", "repair a damaged recording and report what is lost", CONVERT, 5, writes_files=True),
+    "seal": _own("seal", "sign a recording, so that verify --seal finds every change", KEEP, 1, writes_files=True),
+    "keys": _own("seal_keys", "make, rotate and show the keys of seals", KEEP, 2, reads_files=False),
+    "retain": _own("retain", "delete recordings of a directory by age and by size", KEEP, 3),
+    "info": _own("info", "show the contents of a recording", INSPECT, 1),
+    "doctor": _own(
+        "doctor", "connect to a peer, or wait for one, and diagnose the connection", START, 3, reads_files=False
+    ),
+    "lint": _own("lint", "check a recording with the rules of doctor", INSPECT, 8),
+    "decode": _own("decode", "print the messages of an OpenIGTLink byte stream as JSON lines", INSPECT, 7),
+    "completion": _own(
+        "completion", "print a script that completes words in bash, zsh or fish", RARE, 1, reads_files=False
+    ),
 }
 
 #: Verbs of the laboratory, for the error message if it is not installed.
 LABORATORY = ("simulate", "bench", "demo")
 WITHOUT_LABORATORY = "found no laboratory, which has this verb; install it: pip install igtl-gateway-lab"
+
+#: Verbs of other programs → how it is done here.
+OTHER_WORDS = {
+    "record": "bridge --record FILE",
+    "play": "replay FILE",
+    "convert": "import FILE, from files of other programs, or export FILE, to them",
+}
 
 #: Verb of an add-on → the add-on.
 _ADDON_OF = {verb: addon for addon, verbs in ADDONS.items() for verb in verbs}
@@ -95,6 +119,14 @@ def available() -> dict[str, Verb]:
         if entry.name not in verbs:
             verbs[entry.name] = _loaded(entry)
     return verbs
+
+
+def groups(verbs: Mapping[str, Verb]) -> dict[str, dict[str, Verb]]:
+    """Return verbs by group, in the order of the help; a group that is unknown becomes that of others."""
+    found: dict[str, dict[str, Verb]] = {group: {} for group in GROUPS}
+    for name, verb in sorted(verbs.items(), key=lambda row: row[1].place):
+        found[verb.group if verb.group in found else OTHER][name] = verb
+    return {group: rows for group, rows in found.items() if rows}
 
 
 def _loaded(entry: metadata.EntryPoint) -> Verb:

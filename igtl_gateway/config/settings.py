@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 
 from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.near import did_you_mean, near_names
 from igtl_gateway.config import notations
 from igtl_gateway.convert.arms import PROFILE, arms_of_profile
 from igtl_gateway.convert.profiles import AUTO, BY_NAME
@@ -171,7 +172,7 @@ def check_values(place: str, table: str, values: Mapping[str, object]) -> dict[s
     checked = {}
     for name, value in values.items():
         if name not in known:
-            raise ConfigError(f"{place}.{name}: {unknown(known)}")
+            raise ConfigError(f"{place}.{name}: {unknown(name, known)}")
         try:
             checked[name] = known[name].check(value)
         except ConfigError as error:
@@ -204,9 +205,11 @@ def _usage(row: Setting) -> str:
     return f"{row.flag} {row.metavar}" if row.metavar else row.flag
 
 
-def unknown(names: Iterable[str]) -> str:
+def unknown(name: str, names: Iterable[str]) -> str:
     """The message about a name that no setting has."""
-    return f"unknown setting, expected one of {', '.join(names)}"
+    names = list(names)
+    question = did_you_mean(near_names(name, names))
+    return f"unknown setting, expected one of {', '.join(names)}" + (f"; {question}" if question else "")
 
 
 def of_table(table: str) -> dict[str, Setting]:

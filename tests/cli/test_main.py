@@ -42,7 +42,52 @@ def outcome(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, s
 def test_without_a_verb_there_is_help(capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = outcome(capsys)
     assert code == 2
-    assert all(verb in out for verb in verbs.available())
+    assert out.startswith("usage: igtl-gateway [-h] [--version] [--help-all] VERB ...\n")
+
+
+def listed(out: str) -> dict[str, list[str]]:
+    """The groups of the help, with the names of their verbs."""
+    found: dict[str, list[str]] = {}
+    for line in out.partition("\noptions:")[0].splitlines():
+        if line.endswith(":"):
+            found[line[:-1]] = []
+        elif found and line.startswith("  "):
+            found[list(found)[-1]].append(line.split()[0])
+    return found
+
+
+def test_help_has_the_verbs_in_groups_with_a_line_each(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "80")
+    code, out, _ = outcome(capsys, "--help")
+    assert code == 0 and max(map(len, out.splitlines())) <= 82
+    found = listed(out)
+    assert found["Start"] == ["demo", "simulate", "doctor"] and found["Run"] == ["bridge", "replay"]
+    assert [*found] == ["Start", "Run", "Inspect", "Convert", "Keep", "Many", "Measure"]
+    shown = [verb for group in found.values() for verb in group]
+    code, out, _ = outcome(capsys, "--help-all")
+    every = [verb for group in listed(out).values() for verb in group]
+    assert code == 0 and sorted(every) == sorted(verbs.available())
+    assert set(every) - set(shown) == {"completion", "zenoh-router"}
+
+
+@table(
+    ("words", "question"),
+    [
+        (["reply"], "did you mean 'replay'?"),
+        (["record", "out.mcap"], "expected igtl-gateway bridge --record FILE"),
+        (["play", "out.mcap"], "expected igtl-gateway replay FILE"),
+        (["convert", "a.bag"], "expected igtl-gateway import FILE"),
+        (["bridge", "--recrd", "a.mcap"], "did you mean '--record'"),
+        (["info", "a.mcap", "--jsn"], "did you mean '--json'?"),
+    ],
+)
+def test_a_word_that_means_nothing_is_answered_with_the_near_one(
+    words: list[str], question: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = outcome(capsys, *words)
+    assert (code, out) == (2, "") and question in err
 
 
 @table("verb", verbs.available())

@@ -40,6 +40,7 @@ def test_without_the_laboratory_its_verbs_say_where_they_are(
 def test_nothing_replaces_a_verb_of_ours(monkeypatch: pytest.MonkeyPatch) -> None:
     install(monkeypatch, info=verbs.Verb("another info", "another.module"), later=verbs.Verb("more", "more.module"))
     assert verbs.available()["info"] is verbs.VERBS["info"]
+    assert [*verbs.groups(verbs.available())["Other"]] == ["later"]
     assert list(verbs.available())[-1] == "later"
 
 

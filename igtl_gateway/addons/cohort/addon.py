@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from igtl_gateway.cli.verbs import Verb
+from igtl_gateway.cli.verbs import MANY, Verb
 
 VERBS = {
     "cohort": Verb(
         "info, lint, verify, review or sync over many sessions, as tables",
         f"{__package__}.verb",
         writes_files=True,
+        group=MANY,
+        place=1,
     ),
 }

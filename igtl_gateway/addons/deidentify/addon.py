@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from igtl_gateway.cli.verbs import Verb
+from igtl_gateway.cli.verbs import CONVERT, Verb
 
 VERBS = {
     "deidentify": Verb(
-        "write a session without names, text and dates of persons; it verifies",
+        "write a session without names, text and dates of persons",
         f"{__package__}.verb",
         writes_files=True,
+        group=CONVERT,
+        place=6,
     ),
 }

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
-from igtl_gateway.cli.verbs import Verb
+from igtl_gateway.cli.verbs import CONVERT, Verb
 
 VERBS = {
     "merge": Verb(
-        "make one session of several recorders; each part verifies", f"{__package__}.verb", writes_files=True
+        "make one session of several recorders; each part verifies",
+        f"{__package__}.verb",
+        writes_files=True,
+        group=CONVERT,
+        place=4,
     ),
 }

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from igtl_gateway.cli.verbs import Verb
+from igtl_gateway.cli.verbs import INSPECT, Verb
 
 VERBS = {
-    "review": Verb("check each stitch of a suture plan against the measured tissue", f"{__package__}.verb"),
+    "review": Verb(
+        "check each stitch of a suture plan against the measured tissue", f"{__package__}.verb", group=INSPECT, place=5
+    ),
 }

@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
-from igtl_gateway.cli.verbs import Verb
+from igtl_gateway.cli.verbs import INSPECT, Verb
 
 VERBS = {
-    "sync": Verb("measure the lags between streams from what moves in them", f"{__package__}.verb", writes_files=True),
+    "sync": Verb(
+        "measure the lags between streams from what moves in them",
+        f"{__package__}.verb",
+        writes_files=True,
+        group=INSPECT,
+        place=6,
+    ),
 }

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from igtl_gateway.cli.verbs import Verb
+from igtl_gateway.cli.verbs import KEEP, Verb
 
 VERBS = {
-    "upload": Verb("copy the recordings of a directory to an object store", f"{__package__}.verb"),
+    "upload": Verb("copy the recordings of a directory to an object store", f"{__package__}.verb", group=KEEP, place=4),
 }

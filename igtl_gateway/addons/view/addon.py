@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from igtl_gateway.cli.verbs import Verb
+from igtl_gateway.cli.verbs import INSPECT, Verb
 
 VERBS = {
     "view": Verb(
-        "show a session in rerun: in a window, as a file, web page or image",
+        "show a session in rerun: in a window, as a file, page or image",
         f"{__package__}.verb",
         writes_files=True,
+        group=INSPECT,
+        place=2,
     ),
 }

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from igtl_gateway.cli.verbs import Verb
+from igtl_gateway.cli.verbs import RARE, Verb
 
 VERBS = {
     "zenoh-router": Verb(
         "run a router of Zenoh, which ROS nodes with rmw_zenoh need",
         f"{__package__}.verb",
         reads_files=False,
+        group=RARE,
+        place=2,
     ),
 }

@@ -40,7 +40,7 @@ def checking_node(rclpy: Any, base: type, changing: AbstractContextManager[objec
         for parameter in given:
             try:
                 if not node.has_parameter(parameter.name):
-                    raise ConfigError(unknown(rows))
+                    raise ConfigError(unknown(parameter.name, rows))
                 row = rows.get(parameter.name)
                 checked.append(make.of(row, row.check(listed(row, parameter.value))) if row else parameter)
             except ConfigError as error:

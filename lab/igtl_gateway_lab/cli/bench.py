@@ -45,7 +45,7 @@ EXAMPLES = """\
   igtl-gateway bench --case transform --zenoh
   # also with the C++ library and pyigtl as peers
   igtl-gateway bench --case transform image-vga --peers
-  # in turns with another bridge on the same topics (docs/evidence/performance.md)
+  # in turns with another bridge (docs/evidence/performance.md)
   igtl-gateway bench --case transform --against "my_bridge --port {port}"
   # measurements other than the transfer of messages
   igtl-gateway bench --case start-up idle replay verify
