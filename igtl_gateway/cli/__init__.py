@@ -173,7 +173,10 @@ def _verbs(parser: Parser) -> argparse._SubParsersAction[Parser]:
 
 
 def complete(parser: argparse.ArgumentParser, verb: Verb) -> None:
-    """Add description, options, examples and the function ``run`` of a verb to its parser; imports its module."""
+    """Add description, options, examples and the function ``run`` of a verb to its parser; imports its module.
+
+    The module may have ``COMMON``, the options that the short help shows.
+    """
     module = importlib.import_module(verb.module)
     module.add_arguments(parser)
     if verb.reads_files:
@@ -181,6 +184,8 @@ def complete(parser: argparse.ArgumentParser, verb: Verb) -> None:
     if verb.writes_files:
         add_file_mode(parser)
     shorten_usage(parser)
+    if hasattr(module, "COMMON") and isinstance(parser, Parser):
+        parser.shorten_help(module.COMMON)
     parser.description = verb.help[0].upper() + verb.help[1:] + "."
     parser.epilog = "examples:\n" + module.EXAMPLES
     parser.set_defaults(run=module.run)

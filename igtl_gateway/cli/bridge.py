@@ -25,7 +25,7 @@ from igtl_gateway.cli.bridge_session import BridgeSession, LiveWindow, PlainRunn
 from igtl_gateway.cli.common import stop_event
 from igtl_gateway.cli.options import default
 from igtl_gateway.cli.ros_arguments import add_ros_arguments
-from igtl_gateway.cli.settings import add_faults, add_settings, given, settled
+from igtl_gateway.cli.settings import add_faults, add_settings, common_options, given, settled
 from igtl_gateway.cli.terminal import is_terminal, print_line
 from igtl_gateway.cli.type_tables import types
 from igtl_gateway.config.configuration import Config
@@ -79,6 +79,9 @@ EXAMPLES = """\
 
 Messages of a device are published on /igtl/in/<device>/<kind>.  Messages that
 are published on /igtl/out/<device> are sent to the peers."""
+
+#: Options that the short help shows.
+COMMON = common_options("--duration", "--no-ros", "--view", "--json", "--ros-args")
 
 _STATUS_EVERY_S = 0.5
 _SHARED_TF = (

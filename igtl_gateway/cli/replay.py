@@ -27,7 +27,7 @@ from igtl_gateway.cli.options import (
 )
 from igtl_gateway.cli.replay_report import print_report
 from igtl_gateway.cli.ros_arguments import add_ros_arguments
-from igtl_gateway.cli.settings import add_faults, add_settings
+from igtl_gateway.cli.settings import add_faults, add_settings, common_options
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.config.faults import Fate
 from igtl_gateway.config.settings import PROFILE_NAMES
@@ -86,6 +86,12 @@ ROS services of /igtl_gateway_replay, with --to ros, as in `ros2 bag play`:
 
 exit code 1 if the replay is stopped, or if ROS rejects messages (for example
 of a type that is not installed); the other messages are sent."""
+
+#: Options that the short help shows.
+COMMON = common_options(
+    *("--to", "--json", "--start", "--end", "--duration", "--streams", "--through-gateway", "--restamp"),
+    *("--rate", "--as-fast-as-possible", "--loop", "--step", "--clock"),
+)
 
 _FASTER, _SLOWER = 1.1, 0.9
 

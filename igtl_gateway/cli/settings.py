@@ -46,6 +46,11 @@ def add_settings(group: Options, *names: str, words: bool = False) -> None:
         group.add_argument(row.flag, type=parser_of(row.parse), help=_help(row, row.about), **more)
 
 
+def common_options(*others: str) -> frozenset[str]:
+    """Return the options that the short help shows: those of common settings, and ``others``."""
+    return frozenset(row.flag for row in SETTINGS if row.common and row.flag).union(others)
+
+
 def add_faults(parser: argparse.ArgumentParser, more: Iterable[str] = ()) -> None:
     """``--fault`` and ``--seed`` in a group of their own; ``more`` are lines of its description."""
     rows = [(f"{row.name}={row.unit.value}", row.meaning) for row in FAULTS]

@@ -10,7 +10,7 @@ import argparse
 import os
 import shutil
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Set
 from typing import Any, TextIO
 
 from igtl_gateway.base.errors import OutputError
@@ -111,6 +111,29 @@ class Parser(argparse.ArgumentParser):
     """A parser of arguments whose help and errors pass through here too."""
 
     color = False  # of Python 3.14: escape sequences in the help
+    #: Arguments that only ``--help-all`` shows.
+    _rare: frozenset[argparse.Action] = frozenset()
+
+    def shorten_help(self, common: Set[str]) -> None:
+        """Show only these options with ``--help``, and all with ``--help-all``."""
+        options = [each for each in self._actions if each.option_strings and each.dest != "help"]
+        self._rare = frozenset(each for each in options if common.isdisjoint(each.option_strings))
+        self.add_argument("--help-all", action=_HelpAll, nargs=0, help=f"show all {len(options)} options")
+
+    def format_help(self, *, everything: bool = False) -> str:
+        """Return the help; groups without an option to show are left out."""
+        formatter = self._get_formatter()
+        formatter.add_usage(self.usage, self._actions, self._mutually_exclusive_groups)
+        formatter.add_text(self.description)
+        for group in self._action_groups:
+            shown = [each for each in group._group_actions if everything or each not in self._rare]
+            if shown:
+                formatter.start_section(group.title)
+                formatter.add_text(group.description)
+                formatter.add_arguments(shown)
+                formatter.end_section()
+        formatter.add_text(self.epilog)
+        return formatter.format_help()
 
     def error(self, message: str) -> Any:
         """Print the usage and what is wrong with the arguments, and end the program."""
@@ -121,6 +144,15 @@ class Parser(argparse.ArgumentParser):
     def _print_message(self, message: str, file: Any = None) -> None:
         if message:
             print_text(message, error=file is not sys.stdout)
+
+
+class _HelpAll(argparse.Action):
+    """``--help-all``: print the help with all options, and end the program."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        assert isinstance(parser, Parser)  # it made this action
+        print_text(parser.format_help(everything=True))
+        parser.exit()
 
 
 def open_outputs() -> None:

@@ -82,6 +82,7 @@ class Setting:
         changes: whether it may change while the bridge runs.
         parameter: whether the node has it: the settings of a relay have no node.
         adds: the command line adds to the list of the file or of the parameters; other settings are replaced.
+        common: whether most sessions need it: the short help shows its option.
         needs: settings, ``ROS_GRAPH`` or ``CLIENTS``, without which it has no effect.
     """
 
@@ -101,6 +102,7 @@ class Setting:
     changes: bool = False
     parameter: bool = True
     adds: bool = False
+    common: bool = False
     needs: tuple[str, ...] = ()
 
     @property
@@ -245,7 +247,9 @@ def _profile(text: str) -> str:
 
 #: All settings, in the order of the documents.
 SETTINGS: tuple[Setting, ...] = (
-    Setting("config", "", "read the configuration from this file (TOML); options override it", metavar="FILE"),
+    Setting(
+        "config", "", "read the configuration from this file (TOML); options override it", metavar="FILE", common=True
+    ),
     # -- addresses and security ----------------------------------------------------------------------------------------
     Setting(
         "listen",
@@ -255,6 +259,7 @@ SETTINGS: tuple[Setting, ...] = (
         metavar="[tls://]HOST:PORT",
         reads=notations.peer_address,
         shown=f"{notations.DEFAULT_HOST}:{notations.DEFAULT_PORT}, unless --connect is given",
+        common=True,
     ),
     Setting(
         "connect",
@@ -263,6 +268,7 @@ SETTINGS: tuple[Setting, ...] = (
         IGTL,
         metavar="[tls://]HOST:PORT",
         reads=notations.peer_address,
+        common=True,
     ),
     Setting(
         "relay",
@@ -270,6 +276,7 @@ SETTINGS: tuple[Setting, ...] = (
         "forward all bytes unchanged between each client of --listen and the server of --connect; without ROS",
         GATEWAY,
         parameter=False,
+        common=True,
     ),
     Setting(
         "allow",
@@ -279,9 +286,10 @@ SETTINGS: tuple[Setting, ...] = (
         metavar="CIDR",
         reads=notations.network,
         needs=(CLIENTS,),
+        common=True,
     ),
     Setting("tls", False, "use TLS at all addresses except those that begin with tcp://", IGTL),
-    Setting("tls_cert", "", "own certificate (PEM); turns TLS on for --listen", IGTL, metavar="FILE"),
+    Setting("tls_cert", "", "own certificate (PEM); turns TLS on for --listen", IGTL, metavar="FILE", common=True),
     Setting(
         "tls_key",
         "",
@@ -291,7 +299,14 @@ SETTINGS: tuple[Setting, ...] = (
         shown="file of --tls-cert",
         needs=("tls_cert",),
     ),
-    Setting("tls_ca", "", "require a certificate of this CA (PEM) from clients and servers", IGTL, metavar="FILE"),
+    Setting(
+        "tls_ca",
+        "",
+        "require a certificate of this CA (PEM) from clients and servers",
+        IGTL,
+        metavar="FILE",
+        common=True,
+    ),
     *(
         Setting(
             f"deny_{way}",
@@ -395,6 +410,7 @@ SETTINGS: tuple[Setting, ...] = (
         choices=(*PROFILE_NAMES, PROFILE),
         reads=_profile,
         shown=f"{AUTO}, detected from their messages",
+        common=True,
     ),
     Setting(
         "crtk",
@@ -424,6 +440,7 @@ SETTINGS: tuple[Setting, ...] = (
         metavar="TOPIC[=DEVICE[:TYPE]]",
         adds=True,
         needs=(ROS_GRAPH,),
+        common=True,
     ),
     Setting(
         "tf_out",
@@ -433,6 +450,7 @@ SETTINGS: tuple[Setting, ...] = (
         metavar="FRAME[,FRAME…]:BASE[=DEVICE[:TYPE]]",
         adds=True,
         needs=(ROS_GRAPH,),
+        common=True,
     ),
     Setting(
         "to_ros",
@@ -474,6 +492,7 @@ SETTINGS: tuple[Setting, ...] = (
         metavar=f"{notations.DDS}|{notations.ZENOH}[:ENDPOINT]",
         reads=notations.ros_middleware,
         parameter=False,
+        common=True,
     ),
     Setting(
         "site",
@@ -547,8 +566,15 @@ SETTINGS: tuple[Setting, ...] = (
         open_ends=True,
     ),
     # -- recording -----------------------------------------------------------------------------------------------------
-    Setting("record", "", "record all messages to this MCAP file", metavar="FILE", reads=notations.recording_name),
-    Setting("overwrite", False, "overwrite an existing recording", needs=("record",)),
+    Setting(
+        "record",
+        "",
+        "record all messages to this MCAP file",
+        metavar="FILE",
+        reads=notations.recording_name,
+        common=True,
+    ),
+    Setting("overwrite", False, "overwrite an existing recording", needs=("record",), common=True),
     Setting(
         "file_mode",
         "0600",
@@ -563,8 +589,9 @@ SETTINGS: tuple[Setting, ...] = (
         "also record these ROS topics, in addition to the bridged ones; * matches one level, ** any number",
         metavar="GLOB",
         needs=("record", ROS_GRAPH),
+        common=True,
     ),
-    Setting("record_all", False, "also record all ROS topics", needs=("record", ROS_GRAPH)),
+    Setting("record_all", False, "also record all ROS topics", needs=("record", ROS_GRAPH), common=True),
     Setting(
         "record_include",
         (),
@@ -621,6 +648,7 @@ SETTINGS: tuple[Setting, ...] = (
         least=0,
         most=1 << 30,
         needs=("record",),
+        common=True,
     ),
     Setting(
         "split_duration",
@@ -642,6 +670,7 @@ SETTINGS: tuple[Setting, ...] = (
         least=0,
         most=_YEAR_S,
         needs=("record",),
+        common=True,
     ),
     Setting(
         "seal",
@@ -696,6 +725,7 @@ SETTINGS: tuple[Setting, ...] = (
         "encode ROS images that are sent as VIDEO, and decode received VIDEO to ROS images",
         choices=("", *VIDEO_CODECS),
         needs=(ROS_GRAPH,),
+        common=True,
     ),
     Setting(
         "video_bit_rate",
@@ -757,6 +787,7 @@ SETTINGS: tuple[Setting, ...] = (
         "serve counts, rates and queue lengths over HTTP: /metrics for Prometheus, /status as JSON",
         metavar="[HOST:]PORT",
         reads=notations.address,
+        common=True,
     ),
     Setting(
         "faults",

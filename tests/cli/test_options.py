@@ -64,6 +64,25 @@ def test_a_verb_with_many_options_has_a_short_usage(capsys: pytest.CaptureFixtur
     assert capsys.readouterr().out.startswith("usage: igtl-gateway replay [OPTION ...] --to {igtl,ros,both} FILE\n")
 
 
+@pytest.mark.parametrize(
+    ("verb", "common", "rare"), [("bridge", "--record FILE", "--cpu-affinity"), ("replay", "--rate FACTOR", "--exact")]
+)
+def test_the_short_help_has_what_most_sessions_need(
+    verb: str, common: str, rare: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pages = []
+    for option in ("--help", "--help-all"):
+        with pytest.raises(SystemExit) as end:
+            main([verb, option])
+        assert end.value.code == 0
+        pages.append(capsys.readouterr().out.partition("examples:")[0])
+    short, full = pages
+    assert common in short and common in full and rare in full and rare not in short
+    counts = [len(re.findall(r"^  -", page, re.MULTILINE)) for page in pages]
+    assert 18 <= counts[0] <= 28 < counts[1]
+    assert "fault injection" not in short and "fault injection" in full
+
+
 def test_version_names_formats_and_libraries(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as end:
         main(["--version"])
