@@ -758,17 +758,17 @@ igtl-gateway doctor --listen :18944 10.0.0.7  # the same; also check whether tha
 igtl-gateway doctor tls://or1.clinic --tls-cert me.pem --tls-ca clinic.pem    # connect to a server with TLS
 igtl-gateway doctor :18944 --ros              # check the ROS graph too
 igtl-gateway doctor --host                    # check this machine for causes of jitter
-igtl-gateway lint out.mcap                    # check a recording"""
+igtl-gateway doctor out.mcap                    # check a recording"""
 
 
 def doctor() -> str:
     """docs/reference/doctor.md."""
     return document(
-        "# Diagnosis: `doctor` and `lint`",
+        "# Diagnosis: `doctor`",
         GENERATED,
         prose(
             """`doctor` connects to a peer, observes its messages and reports the probable cause if nothing
-            arrives.  `lint` applies the same rules to a recording."""
+            arrives.  `doctor FILE` applies the same rules to a recording."""
         ),
         textwrap.indent(DOCTOR_EXAMPLES, "    "),
         prose(
@@ -892,6 +892,9 @@ def _section(section: str) -> str:
 
 def verbs() -> str:
     """docs/reference/verbs.md."""
+    known = available()
+    # old spellings are those of the new verbs
+    shown = {verb.now or name: verb for name, verb in known.items() if verb.now not in known}
     return document(
         "# Options of all verbs",
         GENERATED,
@@ -899,8 +902,8 @@ def verbs() -> str:
             """`igtl-gateway VERB --help` prints the same in the terminal. [command-line.md](command-line.md) describes
             what all verbs have in common, such as the exit codes."""
         ),
-        "\n".join(f"* [{name}](#{name}): {verb.help}" for name, verb in available().items()),
-        *(_verb(name, verb) for name, verb in available().items()),
+        "\n".join(f"* [{name}](#{name.replace(' ', '-')}): {verb.help}" for name, verb in shown.items()),
+        *(_verb(name, verb) for name, verb in shown.items()),
     )
 
 

@@ -22,7 +22,7 @@ PURPOSES = {
     "pandas": "data frames in Python",
     "lerobot": "`export --to lerobot`",
     "cohort": "`cohort`",
-    "seal": "`seal`, `keys`, `verify --seal`, `bridge --seal`",
+    "seal": "`seal`, `seal keys`, `verify --seal`, `bridge --seal`",
     "lab": "`simulate`, `bench`, `demo`",
 }
 #: Module → the extras that install it, the usual one first.

@@ -25,7 +25,18 @@ from igtl_gateway.cli.early_port import early_ports
 from igtl_gateway.cli.options import HelpFormatter, add_file_mode, add_limits_of_files, shorten_usage
 from igtl_gateway.cli.ros_arguments import without_ros_arguments
 from igtl_gateway.cli.terminal import Parser, discard_outputs, flush_outputs, open_outputs, print_line
-from igtl_gateway.cli.verbs import LABORATORY, OTHER_WORDS, RARE, WITHOUT_LABORATORY, Verb, available, groups, own_verb
+from igtl_gateway.cli.verbs import (
+    JOINED,
+    LABORATORY,
+    OTHER_WORDS,
+    RARE,
+    VERBS,
+    WITHOUT_LABORATORY,
+    Verb,
+    available,
+    groups,
+    own_verb,
+)
 from igtl_gateway.cli.versions import VersionAction
 from igtl_gateway.config import notations
 from igtl_gateway.record.sessionfile.new_file import files_with_mode
@@ -48,7 +59,12 @@ def main(argv: Sequence[str] | None = None, ready: Callable[[], None] | None = N
     """
     open_outputs()
     given = list(sys.argv[1:] if argv is None else argv)
+    verb, following = JOINED.get(tuple(given[:2]), ("", ()))
+    if is_joined := bool(verb) and given[2:3] != [] and given[2] in following:
+        given[:2] = [verb]
     asked = next((word for word in given if not word.startswith("-")), "")
+    if not is_joined and (own := VERBS.get(asked)) and own.now:
+        print_line(f"igtl-gateway {asked}: the new spelling is `igtl-gateway {own.now}`", error=True)
     if asked not in ("bridge", "replay"):
         return _run(given, asked, ready)
     given, ros_args = without_ros_arguments(given)
@@ -74,7 +90,9 @@ def _run(given: Sequence[str], asked: str, ready: Callable[[], None] | None, **e
         return _print_error(asked, WITHOUT_LABORATORY if asked in LABORATORY else _no_verb(asked, known), USAGE)
     parser.description = f"{_ABOUT}\n\n{_list_of(known, everything='--help-all' in given)}"
     for name, verb in known.items():
-        added = verbs.add_parser(name, help=verb.help, formatter_class=HelpFormatter)
+        added = verbs.add_parser(
+            name, help=verb.help, prog=f"{parser.prog} {verb.now or name}", formatter_class=HelpFormatter
+        )
         if name == asked:
             if not verb.module:
                 return _print_error(asked, verb.help, FAILURE)
@@ -123,6 +141,7 @@ def parser_of_all_verbs() -> tuple[Parser, list[Parser]]:
     """Return the parser of the command line, and those of all verbs; imports the modules of all verbs."""
     parser = _parser()
     verbs, parsers = _verbs(parser), []
+    verbs.help = None  # the script of a shell has no arguments that are suppressed
     for name, verb in available().items():
         if verb.module:
             parsers.append(verbs.add_parser(name, help=verb.help))
@@ -192,5 +211,6 @@ def complete(parser: argparse.ArgumentParser, verb: Verb) -> None:
 
 
 def _print_error(verb: str, error: object, code: int) -> int:
+    verb = VERBS[verb].now or verb if verb in VERBS else verb
     print_line(f"igtl-gateway {verb}: {error}", error=True)
     return code

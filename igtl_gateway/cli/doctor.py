@@ -1,14 +1,15 @@
-"""``igtl-gateway doctor``: diagnose the connection to a peer, or the machine."""
+"""``igtl-gateway doctor``: diagnose the connection to a peer, a recording, or the machine."""
 
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from igtl_gateway.app import bridge_options
 from igtl_gateway.app.examine import ExamineOptions, examine
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.cli import admission
+from igtl_gateway.cli import admission, lint
 from igtl_gateway.cli.common import load_config, stop_event
 from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT, add_config, add_json, default, peer_address
 from igtl_gateway.cli.settings import add_settings
@@ -27,6 +28,8 @@ EXAMPLES = """\
   igtl-gateway doctor tls://or1.clinic --tls-cert me.pem --tls-ca clinic.pem
   # also compare with the ROS graph; for programs
   igtl-gateway doctor :18944 --ros --json
+  # check a recording: stamps, names, units, CRCs, header versions, losses
+  igtl-gateway doctor out.mcap
   # check this machine: scheduling, timers, limits, memory
   igtl-gateway doctor --host
 
@@ -36,7 +39,13 @@ _SECONDS = 5.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("peer", metavar="[tls://]HOST:PORT", type=peer_address, nargs="?", help="address of the peer")
+    parser.add_argument(
+        "peer",
+        metavar="[tls://]HOST:PORT|FILE",
+        type=_peer_or_file,
+        nargs="?",
+        help="address of the peer; or a recording, which exists or ends in .mcap, or directory of a split recording",
+    )
     parser.add_argument(
         "--listen",
         type=peer_address,
@@ -72,11 +81,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     admission.add_tls(group)
 
 
+def _peer_or_file(text: str) -> tuple[str, int] | Path:
+    return Path(text) if text.endswith(".mcap") or Path(text).exists() else peer_address(text)
+
+
 def run(options: argparse.Namespace) -> int:
+    if isinstance(options.peer, Path):
+        if options.listen or options.ros or options.host or options.messages or options.allow:
+            raise ConfigError(
+                f"found the recording {options.peer} with an option of a connection or --host, "
+                "expected --config or --json"
+            )
+        return lint.run(argparse.Namespace(file=options.peer, config=options.config, json=options.json))
     if options.host:
         return _run_host(options)
     if not options.peer and not options.listen:
-        raise ConfigError("found no peer, expected its HOST:PORT, --listen or --host")
+        raise ConfigError("found no peer, expected its HOST:PORT, a recording, --listen or --host")
     if not 0 < options.seconds < float("inf"):
         raise ConfigError(f"--seconds: found {options.seconds:g}, expected a number above 0")
     if options.messages < 0:

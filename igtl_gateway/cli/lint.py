@@ -1,4 +1,4 @@
-"""``igtl-gateway lint``: the rules of ``doctor`` on a recording."""
+"""``igtl-gateway doctor FILE``, formerly ``lint``: the rules of ``doctor`` on a recording."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from igtl_gateway.record.sessionfile.salvage import Salvage
 
 EXAMPLES = """\
   # findings about stamps, names, units, CRCs, header versions, losses
-  igtl-gateway lint out.mcap
+  igtl-gateway doctor out.mcap
   # for programs
-  igtl-gateway lint out.mcap --json
+  igtl-gateway doctor out.mcap --json
 
 exit code 0: no error found; 1: an error; 2: wrong usage"""
 

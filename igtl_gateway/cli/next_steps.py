@@ -37,7 +37,7 @@ def info_steps(file: str, *, is_foreign: bool, has_problems: bool, types: Sequen
         ]
     steps = [(command("verify", file), "compute all outputs again and compare them")]
     if has_problems:
-        steps.append((command("lint", file), "find the causes of the problems"))
+        steps.append((command("doctor", file), "find the causes of the problems"))
     if types:
         steps.append((command("replay", file, "--to", "igtl"), "serve it to 3D Slicer and others"))
     return [*steps, (command("view", file), "show it in rerun")]

@@ -16,7 +16,7 @@ EXAMPLES = """\
   # put the reply of a time-stamp authority into a copy of a sealed recording
   igtl-gateway seal sealed.mcap --time-stamp reply.tsr -o stamped.mcap
 
-`keys new` makes a key; `bridge --seal KEY` seals while it records.
+`seal keys new` makes a key; `bridge --seal KEY` seals while it records.
 The seal states what the file contained at this moment, and nothing about the
 time before it."""
 

@@ -1,4 +1,4 @@
-"""``igtl-gateway keys``: the keys of seals."""
+"""``igtl-gateway seal keys``: the keys of seals."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from igtl_gateway.record.sessionfile.beside import write_error
 
 EXAMPLES = """\
   # write the private key recorder.key (mode 0600) and recorder.key.pub
-  igtl-gateway keys new recorder.key
+  igtl-gateway seal keys new recorder.key
   # a new key that the old one introduces: who trusts the old one trusts it
-  igtl-gateway keys rotate recorder.key recorder-2027.key
+  igtl-gateway seal keys rotate recorder.key recorder-2027.key
   # the identifiers of keys
-  igtl-gateway keys show recorder.key.pub
+  igtl-gateway seal keys show recorder.key.pub
 
 Give FILE.pub to those who check, by another way than the recordings."""
 

@@ -39,6 +39,7 @@ class Verb:
         writes_files: whether it writes files and has no setting for their mode; such a verb has ``--file-mode``.
         group: where the help lists it, of ``GROUPS``.
         place: in its group, the smallest first.
+        now: the new spelling of a verb that is kept for one release; it prints this.
     """
 
     help: str
@@ -47,6 +48,7 @@ class Verb:
     writes_files: bool = False
     group: str = OTHER
     place: int = 99
+    now: str = ""
 
 
 def _own(name: str, text: str, group: str, place: int, *, reads_files: bool = True, writes_files: bool = False) -> Verb:
@@ -62,14 +64,21 @@ VERBS = {
         "slice", "cut a part out of a recording, by time and stream; it verifies", CONVERT, 3, writes_files=True
     ),
     "recover": _own("recover", "repair a damaged recording and report what is lost", CONVERT, 5, writes_files=True),
-    "seal": _own("seal", "sign a recording, so that verify --seal finds every change", KEEP, 1, writes_files=True),
-    "keys": _own("seal_keys", "make, rotate and show the keys of seals", KEEP, 2, reads_files=False),
+    "seal": _own("seal", "sign a recording: verify --seal finds every change; seal keys", KEEP, 1, writes_files=True),
+    "keys": Verb(
+        "make, rotate and show the keys of seals",
+        "igtl_gateway.cli.seal_keys",
+        False,
+        group=RARE,
+        place=3,
+        now="seal keys",
+    ),
     "retain": _own("retain", "delete recordings of a directory by age and by size", KEEP, 3),
     "info": _own("info", "show the contents of a recording", INSPECT, 1),
-    "doctor": _own(
-        "doctor", "connect to a peer, or wait for one, and diagnose the connection", START, 3, reads_files=False
+    "doctor": _own("doctor", "diagnose a connection, a recording or this machine", START, 3),
+    "lint": Verb(
+        "check a recording with the rules of doctor", "igtl_gateway.cli.lint", group=RARE, place=4, now="doctor"
     ),
-    "lint": _own("lint", "check a recording with the rules of doctor", INSPECT, 8),
     "decode": _own("decode", "print the messages of an OpenIGTLink byte stream as JSON lines", INSPECT, 7),
     "completion": _own(
         "completion", "print a script that completes words in bash, zsh or fish", RARE, 1, reads_files=False
@@ -79,6 +88,9 @@ VERBS = {
 #: Verbs of the laboratory, for the error message if it is not installed.
 LABORATORY = ("simulate", "bench", "demo")
 WITHOUT_LABORATORY = "found no laboratory, which has this verb; install it: pip install igtl-gateway-lab"
+
+#: Two words → the verb of this name, with one of these words behind them: otherwise the second is a file.
+JOINED = {("seal", "keys"): ("keys", ("new", "rotate", "show", "-h", "--help"))}
 
 #: Verbs of other programs → how it is done here.
 OTHER_WORDS = {

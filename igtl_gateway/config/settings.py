@@ -675,7 +675,7 @@ SETTINGS: tuple[Setting, ...] = (
     Setting(
         "seal",
         "",
-        "sign the recording with this private key (Ed25519, PEM) while it is written; `keys new` makes one",
+        "sign the recording with this private key (Ed25519, PEM) while it is written; `seal keys new` makes one",
         metavar="KEY",
         needs=("record",),
     ),

@@ -353,7 +353,7 @@ RULES: tuple[Rule, ...] = (
     ),
     Rule(
         "IGTL-I117", "the peer is igtl-gateway itself", f"{DOCTOR}: Silence",
-        "examine the program that sends to this bridge; `igtl-gateway lint FILE` examines a recording of the bridge",
+        "examine the program that sends to this bridge; `igtl-gateway doctor FILE` examines a recording of the bridge",
         checks.is_gateway,
     ),
     Rule(

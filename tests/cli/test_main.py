@@ -69,7 +69,28 @@ def test_help_has_the_verbs_in_groups_with_a_line_each(
     code, out, _ = outcome(capsys, "--help-all")
     every = [verb for group in listed(out).values() for verb in group]
     assert code == 0 and sorted(every) == sorted(verbs.available())
-    assert set(every) - set(shown) == {"completion", "zenoh-router"}
+    assert set(every) - set(shown) == {"completion", "zenoh-router", "keys", "lint"}
+
+
+@table(
+    ("old", "new"),
+    [
+        (["lint", str(FIXTURE)], ["doctor", str(FIXTURE)]),
+        (["lint", "absent.mcap"], ["doctor", "absent.mcap"]),
+        (["keys", "show", "absent.key"], ["seal", "keys", "show", "absent.key"]),
+    ],
+)
+def test_old_spellings_work_and_name_the_new_ones(
+    old: list[str], new: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, out, err = outcome(capsys, *new)
+    expected = f"igtl-gateway {old[0]}: the new spelling is `igtl-gateway {' '.join(new[: 1 - len(old)])}`\n"
+    assert outcome(capsys, *old) == (code, out, expected + err)
+
+
+def test_a_recording_has_no_options_of_a_connection(capsys: pytest.CaptureFixture[str]) -> None:
+    code, _, err = outcome(capsys, "doctor", str(FIXTURE), "--ros")
+    assert code == 2 and "expected --config or --json" in err
 
 
 @table(
@@ -94,7 +115,7 @@ def test_a_word_that_means_nothing_is_answered_with_the_near_one(
 def test_every_verb_has_help_with_examples(verb: str, capsys: pytest.CaptureFixture[str]) -> None:
     code, out, _ = outcome(capsys, verb, "--help")
     assert code == 0
-    assert "examples:" in out and f"igtl-gateway {verb}" in out
+    assert "examples:" in out and f"igtl-gateway {verbs.available()[verb].now or verb}" in out
 
 
 def test_an_unknown_verb_is_usage(capsys: pytest.CaptureFixture[str]) -> None:

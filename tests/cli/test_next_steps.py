@@ -26,7 +26,7 @@ def test_steps_stand_in_two_columns(capsys: pytest.CaptureFixture[str]) -> None:
     ("facts", "verbs"),
     [
         ({"is_foreign": False, "has_problems": False, "types": ["STRING/A"]}, ["verify", "replay", "view"]),
-        ({"is_foreign": False, "has_problems": True, "types": []}, ["verify", "lint", "view"]),
+        ({"is_foreign": False, "has_problems": True, "types": []}, ["verify", "doctor", "view"]),
         ({"is_foreign": True, "has_problems": False, "types": []}, ["import", "view"]),
     ],
 )

@@ -26,7 +26,7 @@ def _run(*words: object) -> int:
 
 def test_from_a_new_key_to_a_changed_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     key, sealed = tmp_path / "key", tmp_path / "sealed.mcap"
-    assert _run("keys", "new", key) == 0
+    assert _run("seal", "keys", "new", key) == 0
     assert key.stat().st_mode & 0o777 == 0o600
     assert _run("seal", SOURCE, "--key", key, "-o", sealed) == 0
     assert _run("verify", sealed, "--seal", "--trusted", f"{key}.pub") == 0
@@ -53,15 +53,15 @@ def test_a_rotated_key_is_trusted_by_those_who_trust_the_old_one(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     old, new, sealed = tmp_path / "old", tmp_path / "new", tmp_path / "sealed.mcap"
-    assert _run("keys", "new", old) == 0
-    assert _run("keys", "rotate", old, new) == 0
+    assert _run("seal", "keys", "new", old) == 0
+    assert _run("seal", "keys", "rotate", old, new) == 0
     assert _run("seal", SOURCE, "--key", new, "-o", sealed) == 0
     capsys.readouterr()
     assert _run("verify", sealed, "--seal", "--trusted", f"{old}.pub") == 0
     assert "as a trusted key introduces it" in capsys.readouterr().out
-    assert _run("keys", "show", new, f"{new}.pub") == 0
+    assert _run("seal", "keys", "show", new, f"{new}.pub") == 0
     assert "introduced by 1 key" in capsys.readouterr().out
-    assert _run("keys", "new", tmp_path / "third") == 0
+    assert _run("seal", "keys", "new", tmp_path / "third") == 0
     assert _run("verify", sealed, "--seal", "--trusted", tmp_path / "third.pub") == 1
 
 
@@ -70,8 +70,8 @@ def test_a_rotated_key_is_trusted_by_those_who_trust_the_old_one(
     [
         (["verify", SOURCE, "--trusted", "x"], "--trusted: found no --seal"),
         (["verify", SOURCE, "--seal", "--all"], "--seal: found --config or --all"),
-        (["keys", "rotate", "x"], "keys rotate: found 1 files, expected two files"),
-        (["keys", "new", "x", "y"], "keys new: found 2 files"),
+        (["seal", "keys", "rotate", "x"], "keys rotate: found 1 files, expected two files"),
+        (["seal", "keys", "new", "x", "y"], "keys new: found 2 files"),
         (["seal", SOURCE, "--key", "none", "-o", "x"], "key none: No such file"),
         (["bridge", "--seal", "x"], "--seal: found no --record FILE"),
     ],
@@ -84,7 +84,7 @@ def test_wrong_words(words: list[object], expected: str, capsys: pytest.CaptureF
 def test_keys_are_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "key"
     path.write_text("precious")
-    assert _run("keys", "new", path) == 2
+    assert _run("seal", "keys", "new", path) == 2
     assert path.read_text() == "precious"
     assert "keys are not replaced" in capsys.readouterr().err
     assert [each.name for each in tmp_path.iterdir()] == ["key"]
@@ -93,7 +93,7 @@ def test_keys_are_not_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str
 def test_of_a_pair_of_keys_there_are_both_or_none(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     public = tmp_path / "key.pub"
     public.write_text("precious")
-    assert _run("keys", "new", tmp_path / "key") == 2
+    assert _run("seal", "keys", "new", tmp_path / "key") == 2
     assert [each.name for each in tmp_path.iterdir()] == ["key.pub"] and public.read_text() == "precious"
     public.unlink()
     written = 0
@@ -105,15 +105,15 @@ def test_of_a_pair_of_keys_there_are_both_or_none(tmp_path: Path, monkeypatch: p
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(os, "fsync", sync)
-    assert _run("keys", "new", tmp_path / "key") != 0
+    assert _run("seal", "keys", "new", tmp_path / "key") != 0
     assert written == 2 and not list(tmp_path.iterdir())
-    assert _run("keys", "new", tmp_path / "key") == 0
+    assert _run("seal", "keys", "new", tmp_path / "key") == 0
     assert {each.name for each in tmp_path.iterdir()} == {"key", "key.pub"}
 
 
 def test_a_split_recording_is_checked_with_its_side_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     key, folder = tmp_path / "key", tmp_path / "out"
-    assert _run("keys", "new", key) == 0
+    assert _run("seal", "keys", "new", key) == 0
     recorder = Recorder(
         tmp_path / "out.mcap",
         samples.SESSION,
