@@ -36,7 +36,7 @@ def is_present(addon: str) -> bool:
 
 def check_present(addon: str) -> None:
     """Raise MissingAddon if this installation lacks an add-on."""
-    if not is_present(addon):
+    if not addon or not is_present(addon):
         raise MissingAddon(f"found no add-on {addon!r}, which this needs: the folder {FOLDER}.{addon} is not installed")
 
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 
+from igtl_gateway.base.addons import FOLDER, check_present
 from igtl_gateway.base.errors import Unavailable
 
 #: Extra → what needs it, for the documentation.
@@ -74,13 +75,16 @@ def missing(module: str, error: ImportError | None = None) -> str:
 def in_use(extra: str = "") -> Iterator[None]:
     """Context manager: a module that is missing inside is one of this extra, or of its usual one.
 
-    Raises Unavailable for the failed import of a module of any extra.
+    Raises Unavailable for the failed import of a module of any extra, MissingAddon for that of an absent add-on.
     """
     token = _IN_USE.set(extra or _IN_USE.get())
     try:
         yield
     except ImportError as error:
-        module = (error.name or "").partition(".")[0]
+        name = error.name or ""
+        if name == FOLDER or name.startswith(f"{FOLDER}."):
+            check_present(name.removeprefix(FOLDER).strip(".").partition(".")[0])
+        module = name.partition(".")[0]
         if module not in _MODULES:
             raise
         raise Unavailable(missing(module, error)) from None

@@ -17,7 +17,14 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 
 from igtl_gateway.base import extras
-from igtl_gateway.base.errors import ConfigError, GatewayError, OutputError, UnsupportedRecording
+from igtl_gateway.base.errors import (
+    ConfigError,
+    GatewayError,
+    MissingAddon,
+    OutputError,
+    Unavailable,
+    UnsupportedRecording,
+)
 from igtl_gateway.base.near import did_you_mean, near_names
 from igtl_gateway.base.systems.signals import endings_interrupt
 from igtl_gateway.base.untrusted import limits
@@ -96,7 +103,11 @@ def _run(given: Sequence[str], asked: str, ready: Callable[[], None] | None, **e
         if name == asked:
             if not verb.module:
                 return _print_error(asked, verb.help, FAILURE)
-            complete(added, verb)
+            try:
+                with extras.in_use():
+                    complete(added, verb)
+            except GatewayError as error:  # of an add-on that it needs, or of a library
+                return _print_error(asked, error, FAILURE)
             added.set_defaults(**extra)
     options, rest = parser.parse_known_args(given)
     if rest:
@@ -138,12 +149,15 @@ def _run(given: Sequence[str], asked: str, ready: Callable[[], None] | None, **e
 
 
 def parser_of_all_verbs() -> tuple[Parser, list[Parser]]:
-    """Return the parser of the command line, and those of all verbs; imports the modules of all verbs."""
+    """Return the parser of the command line, and those of all verbs; imports the modules of all verbs.
+
+    A verb is left out if it cannot be loaded here, because of an add-on that it needs.
+    """
     parser = _parser()
     verbs, parsers = _verbs(parser), []
     verbs.help = None  # the script of a shell has no arguments that are suppressed
     for name, verb in available().items():
-        if verb.module:
+        if verb.module and _is_loaded(verb):
             parsers.append(verbs.add_parser(name, help=verb.help))
             complete(parsers[-1], verb)
     return parser, parsers
@@ -171,6 +185,15 @@ def _list_of(known: Mapping[str, Verb], *, everything: bool) -> str:
         if group != RARE or everything:
             lines += [f"{group}:", *(f"  {name:<{_NAME_COLUMNS}}{verb.help}" for name, verb in rows.items())]
     return "\n".join(lines)
+
+
+def _is_loaded(verb: Verb) -> bool:
+    try:
+        with extras.in_use():
+            importlib.import_module(verb.module)
+    except (MissingAddon, Unavailable):
+        return False
+    return True
 
 
 def _parser() -> Parser:

@@ -14,9 +14,9 @@ from random import Random
 import pyarrow as pa
 from pyarrow import parquet
 
-from igtl_gateway.addons.exchange.parquet_in import read_parquet
 from igtl_gateway.addons.lerobot.checking import check_rules
 from igtl_gateway.addons.lerobot.export import export_lerobot
+from igtl_gateway.base.untrusted.parquet_file import read_parquet
 from igtl_gateway.base.untrusted.text import printable
 from tests.addons.lerobot.sessions import Sent, arm, write_session
 from tools.kinds.values import Maker

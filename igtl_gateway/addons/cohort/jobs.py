@@ -23,8 +23,6 @@ from igtl_gateway.addons.cohort.ends import (
     UNSUPPORTED,
 )
 from igtl_gateway.addons.cohort.objects import BLOCK, ObjectFile, Unreachable, is_url
-from igtl_gateway.addons.review import EndReview, Review, Thresholds
-from igtl_gateway.addons.review.recorded import ReviewSelection, review_session
 from igtl_gateway.app.content_summary import ContentSummary
 from igtl_gateway.app.linting import observe
 from igtl_gateway.app.verification import IMPORTED, verify_session
@@ -46,6 +44,7 @@ from igtl_gateway.record.sessionfile.reader import SessionFile
 
 if TYPE_CHECKING:
     from igtl_gateway.addons.cohort.columns import Row
+    from igtl_gateway.addons.review import EndReview, Review
 
 Rows = dict[str, list["Row"]]
 
@@ -258,6 +257,9 @@ def _verify(file: SessionFile, settings: Mapping[str, Any]) -> Rows:
 
 
 def _review(file: SessionFile, settings: Mapping[str, Any]) -> Rows:
+    from igtl_gateway.addons.review import Thresholds  # here: the other verbs work without this add-on
+    from igtl_gateway.addons.review.recorded import ReviewSelection, review_session
+
     review = review_session(file, ReviewSelection(settings["plan"], settings["cloud"], settings["tool"]), Thresholds())
     moved = {each.number: max(each.moved_mm) if each.moved_mm else None for each in review.changes if each.after}
     stitches = list(_stitches(review, moved))

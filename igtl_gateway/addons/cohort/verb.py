@@ -9,8 +9,8 @@ from typing import Any
 
 from igtl_gateway.addons.cohort.ends import VERB_NAMES
 from igtl_gateway.addons.cohort.progress import Progress
-from igtl_gateway.addons.sync.defaults import MAX_LAG_S
 from igtl_gateway.base import extras
+from igtl_gateway.base.addons import ADDONS, check_present
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.systems.processes import usable_cpus
 from igtl_gateway.cli.common import count_text
@@ -91,7 +91,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="STREAM",
         help="with two --stream: two more streams with the same lag, see sync (repeatable)",
     )
-    group.add_argument("--max-lag", type=float, metavar="S", help="search lags up to this " + default(MAX_LAG_S))
+    group.add_argument("--max-lag", type=float, metavar="S", help="search lags up to this, as --max-lag of sync")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -193,6 +193,8 @@ def _run_files(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> None:
+    if options.action in ADDONS:  # review, sync: before any file is read
+        check_present(options.action)
     if not options.sources:
         raise ConfigError(f"cohort {options.action}: found no source, expected files, folders, globs or URLs")
     for name, value, least in (

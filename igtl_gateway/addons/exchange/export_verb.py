@@ -10,12 +10,16 @@ from typing import Any
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
 from igtl_gateway.addons.exchange.source import MESSAGES
 from igtl_gateway.addons.exchange.targets import TARGETS, export_to
-from igtl_gateway.addons.lerobot.verb import LEROBOT, LEROBOT_TEXT, add_lerobot, refuse_lerobot_options, run_lerobot
+from igtl_gateway.base.addons import is_present, part_of
 from igtl_gateway.base.errors import ConfigError, GatewayError
 from igtl_gateway.cli.common import count_text
 from igtl_gateway.cli.options import add_file, add_json, add_streams, definitions
 from igtl_gateway.cli.terminal import cell, print_json, print_line, width
 from igtl_gateway.record.sessionfile.reader import SessionFile
+
+#: The format of another add-on, which has its options.
+LEROBOT = "lerobot"
+LEROBOT_ROW = [(LEROBOT, part_of(LEROBOT, "verb:LEROBOT_TEXT"))] if is_present(LEROBOT) else []
 
 EXAMPLES = """\
   # the ROS topics, for `ros2 bag play bag/`
@@ -40,9 +44,7 @@ formats of --to:
 
 exit code 1 if messages of the selected streams cannot be written, or if
 --check finds something; the output has the reasons.""".format(
-    formats="\n".join(
-        definitions([*((name, target.text) for name, target in TARGETS.items()), (LEROBOT, LEROBOT_TEXT)])
-    )
+    formats="\n".join(definitions([*((name, target.text) for name, target in TARGETS.items()), *LEROBOT_ROW]))
 )
 
 
@@ -53,14 +55,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("-o", "--out", metavar="OUT", type=Path, help="file or directory to write")
     add_streams(parser)
-    add_lerobot(parser)
+    if LEROBOT_ROW:
+        part_of(LEROBOT, "verb:add_lerobot")(parser)
     add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:
     if options.to == LEROBOT:
-        return run_lerobot(options)
-    refuse_lerobot_options(options)
+        return int(part_of(LEROBOT, "verb:run_lerobot")(options))
+    if LEROBOT_ROW:
+        part_of(LEROBOT, "verb:refuse_lerobot_options")(options)
     if options.out is None:
         raise ConfigError("-o: found none, expected the file or directory to write")
     with SessionFile.open(options.file) as file:

@@ -9,10 +9,6 @@ from pathlib import Path
 
 from igtl_gateway.addons.merge.merging import Source, merge
 from igtl_gateway.addons.merge.offsets import ClockOffset, Piece
-from igtl_gateway.addons.sync.defaults import MAX_LAG_S
-from igtl_gateway.addons.sync.lag import measure_lag
-from igtl_gateway.addons.sync.lags import movement
-from igtl_gateway.addons.sync.verb import stream_named
 from igtl_gateway.api import recording as recordings
 from igtl_gateway.base.errors import ConfigError, GatewayError
 from igtl_gateway.base.stamp import NS_PER_S
@@ -67,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--max-lag",
         type=float,
         metavar="S",
-        help="with --sync: search offsets up to this size " + default(MAX_LAG_S),
+        help="with --sync: search offsets up to this size, as --max-lag of sync",
     )
     parser.add_argument("--extract", metavar="NAME", help="write this part of a merged session instead")
     add_overwrite(parser, "OUT")
@@ -126,6 +122,10 @@ def _offset(text: str) -> tuple[str, ClockOffset]:
 
 def _measured(sources: list[Source], options: argparse.Namespace) -> ClockOffset:
     """The offset from the movement in a stream of each of two recordings, at the times when they recorded it."""
+    from igtl_gateway.addons.sync.lag import measure_lag  # here: merge works without this add-on
+    from igtl_gateway.addons.sync.lags import movement
+    from igtl_gateway.addons.sync.verb import stream_named
+
     if options.max_lag is not None and not 0 < options.max_lag < math.inf:
         raise ConfigError(f"--max-lag: found {options.max_lag:g}, expected more than 0")
     with ExitStack() as stack:

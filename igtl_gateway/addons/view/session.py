@@ -10,13 +10,10 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import rerun as rr
 
-from igtl_gateway.addons.review import Review
-from igtl_gateway.addons.sync.lag import Lag
-from igtl_gateway.addons.sync.signal import Signal
 from igtl_gateway.addons.view.blueprints import is_camera, target_frame
 from igtl_gateway.addons.view.canvas import Canvas, Options
 from igtl_gateway.addons.view.colours import ERROR, INFO, WARN
@@ -36,9 +33,7 @@ from igtl_gateway.addons.view.contents import (
     path_of,
 )
 from igtl_gateway.addons.view.eye import eye_of
-from igtl_gateway.addons.view.lag_drawing import draw_lag
 from igtl_gateway.addons.view.pen import GATEWAY_TIME, LAST_NS, SENDER_TIME, Pen, timeless
-from igtl_gateway.addons.view.review_drawing import draw_review
 from igtl_gateway.addons.view.robots import Robots
 from igtl_gateway.addons.view.ruler import draw_ruler, ruler_of
 from igtl_gateway.addons.view.table import PICTURES, Picture
@@ -48,6 +43,11 @@ from igtl_gateway.base.untrusted.files import read_bytes
 from igtl_gateway.convert.units import ieee_754
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
+
+if TYPE_CHECKING:
+    from igtl_gateway.addons.review import Review
+    from igtl_gateway.addons.sync.lag import Lag
+    from igtl_gateway.addons.sync.signal import Signal
 
 _ROS = frozenset((Kind.ROS_IN, Kind.ROS_OUT))
 _NOTES = frozenset((Kind.LINK, Kind.EDGE_NOTE, Kind.NOTE))
@@ -170,6 +170,8 @@ class SessionView:
 
     def review(self, review: Review) -> None:
         """Draw the review of a suture plan."""
+        from igtl_gateway.addons.view.review_drawing import draw_review  # here: review is an add-on of its own
+
         self.seen.reviewed = True
         self.seen.scales = draw_review(review, self._pen)
 
@@ -186,6 +188,8 @@ class SessionView:
 
     def lag(self, fixed: Signal, moving: Signal, lag: Lag, shift_ns: int) -> None:
         """Draw the lag of one stream behind another; stamps + ``shift_ns`` are times of the gateway."""
+        from igtl_gateway.addons.view.lag_drawing import draw_lag  # here: sync is an add-on of its own
+
         self.seen.lag = f"{moving.name} behind {fixed.name}"
         draw_lag(fixed, moving, lag, shift_ns, self._pen)
 

@@ -15,12 +15,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from igtl_gateway.addons.review import Material, review_of
-from igtl_gateway.addons.sync.curves import lag_text
-from igtl_gateway.addons.sync.lag import measure_lag
-from igtl_gateway.addons.sync.lags import movement
-from igtl_gateway.addons.sync.verb import lag_facts, stream_named
 from igtl_gateway.api import recording as recordings
+from igtl_gateway.base.addons import is_present, part_of
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import ConfigError, DamagedRecording, GatewayError, ViewerError
 from igtl_gateway.base.extras import missing
@@ -37,6 +33,7 @@ from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.replay.source import through_gateway
 
 if TYPE_CHECKING:
+    from igtl_gateway.addons.review import Material
     from igtl_gateway.addons.view.session import SessionView
 
 EXAMPLES = """\
@@ -194,7 +191,7 @@ def _draw(options: argparse.Namespace, out: Path, stopped: Any) -> tuple[Session
         for word in options.urdf:
             namespace, urdf = _robot(word)
             view.add_robot(urdf, namespace)
-        material = None if options.no_review else Material()
+        material = None if options.no_review or not is_present("review") else part_of("review", "material:Material")()
         damage = _draw_entries(file, config, view, material, stopped)
         if material:
             _review(material, view)
@@ -229,6 +226,11 @@ def _lag(options: argparse.Namespace, view: SessionView) -> dict[str, Any] | Non
     """Draw the lag between two streams, and return it for JSON."""
     if not options.sync:
         return None
+    from igtl_gateway.addons.sync.curves import lag_text  # here: view works without this add-on
+    from igtl_gateway.addons.sync.lag import measure_lag
+    from igtl_gateway.addons.sync.lags import movement
+    from igtl_gateway.addons.sync.verb import lag_facts, stream_named
+
     with recordings.open(options.file) as recording:
         fixed, moving = (stream_named([recording], name) for name in options.sync)
         signals = movement(fixed), movement(moving)
@@ -274,6 +276,8 @@ def _entries(file: SessionFile, config: Config) -> Iterator[Entry]:
 
 def _review(material: Material, view: SessionView) -> None:
     """Judge the plan, where the session has one and what it takes."""
+    from igtl_gateway.addons.review import review_of
+
     try:
         review = review_of(material)
     except GatewayError:

@@ -14,9 +14,9 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
-from igtl_gateway.addons.exchange.parquet_in import read_parquet, read_parquet_schema
 from igtl_gateway.base.errors import DamagedRecording, GatewayError, LimitExceeded
 from igtl_gateway.base.untrusted.limits import FileLimits, limits_in_force
+from igtl_gateway.base.untrusted.parquet_file import read_parquet, read_parquet_schema
 from tests.tables import table
 
 MIB = 1 << 20

@@ -14,10 +14,10 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import compute, parquet
 
-from igtl_gateway.addons.exchange.parquet_sizes import check_sizes
 from igtl_gateway.base.errors import DamagedRecording
 from igtl_gateway.base.untrusted.files import open_file
 from igtl_gateway.base.untrusted.limits import check_unpacked, current_limits
+from igtl_gateway.base.untrusted.parquet_sizes import check_sizes
 from igtl_gateway.base.untrusted.text import printable
 
 #: Characters of an error of pyarrow that are shown.
