@@ -9,6 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import igtl_gateway
+from igtl_gateway import cli
 from igtl_gateway.convert.common_msgs import JointState, PoseStamped
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.testing.gateway import ManualGateway
@@ -71,3 +73,27 @@ def test_from_a_recording_to_numpy(monkeypatch: pytest.MonkeyPatch, capsys: pyte
         "(1, 240, 320, 3) (240, 320, 3) uint8 (1.0, 1.0, 1.0) mm",
         "(27197, 3) mm ['RGB']",
     ]
+
+
+def test_an_addon_of_a_stranger(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its entry point is that of an installed distribution; it stands only on the surface for add-ons."""
+    folder = ROOT / "examples" / "addon"
+    (place,) = re.findall(r'^count = "(.*)"$', (folder / "pyproject.toml").read_text("utf-8"), re.MULTILINE)
+    meta = tmp_path / "igtl_gateway_count-1.dist-info"
+    meta.mkdir()
+    (meta / "METADATA").write_text("Metadata-Version: 2.1\nName: igtl-gateway-count\nVersion: 1\n", "utf-8")
+    (meta / "entry_points.txt").write_text(f"[igtl_gateway.verbs]\ncount = {place}\n", "utf-8")
+    for each in (folder, tmp_path):
+        monkeypatch.syspath_prepend(str(each))
+    star, out = str(ROOT / "fixtures" / "star.mcap"), tmp_path / "count.csv"
+    assert cli.main(["count", star, "/star/tool", "-o", str(out)]) == 0
+    head, *rows = out.read_text("utf-8").splitlines()
+    assert head == "second,messages" and [row.split(",")[0] for row in rows] == list(map(str, range(len(rows))))
+    with igtl_gateway.open(star) as recording:
+        assert sum(int(row.split(",")[1]) for row in rows) == len(recording["/star/tool"])
+    assert cli.main(["count", star, "/star/none", "-o", str(tmp_path / "none.csv")]) == 1
+    assert "found no stream '/star/none'" in capsys.readouterr().err
+    text = (folder / "igtl_gateway_count.py").read_text("utf-8")
+    assert set(re.findall(r"^from (igtl_gateway\S*) import", text, re.MULTILINE)) == {"igtl_gateway.addon"}
