@@ -52,7 +52,8 @@ LEVELS = {
     "api": 9,
     "cli": 9,
     "testing": 9,
-    "addons": 10,
+    "addon": 10,  # the surface for add-ons
+    "addons": 11,
     "start": 10,  # the entry point, which imports nothing early
     "__main__": 11,
     "lab": 1,
