@@ -178,7 +178,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "base.globs": ("matches",),
     "base.version": ("__version__",),
 }
-#: Name here → name there, where the latter says too little alone.
+#: Name here → name there, where the latter alone would be unclear.
 _RENAMED = {"open_recording": "open"}
 _MODULE_OF = {name: module for module, names in HOMES.items() for name in names}
 

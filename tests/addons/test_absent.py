@@ -1,4 +1,4 @@
-"""Copies of the package without its add-ons, and without each of them: what is left works, and says what is absent.
+"""Copies of the package without its add-ons, and without each of them: what is left works, and states what is absent.
 
 Each copy runs in one process of its own, which imports nothing from the checkout.
 """
