@@ -11,6 +11,21 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from igtl_gateway.addon import (
+    IMPORTED,
+    NS_PER_MS,
+    NS_PER_S,
+    ConfigError,
+    DamagedRecording,
+    GatewayError,
+    SessionFile,
+    UnsupportedRecording,
+    WireError,
+    files,
+    layout,
+    limits,
+    verify_session,
+)
 from igtl_gateway.addons.cohort.ends import (
     BROKEN,
     FAILED,
@@ -25,22 +40,10 @@ from igtl_gateway.addons.cohort.ends import (
 from igtl_gateway.addons.cohort.objects import BLOCK, ObjectFile, Unreachable, is_url
 from igtl_gateway.app.content_summary import ContentSummary
 from igtl_gateway.app.linting import observe
-from igtl_gateway.app.verification import IMPORTED, verify_session
-from igtl_gateway.base.errors import (
-    BeingRecorded,
-    ConfigError,
-    DamagedRecording,
-    GatewayError,
-    UnsupportedRecording,
-    WireError,
-)
-from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
-from igtl_gateway.base.untrusted import files, limits
+from igtl_gateway.base.errors import BeingRecorded
 from igtl_gateway.doctor.report import DoctorReport
 from igtl_gateway.doctor.rules import RULES
 from igtl_gateway.gateway.log.ledger import gaps
-from igtl_gateway.record.sessionfile import layout
-from igtl_gateway.record.sessionfile.reader import SessionFile
 
 if TYPE_CHECKING:
     from igtl_gateway.addons.cohort.columns import Row
@@ -315,9 +318,9 @@ def _end(name: str, end: EndReview) -> Row:
 
 
 def _sync(file: SessionFile, settings: Mapping[str, Any]) -> Rows:
+    from igtl_gateway.addon import of_session
     from igtl_gateway.addons.sync.lag import measure_lag, measure_together
     from igtl_gateway.addons.sync.lags import movement, movements
-    from igtl_gateway.api.recording import of_session
 
     recording = of_session(file)
     names: Sequence[str] = settings["streams"]

@@ -11,10 +11,9 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.addon import GatewayError, files
 from igtl_gateway.addons.cohort.columns import TABLES
 from igtl_gateway.addons.cohort.parts import Parts, files_of, parts_of, unreadable
-from igtl_gateway.base.errors import GatewayError
-from igtl_gateway.base.untrusted import files
 
 _TYPES = {"text": "VARCHAR", "int": "BIGINT", "real": "DOUBLE", "truth": "BOOLEAN", "time": "TIMESTAMP"}
 #: Types of DuckDB for a time with nanoseconds: the first that it knows.

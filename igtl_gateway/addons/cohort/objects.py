@@ -14,8 +14,7 @@ from datetime import timedelta
 from pathlib import PurePosixPath
 from typing import Any
 
-from igtl_gateway.base import extras
-from igtl_gateway.base.errors import ConfigError, Unavailable
+from igtl_gateway.addon import ConfigError, Unavailable, extras
 
 #: Bytes of one request for small reads, and how many of these blocks are kept.
 BLOCK = 64 << 10

@@ -7,10 +7,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from igtl_gateway.addon import ConfigError, GatewayError, files, parse_json
 from igtl_gateway.addons.cohort.columns import SCHEMA_VERSION
-from igtl_gateway.base.errors import ConfigError, GatewayError
-from igtl_gateway.base.untrusted import files
-from igtl_gateway.base.untrusted.text import parse_json
 
 MANIFEST = "cohort.json"
 #: Folder of the parts.

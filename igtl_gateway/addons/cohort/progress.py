@@ -6,9 +6,7 @@ import shutil
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from igtl_gateway.base.clock import Clock, SystemClock
-from igtl_gateway.base.stamp import NS_PER_S
-from igtl_gateway.cli.terminal import clear_live_line, is_terminal, live_line, print_line
+from igtl_gateway.addon import NS_PER_S, Clock, SystemClock, clear_live_line, is_terminal, live_line, print_line
 
 if TYPE_CHECKING:
     from igtl_gateway.addons.cohort.running import RunSummary

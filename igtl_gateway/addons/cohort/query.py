@@ -13,13 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from igtl_gateway.addon import ConfigError, GatewayError, Unavailable, extras, limits, open_new
 from igtl_gateway.addons.cohort.ends import VERB_NAMES
 from igtl_gateway.addons.cohort.loading import Tables, reason
 from igtl_gateway.addons.cohort.parts import MANIFEST
-from igtl_gateway.base import extras
-from igtl_gateway.base.errors import ConfigError, GatewayError, Unavailable
-from igtl_gateway.base.untrusted import limits
-from igtl_gateway.record.sessionfile.new_file import open_new
 
 if TYPE_CHECKING:
     import pyarrow

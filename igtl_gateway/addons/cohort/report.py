@@ -6,9 +6,9 @@ import itertools
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
+from igtl_gateway.addon import __version__
 from igtl_gateway.addons.cohort.charts import bars, shares, table, text
 from igtl_gateway.addons.cohort.ends import NOTHING, OK, VERB_NAMES
-from igtl_gateway.base.version import __version__
 
 if TYPE_CHECKING:
     from igtl_gateway.addons.cohort.query import Questions

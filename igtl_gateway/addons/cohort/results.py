@@ -19,15 +19,21 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
+from igtl_gateway.addon import (
+    ConfigError,
+    DamagedRecording,
+    GatewayError,
+    files,
+    make_folder,
+    open_new,
+    open_text,
+    parse_json,
+)
 from igtl_gateway.addons.cohort.columns import SCHEMA_VERSION, TABLES, Row
 from igtl_gateway.addons.cohort.parts import MANIFEST, PARTS, Parts, files_of, parts_of, unreadable
 from igtl_gateway.addons.cohort.tables import PROVENANCE, arrow_table, joined, schema
-from igtl_gateway.base.errors import ConfigError, DamagedRecording, GatewayError
 from igtl_gateway.base.systems.files import lock
-from igtl_gateway.base.untrusted import files
 from igtl_gateway.base.untrusted.parquet_file import read_parquet, read_parquet_schema
-from igtl_gateway.base.untrusted.text import parse_json
-from igtl_gateway.record.sessionfile.new_file import make_folder, open_new, open_text
 
 _LOCK = ".lock"
 

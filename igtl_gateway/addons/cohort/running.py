@@ -9,15 +9,13 @@ from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+from igtl_gateway.addon import NS_PER_S, SystemClock, __version__
 from igtl_gateway.addons.cohort import ends
 from igtl_gateway.addons.cohort.results import Results
 from igtl_gateway.addons.cohort.run import KnownFile, Reply, Runner, RunPlace, RunSettings
 from igtl_gateway.addons.cohort.scheduler import cluster
 from igtl_gateway.addons.cohort.sources import Located, digest
 from igtl_gateway.addons.cohort.task import Programs, failed, job_of
-from igtl_gateway.base.clock import SystemClock
-from igtl_gateway.base.stamp import NS_PER_S
-from igtl_gateway.base.version import __version__
 
 if TYPE_CHECKING:
     from igtl_gateway.addons.cohort.columns import Row

@@ -8,13 +8,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from igtl_gateway.addon import ConfigError, SystemClock, Unavailable, UnsupportedRecording, extras, open_file
 from igtl_gateway.addons.cohort.run import KnownFile, Reply, Runner, RunPlace, RunSettings
 from igtl_gateway.addons.cohort.sources import digest
 from igtl_gateway.addons.cohort.task import failed, job_of, run_task
-from igtl_gateway.base import extras
-from igtl_gateway.base.clock import SystemClock
-from igtl_gateway.base.errors import ConfigError, Unavailable, UnsupportedRecording
-from igtl_gateway.base.untrusted.files import open_file
 
 if TYPE_CHECKING:
     from dask.distributed import Client

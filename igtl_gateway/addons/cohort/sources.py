@@ -8,9 +8,8 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+from igtl_gateway.addon import ConfigError, is_unfinished
 from igtl_gateway.addons.cohort.objects import is_url, list_objects
-from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.record.sessionfile.beside import is_unfinished
 
 _WILD = "*?["
 

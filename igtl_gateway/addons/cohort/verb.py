@@ -7,18 +7,28 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.addon import (
+    ADDONS,
+    ConfigError,
+    add_json,
+    add_overwrite,
+    aligned,
+    check_present,
+    check_target,
+    command,
+    count_text,
+    default,
+    extras,
+    output_file,
+    print_json,
+    print_line,
+    print_next,
+    write_text,
+    written,
+)
 from igtl_gateway.addons.cohort.ends import VERB_NAMES
 from igtl_gateway.addons.cohort.progress import Progress
-from igtl_gateway.base import extras
-from igtl_gateway.base.addons import ADDONS, check_present
-from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.systems.processes import usable_cpus
-from igtl_gateway.cli.common import count_text
-from igtl_gateway.cli.next_steps import command, print_next
-from igtl_gateway.cli.options import add_json, add_overwrite, default, output_file
-from igtl_gateway.cli.terminal import aligned, print_json, print_line
-from igtl_gateway.record.sessionfile.beside import check_target, written
-from igtl_gateway.record.sessionfile.new_file import write_text
 
 EXAMPLES = """\
   # streams, times and rates of all sessions in and below a folder

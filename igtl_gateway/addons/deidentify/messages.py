@@ -6,9 +6,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+from igtl_gateway.addon import Buffer, WireError, join
 from igtl_gateway.addons.deidentify.context import Context, Removed
-from igtl_gateway.base.buffers import Buffer, join
-from igtl_gateway.base.errors import WireError
 from igtl_gateway.convert.names import short_device_name
 from igtl_gateway.gateway.metadata import CHILD_FRAME_ID, FRAME_ID, FULL_NAME, OURS, STAMP, restore_metadata
 from igtl_gateway.wire import Item, Message, decode, encode

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
+from igtl_gateway.addon import Note
 from igtl_gateway.addons.deidentify.context import Context
 from igtl_gateway.gateway import TICK
 from igtl_gateway.gateway.core import LISTENED
 from igtl_gateway.gateway.log.changes import SETTING, SETTINGS
 from igtl_gateway.gateway.log.clocksteps import CLOCK_STEP
-from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.gateway.relay import PARTNER
 from igtl_gateway.wire.registry import BODIES
 

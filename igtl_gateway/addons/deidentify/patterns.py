@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 
-from igtl_gateway.base.errors import ConfigError, GatewayError
+from igtl_gateway.addon import ConfigError, GatewayError
 
 #: Seconds for one text.
 MOST_S = 5.0

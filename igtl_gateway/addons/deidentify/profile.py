@@ -9,11 +9,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.addon import ConfigError, matches, read_toml
 from igtl_gateway.addons.deidentify.masks import Fan, Mask, Rectangle
 from igtl_gateway.addons.deidentify.patterns import replaced
-from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.base.globs import matches
-from igtl_gateway.config.configuration import read_toml
 
 TEXT_ACTIONS = ("remove", "replace", "keep", "pattern")
 _LISTS = ("names", "metadata", "types")

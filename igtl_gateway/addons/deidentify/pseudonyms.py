@@ -12,9 +12,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
-from igtl_gateway.base.errors import GatewayError
-from igtl_gateway.base.globs import matches
-from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.addon import NS_PER_S, GatewayError, matches
 
 #: Least length of a key, bytes.
 MIN_KEY_BYTES = 16

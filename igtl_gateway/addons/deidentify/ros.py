@@ -15,10 +15,9 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores
 from rosbags.typesys.base import normalize_fieldname
 
+from igtl_gateway.addon import ConversionError, GatewayError, ns_to_ros, ros_to_ns
 from igtl_gateway.addons.deidentify.context import Context, Removed
 from igtl_gateway.addons.deidentify.messages import MessageCleaner
-from igtl_gateway.base.errors import ConversionError, GatewayError
-from igtl_gateway.base.stamp import ns_to_ros, ros_to_ns
 from igtl_gateway.base.untrusted import definitions
 from igtl_gateway.base.untrusted.decoding import new_store, register_types
 from igtl_gateway.base.untrusted.definition_checks import Types

@@ -9,6 +9,27 @@ from collections.abc import Iterable, Iterator
 from itertools import chain
 from pathlib import Path
 
+from igtl_gateway.addon import (
+    IMPORTED,
+    Config,
+    DamagedRecording,
+    Entry,
+    GatewayError,
+    Kind,
+    Level,
+    Note,
+    Qos,
+    SessionFile,
+    SessionWriter,
+    Unavailable,
+    UnsupportedRecording,
+    WireError,
+    __version__,
+    config_to_run,
+    layout,
+    verify_recording,
+    written,
+)
 from igtl_gateway.addons.deidentify import patterns
 from igtl_gateway.addons.deidentify.configuration import SeenNames, clean_config
 from igtl_gateway.addons.deidentify.context import Context, Removed
@@ -18,23 +39,11 @@ from igtl_gateway.addons.deidentify.profile import Profile
 from igtl_gateway.addons.deidentify.report import Report
 from igtl_gateway.addons.deidentify.ros import RosCleaner
 from igtl_gateway.app.sealing import SealVerification, verify_seal
-from igtl_gateway.app.verification import IMPORTED, verify_recording
-from igtl_gateway.base.errors import DamagedRecording, GatewayError, Unavailable, UnsupportedRecording, WireError
-from igtl_gateway.base.qos import Qos
-from igtl_gateway.base.version import __version__
-from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.names import short_device_name
 from igtl_gateway.gateway import Session, make_core
-from igtl_gateway.gateway.log.entry import Entry, Kind
-from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.metadata import FULL_NAME, restore_metadata
 from igtl_gateway.gateway.session import header_names
-from igtl_gateway.record.sessionfile import layout
-from igtl_gateway.record.sessionfile.beside import written
-from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.seal_check import UNSEALED
-from igtl_gateway.record.sessionfile.writer import SessionWriter
-from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.bind import Bind
 from igtl_gateway.wire.fields import visible

@@ -6,18 +6,28 @@ import argparse
 import os
 from pathlib import Path
 
+from igtl_gateway.addon import (
+    NS_PER_S,
+    ConfigError,
+    UnsupportedRecording,
+    add_file,
+    add_json,
+    add_overwrite,
+    aligned,
+    check_target,
+    count_text,
+    default,
+    is_same,
+    new_recording,
+    print_json,
+    print_line,
+    read_bytes,
+)
 from igtl_gateway.addons.deidentify.profile import BASIC, read_profile
 from igtl_gateway.addons.deidentify.pseudonyms import MIN_KEY_BYTES
 from igtl_gateway.addons.deidentify.report import Report
 from igtl_gateway.addons.deidentify.rules import NOT_COVERED
 from igtl_gateway.addons.deidentify.session import deidentify
-from igtl_gateway.base.errors import ConfigError, UnsupportedRecording
-from igtl_gateway.base.stamp import NS_PER_S
-from igtl_gateway.base.untrusted.files import is_same, read_bytes
-from igtl_gateway.cli.common import count_text
-from igtl_gateway.cli.options import add_file, add_json, add_overwrite, default, new_recording
-from igtl_gateway.cli.terminal import aligned, print_json, print_line
-from igtl_gateway.record.sessionfile.beside import check_target
 
 EXAMPLES = """\
   # no names, no text, other times; random pseudonyms

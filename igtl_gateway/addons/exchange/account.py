@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from igtl_gateway.addon import Entry, Kind
 from igtl_gateway.addons.exchange.source import ImportedStream
-from igtl_gateway.gateway.log.entry import Entry, Kind
 
 #: Different reasons that a row lists: an untrusted file could cause a different one for each message.
 _MAX_REASONS = 5

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from igtl_gateway.cli.verbs import CONVERT, Verb
+from igtl_gateway.addon import Verb
+from igtl_gateway.cli.verbs import CONVERT
 
 VERBS = {
     "import": Verb(

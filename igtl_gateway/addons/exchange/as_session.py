@@ -5,10 +5,10 @@ from __future__ import annotations
 from contextlib import closing
 from pathlib import Path
 
+from igtl_gateway.addon import SessionWriter
 from igtl_gateway.addons.exchange.formats import open_source
 from igtl_gateway.addons.exchange.import_verb import import_facts
 from igtl_gateway.addons.exchange.source import numbered
-from igtl_gateway.record.sessionfile.writer import SessionWriter
 
 
 def write_session(path: Path, place: Path) -> None:

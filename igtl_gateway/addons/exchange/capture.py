@@ -11,6 +11,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+from igtl_gateway.addon import NS_PER_MS, Buffer, DamagedRecording, UnsupportedRecording, files
 from igtl_gateway.addons.exchange.sequence import DEFAULT_EPOCH_NS
 from igtl_gateway.addons.exchange.source import (
     BYTES,
@@ -22,10 +23,7 @@ from igtl_gateway.addons.exchange.source import (
     link_up_item,
     peer_item,
 )
-from igtl_gateway.base.buffers import Buffer
-from igtl_gateway.base.errors import DamagedRecording, MessageTooLarge, UnsupportedRecording
-from igtl_gateway.base.stamp import NS_PER_MS
-from igtl_gateway.base.untrusted import files
+from igtl_gateway.base.errors import MessageTooLarge
 from igtl_gateway.wire.framer import Framer
 from igtl_gateway.wire.header import DEVICE_NAME_AT, HEADER_SIZE, HEADER_VERSIONS, Header
 

@@ -19,6 +19,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
+from igtl_gateway.addon import Entry, Kind, open_text
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.folder import FileNames, Folder, new_folder
 from igtl_gateway.addons.exchange.recording import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
@@ -33,8 +34,6 @@ from igtl_gateway.api.columns import (
 )
 from igtl_gateway.base.errors import failure_text
 from igtl_gateway.base.untrusted.decoding import MessageDecoder
-from igtl_gateway.gateway.log.entry import Entry, Kind
-from igtl_gateway.record.sessionfile.new_file import open_text
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.registry import describe_content
 

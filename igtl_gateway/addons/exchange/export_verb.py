@@ -7,15 +7,25 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.addon import (
+    ConfigError,
+    GatewayError,
+    SessionFile,
+    add_file,
+    add_json,
+    add_streams,
+    cell,
+    count_text,
+    definitions,
+    is_present,
+    part_of,
+    print_json,
+    print_line,
+    width,
+)
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
 from igtl_gateway.addons.exchange.source import MESSAGES
 from igtl_gateway.addons.exchange.targets import TARGETS, export_to
-from igtl_gateway.base.addons import is_present, part_of
-from igtl_gateway.base.errors import ConfigError, GatewayError
-from igtl_gateway.cli.common import count_text
-from igtl_gateway.cli.options import add_file, add_json, add_streams, definitions
-from igtl_gateway.cli.terminal import cell, print_json, print_line, width
-from igtl_gateway.record.sessionfile.reader import SessionFile
 
 #: The format of another add-on, which has its options.
 LEROBOT = "lerobot"

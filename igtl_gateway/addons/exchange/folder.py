@@ -9,13 +9,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO, TypeVar
 
+from igtl_gateway.addon import Buffer, Entry, Kind, open_new
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.recording import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
-from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import failure_text
-from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.beside import written_folder
-from igtl_gateway.record.sessionfile.new_file import open_new
 
 #: Characters of a stream's name that a file name can contain.
 _MAX_NAME = 100

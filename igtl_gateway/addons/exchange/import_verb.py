@@ -9,19 +9,30 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.addon import (
+    NS_PER_S,
+    Config,
+    ConfigError,
+    DamagedRecording,
+    SessionWriter,
+    WireError,
+    __version__,
+    add_json,
+    add_overwrite,
+    cell,
+    count_text,
+    default,
+    is_same,
+    new_recording,
+    print_json,
+    print_line,
+    size_text,
+    width,
+    written,
+)
 from igtl_gateway.addons.exchange.formats import open_source
 from igtl_gateway.addons.exchange.source import ImportedStream, Source, numbered
-from igtl_gateway.base.errors import ConfigError, DamagedRecording, WireError
-from igtl_gateway.base.stamp import NS_PER_S
-from igtl_gateway.base.untrusted.files import is_same
-from igtl_gateway.base.version import __version__
-from igtl_gateway.cli.common import count_text, size_text
-from igtl_gateway.cli.options import add_json, add_overwrite, default, new_recording
-from igtl_gateway.cli.terminal import cell, print_json, print_line, width
-from igtl_gateway.config.configuration import Config
-from igtl_gateway.record.sessionfile.beside import written
 from igtl_gateway.record.sessionfile.layout import LayoutError
-from igtl_gateway.record.sessionfile.writer import SessionWriter
 
 EXAMPLES = """\
   # ROS 1 bag; its messages are converted to ROS 2

@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import BinaryIO
 
+from igtl_gateway.addon import DamagedRecording, UnsupportedRecording, files, limits
 from igtl_gateway.addons.exchange.header import Frames, ImageFile, ImageFileHeader, header_lines
 from igtl_gateway.addons.exchange.raster import (
     COMPONENT,
@@ -28,8 +29,6 @@ from igtl_gateway.addons.exchange.raster import (
     parse_whole,
 )
 from igtl_gateway.api.placement import ImagePlacement
-from igtl_gateway.base.errors import DamagedRecording, UnsupportedRecording
-from igtl_gateway.base.untrusted import files, limits
 
 _TYPES = {
     "MET_CHAR": "i1",

@@ -15,12 +15,10 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
+from igtl_gateway.addon import DamagedRecording, Unavailable, UnsupportedRecording, limits, missing
 from igtl_gateway.addons.exchange.header import ImageFile
 from igtl_gateway.addons.exchange.raster import COMPONENT, FRAME, MAX_STEP_S, RAW, SPACE, ZLIB, Raster, check_axes
 from igtl_gateway.api.placement import ImagePlacement
-from igtl_gateway.base.errors import DamagedRecording, Unavailable, UnsupportedRecording
-from igtl_gateway.base.extras import missing
-from igtl_gateway.base.untrusted import limits
 
 _GZIP = b"\x1f\x8b"
 #: sizeof_hdr, in bytes → version.

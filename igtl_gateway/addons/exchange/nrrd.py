@@ -13,6 +13,7 @@ import re
 from pathlib import Path
 from typing import BinaryIO
 
+from igtl_gateway.addon import DamagedRecording, UnsupportedRecording, files, limits
 from igtl_gateway.addons.exchange.header import Frames, ImageFile, ImageFileHeader, header_lines
 from igtl_gateway.addons.exchange.raster import (
     BZIP2,
@@ -29,8 +30,6 @@ from igtl_gateway.addons.exchange.raster import (
     parse_whole,
 )
 from igtl_gateway.api.placement import ImagePlacement, Vector
-from igtl_gateway.base.errors import DamagedRecording, UnsupportedRecording
-from igtl_gateway.base.untrusted import files, limits
 
 _TYPES = {
     **dict.fromkeys(("signed char", "int8", "int8_t"), "i1"),

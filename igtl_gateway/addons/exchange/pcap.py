@@ -22,6 +22,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
+from igtl_gateway.addon import Buffer
 from igtl_gateway.addons.exchange.capture import count_message, looks_like_igtl
 from igtl_gateway.addons.exchange.pcap_file import PacketFile
 from igtl_gateway.addons.exchange.pcap_segments import ACK, FIN, LINKS, RST, SYN, Address, Segment, Segments
@@ -34,7 +35,6 @@ from igtl_gateway.addons.exchange.source import (
     link_up_item,
     peer_item,
 )
-from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import MessageTooLarge
 from igtl_gateway.wire import HEADER_SIZE
 from igtl_gateway.wire.framer import Framer

@@ -21,11 +21,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from igtl_gateway.addon import NS_PER_S, DamagedRecording, Unavailable, UnsupportedRecording, files, limits, missing
 from igtl_gateway.addons.exchange.source import library_errors_as_damage
-from igtl_gateway.base.errors import DamagedRecording, Unavailable, UnsupportedRecording
-from igtl_gateway.base.extras import missing
-from igtl_gateway.base.stamp import NS_PER_S
-from igtl_gateway.base.untrusted import files, limits
 
 #: Largest packet, and largest block of pcapng, in bytes.
 MAX_PACKET = 1 << 22

@@ -15,10 +15,9 @@ from typing import Any, BinaryIO, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.addon import DamagedRecording, files, limits
 from igtl_gateway.addons.exchange.raster import BZIP2, COMPONENT, FRAME, RAW, WIDER, Raster, check_room
 from igtl_gateway.addons.exchange.source import library_errors_as_damage
-from igtl_gateway.base.errors import DamagedRecording
-from igtl_gateway.base.untrusted import files, limits
 
 _READ = 1 << 20
 #: Up to this value float64 represents every integer.

@@ -6,11 +6,8 @@ from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Se
 from hashlib import blake2b
 from typing import Protocol
 
+from igtl_gateway.addon import Entry, Kind, Qos, WireError, matches
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
-from igtl_gateway.base.errors import WireError
-from igtl_gateway.base.globs import matches
-from igtl_gateway.base.qos import Qos
-from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.wire.header import HEADER_SIZE, Header
 from igtl_gateway.wire.message import ExtendedHeader
 

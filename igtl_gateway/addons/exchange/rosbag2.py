@@ -18,18 +18,13 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Protocol
 
+from igtl_gateway.addon import DamagedRecording, Kind, Qos, UnsupportedRecording, files, layout, limits, open_new
 from igtl_gateway.addons.exchange.rosbag2_metadata import METADATA, BagMetadata, Key, read_metadata, storage_files
 from igtl_gateway.addons.exchange.rosbag2_sqlite import Message, SqliteStorage
 from igtl_gateway.addons.exchange.rostypes import definition
 from igtl_gateway.addons.exchange.source import ImportedItem, ImportedStream, NonRosSource, library_errors_as_damage
-from igtl_gateway.base.errors import DamagedRecording, UnsupportedRecording
-from igtl_gateway.base.qos import Qos
-from igtl_gateway.base.untrusted import files, limits
 from igtl_gateway.base.untrusted.unpack import unpack_zstd_file, unpack_zstd_of_any_size
-from igtl_gateway.gateway.log.entry import Kind
-from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.index import read_index, recover_hint
-from igtl_gateway.record.sessionfile.new_file import open_new
 from igtl_gateway.record.sessionfile.order import message_rows
 from igtl_gateway.record.sessionfile.records import Malformed
 

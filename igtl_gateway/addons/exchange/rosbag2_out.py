@@ -14,14 +14,11 @@ from pathlib import Path
 
 from mcap.writer import CompressionType, Writer
 
+from igtl_gateway.addon import DamagedRecording, Qos, __version__, layout
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.folder import new_folder
 from igtl_gateway.addons.exchange.recording import ROS_KINDS, Recording, chosen_entries
 from igtl_gateway.addons.exchange.rostypes import definition
-from igtl_gateway.base.errors import DamagedRecording
-from igtl_gateway.base.qos import Qos
-from igtl_gateway.base.version import __version__
-from igtl_gateway.record.sessionfile import layout
 
 _CHUNK_BYTES = 1 << 20
 _VERSION = 8

@@ -13,9 +13,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.addon import DamagedRecording, LimitExceeded, RecordingError, files, limits
 from igtl_gateway.addons.exchange.rosbag2_metadata import Key
-from igtl_gateway.base.errors import DamagedRecording, LimitExceeded, RecordingError
-from igtl_gateway.base.untrusted import files, limits
 
 #: A message of a storage file: time in UTC ns, key, bytes, source stamp in UTC ns or 0.
 Message = tuple[int, Key, bytes, int]

@@ -20,6 +20,7 @@ from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import BinaryIO
 
+from igtl_gateway.addon import NS_PER_S, Buffer, DamagedRecording, files, join, limits
 from igtl_gateway.addons.exchange import pixels
 from igtl_gateway.addons.exchange.header import ImageFile
 from igtl_gateway.addons.exchange.metaimage import read_metaimage
@@ -36,10 +37,7 @@ from igtl_gateway.addons.exchange.source import (
     peer_item,
 )
 from igtl_gateway.api.placement import COORDINATE
-from igtl_gateway.base.buffers import Buffer, join
-from igtl_gateway.base.errors import DamagedRecording
-from igtl_gateway.base.stamp import NS_PER_S, ns_to_ticks
-from igtl_gateway.base.untrusted import files, limits
+from igtl_gateway.base.stamp import ns_to_ticks
 from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.fields import cut_text

@@ -13,12 +13,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-from igtl_gateway.base.buffers import Buffer
-from igtl_gateway.base.errors import DamagedRecording, GatewayError
-from igtl_gateway.base.qos import Qos
+from igtl_gateway.addon import Buffer, DamagedRecording, Entry, GatewayError, Kind, Level, Note, Qos
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP, header_names
-from igtl_gateway.gateway.log.entry import Entry, Kind
-from igtl_gateway.gateway.log.note import Level, Note
 
 MESSAGES, BYTES = "messages", "bytes"
 

@@ -17,17 +17,16 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.addon import ConversionError, Entry
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.folder import export_one_file_each
 from igtl_gateway.addons.exchange.recording import Recording
-from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert import igtl_msgs
 from igtl_gateway.convert.clouds import cloud_to_polydata, colour_bytes, colour_field
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext
 from igtl_gateway.convert.polydata import polydata_to_igtl
 from igtl_gateway.convert.rosmsg import Marker, Mesh, PointCloud2
 from igtl_gateway.convert.surfaces import marker_to_igtl, mesh_to_igtl
-from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.polydata import CELL, NORMAL, Attribute, PolyData
 

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
+from igtl_gateway.addon import __version__, printable, write_text
 from igtl_gateway.addons.lerobot.frames import Plan
 from igtl_gateway.addons.lerobot.splits import divided
 from igtl_gateway.addons.lerobot.streams import Facts
 from igtl_gateway.addons.sync.lag import Lag, Verdict
-from igtl_gateway.base.untrusted.text import printable
-from igtl_gateway.base.version import __version__
-from igtl_gateway.record.sessionfile.new_file import write_text
 
 _UNKNOWN = "not stated"
 #: Heading → its entries.  An entry of the recipe's table [card] with this name replaces "not stated".

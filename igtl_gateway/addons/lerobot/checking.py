@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from igtl_gateway.addon import GatewayError, read_bytes
 from igtl_gateway.addons.lerobot.checking_stats import StatsCheck
 from igtl_gateway.addons.lerobot.checking_videos import check_videos
 from igtl_gateway.addons.lerobot.checksums import check_checksums
@@ -23,8 +24,6 @@ from igtl_gateway.addons.lerobot.columns import ARROW, Tables, is_numeric, matri
 from igtl_gateway.addons.lerobot.episodes import TOLERANCE_S, longest
 from igtl_gateway.addons.lerobot.reading import FoundDataSet, FoundEpisode, read_data_set
 from igtl_gateway.addons.lerobot.recipe import ACTION, OWN_COLUMNS, STATE
-from igtl_gateway.base.errors import GatewayError
-from igtl_gateway.base.untrusted.files import read_bytes
 
 Array = npt.NDArray[Any]
 

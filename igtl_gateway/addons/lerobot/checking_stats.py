@@ -16,10 +16,10 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from igtl_gateway.addon import GatewayError
 from igtl_gateway.addons.lerobot.columns import ARROW, is_numeric, matrix_of
 from igtl_gateway.addons.lerobot.reading import FoundDataSet, FoundEpisode, read_total_stats
 from igtl_gateway.addons.lerobot.stats import QUANTILES, PictureStats, Stats, joined_stats, number_stats
-from igtl_gateway.base.errors import GatewayError
 
 Array = npt.NDArray[Any]
 

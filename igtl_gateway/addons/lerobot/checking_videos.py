@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.addon import GatewayError
 from igtl_gateway.addons.lerobot.checking_stats import StatsCheck
 from igtl_gateway.addons.lerobot.episodes import TOLERANCE_S
 from igtl_gateway.addons.lerobot.reading import FoundDataSet, FoundEpisode, VideoPart
 from igtl_gateway.addons.lerobot.stats import PictureStats, sampled
 from igtl_gateway.addons.lerobot.video import read_video
-from igtl_gateway.base.errors import GatewayError
 
 Array = npt.NDArray[Any]
 Parts = list[tuple[FoundEpisode, VideoPart]]

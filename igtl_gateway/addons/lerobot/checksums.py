@@ -7,11 +7,8 @@ import re
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
-from igtl_gateway.base.errors import GatewayError
-from igtl_gateway.base.untrusted.files import open_file, read_bytes
+from igtl_gateway.addon import GatewayError, open_file, printable, read_bytes, write_text
 from igtl_gateway.base.untrusted.limits import check_limit
-from igtl_gateway.base.untrusted.text import printable
-from igtl_gateway.record.sessionfile.new_file import write_text
 
 CHECKSUMS = "SHA256SUMS"
 _LINE = re.compile(r"([0-9a-f]{64})  (\S.*)")

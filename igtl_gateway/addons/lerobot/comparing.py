@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.addon import GatewayError
 from igtl_gateway.addons.lerobot.checking import check_rules
 from igtl_gateway.addons.lerobot.checking_stats import numbers_of
 from igtl_gateway.addons.lerobot.columns import Tables, is_numeric, matrix_of
@@ -19,7 +20,6 @@ from igtl_gateway.addons.lerobot.recipe_file import read_recipe
 from igtl_gateway.addons.lerobot.stats import QUANTILES, Stats, number_stats
 from igtl_gateway.addons.lerobot.writing import PROVENANCE, RECIPE, facts_of, own_columns, trace_of
 from igtl_gateway.api import recording as recordings
-from igtl_gateway.base.errors import GatewayError
 
 Array = npt.NDArray[Any]
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.addon import GatewayError
 from igtl_gateway.addons.lerobot.checking_videos import Parts, by_file, pictures_of
 from igtl_gateway.addons.lerobot.frames import Plan
 from igtl_gateway.addons.lerobot.pictures import Pictures
@@ -20,7 +21,6 @@ from igtl_gateway.addons.lerobot.reading import FoundDataSet
 from igtl_gateway.addons.lerobot.samples import Samples
 from igtl_gateway.addons.lerobot.stats import PictureStats, Stats, sampled
 from igtl_gateway.addons.lerobot.video import Pixels, coded
-from igtl_gateway.base.errors import GatewayError
 
 Array = npt.NDArray[Any]
 

@@ -9,15 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from igtl_gateway.addon import NS_PER_MS, NS_PER_S, ConfigError, GatewayError, Recording, Stream
 from igtl_gateway.addons.lerobot.pictures import Pictures, has_pictures
 from igtl_gateway.addons.lerobot.recipe import ACTION, IMAGES, STATE, Feature, Recipe
 from igtl_gateway.addons.lerobot.recipe_file import toml_value
 from igtl_gateway.addons.lerobot.resampling import common, coverage, frame_count
 from igtl_gateway.addons.lerobot.samples import Samples, clock_of, read_samples
-from igtl_gateway.api.recording import Recording
-from igtl_gateway.api.stream import Stream
-from igtl_gateway.base.errors import ConfigError, GatewayError
-from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 
 #: Words in the names of streams that carry commands (CRTK, and usual names).
 _COMMANDS = re.compile(r"(^|[/_])(servo|move|setpoint|goal|cmd|command|target)(_|/|$)", re.IGNORECASE)

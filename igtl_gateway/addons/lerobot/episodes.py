@@ -10,11 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.addon import NS_PER_S, ConfigError, Recording
 from igtl_gateway.addons.lerobot.recipe import Cuts, Recipe
 from igtl_gateway.addons.lerobot.samples import columns_of, stream_of, times_of
-from igtl_gateway.api.recording import Recording
-from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.base.stamp import NS_PER_S
 
 Times = npt.NDArray[np.int64]
 

@@ -12,10 +12,10 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
 
+from igtl_gateway.addon import make_folder, open_new, write_text
 from igtl_gateway.addons.lerobot.episodes import TOLERANCE_S
 from igtl_gateway.addons.lerobot.stats import QUANTILES, Stats
 from igtl_gateway.addons.lerobot.video import VideoFile
-from igtl_gateway.record.sessionfile.new_file import make_folder, open_new, write_text
 
 CHUNK = 1000
 DATA_MB, VIDEO_MB = 100, 200

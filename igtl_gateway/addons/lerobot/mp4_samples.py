@@ -10,8 +10,7 @@ import struct
 from collections.abc import Iterator
 from typing import IO
 
-from igtl_gateway.base.errors import DamagedRecording
-from igtl_gateway.base.untrusted import limits
+from igtl_gateway.addon import DamagedRecording, limits
 
 _HEAD = struct.Struct(">I4s")
 _LARGE = struct.Struct(">Q")

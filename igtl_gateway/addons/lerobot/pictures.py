@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.addon import ConfigError, GatewayError, Stream
 from igtl_gateway.api.images import Images, find_row
-from igtl_gateway.api.stream import Stream
-from igtl_gateway.base.errors import ConfigError, GatewayError
 from igtl_gateway.convert.bitstream import is_key_frame
 from igtl_gateway.convert.common_msgs import CompressedImage, CompressedVideo
 from igtl_gateway.convert.igtl_msgs import Volume

@@ -11,6 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, TypeVar
 
+from igtl_gateway.addon import ConfigError, read_toml
 from igtl_gateway.addons.lerobot.recipe import (
     ACTION,
     CLOCKS,
@@ -26,8 +27,6 @@ from igtl_gateway.addons.lerobot.recipe import (
     Range,
     Recipe,
 )
-from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.config.configuration import read_toml
 
 _FEATURE = re.compile(r"(action|observation)(\.[A-Za-z0-9_-]+)*")
 MAX_FPS, _MAX_MS, _MAX_TEXT = 1000, 3_600_000, 2000

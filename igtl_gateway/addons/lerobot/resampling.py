@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.addon import NS_PER_S
 from igtl_gateway.addons.lerobot.samples import Samples
-from igtl_gateway.base.stamp import NS_PER_S
 
 Array = npt.NDArray[Any]
 Times = npt.NDArray[np.int64]

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.addon import NS_PER_S, ConfigError, GatewayError, Recording, Stream
 from igtl_gateway.addons.lerobot.pictures import Pictures, has_pictures
 from igtl_gateway.addons.lerobot.recipe import Feature
 from igtl_gateway.addons.sync.correction import StampCorrection
@@ -17,10 +18,6 @@ from igtl_gateway.addons.sync.lags import POSES_BY_NAME, movement, picture_compo
 from igtl_gateway.addons.sync.signal import Signal
 from igtl_gateway.api.igtl_columns import quaternions_of
 from igtl_gateway.api.poses import between_poses
-from igtl_gateway.api.recording import Recording
-from igtl_gateway.api.stream import Stream
-from igtl_gateway.base.errors import ConfigError, GatewayError
-from igtl_gateway.base.stamp import NS_PER_S
 
 Array = npt.NDArray[Any]
 Times = npt.NDArray[np.int64]

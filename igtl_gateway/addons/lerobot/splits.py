@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.addon import ConfigError
 
 
 def splits_of(ranges: Mapping[str, str] | None, demonstrations: int, owners: Sequence[int]) -> dict[str, str]:

@@ -7,14 +7,12 @@ from itertools import pairwise
 
 import numpy as np
 
+from igtl_gateway.addon import NS_PER_MS, NS_PER_S, GatewayError, Recording
 from igtl_gateway.addons.lerobot.frames import Plan
 from igtl_gateway.addons.lerobot.resampling import coverage
 from igtl_gateway.addons.lerobot.samples import Samples, signal_of
 from igtl_gateway.addons.sync.lag import Lag, measure_lag
 from igtl_gateway.addons.sync.signal import Signal
-from igtl_gateway.api.recording import Recording
-from igtl_gateway.base.errors import GatewayError
-from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 
 
 @dataclass(frozen=True, slots=True)

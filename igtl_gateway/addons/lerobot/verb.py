@@ -6,13 +6,20 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.addon import (
+    ConfigError,
+    GatewayError,
+    aligned,
+    check_target,
+    count_text,
+    extras,
+    print_json,
+    print_line,
+    write_error,
+    write_text,
+    written,
+)
 from igtl_gateway.api import recording as recordings
-from igtl_gateway.base import extras
-from igtl_gateway.base.errors import ConfigError, GatewayError
-from igtl_gateway.cli.common import count_text
-from igtl_gateway.cli.terminal import aligned, print_json, print_line
-from igtl_gateway.record.sessionfile.beside import check_target, write_error, written
-from igtl_gateway.record.sessionfile.new_file import write_text
 
 LEROBOT = "lerobot"
 LEROBOT_TEXT = "a training set by a recipe: streams at one rate, video, Parquet"

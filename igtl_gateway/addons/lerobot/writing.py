@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
 
+from igtl_gateway.addon import UnsupportedRecording, make_folder, open_new, read_bytes, write_bytes
 from igtl_gateway.addons.lerobot.card import write_card
 from igtl_gateway.addons.lerobot.checksums import write_checksums
 from igtl_gateway.addons.lerobot.frames import Episode, Plan
@@ -16,10 +17,7 @@ from igtl_gateway.addons.lerobot.layout import Facts, Layout, layout_of
 from igtl_gateway.addons.lerobot.stats import PictureStats, Stats, number_stats, sampled
 from igtl_gateway.addons.lerobot.streams import Facts as StreamFacts
 from igtl_gateway.addons.lerobot.video import video_info
-from igtl_gateway.base.errors import UnsupportedRecording
-from igtl_gateway.base.untrusted.files import read_bytes
 from igtl_gateway.record.sessionfile.beside import check_folder, written_folder
-from igtl_gateway.record.sessionfile.new_file import make_folder, open_new, write_bytes
 
 PROVENANCE, RECIPE = "provenance.parquet", "recipe.toml"
 

@@ -12,19 +12,25 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.addon import (
+    NS_PER_S,
+    ConfigError,
+    DamagedRecording,
+    Entry,
+    GatewayError,
+    Kind,
+    SessionFile,
+    UnsupportedRecording,
+    files,
+    is_same,
+    written,
+)
 from igtl_gateway.addons.merge.clock_graph import Clock, clocks_of, latency_facts
 from igtl_gateway.addons.merge.crossings import Crossing, Passed, find_crossings, pooled, without_coincidences
 from igtl_gateway.addons.merge.offsets import ClockOffset, Contradiction, Piece, measure_offset
 from igtl_gateway.addons.merge.writer import MergedPart, write_merged
-from igtl_gateway.base.errors import ConfigError, DamagedRecording, GatewayError, UnsupportedRecording
-from igtl_gateway.base.stamp import NS_PER_S
-from igtl_gateway.base.untrusted import files
-from igtl_gateway.base.untrusted.files import is_same
 from igtl_gateway.convert.names import topic_token
-from igtl_gateway.gateway.log.entry import Entry, Kind
-from igtl_gateway.record.sessionfile.beside import written
 from igtl_gateway.record.sessionfile.merged import Method
-from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.seals import stated_seals
 from igtl_gateway.wire.header import HEADER_SIZE
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.addon import NS_PER_S
 from igtl_gateway.record.sessionfile.merged import Method
 
 Array = npt.NDArray[Any]

@@ -7,21 +7,30 @@ import math
 from contextlib import ExitStack
 from pathlib import Path
 
+from igtl_gateway.addon import (
+    NS_PER_S,
+    ConfigError,
+    GatewayError,
+    SessionFile,
+    add_json,
+    add_overwrite,
+    check_target,
+    count_text,
+    default,
+    is_same,
+    new_recording,
+    open_new,
+    print_json,
+    print_line,
+    size_text,
+    written,
+)
 from igtl_gateway.addons.merge.merging import Source, merge
 from igtl_gateway.addons.merge.offsets import ClockOffset, Piece
 from igtl_gateway.api import recording as recordings
-from igtl_gateway.base.errors import ConfigError, GatewayError
-from igtl_gateway.base.stamp import NS_PER_S
-from igtl_gateway.base.untrusted.files import is_same
-from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.merge_output import print_merge
-from igtl_gateway.cli.options import add_json, add_overwrite, default, new_recording
-from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.convert.names import topic_token
-from igtl_gateway.record.sessionfile.beside import check_target, written
 from igtl_gateway.record.sessionfile.merged import Method
-from igtl_gateway.record.sessionfile.new_file import open_new
-from igtl_gateway.record.sessionfile.reader import SessionFile
 
 EXAMPLES = """\
   # two gateways that exchange messages: the offset of their clocks is measured

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.addon import ConversionError
 from igtl_gateway.convert.frames import frame_id
 from igtl_gateway.convert.igtl_msgs import Pose
 

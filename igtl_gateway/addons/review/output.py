@@ -13,11 +13,8 @@ from typing import Any
 
 import numpy as np
 
+from igtl_gateway.addon import cell, count_text, is_terminal, open_text, print_line, width, written
 from igtl_gateway.addons.review import EndReview, Level, PlanReview, Review, StitchReview
-from igtl_gateway.cli.common import count_text
-from igtl_gateway.cli.terminal import cell, is_terminal, print_line, width
-from igtl_gateway.record.sessionfile.beside import written
-from igtl_gateway.record.sessionfile.new_file import open_text
 
 _COLOURS = {Level.OK: "32", Level.LOOK: "33", Level.WRONG: "1;31"}
 _MARKS = {Level.OK: " ", Level.LOOK: "?", Level.WRONG: "!"}

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.addon import GatewayError
 from igtl_gateway.addons.review import noise
 from igtl_gateway.addons.review.axes import CameraAxes, axes_of
 from igtl_gateway.addons.review.linear import Design
 from igtl_gateway.addons.review.steps import Steps, share_before_rounding, steps_of
-from igtl_gateway.base.errors import GatewayError
 
 Array = npt.NDArray[Any]
 

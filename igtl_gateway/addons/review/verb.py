@@ -5,14 +5,22 @@ from __future__ import annotations
 import argparse
 from dataclasses import fields
 
+from igtl_gateway.addon import (
+    RECORDING_OR_BAG,
+    ConfigError,
+    add_file,
+    add_json,
+    add_overwrite,
+    command,
+    default,
+    output_file,
+    print_json,
+    print_next,
+)
 from igtl_gateway.addons.review import Thresholds
 from igtl_gateway.addons.review.material import CLOUDS
 from igtl_gateway.addons.review.output import print_review, review_facts, write_csv
 from igtl_gateway.addons.review.recorded import ReviewSelection, checked_thresholds, review_recording
-from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.cli.next_steps import command, print_next
-from igtl_gateway.cli.options import RECORDING_OR_BAG, add_file, add_json, add_overwrite, default, output_file
-from igtl_gateway.cli.terminal import print_json
 
 EXAMPLES = """\
   # each stitch of the first and the last plan, with reasons

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from igtl_gateway.cli.verbs import INSPECT, Verb
+from igtl_gateway.addon import Verb
+from igtl_gateway.cli.verbs import INSPECT
 
 VERBS = {
     "sync": Verb(

@@ -5,15 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from igtl_gateway.addon import (
+    IMPORTED,
+    GatewayError,
+    Qos,
+    SessionFile,
+    SessionWriter,
+    UnsupportedRecording,
+    __version__,
+    layout,
+    verify_recording,
+    written,
+)
 from igtl_gateway.addons.sync.correction import StampCorrection, corrected
-from igtl_gateway.app.verification import IMPORTED, verify_recording
-from igtl_gateway.base.errors import GatewayError, UnsupportedRecording
-from igtl_gateway.base.qos import Qos
-from igtl_gateway.base.version import __version__
-from igtl_gateway.record.sessionfile import layout
-from igtl_gateway.record.sessionfile.beside import written
-from igtl_gateway.record.sessionfile.reader import SessionFile
-from igtl_gateway.record.sessionfile.writer import SessionWriter
 
 
 def write_corrected(

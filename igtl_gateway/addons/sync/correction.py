@@ -9,10 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 
+from igtl_gateway.addon import Entry, GatewayError, Kind, Level, Note
 from igtl_gateway.addons.sync.lag import Lag
-from igtl_gateway.base.errors import GatewayError
-from igtl_gateway.gateway.log.entry import Entry, Kind
-from igtl_gateway.gateway.log.note import Level, Note
 
 #: Code of the note at the end of a session with corrected stamps.
 CORRECTED = "stamps_corrected"

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.addon import NS_PER_S
 from igtl_gateway.addons.sync.lag import Lag
 from igtl_gateway.addons.sync.signal import Floats, Signal, main_component
-from igtl_gateway.base.stamp import NS_PER_S
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,13 +25,13 @@ from enum import Enum
 
 import numpy as np
 
+from igtl_gateway.addon import NS_PER_S
 from igtl_gateway.addons.sync.defaults import CUT_OFF_HZ, MAX_LAG_S
 from igtl_gateway.addons.sync.fit import LEAST_INFORMATION, LEAST_R2, Fit, Solution, Window
 from igtl_gateway.addons.sync.probe import LEAST_SAMPLES, Probe
 from igtl_gateway.addons.sync.search import Curve, chosen_peak, rival
 from igtl_gateway.addons.sync.signal import Filtered, Floats, Signal, bandwidth, main_component, period, reversals
 from igtl_gateway.addons.sync.statistics import NORMAL_975, chi_squared, student
-from igtl_gateway.base.stamp import NS_PER_S
 
 #: Skew of two clocks, at most: crystals differ by up to 200 ppm, NTP corrects by up to 500 ppm, and a camera of
 #: 29.97 Hz whose frames are stamped as 30 Hz has 1,000 ppm.

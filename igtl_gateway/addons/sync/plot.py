@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from igtl_gateway.addon import NS_PER_S, ViewerError, missing
 from igtl_gateway.addons.sync.curves import lag_curves, lag_text
 from igtl_gateway.addons.sync.lag import Lag
 from igtl_gateway.addons.sync.signal import Signal
-from igtl_gateway.base.errors import ViewerError
-from igtl_gateway.base.extras import missing
-from igtl_gateway.base.stamp import NS_PER_S
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

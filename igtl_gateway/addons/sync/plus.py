@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.addon import NS_PER_S
 from igtl_gateway.addons.sync.signal import Floats, Signal
-from igtl_gateway.base.stamp import NS_PER_S
 
 #: Scan lines on which the brightest peak is looked for.
 _SCAN_LINES = 40

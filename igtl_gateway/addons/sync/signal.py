@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.addon import NS_PER_S
 
 Floats = npt.NDArray[np.float64]
 

@@ -11,6 +11,26 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.addon import (
+    NS_PER_S,
+    ConfigError,
+    GatewayError,
+    Kind,
+    Recording,
+    Stream,
+    add_file,
+    add_json,
+    add_overwrite,
+    aligned,
+    check_target,
+    default,
+    new_recording,
+    output_file,
+    print_json,
+    print_line,
+    write_text,
+    written,
+)
 from igtl_gateway.addons.sync.correcting import write_corrected
 from igtl_gateway.addons.sync.correction import StampCorrection, is_corrected
 from igtl_gateway.addons.sync.curves import lag_text
@@ -19,15 +39,6 @@ from igtl_gateway.addons.sync.lag import Lag, Pair, Verdict, measure_lag, measur
 from igtl_gateway.addons.sync.lags import movement, movements
 from igtl_gateway.addons.sync.signal import Signal
 from igtl_gateway.api import recording as recordings
-from igtl_gateway.api.recording import Recording
-from igtl_gateway.api.stream import Stream
-from igtl_gateway.base.errors import ConfigError, GatewayError
-from igtl_gateway.base.stamp import NS_PER_S
-from igtl_gateway.cli.options import add_file, add_json, add_overwrite, default, new_recording, output_file
-from igtl_gateway.cli.terminal import aligned, print_json, print_line
-from igtl_gateway.gateway.log.entry import Kind
-from igtl_gateway.record.sessionfile.beside import check_target, written
-from igtl_gateway.record.sessionfile.new_file import write_text
 
 EXAMPLES = """\
   # how late is each stream against the first one?

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from igtl_gateway.cli.verbs import KEEP, Verb
+from igtl_gateway.addon import Verb
+from igtl_gateway.cli.verbs import KEEP
 
 VERBS = {
     "upload": Verb("copy the recordings of a directory to an object store", f"{__package__}.verb", group=KEEP, place=4),

@@ -11,11 +11,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.addon import Level, Note
 from igtl_gateway.addons.upload.upload_process import END_S
 from igtl_gateway.addons.upload.uploading import WAITS
 from igtl_gateway.base.child import Child
 from igtl_gateway.config.notations import UploadPlace
-from igtl_gateway.gateway.log.note import Level, Note
 
 _COMMAND = [sys.executable, "-P", "-m", "igtl_gateway.addons.upload.upload_process"]
 #: Time until a process that ended is started again, seconds, and how often that happens.

@@ -26,12 +26,8 @@ from pathlib import Path
 from typing import Final
 from urllib.parse import quote, urlsplit
 
-from igtl_gateway.base.clock import Clock
-from igtl_gateway.base.errors import ConfigError, UnsupportedRecording
-from igtl_gateway.base.stamp import NS_PER_S
-from igtl_gateway.base.untrusted.files import open_file
+from igtl_gateway.addon import NS_PER_S, Clock, ConfigError, UnsupportedRecording, open_file, printable
 from igtl_gateway.base.untrusted.numbers import whole_number
-from igtl_gateway.base.untrusted.text import printable
 from igtl_gateway.config.notations import UploadPlace
 
 #: Longest wait for a step of a connection, seconds.

@@ -16,14 +16,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
+from igtl_gateway.addon import NS_PER_S, Clock, Level, Note, os_error_text
 from igtl_gateway.addons.upload.s3 import RateLimit, S3Store, StoredObject, StoreError
-from igtl_gateway.base.clock import Clock
-from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.config.notations import UploadPlace
-from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.retention.stored import RecordingFolder, StoredRecording, identity_of, open_unlinked
 from igtl_gateway.record.retention.upload_state import FileState, UploadState, UploadStates, base_of, belongs
-from igtl_gateway.record.sessionfile.new_file import os_error_text
 
 #: Codes of its notes.
 CONFIRMED, WAITS, REACHED, DIFFERS = "upload_confirmed", "upload_waits", "upload_reached", "upload_differs"

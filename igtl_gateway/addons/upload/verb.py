@@ -5,15 +5,23 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from igtl_gateway.addon import (
+    NS_PER_S,
+    ConfigError,
+    Note,
+    RecordingError,
+    SystemClock,
+    add_json,
+    count_text,
+    default,
+    parser_of,
+    print_json,
+    print_line,
+    size_text,
+    stop_event,
+)
 from igtl_gateway.addons.upload.uploading import CONFIRMED, Uploader
-from igtl_gateway.base.clock import SystemClock
-from igtl_gateway.base.errors import ConfigError, RecordingError
-from igtl_gateway.base.stamp import NS_PER_S
-from igtl_gateway.cli.common import count_text, size_text, stop_event
-from igtl_gateway.cli.options import add_json, default, parser_of
-from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.config.notations import upload_place
-from igtl_gateway.gateway.log.note import Note
 
 EXAMPLES = """\
   # upload all recordings of a directory, or what a bridge has left of them

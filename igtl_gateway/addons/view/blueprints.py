@@ -16,6 +16,7 @@ from typing import Any
 
 import rerun.blueprint as rrb
 
+from igtl_gateway.addon import ConfigError, Kind
 from igtl_gateway.addons.view.contents import (
     DROPS,
     LAG_CURVES,
@@ -35,8 +36,6 @@ from igtl_gateway.addons.view.contents import (
     ShownTopic,
 )
 from igtl_gateway.addons.view.eye import eye_of
-from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.gateway.log.entry import Kind
 
 TIME_LINE = "gateway_time"
 DARK = (18, 20, 24)  #: background of 3-D views: dark tissue and black tools stay visible on it

@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from enum import Enum
 
-from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.addon import NS_PER_S
 
 #: Entities that belong to no topic.
 LOG, LINKS, DROPS = "session/log", "session/links", "session/drops"

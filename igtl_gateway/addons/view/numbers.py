@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
+from igtl_gateway.addon import ConversionError
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.colours import SERIES
 from igtl_gateway.addons.view.contents import EntityKind
 from igtl_gateway.addons.view.other_msgs import Float64
-from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.common_msgs import JointState, MultiArray
 from igtl_gateway.convert.igtl_msgs import NdArray, Sensor
 from igtl_gateway.convert.robot_msgs import Joy, TwistStamped, WrenchStamped

@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar, Self
 
 import numpy.typing as npt
 
-from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.addon import Buffer
 from igtl_gateway.convert.cdr import CdrReader
 from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.igtl_msgs import HEADER

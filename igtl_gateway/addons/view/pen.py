@@ -15,11 +15,9 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
+from igtl_gateway.addon import NS_PER_S, ConversionError, Entry
 from igtl_gateway.addons.view.colours import INFO
 from igtl_gateway.addons.view.contents import PLACES
-from igtl_gateway.base.errors import ConversionError
-from igtl_gateway.base.stamp import NS_PER_S
-from igtl_gateway.gateway.log.entry import Entry
 
 #: The time lines: gateway time, the source stamp (if the sender set one), and the entry number.
 GATEWAY_TIME, SENDER_TIME, ENTRY = "gateway_time", "sender_time", "entry"

@@ -9,12 +9,11 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
+from igtl_gateway.addon import Buffer, ConversionError
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.colours import span
 from igtl_gateway.addons.view.contents import PLACES
 from igtl_gateway.addons.view.other_msgs import CameraInfo
-from igtl_gateway.base.buffers import Buffer
-from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.bitstream import is_key_frame
 from igtl_gateway.convert.common_msgs import CompressedImage, CompressedVideo
 from igtl_gateway.convert.framesize import frame_size

@@ -6,6 +6,7 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
+from igtl_gateway.addon import Entry, Kind
 from igtl_gateway.addons.review import Level, PlanReview, Review, StitchReview
 from igtl_gateway.addons.view import colours
 from igtl_gateway.addons.view.contents import (
@@ -18,7 +19,6 @@ from igtl_gateway.addons.view.contents import (
 )
 from igtl_gateway.addons.view.legend import scale_bar
 from igtl_gateway.addons.view.pen import Pen
-from igtl_gateway.gateway.log.entry import Entry, Kind
 
 _COLOURS = {Level.OK: 0x66BB6AFF, Level.LOOK: 0xFFB300FF, Level.WRONG: 0xFF1744FF}
 #: Lighter colours of the levels, for labels that are readable on a cloud.

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
+from igtl_gateway.addon import RecordingError
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.colours import GREY, WARN, rgba
 from igtl_gateway.addons.view.contents import EntityKind, escape_path_part
 from igtl_gateway.addons.view.meshes import MeshFolders
 from igtl_gateway.addons.view.robot_model import MOVING, Joint, JointKind, Robot, Visual, Xyz
 from igtl_gateway.addons.view.urdf import parse_urdf
-from igtl_gateway.base.errors import RecordingError
 
 #: CRTK: joint states with these names are commands and goals, not positions of the robot.
 _WANTED = ("setpoint_", "goal_", "servo_", "interpolate_", "move_")

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import rerun as rr
 
+from igtl_gateway.addon import NS_PER_S, ConversionError, Entry, Kind, Level, Note, read_bytes
 from igtl_gateway.addons.view.blueprints import is_camera, target_frame
 from igtl_gateway.addons.view.canvas import Canvas, Options
 from igtl_gateway.addons.view.colours import ERROR, INFO, WARN
@@ -37,12 +38,7 @@ from igtl_gateway.addons.view.pen import GATEWAY_TIME, LAST_NS, SENDER_TIME, Pen
 from igtl_gateway.addons.view.robots import Robots
 from igtl_gateway.addons.view.ruler import draw_ruler, ruler_of
 from igtl_gateway.addons.view.table import PICTURES, Picture
-from igtl_gateway.base.errors import ConversionError
-from igtl_gateway.base.stamp import NS_PER_S
-from igtl_gateway.base.untrusted.files import read_bytes
 from igtl_gateway.convert.units import ieee_754
-from igtl_gateway.gateway.log.entry import Entry, Kind
-from igtl_gateway.gateway.log.note import Level, Note
 
 if TYPE_CHECKING:
     from igtl_gateway.addons.review import Review

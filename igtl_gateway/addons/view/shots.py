@@ -17,8 +17,8 @@ from pathlib import Path
 from threading import Event
 from typing import Any, Self
 
+from igtl_gateway.addon import ViewerError
 from igtl_gateway.addons.view.process import ViewerProcess
-from igtl_gateway.base.errors import ViewerError
 
 TIME_LINE = "gateway_time"
 SIZE = (1600, 1000)

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import rerun as rr
 
+from igtl_gateway.addon import ViewerError
 from igtl_gateway.addons.view.blueprints import blueprint, choose
 from igtl_gateway.addons.view.contents import SessionContents
-from igtl_gateway.base.errors import ViewerError
 
 APPLICATION = "igtl-gateway"
 _LITTLE = 1 << 20  #: bytes: with less free space a disk counts as full, because rerun writes larger blocks

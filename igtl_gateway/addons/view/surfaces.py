@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
+from igtl_gateway.addon import ConversionError
 from igtl_gateway.addons.view import colours
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.clouds import POINT_M
 from igtl_gateway.addons.view.contents import EntityKind, escape_path_part
 from igtl_gateway.addons.view.other_msgs import MarkerArray, Path
-from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert import surfaces
 from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import PolyData, TrajectoryList

@@ -10,10 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from igtl_gateway.addon import Buffer
 from igtl_gateway.addons.view import clouds, numbers, other_msgs, pictures2d, poses, surfaces, volumes, words
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.contents import EntityKind
-from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.convert import common_msgs, igtl_msgs, robot_msgs, rosmsg
 
 

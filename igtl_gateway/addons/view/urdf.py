@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+from igtl_gateway.addon import DamagedRecording, limits
 from igtl_gateway.addons.view.robot_model import (
     MOVING,
     Joint,
@@ -17,8 +18,6 @@ from igtl_gateway.addons.view.robot_model import (
     multiply,
     scaled,
 )
-from igtl_gateway.base.errors import DamagedRecording
-from igtl_gateway.base.untrusted import limits
 from igtl_gateway.base.untrusted.xml_text import Element, parse_xml
 
 #: Links, and bodies of links, of one robot; a humanoid with hands has about 100.

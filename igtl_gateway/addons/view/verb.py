@@ -15,21 +15,43 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from igtl_gateway.addon import (
+    NS_PER_S,
+    RECORDING_OR_BAG,
+    Config,
+    ConfigError,
+    DamagedRecording,
+    Entry,
+    GatewayError,
+    Kind,
+    SessionFile,
+    SystemClock,
+    ViewerError,
+    add_file,
+    add_json,
+    add_overwrite,
+    cell,
+    check_target,
+    clear_live_line,
+    config_to_run,
+    count_text,
+    default,
+    is_present,
+    is_terminal,
+    live_line,
+    missing,
+    output_file,
+    part_of,
+    print_json,
+    print_line,
+    size_text,
+    stop_event,
+    width,
+    write_bytes,
+    write_error,
+    written,
+)
 from igtl_gateway.api import recording as recordings
-from igtl_gateway.base.addons import is_present, part_of
-from igtl_gateway.base.clock import SystemClock
-from igtl_gateway.base.errors import ConfigError, DamagedRecording, GatewayError, ViewerError
-from igtl_gateway.base.extras import missing
-from igtl_gateway.base.stamp import NS_PER_S
-from igtl_gateway.cli.common import count_text, size_text, stop_event
-from igtl_gateway.cli.options import RECORDING_OR_BAG, add_file, add_json, add_overwrite, default, output_file
-from igtl_gateway.cli.terminal import cell, clear_live_line, is_terminal, live_line, print_json, print_line, width
-from igtl_gateway.config.configuration import Config
-from igtl_gateway.gateway.log.entry import Entry, Kind
-from igtl_gateway.record.sessionfile.beside import check_target, write_error, written
-from igtl_gateway.record.sessionfile.new_file import write_bytes
-from igtl_gateway.record.sessionfile.reader import SessionFile
-from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.replay.source import through_gateway
 
 if TYPE_CHECKING:

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Self
 from urllib.parse import quote
 
+from igtl_gateway.addon import ViewerError
 from igtl_gateway.addons.view.page import SessionServer
 from igtl_gateway.addons.view.process import ViewerProcess
-from igtl_gateway.base.errors import ViewerError
 
 HOST = "127.0.0.1"
 _LISTENS = re.compile(r"Listening for gRPC connections on 127\.0\.0\.1:(\d+)")

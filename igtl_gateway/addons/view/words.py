@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import rerun as rr
 
+from igtl_gateway.addon import ConversionError, RecordingError
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.colours import ERROR, WARN
 from igtl_gateway.addons.view.other_msgs import Log
-from igtl_gateway.base.errors import ConversionError, RecordingError
 from igtl_gateway.convert import igtl_msgs
 from igtl_gateway.convert.robot_msgs import Empty, OperatingState, StringStamped
 from igtl_gateway.convert.rosmsg import DiagnosticStatus, String

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from igtl_gateway.cli.verbs import RARE, Verb
+from igtl_gateway.addon import Verb
+from igtl_gateway.cli.verbs import RARE
 
 VERBS = {
     "zenoh-router": Verb(

@@ -12,9 +12,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.addon import ConfigError, GatewayError, files, limits
 from igtl_gateway.addons.zenoh.library import first_line, import_zenoh
-from igtl_gateway.base.errors import ConfigError, GatewayError
-from igtl_gateway.base.untrusted import files, limits
 from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.base.untrusted.text import check_nesting
 from igtl_gateway.config.notations import ZENOH_ENDPOINT

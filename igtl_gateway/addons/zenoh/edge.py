@@ -24,6 +24,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar
 
+from igtl_gateway.addon import NS_PER_S, ConfigError, Level, Qos, SystemClock
 from igtl_gateway.addons.zenoh.config import domain_of
 from igtl_gateway.addons.zenoh.connection import RETRY_NS, Connection
 from igtl_gateway.addons.zenoh.graph import Graph
@@ -36,10 +37,8 @@ from igtl_gateway.addons.zenoh.site import Sites
 from igtl_gateway.addons.zenoh.subscribing import Subscribing
 from igtl_gateway.addons.zenoh.traffic import Traffic
 from igtl_gateway.addons.zenoh.types import TypeHashes
-from igtl_gateway.base.clock import SystemClock
-from igtl_gateway.base.errors import ConfigError, RosError
-from igtl_gateway.base.qos import Endpoint, Qos
-from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.base.errors import RosError
+from igtl_gateway.base.qos import Endpoint
 from igtl_gateway.config.settings import Value
 from igtl_gateway.convert.structs import STRING, TIME, UINT8, UINT32, Struct
 from igtl_gateway.edges.ros.graph import Publication
@@ -48,7 +47,6 @@ from igtl_gateway.edges.ros.parameters import Change
 from igtl_gateway.edges.ros.reports import OnNote, Reports
 from igtl_gateway.edges.ros.streams import TopicCounts
 from igtl_gateway.edges.ros.subscribing import OnMessage, Wants
-from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.native.passage import Publisher as NativePublisher
 from igtl_gateway.native.passage import Subscription as NativeSubscription
 

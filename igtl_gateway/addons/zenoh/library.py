@@ -6,8 +6,8 @@ import importlib
 import re
 from typing import Any
 
+from igtl_gateway.addon import missing
 from igtl_gateway.base.errors import RosError
-from igtl_gateway.base.extras import missing
 
 #: Zenoh ends its errors with the place in its source.
 _PLACE = re.compile(r"!?\s+at \S+\.rs:\d+\.?")

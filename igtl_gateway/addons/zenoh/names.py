@@ -17,8 +17,8 @@ from enum import StrEnum
 from functools import cache
 from typing import Any
 
+from igtl_gateway.addon import Qos
 from igtl_gateway.addons.zenoh.library import import_xxhash
-from igtl_gateway.base.qos import Qos
 
 #: The first chunk of all tokens of ROS.
 SPACE = "@ros2_lv"

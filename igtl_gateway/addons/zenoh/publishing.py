@@ -12,18 +12,16 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
+from igtl_gateway.addon import Clock, Level, Qos
 from igtl_gateway.addons.zenoh.connection import Connection
 from igtl_gateway.addons.zenoh.library import first_line
 from igtl_gateway.addons.zenoh.names import Kind, Node, attachment, data_key, gid
 from igtl_gateway.addons.zenoh.traffic import Traffic, how_to_send
 from igtl_gateway.addons.zenoh.types import TypeHashes
 from igtl_gateway.addons.zenoh.waiting import Commands
-from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.errors import RosError
-from igtl_gateway.base.qos import Qos
 from igtl_gateway.edges.ros.reports import Reports
 from igtl_gateway.edges.ros.streams import TopicCounts
-from igtl_gateway.gateway.log.note import Level
 
 #: From the declaration on until Zenoh knows the subscribers, a publisher counts as one with a subscriber.
 _SETTLE_NS = 500_000_000

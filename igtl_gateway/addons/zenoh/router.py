@@ -12,9 +12,9 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
+from igtl_gateway.addon import ConfigError, Unavailable
 from igtl_gateway.addons.zenoh.config import made, value_of
 from igtl_gateway.addons.zenoh.library import first_line, import_zenoh
-from igtl_gateway.base.errors import ConfigError, Unavailable
 from igtl_gateway.config.notations import ZENOH_LISTEN
 
 ROUTER_FILE = "ZENOH_ROUTER_CONFIG_URI"

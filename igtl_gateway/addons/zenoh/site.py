@@ -13,10 +13,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Any
 
-from igtl_gateway.base.clock import Clock
-from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.addon import NS_PER_S, Clock, Level
 from igtl_gateway.edges.ros.reports import Reports
-from igtl_gateway.gateway.log.note import Level
 
 #: Between questions.
 ASK_NS = 2 * NS_PER_S

@@ -8,18 +8,16 @@ from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
+from igtl_gateway.addon import Clock, Level, Qos
 from igtl_gateway.addons.zenoh.connection import Connection
 from igtl_gateway.addons.zenoh.graph import Graph
 from igtl_gateway.addons.zenoh.inbox import Inbox, Waiting
 from igtl_gateway.addons.zenoh.names import Kind, Node, data_key, read_attachment
 from igtl_gateway.addons.zenoh.types import TypeHashes
-from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.errors import RosError
-from igtl_gateway.base.qos import Qos
 from igtl_gateway.edges.ros.reports import Reports
 from igtl_gateway.edges.ros.streams import TopicCounts
 from igtl_gateway.edges.ros.subscribing import OnMessage, Wants, describe
-from igtl_gateway.gateway.log.note import Level
 
 #: Publishers of one topic whose sequence numbers are followed.
 _SENDERS = 1024

@@ -11,8 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from igtl_gateway.base.globs import matches
-from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.addon import NS_PER_S, matches
 from igtl_gateway.config.notations import site_class
 
 #: Seconds of the budget that may be owed before data of other classes give way, too.

@@ -5,10 +5,8 @@ from __future__ import annotations
 import argparse
 import threading
 
+from igtl_gateway.addon import default, parser_of, print_line, stop_event
 from igtl_gateway.addons.zenoh.router import Router
-from igtl_gateway.cli.common import stop_event
-from igtl_gateway.cli.options import default, parser_of
-from igtl_gateway.cli.terminal import print_line
 from igtl_gateway.config.notations import ZENOH_LISTEN, zenoh_endpoint
 
 EXAMPLES = """\

@@ -10,11 +10,9 @@ import threading
 from collections import Counter, deque
 from collections.abc import Callable
 
-from igtl_gateway.base.clock import Clock
-from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.addon import NS_PER_S, Clock, Level
 from igtl_gateway.edges.ros.reports import Reports
 from igtl_gateway.edges.ros.streams import TopicCounts
-from igtl_gateway.gateway.log.note import Level
 
 #: A command that has waited longer is not sent: what it asks for may be wrong by then.
 LATE_NS = 2 * NS_PER_S
