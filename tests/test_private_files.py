@@ -14,7 +14,7 @@ from tests.tables import table
 
 TREES = (ROOT / "igtl_gateway", ROOT / "lab" / "igtl_gateway_lab")
 #: The place.
-HOME = "sessionfile/new_file.py"
+HOME = "record/sessionfile/new_file.py"
 
 #: Methods and functions that create a file or a directory whatever their arguments are.
 _CREATING = frozenset(
@@ -27,18 +27,18 @@ _WORD = re.compile(rf"\b({'|'.join(sorted(_CREATING))}|open|FileIO)\(")
 
 #: Module → what it creates by itself, and why it may.
 EXCEPTIONS: dict[str, tuple[frozenset[str], str]] = {
-    "systems/files.py": (frozenset({"os.open"}), "its mode is 0600; it is extended, and no link is followed"),
+    "base/systems/files.py": (frozenset({"os.open"}), "its mode is 0600; it is extended, and no link is followed"),
     "cli/seal_keys.py": (frozenset({"os.open", "open"}), "keys are 0600 whatever is stated"),
-    "view/stream.py": (frozenset({"os.open"}), "its mode is 0600; rerun opens it by its name"),
+    "addons/view/stream.py": (frozenset({"os.open"}), "its mode is 0600; rerun opens it by its name"),
     "record/shared_queue.py": (frozenset({"memfd_create"}), "memory without a name"),
     "record/host.py": (frozenset({"write_text"}), "a value of the kernel"),
     "cli/terminal.py": (frozenset({"open"}), "the null device"),
-    "ros_interfaces/cache.py": (frozenset({"mkdir", "open"}), "compiled message types: no data of a session"),
-    "ros_interfaces/build.py": (
+    "edges/ros_interfaces/cache.py": (frozenset({"mkdir", "open"}), "compiled message types: no data of a session"),
+    "edges/ros_interfaces/build.py": (
         frozenset({"write_text", "mkdir", "touch", "copy"}),
         "compiled message types: no data of a session",
     ),
-    "ros_interfaces/__main__.py": (frozenset({"mkdir", "write_text"}), "a package of message types"),
+    "edges/ros_interfaces/__main__.py": (frozenset({"mkdir", "write_text"}), "a package of message types"),
     "cli/bench.py": (frozenset({"mkdir", "write_text"}), "figures of measurements"),
     "cli/demo.py": (frozenset({"mkdir"}), "recordings in it are made by the bridge, with its mode"),
     "cli/stage.py": (frozenset({"write_text"}), "in a temporary directory of mode 0700"),

@@ -186,4 +186,4 @@ def test_no_other_module_gives_text_to_rosbags() -> None:
         for word in ("get_types_from_msg", "get_types_from_idl", "MSGParser", "IDLParser", ".register(get")
         if word in path.read_text("utf-8")
     ]
-    assert set(found) == {"untrusted/definitions.py"}
+    assert set(found) == {"base/untrusted/definitions.py"}

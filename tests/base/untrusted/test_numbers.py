@@ -96,24 +96,24 @@ def test_configurations() -> None:
 
 #: Module → what it checks without converting it, or converts although it is not bounded by ``whole_number``.
 _DIGITS = {
-    "cohort/query.py": "the last character of a number that DuckDB printed",
+    "addons/cohort/query.py": "the last character of a number that DuckDB printed",
     "convert/names.py": "the first character of a name",
-    "exchange/raster.py": "integers with a sign, of at most 18 digits",
-    "exchange/rosbag2_metadata.py": "at most 18 digits by its regular expression",
-    "lerobot/checking.py": "a range of episodes",
-    "notations.py": "an octal mode of at most 4 digits",
-    "sessionfile/facts.py": "decimal numbers of at most 30 characters",
-    "untrusted/numbers.py": "here",
+    "addons/exchange/raster.py": "integers with a sign, of at most 18 digits",
+    "addons/exchange/rosbag2_metadata.py": "at most 18 digits by its regular expression",
+    "addons/lerobot/checking.py": "a range of episodes",
+    "config/notations.py": "an octal mode of at most 4 digits",
+    "record/sessionfile/facts.py": "decimal numbers of at most 30 characters",
+    "base/untrusted/numbers.py": "here",
 }
 #: Module → regular expressions with digits without end, whose group is not converted.
 _ENDLESS = {
-    "cohort/loading.py": "the names of open files",
+    "addons/cohort/loading.py": "the names of open files",
     "doctor/host_facts.py": "globs of names of files",
-    "edges/zenoh/library.py": "lines of a library",
-    "keeping/upload_state.py": "names of files",
+    "addons/zenoh/library.py": "lines of a library",
+    "record/retention/upload_state.py": "names of files",
     "replay/compare.py": "behind the bits of an encoding",
-    "view/shots.py": "ports that a child prints",
-    "view/viewer.py": "ports that a child prints",
+    "addons/view/shots.py": "ports that a child prints",
+    "addons/view/viewer.py": "ports that a child prints",
 }
 
 
@@ -133,7 +133,7 @@ def test_only_one_module_checks_digits() -> None:
         if isinstance(node, ast.Attribute) and node.attr in {"isdigit", "isdecimal", "isnumeric"}
     }
     assert found <= _DIGITS.keys(), "use igtl_gateway.base.untrusted.numbers.whole_number"
-    assert found >= _DIGITS.keys() - {"lerobot/checking.py"}
+    assert found >= _DIGITS.keys() - {"addons/lerobot/checking.py"}
 
 
 def test_digits_in_regular_expressions_have_an_end() -> None:
