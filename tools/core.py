@@ -25,7 +25,7 @@ from hatch_build import SOURCES, compiled
 ROOT = Path(__file__).parents[1]
 WORK = ROOT / "out" / "core"
 NAMES = ("python3.11", "python3.12", "python3.13")
-TESTS = tuple(f"tests/{name}" for name in ("wire", "convert", "gateway", "session", "sessionfile", "replay", "passage"))
+TESTS = tuple(f"tests/{name}" for name in ("wire", "convert", "gateway", "record/sessionfile", "replay", "native"))
 ROS_TESTS = ("tests/edges/ros",)
 #: What these tests need of the extra ``dev``.
 TEST_NEEDS = {"hypothesis", "mcap-ros2-support", "packaging", "pyigtl", "pymcap-cli", "pytest", "pytest-xdist"}

@@ -59,7 +59,9 @@ def test_nothing_is_imported_before_it_is_used() -> None:
     )
     env = os.environ | {"PYTHONPATH": str(ROOT)}
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=env, check=True)
-    assert result.stdout.strip() == str(["igtl_gateway", "igtl_gateway.testing", "igtl_gateway.testing.plugin"])
+    version = ["igtl_gateway.base", "igtl_gateway.base.version"]
+    plugin = ["igtl_gateway.testing", "igtl_gateway.testing.plugin"]
+    assert result.stdout.strip() == str(["igtl_gateway", *version, *plugin])
 
 
 def test_no_ros_is_needed() -> None:

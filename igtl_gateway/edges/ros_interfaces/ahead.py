@@ -13,8 +13,9 @@ from pathlib import Path
 
 COMPILED = Path(__file__).with_name("compiled")
 VERSIONS = "versions.json"
-#: From ``PREFIX/lib/python3.11/site-packages/igtl_gateway/ros_interfaces/compiled/PACKAGE`` to ``PREFIX/lib``.
-LIBRARIES = "/".join([".."] * 6)
+#: From ``PREFIX/lib/python3.11/site-packages/igtl_gateway/edges/ros_interfaces/compiled/PACKAGE`` to
+#: ``PREFIX/lib``.
+LIBRARIES = "/".join([".."] * 7)
 
 
 def compiled_ahead(package: str, wheels: Path, prefix: Path, folder: Path = COMPILED) -> Path | None:
