@@ -90,7 +90,9 @@ LABORATORY = ("simulate", "bench", "demo")
 WITHOUT_LABORATORY = "found no laboratory, which has this verb; install it: pip install igtl-gateway-lab"
 
 #: Two words → the verb of this name, with one of these words behind them: otherwise the second is a file.
-JOINED = {("seal", "keys"): ("keys", ("new", "rotate", "show", "-h", "--help"))}
+JOINED: dict[tuple[str, ...], tuple[str, tuple[str, ...]]] = {
+    ("seal", "keys"): ("keys", ("new", "rotate", "show", "-h", "--help"))
+}
 
 #: Verbs of other programs → how it is done here.
 OTHER_WORDS = {
