@@ -5,24 +5,17 @@ from __future__ import annotations
 import socket
 from collections.abc import Callable
 
-from igtl_gateway.base.stamp import NS_PER_MS
 from igtl_gateway.edges.tcp.loop import READ, Loop
 from igtl_gateway.edges.tcp.refusals import Refusals
 from igtl_gateway.edges.tcp.reporter import NOTE_EVERY_S, Reporter
-from igtl_gateway.edges.tcp.sockets import AllowList, address_text, has_left
+from igtl_gateway.edges.tcp.sockets import AllowList, address_text
 from igtl_gateway.gateway.log.note import Level, Note
-
-#: Peers that come within this time of each other are a crowd.
-_CROWD_NS = 100 * NS_PER_MS
-#: Of a crowd, this number of peers that have left is passed over at once.
-_MOST_LEFT = 64
 
 
 class Listener:
     """Accepts peers and passes them to ``up`` (socket, address); of the I/O thread alone.
 
-    ``crowded`` returns why no further peer may connect, or ``""``.  Of a crowd, who has left without a byte gets no
-    link: the system keeps up to 256 such connections, and a new peer would wait until each has had its link.
+    ``crowded`` returns why no further peer may connect, or ``""``.
     """
 
     def __init__(
@@ -42,7 +35,6 @@ class Listener:
         self._loop = loop
         self._reporter = reporter
         self._refusals = refusals
-        self._last_ns = -_CROWD_NS  # of the last peer, monotonic
 
     def open(self) -> None:
         if not self._loop.stopping:
@@ -58,29 +50,23 @@ class Listener:
         self._pause()
 
     def _accept(self, mask: int) -> None:
-        for _ in range(_MOST_LEFT):
-            try:
-                sock, address = self._sock.accept()
-            except (BlockingIOError, InterruptedError, ConnectionAbortedError):
-                return
-            except OSError as exc:
-                # out of descriptors, mostly: the listener would stay ready and the loop spin
-                text = f"cannot accept connections at {address_text(self._sock.getsockname())}: {exc.strerror}"
-                self._reporter.note(0, Note(Level.ERROR, "accept_failed", text))
-                self._pause()
-                return
-            peer, last_ns = address_text(address), self._last_ns
-            self._last_ns = self._loop.now()
-            if address[0] not in self._allow:
-                self._refusals.refuse(sock, peer, "not in the allow-list")
-            elif self._last_ns - last_ns < _CROWD_NS and has_left(sock):
-                self._refusals.refuse(sock, peer, "left before it had a link")
-                continue
-            elif reason := self._over_limit():
-                self._refusals.refuse(sock, peer, reason)
-            else:
-                self._link_up(sock, peer)
+        try:
+            sock, address = self._sock.accept()
+        except (BlockingIOError, InterruptedError, ConnectionAbortedError):
             return
+        except OSError as exc:
+            # out of descriptors, mostly: the listener would stay ready and the loop spin
+            text = f"cannot accept connections at {address_text(self._sock.getsockname())}: {exc.strerror}"
+            self._reporter.note(0, Note(Level.ERROR, "accept_failed", text))
+            self._pause()
+            return
+        peer = address_text(address)
+        if address[0] not in self._allow:
+            self._refusals.refuse(sock, peer, "not in the allow-list")
+        elif reason := self._over_limit():
+            self._refusals.refuse(sock, peer, reason)
+        else:
+            self._link_up(sock, peer)
 
     def _pause(self) -> None:
         self._loop.unwatch(self._sock)

@@ -92,17 +92,6 @@ def unconfirmed_bytes(sock: Descriptor) -> int:
         return 0
 
 
-def has_left(sock: socket.socket) -> bool:
-    """Return whether the peer of a new connection has closed it without a byte; the socket does not block then."""
-    sock.setblocking(False)
-    try:
-        return sock.recv(1, socket.MSG_PEEK) == b""
-    except BlockingIOError:
-        return False
-    except OSError:  # reset
-        return True
-
-
 def address_text(address: Any) -> str:
     """Return ``host:port`` of a socket address, ``[host]:port`` for IPv6."""
     host, port = address[:2]

@@ -123,24 +123,3 @@ def test_an_error_of_our_own_is_noted_and_the_next_peer_is_served(
     assert note.data["error"] == "ZeroDivisionError: our own fault"
     world.peer(port).send(message(1))
     assert seen.wait("frame", 1, 1) == [message(1)]
-
-
-def test_who_has_left_delays_no_one_behind(world: World) -> None:
-    """200 connections that have ended wait in the system before the peer: they get no link, and are counted."""
-    edge, seen = world.edge()
-    _, port = edge.listen(HERE, 0)
-    for _ in range(200):
-        socket.create_connection((HERE, port), DEADLINE_S).close()
-    peer = world.peer(port)
-    edge.start()
-    peer.send(message(1))
-    seen.wait("frame")
-    assert len(seen.of("up")) <= 2, "the first of a crowd is not known to be of one"
-    assert edge.refused()["left before it had a link"] >= 199
-
-
-def test_one_that_comes_and_leaves_has_a_link(world: World) -> None:
-    _, seen, port = world.server()
-    socket.create_connection((HERE, port), DEADLINE_S).close()
-    seen.wait("up")
-    seen.wait("down")
