@@ -17,10 +17,11 @@ from xml.etree import ElementTree
 import pytest
 from ruamel.yaml import YAML
 
+from igtl_gateway.base.addons import ADDONS
 from igtl_gateway.base.version import __version__
 from igtl_gateway.cli import complete
 from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT
-from igtl_gateway.cli.verbs import VERBS
+from igtl_gateway.cli.verbs import VERBS, own_verb
 from igtl_gateway.config.settings import parameters
 from tests.integration.bridge import START_S, Program, RawPeer, RosClient, environment, string
 from tests.launch_commands import commands
@@ -109,7 +110,8 @@ def test_an_executable_names_the_missing_distribution(installed: Path, tmp_path:
 
 
 def test_every_verb_is_an_executable() -> None:
-    expected = dict.fromkeys(VERBS, "igtl_gateway_ros.verb:main") | {"test_node": "igtl_gateway_ros.tester:main"}
+    own = [*VERBS, *(verb for verbs in ADDONS.values() for verb in verbs)]
+    expected = dict.fromkeys(own, "igtl_gateway_ros.verb:main") | {"test_node": "igtl_gateway_ros.tester:main"}
     assert executables() == expected
 
 
@@ -174,7 +176,7 @@ def test_every_node_is_an_executable_with_options_that_it_has(name: str) -> None
     for node in every(FILES[name].actions, "node"):
         assert node["pkg"] == "igtl_gateway"
         assert node["exec"] in executables()
-        if verb := VERBS.get(node["exec"]):
+        if verb := own_verb(node["exec"]):
             parser = argparse.ArgumentParser(exit_on_error=False)
             complete(parser, verb)
             parser.parse_args(with_defaults(FILES[name], node.get("args", "")).split())

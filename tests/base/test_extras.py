@@ -72,7 +72,7 @@ WITHOUT = [
     ("nibabel", "import VOLUME.nii -o OUT.mcap", "nifti"),
     ("pcapng", "import CAPTURE.pcapng -o OUT.mcap", "pcap"),
     ("rerun", f"view {STAR} --save OUT.rrd", "view"),
-    ("cryptography", "keys new OUT.key", "seal"),
+    ("cryptography", "seal keys new OUT.key", "seal"),
     ("cryptography", f"seal {STAR} --key OUT.key -o OUT.mcap", "seal"),
     ("zenoh", "bridge --ros zenoh --listen 127.0.0.1:0 --duration 0.1", "zenoh"),
     ("zenoh", "zenoh-router", "zenoh"),

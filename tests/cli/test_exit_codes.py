@@ -89,7 +89,7 @@ USAGE = [
     Case("simulate acquisition --duration -1", 2, "--duration: found -1.0"),
     *(
         Case(f"{verb} {file}", 2, said)
-        for verb in ("info", "verify", "lint", "review", "replay --to igtl", "recover")
+        for verb in ("info", "verify", "doctor", "review", "replay --to igtl", "recover")
         for file, said in (("{folder}/none.mcap", "No such file"), ("{folder}/text", "{folder}/text"))
     ),
     Case("decode {folder}/none.igtl", 2, "No such file"),

@@ -86,7 +86,7 @@ def test_verbs_survive_mutants(tmp_path: Path, capsys: pytest.CaptureFixture[str
     for name, data in islice(mcap_mutations.cases(15), THROUGH_VERBS):
         write_anew(path, data)
         for words in (
-            ["info", str(path)], ["info", str(path), "--json"], ["verify", str(path)], ["lint", str(path)],
+            ["info", str(path)], ["info", str(path), "--json"], ["verify", str(path)], ["doctor", str(path)],
             ["slice", str(path), out, "--overwrite"], ["diff", str(path), str(path)],
             ["recover", str(path), "--overwrite"], ["import", str(path), "-o", out, "--overwrite"],
         ):  # fmt: skip

@@ -202,7 +202,7 @@ def _check_mutant(tmp_path: Path, name: str, data: bytes, capsys: pytest.Capture
         return
     facts = json.loads(told.out)
     assert (code == 0) is facts["whole"] is not bool(facts["lost"] or not facts["closed"]), name
-    for verb in ("info", "verify", "lint"):
+    for verb in ("info", "verify", "doctor"):
         found = main([verb, str(out)])
         errors = capsys.readouterr().err
         is_refused = "another program" in errors or "found an import" in errors
