@@ -76,10 +76,10 @@ def _pass_session(python: str, folder: Path) -> None:
     for words in (
         ("verify", path),
         ("info", path),
-        ("lint", path),
+        ("doctor", path),
         ("diff", path, path),
         ("slice", path, folder / "part.mcap", "--end", "1"),
-        ("keys", "new", folder / "own.key"),
+        ("seal", "keys", "new", folder / "own.key"),
         ("seal", path, "--key", folder / "own.key", "-o", folder / "sealed.mcap"),
         ("verify", "--seal", folder / "sealed.mcap", "--trust", folder / "own.key.pub"),
         ("export", path, "--to", "csv", "-o", folder / "tables"),

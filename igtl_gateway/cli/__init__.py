@@ -111,7 +111,8 @@ def _run(given: Sequence[str], asked: str, ready: Callable[[], None] | None, **e
             added.set_defaults(**extra)
     options, rest = parser.parse_known_args(given)
     if rest:
-        (verbs.choices[asked] if asked else parser).error(_no_option(rest[0], verbs.choices.get(asked, parser)))
+        at = verbs.choices.get(asked, parser)
+        at.error(at.unrecognized(rest[0]))
     if not options.verb:
         parser.print_help()
         return USAGE
@@ -167,15 +168,12 @@ def _no_verb(asked: str, known: Mapping[str, Verb]) -> str:
     """The message about a word that is not a verb."""
     if asked in OTHER_WORDS:
         return f"found no verb {asked!r}, expected igtl-gateway {OTHER_WORDS[asked]}"
-    question = did_you_mean(near_names(asked, known))
-    return f"found no verb {asked!r}, {question or 'expected one that `igtl-gateway --help` lists'}"
-
-
-def _no_option(word: str, parser: argparse.ArgumentParser) -> str:
-    """The message about a word of the command line that a verb has no place for."""
-    name = word.partition("=")[0]
-    question = did_you_mean(near_names(name, parser._option_string_actions)) if name.startswith("--") else ""
-    return f"unrecognized arguments: {word}" + (f"; {question}" if question else "")
+    near: dict[str, None] = {}
+    for name in near_names(asked, {**OTHER_WORDS, **known}):
+        verb = known.get(name)
+        near[verb.now or name if verb else OTHER_WORDS[name].partition(",")[0]] = None
+    meant = [name for name in near if " " not in name or name.split()[0] not in near]
+    return f"found no verb {asked!r}, {did_you_mean(meant) or 'expected one that `igtl-gateway --help` lists'}"
 
 
 def _list_of(known: Mapping[str, Verb], *, everything: bool) -> str:

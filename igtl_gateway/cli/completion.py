@@ -7,12 +7,15 @@ to complete a word, so the script has to be written again after an update.
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import shtab
 
 from igtl_gateway import cli
 from igtl_gateway.cli.terminal import print_text
+from igtl_gateway.cli.verbs import JOINED
 
 SHELLS = ("bash", "zsh", "fish")
 
@@ -43,4 +46,16 @@ def script(shell: str) -> str:
     for action in (action for each in parsers for action in each._actions):
         if action.type is Path or action.metavar == "FILE":
             action.complete = shtab.DIRECTORY if action.metavar == "DIR" else shtab.FILE  # type: ignore[attr-defined]
+    for (name, word), (_, following) in JOINED.items():
+        joined = next(each for each in parsers if each.prog.endswith(f" {name}"))
+        joined.add_argument("following", nargs="?").complete = _after(word, following)  # type: ignore[attr-defined]
     return f"{shtab.complete(parser, shell)}\n"
+
+
+def _after(word: str, following: Sequence[str]) -> dict[str, Any]:
+    """Return what completes the second argument of a verb in each shell: these words, if the first one is ``word``."""
+    names = " ".join(each for each in following if not each.startswith("-"))
+    function = f"_igtl_gateway_after_{word}"
+    bash = f'{function}() {{\n  [ "${{COMP_WORDS[COMP_CWORD-1]}}" = {word} ] && compgen -W "{names}" -- $1\n}}\n'
+    fish = f"(contains -- {word} (commandline -opc); and printf '%s\\n' {names})"
+    return {"bash": function, "zsh": f"({names})", "fish": fish, "preamble": {"bash": bash}}

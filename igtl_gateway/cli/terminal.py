@@ -14,6 +14,7 @@ from collections.abc import Iterable, Sequence, Set
 from typing import Any, TextIO
 
 from igtl_gateway.base.errors import OutputError
+from igtl_gateway.base.near import did_you_mean, near_names
 from igtl_gateway.base.untrusted.text import json_line, printable
 
 #: Longer lines are cut: a name of a megabyte must not bury the rest.  ``--json`` has everything.
@@ -113,6 +114,8 @@ class Parser(argparse.ArgumentParser):
     color = False  # of Python 3.14: escape sequences in the help
     #: Arguments that only ``--help-all`` shows.
     _rare: frozenset[argparse.Action] = frozenset()
+    #: The words that are parsed, for the message about one that means nothing.
+    _words: Sequence[str] = ()
 
     def shorten_help(self, common: Set[str]) -> None:
         """Show only these options with ``--help``, and all with ``--help-all``."""
@@ -135,11 +138,32 @@ class Parser(argparse.ArgumentParser):
         formatter.add_text(self.epilog)
         return formatter.format_help()
 
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        self._words = list(sys.argv[1:] if args is None else args)
+        return super().parse_known_args(args, namespace)
+
+    def unrecognized(self, word: str) -> str:
+        """Return the message about a word that has no place here."""
+        name = word.partition("=")[0]
+        question = did_you_mean(near_names(name, self._option_string_actions)) if name.startswith("--") else ""
+        return f"unrecognized arguments: {word}" + (f"; {question}" if question else "")
+
     def error(self, message: str) -> Any:
-        """Print the usage and what is wrong with the arguments, and end the program."""
+        """Print the usage and what is wrong with the arguments, and end the program.
+
+        Where an argument is missing, a misspelt option may be why: the message names both.
+        """
+        if "required" in message:
+            message = "; ".join([message, *map(self.unrecognized, self._misspelt())])
         self.print_usage(sys.stderr)
         print_line(f"{self.prog}: error: {message}", error=True)
         self.exit(2)
+
+    def _misspelt(self) -> list[str]:
+        """The words that look like an option, and are neither one nor the beginning of one."""
+        own = self._words[: self._words.index("--")] if "--" in self._words else self._words
+        names = [word.partition("=")[0] for word in own if word.startswith("--")]
+        return [name for name in names if not any(flag.startswith(name) for flag in self._option_string_actions)]
 
     def _print_message(self, message: str, file: Any = None) -> None:
         if message:

@@ -1,4 +1,4 @@
-"""Diagnosis of a session by rules: of connected peers (``doctor``) or of a recording (``lint``).
+"""Diagnosis of a session by rules: of connected peers (``doctor``) or of a recording (``doctor FILE``).
 
 All entries go through one `Observer`, which counts and measures.  The rules of one table (`rules.RULES`) check its
 observations with pure functions.  A finding has the number and severity of its rule, what was found, what to do, and

@@ -1,4 +1,4 @@
-"""The report of ``doctor`` and ``lint``: peers, streams, findings, and the probable cause."""
+"""The report of ``doctor``: peers, streams, findings, and the probable cause."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ CORE = (
     ("diff", STAR, STAR),
     ("slice", STAR, "OUT/slice.mcap", "--end", "1"),
     ("recover", STAR, "-o", "OUT/recovered.mcap"),
-    ("lint", STAR),
+    ("doctor", STAR),
     ("replay", "--help"),
     ("doctor", "--help"),
     ("bridge", "--help"),

@@ -27,6 +27,8 @@ CASES = {
     "igtl-gateway info morn": {"morning.mcap"},
     "igtl-gateway bridge --config ro": {"room.toml"},
     "igtl-gateway completion fi": {"fish"},
+    "igtl-gateway seal keys ro": {"rotate"},
+    "igtl-gateway seal morn": {"morning.mcap"},
     "igtl-gateway simulate ultra": {"ultrasound"},
 }
 #: The screen of a shell has one completed word.

@@ -34,7 +34,7 @@ ALL = bool(os.environ.get("IGTL_GATEWAY_ALL_AS_WINDOWS"))
 SMALL, STAR = "acquisition.mcap", "star.mcap"
 #: Exit codes of verbs that take longer.
 MORE: dict[tuple[str, ...], int] = {
-    ("lint", "every.mcap"): 0,
+    ("doctor", "every.mcap"): 0,
     ("export", "every.mcap", "--to", "csv", "-o", "all tables"): 0,
     ("export", "every.mcap", "--to", "rosbag2", "-o", "whole bag"): 0,
     ("import", "whole bag", "-o", "whole import.mcap"): 0,
@@ -136,7 +136,7 @@ def test_the_verbs_work(tmp_path: Path) -> None:
         ("slice", session, "part.mcap", "--start", "1", "--end", "3"): 0,
         ("verify", "part.mcap"): 0,
         ("slice", session, "part.mcap", "--end", "2", "--overwrite"): 0,
-        ("keys", "new", "own.key"): 0,
+        ("seal", "keys", "new", "own.key"): 0,
         ("seal", "part.mcap", "--key", "own.key", "-o", "sealed.mcap"): 0,
         ("verify", "--seal", "sealed.mcap", "--trust", "own.key.pub"): 0,
         ("recover", "part.mcap", "-o", "again.mcap"): 0,

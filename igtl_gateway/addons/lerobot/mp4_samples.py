@@ -54,7 +54,10 @@ def _samples_of_runs(stream: IO[bytes], at: int, runs: int) -> int:
 
 
 def _boxes(stream: IO[bytes], at: int, end: int, depth: int, place: str) -> Iterator[tuple[bytes, int, int]]:
-    """Yield kind, begin and length of the content of all boxes.  What is no box ends them: FFmpeg finds that."""
+    """Yield the kind of each box, and where its content begins and how long it is.
+
+    It ends without an error where another box is expected and is not there: FFmpeg reports them when it reads the file.
+    """
     limits.check_limit("depth", depth, place)
     while at + _HEAD.size <= end:
         stream.seek(at)
