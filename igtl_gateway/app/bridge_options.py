@@ -1,12 +1,12 @@
-"""The options of a bridge for the values of its settings: addresses, TLS, limits, recording, codec."""
+"""The options of a bridge, and how they follow from its settings: addresses, TLS, limits, recording, codec."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.app.bridge import BridgeOptions, SiteOptions
 from igtl_gateway.app.settings import config_of
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.realtime import RealtimeOptions
@@ -14,6 +14,7 @@ from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.notations import (
     DEFAULT_HOST,
     DEFAULT_PORT,
+    UploadPlace,
     cpus,
     file_mode,
     key_value,
@@ -31,6 +32,71 @@ from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.selection import Selection
 
 _NEVER = TlsFiles()
+
+Address = tuple[str, int]
+
+
+@dataclass(frozen=True, slots=True)
+class SiteOptions:
+    """This site, and what its gateway sends over Zenoh.
+
+    Attributes:
+        name: of the site; "": none.
+        bytes_per_s: budget; 0: no limit.
+        classes: ``GLOB=CLASS`` for topics.
+    """
+
+    name: str = ""
+    bytes_per_s: int = 0
+    classes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class BridgeOptions:
+    """Options of the command line that do not influence the content of messages.
+
+    Attributes:
+        listen, connect: addresses of the OpenIGTLink side; a relay connects to one server.
+        ros: join the ROS 2 graph.
+        zenoh: join it over Zenoh, by the router at this endpoint ("": that of Zenoh's configuration); None: over DDS.
+        site: name of this site, and what it may send.
+        record: file of the recording; None: record nothing.
+        record_topics: globs of ROS topics that are recorded in addition to the bridged ones.
+        allow: networks (CIDR) whose peers may connect in addition to those of this host.
+        limits: limits for each peer.
+        tls: files for TLS.
+        tls_listen, tls_connect: the addresses of ``listen`` and ``connect`` that use TLS.
+        node_name: name of the ROS node.
+        recording: options of the recorder.
+        upload: where closed recordings are copied to; None: nowhere.
+        upload_rate: bytes per second of it; 0: no limit.
+        video: options of the codec from ROS images to VIDEO and back; None: neither encode nor decode.
+        diagnostics: publish the state of the bridge on /diagnostics once a second.
+        realtime: scheduling of the threads that pass messages.
+        native: let messages of compiled streams pass natively, where that is possible.
+    """
+
+    listen: tuple[Address, ...] = ()
+    connect: tuple[Address, ...] = ()
+    ros: bool = True
+    zenoh: str | None = None
+    site: SiteOptions = SiteOptions()
+    record: Path | None = None
+    record_topics: tuple[str, ...] = ()
+    allow: tuple[str, ...] = ()
+    limits: PeerLimits = field(default_factory=PeerLimits)
+    tls: TlsFiles = field(default_factory=TlsFiles)
+    tls_listen: frozenset[Address] = frozenset()
+    tls_connect: frozenset[Address] = frozenset()
+    node_name: str = "igtl_gateway"
+    recording: RecordOptions = field(default_factory=RecordOptions)
+    upload: UploadPlace | None = None
+    upload_rate: float = 0.0
+    video: VideoOptions | None = None
+    diagnostics: bool = False
+    reserved: ReservedPorts | None = None
+    realtime: RealtimeOptions = field(default_factory=RealtimeOptions)
+    native: bool = True
 
 
 def bridge_options(

@@ -10,11 +10,14 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
+from igtl_gateway.base.errors import RosError
 from igtl_gateway.config.configuration import OUT_PREFIX
 from igtl_gateway.convert.igtl_msgs import Command, CommandReply, MetadataItem
 from igtl_gateway.convert.names import topic_token
 from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.edges.interface import RosSide
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 
 SERVICE = "~/send_command"
 SERVICE_TYPE = "igtl_msgs/srv/SendCommand"
@@ -32,20 +35,32 @@ class CommandService:
     """Answers the calls of the service.  The caller must pass every entry of the log to `on_entry`.
 
     Args:
+        side: offers the service.
         publish: passes a ROS message to the gateway.
         timeout_s: timeout of calls that do not set one, in seconds.
-        item: class of the ROS message igtl_msgs/msg/MetadataItem.
+        on_note: takes notes.
     """
 
-    def __init__(self, publish: Publish, timeout_s: float, item: Callable[..., Any]) -> None:
+    def __init__(self, side: RosSide, publish: Publish, timeout_s: float, on_note: Callable[[Note], None]) -> None:
+        self._side = side
         self._publish = publish
-        self._item = item
+        self._item: Callable[..., Any] = MetadataItem  # that of ROS, from the start on
         self._timeout_s = timeout_s
+        self._on_note = on_note
         self._lock = threading.Lock()
         self._last_id = _LAST_ID
         self._replies: dict[int, CommandReply | None] = {}
         self._answered = threading.Condition(self._lock)
         self._stopped = False
+
+    def start(self) -> None:
+        """Offer the service, if its messages are installed."""
+        try:
+            self._item = self._side.message_class(MetadataItem.TYPE)
+        except RosError as error:
+            self._on_note(Note(Level.WARN, "no_interfaces", f"no command service and no igtl_msgs: {error}"))
+            return
+        self._side.serve(SERVICE, SERVICE_TYPE, self.call)
 
     def call(self, request: Any, response: Any) -> Any:
         """Send the command of a request and fill in the response.  Runs in a thread of its own."""

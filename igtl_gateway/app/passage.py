@@ -32,9 +32,13 @@ class BridgePassage:
 
     Args:
         on_passed: see ``OnPassed``.
+
+    Attributes:
+        recorder_lock: guards the queue of the recorder.
     """
 
     def __init__(self, passage: Passage, gateway: Core, tcp: TcpEdge, ros: RosSide | None, on_passed: OnPassed) -> None:
+        passage.builds_all = gateway.has_subscriber is None
         self._passage = passage
         self._tcp = tcp
         self._ros = ros
@@ -45,12 +49,10 @@ class BridgePassage:
         if isinstance(gateway, Gateway):
             gateway.fast_path.native = self.streams
 
-    def start(self, recorder: Recorder | None, *, builds_all: bool) -> None:
-        """Let messages pass: the recorder runs, if there is one."""
-        self._passage.builds_all = builds_all
+    def record_into(self, recorder: Recorder) -> None:
+        """Record what passes; to be called before the first message."""
         self._recorder = recorder
-        if recorder:
-            self._passage.record_into(recorder.queue.memory, self.recorder_lock)
+        self._passage.record_into(recorder.queue.memory, self.recorder_lock)
 
     def collect(self) -> None:
         """Take over what was counted natively."""

@@ -1,21 +1,144 @@
-"""The services of a recording: ``~/pause_recording``, ``~/resume_recording`` and ``~/snapshot``."""
+"""The recording of a bridge, with the upload beside it.
+
+Its services are ``~/pause_recording``, ``~/resume_recording`` and ``~/snapshot``.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import json
+import os
+import platform
+import sys
+from collections.abc import Callable, Sequence
 from concurrent.futures import TimeoutError as NotYetError
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
 
+from igtl_gateway.app.bridge_options import BridgeOptions
+from igtl_gateway.app.passage import BridgePassage
+from igtl_gateway.base.addons import part_of
+from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.version import __version__
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.convert.igtl_msgs import Command, CommandReply
 from igtl_gateway.edges.interface import RosSide
+from igtl_gateway.gateway import LINKS_TOPIC
+from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.gateway.to_igtl.tf_out import TF_QOS
+from igtl_gateway.record.selection import StateInputRule
 
 if TYPE_CHECKING:
     from igtl_gateway.record.recorder import Recorder
+    from igtl_gateway.record.worker import RecordingSummary
 
 TYPE = "std_srvs/srv/Trigger"
 PAUSE, RESUME, SNAPSHOT = "~/pause_recording", "~/resume_recording", "~/snapshot"
 
 #: Longest wait for a snapshot, in seconds: enough for half a gigabyte on a slow disk.
 _SNAPSHOT_S = 60.0
+
+
+class Uploads(Protocol):
+    """The upload beside a bridge, of the add-on ``upload``."""
+
+    def counters(self) -> dict[str, Any]:
+        """Return what waits, was sent and was confirmed, so far."""
+        ...
+
+    def left_text(self) -> str:
+        """Return what was uploaded, and what is left and how it is finished."""
+        ...
+
+    def stop(self) -> None:
+        """Upload what is left, for a limited time."""
+        ...
+
+
+class BridgeRecording:
+    """The recorder of a bridge and the upload of its closed files: one part.
+
+    Args:
+        path: the file.
+        options: of the bridge.
+        config: of the session; stored in the recording.
+        clock: that of the bridge.
+        qos_of: returns the QoS of a recorded topic.
+        on_note: takes notes, from any thread.
+        losses: returns the loss ledger, which the recording is closed with.
+        passage: is recorded, too; None: there is none.
+
+    Attributes:
+        recorder, uploads: None before the start.
+        summary: of the closed recording; None before the stop.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        options: BridgeOptions,
+        config: Config,
+        clock: Clock,
+        *,
+        qos_of: Callable[[str, str], Qos | None],
+        on_note: Callable[[Note], None],
+        losses: Callable[[], dict[str, Any]],
+        passage: BridgePassage | None = None,
+    ) -> None:
+        self.recorder: Recorder | None = None
+        self.uploads: Uploads | None = None
+        self.summary: RecordingSummary | None = None
+        self._path = path
+        self._options = options
+        self._config = config
+        self._clock = clock
+        self._qos_of = qos_of
+        self._on_note = on_note
+        self._losses = losses
+        self._passage = passage
+
+    def start(self) -> None:
+        """Create the file.  Raises RecordingError, and MissingAddon for an upload without its add-on."""
+        from igtl_gateway.record.recorder import Recorder  # here: 4 MB that only a recording needs
+
+        self.recorder = Recorder(
+            self._path,
+            session_facts(self._config, over_zenoh=self._options.zenoh is not None),
+            qos_of=self._qos_of,
+            on_note=self._on_note,
+            clock=self._clock,
+            options=self._options.recording,
+            rule=state_rule(self._config),
+            lock=self._passage.recorder_lock if self._passage else None,
+        )
+        if self._passage:
+            self._passage.record_into(self.recorder)
+        if self._options.upload:
+            self.uploads = part_of("upload", "live:BridgeUploads")(
+                self._path, self._options.upload, self._options.upload_rate, self._on_note
+            )
+
+    def stop(self) -> None:
+        """Close the file with the ledger of the session, then upload what is left."""
+        if self.recorder:
+            self.summary = self.recorder.close(self._losses())
+        if self.uploads:
+            self.uploads.stop()
+
+    def reserve(self, entry: Entry) -> Callable[[], None] | None:
+        """Record an entry; see ``Recorder.reserve``."""
+        return self.recorder.reserve(entry) if self.recorder else None
+
+    def discard(self) -> None:
+        """Remove the file of a bridge that could not start: an empty one would make the next start fail."""
+        if self.summary:
+            self.summary.discard()
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether the recording has failed and the options require the bridge to stop."""
+        return bool(self._options.recording.stop_on_failure and self.recorder and self.recorder.failure)
 
 
 def serve_recording(ros: RosSide, recorder: Recorder) -> None:
@@ -52,3 +175,46 @@ def snapshot(recorder: Recorder) -> tuple[bool, str]:
 def _answer(response: Any, action: Callable[[], tuple[bool, str]]) -> Any:
     response.success, response.message = action()
     return response
+
+
+def state_rule(config: Config) -> StateInputRule:
+    """Return which inputs a recording needs of streams that are left out; see ``record.selection``."""
+    commands = frozenset({"COMMAND", "RTS_COMMAND", Command.TYPE, CommandReply.TYPE})
+    mixed = frozenset(TF_QOS) if config.tf_out else frozenset()
+    robots: list[str] = []
+    to_robots: tuple[str, ...] = ()
+    if config.all_arms and config.allow_in:
+        states = ("measured_cp", "measured_js")
+        robots += (f"{row.arms}{below}/{name}" for row in config.all_arms for below in ("", "/**") for name in states)
+        robots += (f"/{glob}" for glob in config.allow_in)
+        to_robots = tuple(f"*/{glob}" for glob in config.allow_in)
+    return StateInputRule(frozenset({LINKS_TOPIC}), commands, mixed, tuple(robots), to_robots)
+
+
+def session_facts(config: Config, *, over_zenoh: bool = False) -> dict[str, str]:
+    """Return the metadata of a recording: configuration, versions, host."""
+    rmw = "rmw_zenoh_cpp" if over_zenoh else os.environ.get("RMW_IMPLEMENTATION", "rmw_fastrtps_cpp")
+    packages = ("mcap", "numpy", "rosbags", "fastcrc", "eclipse-zenoh" if over_zenoh else "ros-jazzy-rclpy")
+    return {
+        "igtl_gateway_version": __version__,
+        "config": json.dumps(config.to_dict(), sort_keys=True),
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "host": platform.node(),
+        "packages": json.dumps(_versions(packages), sort_keys=True),
+        "ros_domain_id": os.environ.get("ROS_DOMAIN_ID", "0"),
+        "rmw_implementation": rmw,
+        "command": " ".join(sys.argv),
+    }
+
+
+def _versions(packages: Sequence[str]) -> dict[str, str]:
+    from importlib import metadata  # here: a bridge that records nothing does not need it
+
+    found = {}
+    for package in packages:
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            continue
+    return found

@@ -63,6 +63,11 @@ class VideoCodecs:
         """Return the counts of encoder and decoder: images by fate."""
         return {"encoder": self._encoder.counters(), "decoder": self._decoder.counters()}
 
+    def start(self) -> None:
+        """Start the threads of both codecs; what has come before that waits for them."""
+        self._encoder.start()
+        self._decoder.start()
+
     def stop(self) -> None:
         """Stop the threads of both codecs."""
         self._encoder.stop()

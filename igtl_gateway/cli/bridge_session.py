@@ -7,7 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from igtl_gateway.app.bridge import Bridge, BridgeOptions
+from igtl_gateway.app.bridge import Bridge
+from igtl_gateway.app.bridge_options import BridgeOptions
 from igtl_gateway.app.entry_watch import EntryWatch
 from igtl_gateway.app.note_rate import NoteRate
 from igtl_gateway.app.status import BridgeStatus

@@ -8,7 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from igtl_gateway.app.bridge import Bridge, BridgeOptions, state_rule
+from igtl_gateway.app.bridge import Bridge
+from igtl_gateway.app.bridge_options import BridgeOptions
+from igtl_gateway.app.part import Parts
+from igtl_gateway.app.recording import state_rule
+from igtl_gateway.app.timer import Timer
 from igtl_gateway.base.buffers import join
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import RecordingError, Unavailable
@@ -50,6 +54,67 @@ def test_a_recording_that_exists_is_refused_and_the_port_is_free_again(tmp_path:
     assert recording.read_bytes() == b"yesterday"
 
 
+class _Noted:
+    """A part that notes its start and its stop; the latter fails if it is asked to."""
+
+    def __init__(self, name: str, events: list[str], fails: str = "") -> None:
+        self._name, self._events, self._fails = name, events, fails
+
+    def start(self) -> None:
+        self._events.append(f"start {self._name}")
+        if self._fails == "start":
+            raise Unavailable(self._name)
+
+    def stop(self) -> None:
+        self._events.append(f"stop {self._name}")
+        if self._fails == "stop":
+            raise RuntimeError(self._name)
+
+
+def test_parts_stop_in_the_reverse_order_of_their_start_and_once() -> None:
+    events: list[str] = []
+    parts = Parts(_Noted("a", events), None, _Noted("b", events))
+    parts.start()
+    parts.stop()
+    parts.stop()
+    assert events == ["start a", "start b", "stop b", "stop a"]
+
+
+def test_an_error_at_the_start_leaves_what_has_started_to_be_stopped() -> None:
+    events: list[str] = []
+    parts = Parts(_Noted("a", events), _Noted("b", events, "start"), _Noted("c", events))
+    with pytest.raises(Unavailable):
+        parts.start()
+    parts.stop()
+    assert events == ["start a", "start b", "stop b", "stop a"]
+
+
+def test_a_part_that_cannot_stop_does_not_keep_the_others() -> None:
+    events: list[str] = []
+    parts = Parts(_Noted("a", events), _Noted("b", events, "stop"))
+    parts.start()
+    with pytest.raises(RuntimeError):
+        parts.stop()
+    assert events[2:] == ["stop b", "stop a"]
+
+
+def test_a_defect_of_one_part_does_not_cost_the_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "out.mcap"
+    bridge = Bridge(Config(), BridgeOptions((("127.0.0.1", 0),), ros=False, record=path), SystemClock())
+    stop = Timer.stop
+
+    def stop_badly(timer: Timer) -> None:
+        stop(timer)
+        raise RuntimeError("a defect")
+
+    monkeypatch.setattr(Timer, "stop", stop_badly)
+    bridge.start()
+    with pytest.raises(RuntimeError, match="a defect"):
+        bridge.stop()
+    with SessionFile.open(path) as file:
+        assert file.ledger
+
+
 def test_a_topic_that_was_asked_for_but_cannot_be_converted_is_said_once() -> None:
     seen: list[Entry] = []
     config = Config(to_igtl=(ToIgtlRow(topic="/scan", device="Scan"), ToIgtlRow(topic="/text", type="IMAGE")))
@@ -61,7 +126,7 @@ def test_a_topic_that_was_asked_for_but_cannot_be_converted_is_said_once() -> No
         ("/elsewhere", "sensor_msgs/msg/LaserScan"),
         ("/igtl/out/a", "std_msgs/msg/String"),
     ):
-        wanted = bridge.subscription_for(topic, ros_type)
+        wanted = bridge.subscriptions.wanted(topic, ros_type)
         assert (wanted is not None) == (topic == "/igtl/out/a")
     notes = [Note.unpack(entry.data()) for entry in seen]
     assert [(note.code, note.stream) for note in notes] == [("no_conversion", "/scan"), ("no_conversion", "/text")]

@@ -6,7 +6,9 @@ import threading
 from types import SimpleNamespace
 from typing import Any
 
-from igtl_gateway.app.commands import CommandService
+import pytest
+
+from igtl_gateway.app.commands import CommandService, Publish
 from igtl_gateway.convert.igtl_msgs import Command, CommandReply, MetadataItem
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -25,6 +27,14 @@ def replied(command: Command, **fields: Any) -> CommandReply:
     return CommandReply(Header(), command.device_name, command.id, command.name, **{"status": 1} | fields)
 
 
+def started(publish: Publish, timeout_s: float) -> CommandService:
+    """A service on a node whose messages are plain objects."""
+    side: Any = SimpleNamespace(message_class=lambda _type: SimpleNamespace, serve=lambda *_: True)
+    service = CommandService(side, publish, timeout_s, lambda note: pytest.fail(note.text))
+    service.start()
+    return service
+
+
 def test_a_call_becomes_a_message_and_its_reply_the_response() -> None:
     said: list[tuple[str, Command]] = []
 
@@ -37,7 +47,7 @@ def test_a_call_becomes_a_message_and_its_reply_the_response() -> None:
         service.on_entry(reply_entry(replied(command, content="<ok/>", metadata=(item,), link=4)))
         service.on_entry(reply_entry(replied(command, content="too late")))
 
-    service = CommandService(publish, 5.0, SimpleNamespace)
+    service = started(publish, 5.0)
     item = SimpleNamespace(key="who", encoding=0, value="me")
     response = service.call(request(metadata=[item], timeout=2.5), SimpleNamespace())
     ((topic, command),) = said
@@ -56,7 +66,7 @@ def test_each_call_has_an_id_of_its_own() -> None:
         ids.append(command.id)
         service.on_entry(reply_entry(replied(command)))
 
-    service = CommandService(publish, 5.0, SimpleNamespace)
+    service = started(publish, 5.0)
     for _ in range(3):
         service.call(request(), SimpleNamespace())
     assert ids == [0x8000_0000, 0x8000_0001, 0x8000_0002]
@@ -64,7 +74,7 @@ def test_each_call_has_an_id_of_its_own() -> None:
 
 def test_the_end_of_the_gateway_ends_a_call() -> None:
     asked = threading.Event()
-    service = CommandService(lambda *_: asked.set(), 60.0, SimpleNamespace)
+    service = started(lambda *_: asked.set(), 60.0)
     response = SimpleNamespace()
     caller = threading.Thread(target=service.call, args=(request(), response))
     caller.start()

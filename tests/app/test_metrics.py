@@ -15,7 +15,8 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.app.bridge import Bridge, BridgeOptions
+from igtl_gateway.app.bridge import Bridge
+from igtl_gateway.app.bridge_options import BridgeOptions
 from igtl_gateway.app.entry_watch import EntryWatch
 from igtl_gateway.app.metrics import METRICS, PREFIX, MetricsServer, prometheus
 from igtl_gateway.app.status import BridgeStatus

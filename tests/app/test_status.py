@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from igtl_gateway.app.bridge import Bridge, BridgeOptions
+from igtl_gateway.app.bridge import Bridge
+from igtl_gateway.app.bridge_options import BridgeOptions
 from igtl_gateway.app.status import RATES_OVER_S, BridgeStatus
 from igtl_gateway.base.clock import ManualClock
 from igtl_gateway.base.stamp import NS_PER_S

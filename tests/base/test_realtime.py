@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from igtl_gateway.app.bridge import Bridge, BridgeOptions
+from igtl_gateway.app.bridge import Bridge
+from igtl_gateway.app.bridge_options import BridgeOptions
 from igtl_gateway.base import realtime
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import ConfigError, Unavailable

@@ -86,13 +86,16 @@ def got() -> Collector:
 @pytest.fixture
 def decoder(got: Collector) -> Iterator[VideoDecoder]:
     made = VideoDecoder(on_image=got.on_image, on_note=got.on_note)
+    made.start()
     yield made
     got.open.set()
     made.stop()
 
 
 def encoder_of(got: Collector, codec: str = "h264", bit_rate: int = 2_000_000, interval: int = 10) -> VideoEncoder:
-    return VideoEncoder(VideoOptions(codec, bit_rate, interval), on_frame=got.on_frame, on_note=got.on_note)
+    made = VideoEncoder(VideoOptions(codec, bit_rate, interval), on_frame=got.on_frame, on_note=got.on_note)
+    made.start()
+    return made
 
 
 def scene(number: int, width: int = WIDTH, height: int = HEIGHT) -> Pixels:

@@ -19,7 +19,8 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.app.bridge import Bridge, BridgeOptions
+from igtl_gateway.app.bridge import Bridge
+from igtl_gateway.app.bridge_options import BridgeOptions
 from igtl_gateway.app.managed import ManagedBridge
 from igtl_gateway.base.buffers import join
 from igtl_gateway.base.clock import SystemClock

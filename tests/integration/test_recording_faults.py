@@ -25,7 +25,7 @@ from typing import Any
 import pytest
 
 from igtl_gateway.app import bridge as app
-from igtl_gateway.app.bridge import BridgeOptions
+from igtl_gateway.app.bridge_options import BridgeOptions
 from igtl_gateway.base.buffers import join
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.stamp import NS_PER_S, ns_to_ticks

@@ -17,7 +17,8 @@ from typing import Any
 import pytest
 
 from igtl_gateway.addons.zenoh.edge import ZenohEdge
-from igtl_gateway.app.bridge import Bridge, BridgeOptions
+from igtl_gateway.app.bridge import Bridge
+from igtl_gateway.app.bridge_options import BridgeOptions
 from igtl_gateway.app.verification import verify_recording
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.qos import Qos

@@ -86,6 +86,9 @@ class CodecThread(ABC, Generic[T]):
         self._noted = Once()
         self._stopping = False
         self._thread = threading.Thread(target=self._run, name=name, daemon=True)
+
+    def start(self) -> None:
+        """Start the thread; what was submitted before that waits for it."""
         self._thread.start()
 
     def stop(self) -> None:
@@ -96,7 +99,8 @@ class CodecThread(ABC, Generic[T]):
                 self._drop_waiting(stream, "stopped")
             self._turns.clear()
             self._condition.notify()
-        self._thread.join()
+        if self._thread.ident:
+            self._thread.join()
 
     def counters(self) -> dict[str, Any]:
         """Return the counts by stream."""

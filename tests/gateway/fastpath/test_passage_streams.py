@@ -21,8 +21,9 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from igtl_gateway.app import bridge as app
-from igtl_gateway.app.bridge import Bridge, BridgeOptions
+from igtl_gateway.app import ros_traffic as app
+from igtl_gateway.app.bridge import Bridge
+from igtl_gateway.app.bridge_options import BridgeOptions
 from igtl_gateway.base.buffers import join
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
