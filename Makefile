@@ -71,6 +71,7 @@ pins: $(READY)
 
 documents: $(READY)
 	@$(BIN)/python tools/docs.py --check
+	@$(BIN)/python tools/messages.py --check
 
 terms: $(READY)
 	@$(BIN)/python tools/terms.py

@@ -119,6 +119,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "gateway.log.entry": ("Entry", "Kind"),
     "gateway.log.note": ("Level", "Note"),
     "base.qos": ("Qos",),
+    "convert.structs": ("Pose",),
     "base.buffers": ("Buffer", "join"),
     "config.configuration": ("Config", "read_toml"),
     "replay.recorded_config": ("config_to_run",),

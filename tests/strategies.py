@@ -15,7 +15,8 @@ import numpy as np
 from hypothesis import strategies as st
 
 from igtl_gateway.base.buffers import join
-from igtl_gateway.convert import common_msgs, igtl_msgs, robot_msgs, rosmsg
+from igtl_gateway.convert import common_msgs, igtl_msgs, rosmsg
+from igtl_gateway.convert.multi_arrays import MULTI_ARRAYS
 from igtl_gateway.convert.structs import OCTETS, Struct
 from igtl_gateway.wire import Item, Message, Raw, encode
 from igtl_gateway.wire.bind import Bind, BindChild
@@ -528,8 +529,8 @@ def _numbers(name: str) -> st.SearchStrategy[Any]:
 STRUCTS: dict[str, type[Struct]] = {
     kind.TYPE: kind
     for kind in (
-        *(kind for module in (igtl_msgs, common_msgs, robot_msgs) for kind in vars(module).values()),
-        *common_msgs.MULTI_ARRAYS.values(),
+        *(kind for module in (igtl_msgs, common_msgs) for kind in vars(module).values()),
+        *MULTI_ARRAYS.values(),
     )
     if isinstance(kind, type) and issubclass(kind, Struct) and hasattr(kind, "TYPE")
 }

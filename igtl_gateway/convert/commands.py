@@ -11,7 +11,7 @@ import re
 
 from igtl_gateway.convert.columns import fit_texts
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
-from igtl_gateway.convert.igtl_msgs import Command, CommandReply, Items, MetadataItem
+from igtl_gateway.convert.igtl_msgs import Command, CommandReply, MetadataItem
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.wire import command as wire
 from igtl_gateway.wire.fields import visible
@@ -86,7 +86,7 @@ def reply_to_ros(content: wire.Command, to: ToRosContext) -> CommandReply:
     )
 
 
-def reply_result(text: str, metadata: Items) -> tuple[int, str, str]:
+def reply_result(text: str, metadata: tuple[MetadataItem, ...]) -> tuple[int, str, str]:
     """Return status (as in CommandReply), reason of a failure, and the status as sent if it is unknown."""
     attributes = _plus_reply_attributes(text)
     found = _first(metadata, (STATUS,)) or attributes.get(STATUS, "")
@@ -109,7 +109,9 @@ def reply_to_igtl(message: CommandReply, to: ToIgtlContext) -> ConvertedMessage:
     return _outgoing(message, others + ours, _REPLY_TYPE, to)
 
 
-def _outgoing(message: Command | CommandReply, metadata: Items, igtl_type: str, to: ToIgtlContext) -> ConvertedMessage:
+def _outgoing(
+    message: Command | CommandReply, metadata: tuple[MetadataItem, ...], igtl_type: str, to: ToIgtlContext
+) -> ConvertedMessage:
     (name,) = fit_texts((message.name,), _NAME_BYTES, "name of a command", to)
     data, encoding = _encoded(message.content, message.encoding, to)
     return ConvertedMessage(
@@ -133,7 +135,7 @@ def _encoded(text: str, encoding: int, to: ToIgtlContext) -> tuple[bytes, int]:
     return text.encode("utf-8", "surrogateescape"), mib_of(text)
 
 
-def _first(metadata: Items, keys: tuple[str, ...]) -> str:
+def _first(metadata: tuple[MetadataItem, ...], keys: tuple[str, ...]) -> str:
     """Return the first value under ``keys`` that is not empty, or ""."""
     values = {item.key: item.value for item in reversed(metadata)}
     return next((values[key] for key in keys if values.get(key)), "")

@@ -23,8 +23,8 @@ from dataclasses import dataclass, field
 
 from igtl_gateway.base.errors import ConfigError, ConversionError
 from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
-from igtl_gateway.convert.igtl_msgs import Pose
 from igtl_gateway.convert.poses import Quaternion, unit_quaternion
+from igtl_gateway.convert.structs import Pose
 
 #: History of an edge before its newest sample, ns: as in tf2.
 HISTORY_NS = 10_000_000_000

@@ -18,6 +18,9 @@ from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.wire.image import LPS
 
+#: A direction without rotation, column by column.
+IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+
 Xyz = tuple[float, float, float]
 
 _AXES = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

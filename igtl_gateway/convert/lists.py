@@ -15,11 +15,10 @@ from igtl_gateway.base.errors import ConversionError, MalformedBody
 from igtl_gateway.base.stamp import NS_PER_S, ns_to_ticks, ticks_to_ns
 from igtl_gateway.convert import geometry, igtl_msgs
 from igtl_gateway.convert.columns import check_rows, fit_texts, set_text_fields, texts
-from igtl_gateway.convert.common_msgs import Array
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import BoundMessage, ImageMeta, LabelMeta, VideoMeta
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.convert.structs import Struct
+from igtl_gateway.convert.structs import Array, Struct
 from igtl_gateway.convert.units import ieee_754
 from igtl_gateway.wire.bind import Bind, BindChild
 from igtl_gateway.wire.body import Body

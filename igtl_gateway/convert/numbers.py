@@ -15,16 +15,11 @@ import numpy as np
 
 from igtl_gateway.base.errors import ConversionError, MalformedBody
 from igtl_gateway.convert import igtl_msgs
-from igtl_gateway.convert.common_msgs import (
-    MULTI_ARRAYS,
-    Array,
-    JointState,
-    MultiArray,
-    MultiArrayDimension,
-    MultiArrayLayout,
-)
+from igtl_gateway.convert.common_msgs import JointState, MultiArrayDimension, MultiArrayLayout
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
+from igtl_gateway.convert.multi_arrays import MULTI_ARRAYS, MultiArray
 from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.convert.structs import Array
 from igtl_gateway.wire.ndarray import NDARRAY_SCALARS, NdArray
 from igtl_gateway.wire.sensor import MAX_VALUES, Sensor, parse_unit, unit_text
 

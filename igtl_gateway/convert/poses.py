@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from igtl_gateway.base.errors import ConversionError, NotFinite
 from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
-from igtl_gateway.convert.igtl_msgs import Pose
 from igtl_gateway.convert.rosmsg import Header, TransformStamped
+from igtl_gateway.convert.structs import Pose
 from igtl_gateway.convert.units import Number
 from igtl_gateway.wire.transform import Position, Transform
 

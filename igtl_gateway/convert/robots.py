@@ -10,22 +10,22 @@ from __future__ import annotations
 import numpy as np
 
 from igtl_gateway.base.errors import ConversionError
-from igtl_gateway.convert.common_msgs import JointState, PoseStamped
-from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
-from igtl_gateway.convert.igtl_msgs import MetadataItem
-from igtl_gateway.convert.poses import pose_of_matrix
-from igtl_gateway.convert.robot_msgs import (
-    Array,
+from igtl_gateway.convert.common_msgs import (
     Empty,
+    JointState,
     Joy,
     OperatingState,
-    SixNumbers,
+    PoseStamped,
     StringStamped,
     TwistStamped,
     WrenchStamped,
 )
+from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
+from igtl_gateway.convert.igtl_msgs import MetadataItem
+from igtl_gateway.convert.poses import pose_of_matrix
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.rosmsg import String as RosString
+from igtl_gateway.convert.structs import Array, SixNumbers
 from igtl_gateway.convert.texts import string_to_igtl
 from igtl_gateway.wire.ndarray import NdArray
 from igtl_gateway.wire.sensor import MAX_VALUES, Sensor

@@ -291,7 +291,11 @@ class Marker:
 
     @classmethod
     def unpack(cls, cdr: Buffer) -> Self:
-        read = CdrReader(cdr, cls.TYPE)
+        return cls.read(CdrReader(cdr, cls.TYPE))
+
+    @classmethod
+    def read(cls, read: CdrReader) -> Self:
+        """Read up to ``text``."""
         header, ns = Header.read(read), read.string()
         marker_id, kind, action = read.i32(), read.i32(), read.i32()
         pose = read.unpack("10d", 8)
@@ -323,8 +327,7 @@ class DiagnosticStatus:
     hardware_id: str = ""
     values: tuple[tuple[str, str], ...] = ()
 
-    def pack(self) -> bytes:
-        out = CdrWriter()
+    def write(self, out: CdrWriter) -> None:
         out.u8(self.level)
         out.string(self.name)
         out.string(self.message)
@@ -333,10 +336,17 @@ class DiagnosticStatus:
         for key, value in self.values:
             out.string(key)
             out.string(value)
+
+    @classmethod
+    def read(cls, cdr: CdrReader) -> Self:
+        level, name, message, hardware = cdr.u8(), cdr.string(), cdr.string(), cdr.string()
+        return cls(level, name, message, hardware, tuple((cdr.string(), cdr.string()) for _ in range(cdr.count())))
+
+    def pack(self) -> bytes:
+        out = CdrWriter()
+        self.write(out)
         return out.finish()
 
     @classmethod
     def unpack(cls, cdr: Buffer) -> Self:
-        read = CdrReader(cdr, cls.TYPE)
-        level, name, message, hardware = read.u8(), read.string(), read.string(), read.string()
-        return cls(level, name, message, hardware, tuple((read.string(), read.string()) for _ in range(read.count())))
+        return cls.read(CdrReader(cdr, cls.TYPE))

@@ -12,11 +12,21 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, Self, get_type_hints
 
 import numpy as np
+import numpy.typing as npt
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.base.stamp import ns_to_ros, ros_to_ns
 from igtl_gateway.convert.cdr import CdrReader, CdrWriter
+from igtl_gateway.convert.rosmsg import DiagnosticStatus, Header
+
+#: The values of fields: number arrays, and structs or arrays of equal numbers.
+Array = npt.NDArray[Any]
+Point = tuple[float, float, float]
+SixNumbers = tuple[float, float, float, float, float, float]
+Pose = tuple[float, float, float, float, float, float, float]
+Size = tuple[int, int, int]
+Rgba = tuple[int, int, int, int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +74,10 @@ TIME = CdrType(
     lambda out, ns: out.pack(_TIME, 4, *ns_to_ros(ns)),
     lambda read: ros_to_ns(*read.unpack("iI", 4)),
 )
+HEADER = CdrType("std_msgs/Header", lambda out, header: header.write(out), Header.read)
+DIAGNOSTIC_STATUS = CdrType(
+    "diagnostic_msgs/DiagnosticStatus", lambda out, status: status.write(out), DiagnosticStatus.read
+)
 
 
 def fixed_array(name: str, count: int, *, as_name: str = "") -> CdrType:
@@ -86,6 +100,10 @@ def fixed_array(name: str, count: int, *, as_name: str = "") -> CdrType:
 POINT = fixed_array("float64", 3, as_name="geometry_msgs/Point")
 #: geometry_msgs/Pose: position x, y, z, then orientation x, y, z, w.
 POSE = fixed_array("float64", 7, as_name="geometry_msgs/Pose")
+#: Linear, then angular x, y, z.
+TWIST = fixed_array("float64", 6, as_name="geometry_msgs/Twist")
+#: Force, then torque x, y, z.
+WRENCH = fixed_array("float64", 6, as_name="geometry_msgs/Wrench")
 
 
 def number_sequence(name: str, columns: int = 1, *, as_name: str = "") -> CdrType:
@@ -106,6 +124,8 @@ def number_sequence(name: str, columns: int = 1, *, as_name: str = "") -> CdrTyp
 
 #: geometry_msgs/Point[] as an array (n, 3).
 POINTS = number_sequence("float64", 3, as_name="geometry_msgs/Point[]")
+#: geometry_msgs/Pose[] as an array (n, 7).
+POSES = number_sequence("float64", 7, as_name="geometry_msgs/Pose[]")
 
 
 def struct_of(of: CdrType | type[Struct]) -> CdrType:

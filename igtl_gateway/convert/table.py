@@ -25,7 +25,6 @@ from igtl_gateway.convert import (
     polydata,
     poses,
     queries,
-    robot_msgs,
     robots,
     rosmsg,
     surfaces,
@@ -36,6 +35,7 @@ from igtl_gateway.convert import (
     volumes,
 )
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
+from igtl_gateway.convert.multi_arrays import MULTI_ARRAYS
 from igtl_gateway.convert.rosmsg import RosMessage
 from igtl_gateway.wire.bind import Bind
 from igtl_gateway.wire.capability import Capability
@@ -257,7 +257,7 @@ TO_ROS: tuple[ConversionToRos, ...] = (
     ConversionToRos(
         ("SENSOR",),
         Sensor,
-        common_msgs.MULTI_ARRAYS["f8"],
+        MULTI_ARRAYS["f8"],
         "values",
         numbers.sensor_to_values,
         _STATES,
@@ -275,7 +275,7 @@ TO_ROS: tuple[ConversionToRos, ...] = (
             lossy="stamp",
             applies=numbers.is_array_of(code),
         )
-        for code, message in common_msgs.MULTI_ARRAYS.items()
+        for code, message in MULTI_ARRAYS.items()
     ),
     ConversionToRos(
         ("COMMAND",),
@@ -498,10 +498,10 @@ TO_ROS: tuple[ConversionToRos, ...] = (
         ConversionToRos(("SENSOR",), Sensor, message, kind, convert, _STATES, lossy, role=Role.ON_REQUEST)
         for message, kind, convert, lossy in (
             (common_msgs.JointState, "joint_command", robots.sensor_to_joints, "unit, status"),
-            (robot_msgs.TwistStamped, "twist", robots.sensor_to_twist, "unit, status"),
-            (robot_msgs.WrenchStamped, "wrench", robots.sensor_to_wrench, "unit, status"),
+            (common_msgs.TwistStamped, "twist", robots.sensor_to_twist, "unit, status"),
+            (common_msgs.WrenchStamped, "wrench", robots.sensor_to_wrench, "unit, status"),
             (
-                robot_msgs.Joy,
+                common_msgs.Joy,
                 "buttons",
                 robots.sensor_to_joy,
                 "unit, status; values that are not integers are rejected",
@@ -511,9 +511,9 @@ TO_ROS: tuple[ConversionToRos, ...] = (
     *(
         ConversionToRos(("STRING",), String, message, kind, convert, _TEXTS, lossy, role=Role.ON_REQUEST)
         for message, kind, convert, lossy in (
-            (robot_msgs.OperatingState, "operating_state", robots.string_to_state, "words other than homed and busy"),
-            (robot_msgs.StringStamped, "string_stamped", robots.string_to_stamped, "encoding (UTF-8)"),
-            (robot_msgs.Empty, "empty", robots.string_to_empty, "the text"),
+            (common_msgs.OperatingState, "operating_state", robots.string_to_state, "words other than homed and busy"),
+            (common_msgs.StringStamped, "string_stamped", robots.string_to_stamped, "encoding (UTF-8)"),
+            (common_msgs.Empty, "empty", robots.string_to_empty, "the text"),
         )
     ),
 )
@@ -573,9 +573,9 @@ TO_IGTL: tuple[ConversionToIgtl, ...] = (
     ConversionToIgtl(igtl_msgs.NdArray, "NDARRAY", numbers.array_to_igtl, _STATES, "byte order (big-endian)"),
     *(
         ConversionToIgtl(message, "NDARRAY", numbers.multi_to_array, _STATES, "labels, gaps between rows")
-        for message in common_msgs.MULTI_ARRAYS.values()
+        for message in MULTI_ARRAYS.values()
     ),
-    ConversionToIgtl(common_msgs.MULTI_ARRAYS["f8"], "SENSOR", numbers.values_to_sensor, _STATES, "layout"),
+    ConversionToIgtl(MULTI_ARRAYS["f8"], "SENSOR", numbers.values_to_sensor, _STATES, "layout"),
     ConversionToIgtl(
         igtl_msgs.Command, "COMMAND", commands.command_to_igtl, _TEXTS, "timeout, names of more than 127 bytes"
     ),
@@ -679,14 +679,14 @@ TO_IGTL: tuple[ConversionToIgtl, ...] = (
     *(
         ConversionToIgtl(message, igtl_type, convert, qos, lossy)
         for message, igtl_type, convert, qos, lossy in (
-            (robot_msgs.TwistStamped, "SENSOR", robots.twist_to_sensor, _STATES, _HEADER_1),
-            (robot_msgs.WrenchStamped, "SENSOR", robots.wrench_to_sensor, _STATES, _HEADER_1),
-            (robot_msgs.Joy, "SENSOR", robots.joy_to_sensor, _STATES, f"axes; {_HEADER_1}"),
+            (common_msgs.TwistStamped, "SENSOR", robots.twist_to_sensor, _STATES, _HEADER_1),
+            (common_msgs.WrenchStamped, "SENSOR", robots.wrench_to_sensor, _STATES, _HEADER_1),
+            (common_msgs.Joy, "SENSOR", robots.joy_to_sensor, _STATES, f"axes; {_HEADER_1}"),
             (
-                *(robot_msgs.OperatingState, "STRING", robots.state_to_string, _STATES_LATCHED),
+                *(common_msgs.OperatingState, "STRING", robots.state_to_string, _STATES_LATCHED),
                 f"states with a blank; {_HEADER_1}",
             ),
-            (robot_msgs.StringStamped, "STRING", robots.stamped_to_string, _TEXTS, _HEADER_1),
+            (common_msgs.StringStamped, "STRING", robots.stamped_to_string, _TEXTS, _HEADER_1),
         )
     ),
 )

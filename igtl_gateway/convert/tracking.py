@@ -19,7 +19,7 @@ from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.columns import check_rows, set_text_fields, texts
 from igtl_gateway.convert.common_msgs import FrameTransform, PoseArray, TFMessage
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
-from igtl_gateway.convert.igtl_msgs import Pose, TrackedTool, TrackingData
+from igtl_gateway.convert.igtl_msgs import TrackedTool, TrackingData
 from igtl_gateway.convert.names import frames_of, topic_token
 from igtl_gateway.convert.poses import (
     pose_of_matrix,
@@ -29,6 +29,7 @@ from igtl_gateway.convert.poses import (
     transform_to_ros,
 )
 from igtl_gateway.convert.rosmsg import Header, TransformStamped
+from igtl_gateway.convert.structs import Pose
 from igtl_gateway.convert.units import ieee_754
 from igtl_gateway.wire import tracking as wire
 from igtl_gateway.wire.transform import Position, Transform

@@ -16,8 +16,8 @@ from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.convert import frames as module
 from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
 from igtl_gateway.convert.frames import HISTORY_NS, FrameTree, TfRequest
-from igtl_gateway.convert.igtl_msgs import Pose
 from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.convert.structs import Pose
 from tests.tables import table
 
 H = math.sqrt(0.5)

@@ -1,10 +1,7 @@
-"""Our own messages: the value classes against the definitions of the package, by an independent serialiser."""
+"""The generated message classes against the definitions, by an independent serialiser."""
 
 from __future__ import annotations
 
-import dataclasses
-import re
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,19 +9,23 @@ import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
+from igtl_gateway.addons.view import other_msgs
 from igtl_gateway.base.errors import ConversionError
-from igtl_gateway.convert import igtl_msgs
+from igtl_gateway.convert import common_msgs, igtl_msgs
+from igtl_gateway.convert.interfaces import definition_folder
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.structs import Struct
 from igtl_gateway.record.sessionfile.layout import OWN_TYPES
 from tests.places import ROOT
 from tests.tables import table
+from tools import messages
 
 DEFINITIONS = ROOT / "ros2" / "igtl_msgs" / "msg"
 CLASSES = {
     kind.TYPE: kind
-    for kind in vars(igtl_msgs).values()
-    if isinstance(kind, type) and issubclass(kind, Struct) and kind is not Struct
+    for module in (igtl_msgs, common_msgs, other_msgs)
+    for kind in vars(module).values()
+    if isinstance(kind, type) and issubclass(kind, Struct) and hasattr(kind, "TYPE")
 }
 #: Packed by hand in sessionfile/layout.
 BY_HAND = {"igtl_msgs/msg/Note"}
@@ -32,8 +33,9 @@ BY_HAND = {"igtl_msgs/msg/Note"}
 
 def store() -> Typestore:
     known = get_typestore(Stores.ROS2_JAZZY)
-    for path in sorted(DEFINITIONS.glob("*.msg")):
-        known.register(get_types_from_msg(path.read_text("utf-8"), f"igtl_msgs/msg/{path.stem}"))
+    for package in ("igtl_msgs", "foxglove_msgs", "crtk_msgs"):
+        for path in sorted(definition_folder(package).glob("msg/*.msg")):
+            known.register(get_types_from_msg(path.read_text("utf-8"), f"{package}/msg/{path.stem}"))
     return known
 
 
@@ -41,27 +43,24 @@ STORE = store()
 
 
 def test_every_definition_has_its_class() -> None:
-    assert {f"igtl_msgs/msg/{path.stem}" for path in DEFINITIONS.glob("*.msg")} == CLASSES.keys() | BY_HAND
+    ours = {name for name in CLASSES if name.startswith("igtl_msgs/")}
+    assert {f"igtl_msgs/msg/{path.stem}" for path in DEFINITIONS.glob("*.msg")} == ours | BY_HAND
+
+
+def test_the_classes_are_what_the_definitions_give() -> None:
+    assert messages.stale() == [], "python tools/messages.py"
+
+
+def test_a_changed_definition_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    text = messages.text_of("igtl_msgs/msg/Capability")
+    monkeypatch.setattr(messages, "text_of", lambda name: text.replace("types", "kinds") if "Cap" in name else "")
+    row = next(row for row in messages.MODULES[0].rows if row.python == "Capability")
+    assert "    kinds: Annotated[tuple[str, ...], sequence_of(STRING)]" in messages.class_of(row)
 
 
 @pytest.mark.parametrize("name", OWN_TYPES)
 def test_the_recording_has_the_same_definitions(name: str) -> None:
     assert OWN_TYPES[name] == (DEFINITIONS / f"{name.rpartition('/')[2]}.msg").read_text("utf-8")
-
-
-def fields_of(path: Path) -> list[tuple[str, str]]:
-    lines = (line.partition("#")[0].split() for line in path.read_text("utf-8").splitlines())
-    return [(line[0], line[1]) for line in lines if len(line) == 2 and "=" not in line[1]]
-
-
-@table("kind", CLASSES.values(), ids=lambda kind: kind.__name__)
-def test_fields_are_those_of_the_definition(kind: type[Struct]) -> None:
-    wanted = fields_of(DEFINITIONS / f"{kind.__name__}.msg")
-    have = [
-        (re.sub(r"^igtl_msgs/(msg/)?", "", cdr.name), re.sub("_ns$", "", item.name))
-        for item, cdr in zip(dataclasses.fields(kind), kind.FIELDS, strict=True)  # type: ignore[arg-type]
-    ]
-    assert have == wanted
 
 
 def sample(name: str, depth: int = 0) -> Any:

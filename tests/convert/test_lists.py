@@ -15,6 +15,7 @@ from igtl_gateway.base.stamp import NS_PER_S, ns_to_ticks, ticks_to_ns
 from igtl_gateway.convert import igtl_msgs, lists
 from igtl_gateway.convert.columns import MAX_ROWS
 from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
+from igtl_gateway.convert.geometry import IDENTITY
 from igtl_gateway.convert.igtl_msgs import BoundMessage, ImageMeta, LabelMeta, MetadataItem, VideoMeta
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.units import LengthUnits
@@ -159,7 +160,7 @@ def test_a_video_without_a_place_is_on_offer_all_the_same() -> None:
     lost, found = published(content).videos
     assert (lost.name, found.name) == ("lost", "found")
     assert all(np.isnan(lost.direction))
-    assert found.direction == igtl_msgs.IDENTITY
+    assert found.direction == IDENTITY
 
 
 def test_an_image_golden() -> None:

@@ -13,9 +13,10 @@ from hypothesis import strategies as st
 from igtl_gateway.base.buffers import join
 from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert import igtl_msgs, numbers
-from igtl_gateway.convert.common_msgs import MULTI_ARRAYS, JointState, MultiArrayDimension, MultiArrayLayout
+from igtl_gateway.convert.common_msgs import JointState, MultiArrayDimension, MultiArrayLayout
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import MetadataItem
+from igtl_gateway.convert.multi_arrays import MULTI_ARRAYS
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.wire.ndarray import NDARRAY_SCALARS, NdArray
 from igtl_gateway.wire.sensor import Sensor, parse_unit

@@ -15,7 +15,8 @@ from igtl_gateway.base.buffers import join
 from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert.common_msgs import CompressedImage, CompressedVideo
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
-from igtl_gateway.convert.igtl_msgs import IDENTITY, MetadataItem, VideoFrame
+from igtl_gateway.convert.geometry import IDENTITY
+from igtl_gateway.convert.igtl_msgs import MetadataItem, VideoFrame
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.videos import (
     DELTA_FRAME,

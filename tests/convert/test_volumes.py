@@ -15,7 +15,8 @@ from igtl_gateway.base.buffers import join
 from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
-from igtl_gateway.convert.igtl_msgs import IDENTITY, MetadataItem, Volume
+from igtl_gateway.convert.geometry import IDENTITY
+from igtl_gateway.convert.igtl_msgs import MetadataItem, Volume
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.volumes import (
     exceeds_picture,

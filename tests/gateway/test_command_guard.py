@@ -16,9 +16,17 @@ from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert import crtk
 from igtl_gateway.convert.arms import ArmsRow
-from igtl_gateway.convert.common_msgs import JointState, PoseStamped
+from igtl_gateway.convert.common_msgs import (
+    Empty,
+    JointState,
+    Joy,
+    OperatingState,
+    PoseStamped,
+    StringStamped,
+    TwistStamped,
+    WrenchStamped,
+)
 from igtl_gateway.convert.poses import rotation_matrix
-from igtl_gateway.convert.robot_msgs import Empty, Joy, OperatingState, StringStamped, TwistStamped, WrenchStamped
 from igtl_gateway.convert.rosmsg import Header, RosMessage, String, TransformStamped
 from igtl_gateway.gateway import LINKS_TOPIC
 from igtl_gateway.gateway.command_guard import CODES

@@ -10,9 +10,10 @@ import pytest
 from igtl_gateway.base.buffers import join
 from igtl_gateway.config.configuration import Config, PeerRow, ToIgtlRow
 from igtl_gateway.convert import rosmsg
-from igtl_gateway.convert.common_msgs import MULTI_ARRAYS, MultiArrayLayout
+from igtl_gateway.convert.common_msgs import MultiArrayLayout
 from igtl_gateway.convert.igtl_msgs import Command as RosCommand
 from igtl_gateway.convert.igtl_msgs import CommandReply, LinkStatusList, TrackedTool, TrackingData
+from igtl_gateway.convert.multi_arrays import MULTI_ARRAYS
 from igtl_gateway.convert.plus_signs import MAX_SEARCHED
 from igtl_gateway.convert.profiles import CPP_FACTORY
 from igtl_gateway.convert.raw import raw_message

@@ -14,9 +14,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import ConversionError
+from igtl_gateway.addon import ConversionError, Pose
 from igtl_gateway.convert.frames import frame_id
-from igtl_gateway.convert.igtl_msgs import Pose
 
 Array = npt.NDArray[Any]
 

@@ -15,9 +15,9 @@ from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.colours import SERIES
 from igtl_gateway.addons.view.contents import EntityKind
 from igtl_gateway.addons.view.other_msgs import Float64
-from igtl_gateway.convert.common_msgs import JointState, MultiArray
+from igtl_gateway.convert.common_msgs import JointState, Joy, TwistStamped, WrenchStamped
 from igtl_gateway.convert.igtl_msgs import NdArray, Sensor
-from igtl_gateway.convert.robot_msgs import Joy, TwistStamped, WrenchStamped
+from igtl_gateway.convert.multi_arrays import MultiArray
 from igtl_gateway.wire.ndarray import NDARRAY_SCALARS
 
 #: Up to this many numbers are curves; more numbers are a bar chart.

@@ -13,9 +13,8 @@ from igtl_gateway.addon import Buffer, ConversionError
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.colours import span
 from igtl_gateway.addons.view.contents import PLACES
-from igtl_gateway.addons.view.other_msgs import CameraInfo
 from igtl_gateway.convert.bitstream import is_key_frame
-from igtl_gateway.convert.common_msgs import CompressedImage, CompressedVideo
+from igtl_gateway.convert.common_msgs import CameraInfo, CompressedImage, CompressedVideo
 from igtl_gateway.convert.framesize import frame_size
 from igtl_gateway.convert.igtl_msgs import ColorTable, VideoFrame
 from igtl_gateway.convert.rosmsg import Image

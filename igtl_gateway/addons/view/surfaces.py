@@ -14,7 +14,8 @@ from igtl_gateway.addons.view import colours
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.clouds import POINT_M
 from igtl_gateway.addons.view.contents import EntityKind, escape_path_part
-from igtl_gateway.addons.view.other_msgs import MarkerArray, Path
+from igtl_gateway.addons.view.markers import MarkerArray
+from igtl_gateway.addons.view.other_msgs import Path
 from igtl_gateway.convert import surfaces
 from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import PolyData, TrajectoryList

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from igtl_gateway.addon import Buffer
-from igtl_gateway.addons.view import clouds, numbers, other_msgs, pictures2d, poses, surfaces, volumes, words
+from igtl_gateway.addons.view import clouds, markers, numbers, other_msgs, pictures2d, poses, surfaces, volumes, words
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.contents import EntityKind
-from igtl_gateway.convert import common_msgs, igtl_msgs, robot_msgs, rosmsg
+from igtl_gateway.convert import common_msgs, igtl_msgs, rosmsg
+from igtl_gateway.convert.multi_arrays import MULTI_ARRAYS
 
 
 class Readable(Protocol):
@@ -56,26 +57,26 @@ _ROWS = (
     Picture(common_msgs.CompressedImage, EntityKind.VIDEO, pictures2d.draw_compressed_image, 1),
     Picture(common_msgs.CompressedVideo, EntityKind.VIDEO, pictures2d.draw_compressed_video, 2),
     Picture(igtl_msgs.VideoFrame, EntityKind.VIDEO, pictures2d.draw_video_frame, 3),
-    Picture(other_msgs.CameraInfo, EntityKind.CAMERA, pictures2d.draw_camera),
+    Picture(common_msgs.CameraInfo, EntityKind.CAMERA, pictures2d.draw_camera),
     Picture(igtl_msgs.Volume, EntityKind.VOLUME, volumes.draw_volume, 2),
     Picture(igtl_msgs.ColorTable, EntityKind.IMAGE, pictures2d.draw_color_table),
     Picture(rosmsg.Mesh, EntityKind.MESH, surfaces.draw_mesh, 2),
     Picture(rosmsg.Marker, EntityKind.MARKERS, surfaces.draw_marker, 1),
-    Picture(other_msgs.MarkerArray, EntityKind.MARKERS, surfaces.draw_marker_array),
+    Picture(markers.MarkerArray, EntityKind.MARKERS, surfaces.draw_marker_array),
     Picture(igtl_msgs.PolyData, EntityKind.MESH, surfaces.draw_polydata, 3),
     Picture(igtl_msgs.TrajectoryList, EntityKind.LINES, surfaces.draw_trajectories, 3),
     Picture(other_msgs.Path, EntityKind.LINES, surfaces.draw_path),
     Picture(common_msgs.JointState, EntityKind.PLOT, numbers.draw_joints),
     Picture(igtl_msgs.Sensor, EntityKind.PLOT, numbers.draw_sensor),
     Picture(other_msgs.Float64, EntityKind.PLOT, numbers.draw_number),
-    Picture(robot_msgs.WrenchStamped, EntityKind.PLOT, numbers.draw_wrench),
-    Picture(robot_msgs.TwistStamped, EntityKind.PLOT, numbers.draw_twist),
-    Picture(robot_msgs.Joy, EntityKind.PLOT, numbers.draw_buttons),
-    Picture(robot_msgs.OperatingState, EntityKind.TEXT, words.draw_state),
-    Picture(robot_msgs.StringStamped, EntityKind.TEXT, words.draw_stamped_string),
-    Picture(robot_msgs.Empty, EntityKind.TEXT, words.draw_empty),
+    Picture(common_msgs.WrenchStamped, EntityKind.PLOT, numbers.draw_wrench),
+    Picture(common_msgs.TwistStamped, EntityKind.PLOT, numbers.draw_twist),
+    Picture(common_msgs.Joy, EntityKind.PLOT, numbers.draw_buttons),
+    Picture(common_msgs.OperatingState, EntityKind.TEXT, words.draw_state),
+    Picture(common_msgs.StringStamped, EntityKind.TEXT, words.draw_stamped_string),
+    Picture(common_msgs.Empty, EntityKind.TEXT, words.draw_empty),
     Picture(igtl_msgs.NdArray, EntityKind.PLOT, numbers.draw_array),
-    *(Picture(message, EntityKind.PLOT, numbers.draw_multi_array) for message in common_msgs.MULTI_ARRAYS.values()),
+    *(Picture(message, EntityKind.PLOT, numbers.draw_multi_array) for message in MULTI_ARRAYS.values()),
     Picture(rosmsg.String, EntityKind.TEXT, words.draw_string),
     Picture(rosmsg.DiagnosticStatus, EntityKind.TEXT, words.draw_status),
     Picture(other_msgs.Log, EntityKind.TEXT, words.draw_log),

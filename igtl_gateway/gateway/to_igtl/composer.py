@@ -7,7 +7,7 @@ from dataclasses import replace
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext
 from igtl_gateway.convert.frames import MAX_FRAMES
-from igtl_gateway.convert.igtl_msgs import Size
+from igtl_gateway.convert.structs import Size
 from igtl_gateway.convert.table import ConversionToIgtl
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.streams import Streams, ToIgtlStream

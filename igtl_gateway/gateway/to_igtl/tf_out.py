@@ -12,9 +12,10 @@ from igtl_gateway.config.configuration import Config, TfOutRow
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.context import ToIgtlContext
 from igtl_gateway.convert.frames import FrameTree, TfRequest
-from igtl_gateway.convert.igtl_msgs import Pose, TrackedTool
+from igtl_gateway.convert.igtl_msgs import TrackedTool
 from igtl_gateway.convert.igtl_msgs import TrackingData as RosTrackingData
 from igtl_gateway.convert.rosmsg import Header, TransformStamped
+from igtl_gateway.convert.structs import Pose
 from igtl_gateway.convert.table import row_to_igtl
 from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.gateway.to_igtl.sender import OutboundMessage

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from igtl_gateway.convert.frames import compose
-from igtl_gateway.convert.igtl_msgs import Pose
 from igtl_gateway.convert.poses import rotation_matrix
+from igtl_gateway.convert.structs import Pose
 from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.gateway.peers import Peer
 from igtl_gateway.gateway.to_igtl.sender import OutboundMessage

@@ -16,9 +16,8 @@ from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.arms import ArmsRow
-from igtl_gateway.convert.common_msgs import PoseStamped
+from igtl_gateway.convert.common_msgs import PoseStamped, StringStamped
 from igtl_gateway.convert.poses import rotation_matrix
-from igtl_gateway.convert.robot_msgs import StringStamped
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.text import String

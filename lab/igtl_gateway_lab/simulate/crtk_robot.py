@@ -12,8 +12,7 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from igtl_gateway.base.stamp import NS_PER_MS
-from igtl_gateway.convert.common_msgs import JointState, PoseStamped
-from igtl_gateway.convert.robot_msgs import OperatingState, StringStamped, TwistStamped
+from igtl_gateway.convert.common_msgs import JointState, OperatingState, PoseStamped, StringStamped, TwistStamped
 from igtl_gateway.convert.rosmsg import Header, RosMessage, String
 from igtl_gateway_lab.simulate.actor import ActorProtocol, ActorReport, Publishes, Received, RosReceived, RosSent
 from igtl_gateway_lab.simulate.crtk_arm import ARMS, STEP, WORLD, Arm, Pose, urdf

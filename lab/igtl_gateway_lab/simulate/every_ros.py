@@ -9,10 +9,13 @@ import numpy as np
 
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.config.configuration import ToIgtlRow
-from igtl_gateway.convert import common_msgs, igtl_msgs, robot_msgs, rosmsg
+from igtl_gateway.convert import common_msgs, igtl_msgs, rosmsg
 from igtl_gateway.convert.common_msgs import FrameTransform, MultiArrayDimension, MultiArrayLayout, TFMessage
-from igtl_gateway.convert.igtl_msgs import MetadataItem, Pose, Query, TrackedTool
+from igtl_gateway.convert.geometry import IDENTITY
+from igtl_gateway.convert.igtl_msgs import MetadataItem, Query, TrackedTool
+from igtl_gateway.convert.multi_arrays import MULTI_ARRAYS
 from igtl_gateway.convert.rosmsg import Header, RosMessage
+from igtl_gateway.convert.structs import Pose
 from igtl_gateway.wire.image import LPS, RAS
 from igtl_gateway.wire.tracking import TOOL_3D, TOOL_6D
 from igtl_gateway_lab.simulate.every_igtl import H264_KEY, H264_NEXT, TILTED, TURNED
@@ -117,9 +120,9 @@ def _numbers() -> Iterator[Published]:
     yield "Force", "", igtl_msgs.Sensor(_BASE, 0, 0, "N", force, _ITEMS)
     yield "Force/joints", "", common_msgs.JointState(_BASE, ("a1", "a2", "a3"), force)
     square = MultiArrayLayout((MultiArrayDimension("rows", 2, 6), MultiArrayDimension("columns", 3, 3)))
-    for code, message in common_msgs.MULTI_ARRAYS.items():
+    for code, message in MULTI_ARRAYS.items():
         yield f"Array/{np.dtype(code).name}", "", message(square, np.arange(6).astype(code))
-    yield "Force/values", "SENSOR", common_msgs.MULTI_ARRAYS["f8"](MultiArrayLayout(), force)
+    yield "Force/values", "SENSOR", MULTI_ARRAYS["f8"](MultiArrayLayout(), force)
     complex_pair = np.array([1 + 2j, 3 - 4j], "<c16").tobytes()
     yield "Array/array", "", igtl_msgs.NdArray(_BASE, 13, np.array([2]), False, complex_pair, _ITEMS)
     ramp = np.arange(256, dtype="<u2") * 257
@@ -130,11 +133,11 @@ def robot_messages() -> Iterator[Published]:
     """What an arm with CRTK topics sends."""
     state = common_msgs.JointState(_BASE, ("yaw", "insertion"), np.array([0.25, 0.125]), effort=np.array([0.5, 1.0]))
     yield "Arm/measured_js", "NDARRAY", state
-    yield "Arm/measured_cv", "", robot_msgs.TwistStamped(_BASE, (0.125, 0.25, 0.5, 1.0, 2.0, 4.0))
-    yield "Arm/measured_cf", "", robot_msgs.WrenchStamped(_BASE, (1.0, 2.0, 3.0, 0.125, 0.25, 0.5))
-    yield "Arm/clutch", "", robot_msgs.Joy(_BASE, buttons=np.array([1], np.int32))
-    yield "Arm/operating_state", "", robot_msgs.OperatingState(_BASE, "ENABLED", is_homed=True)
-    yield "Arm/state_command", "", robot_msgs.StringStamped(_BASE, "home")
+    yield "Arm/measured_cv", "", common_msgs.TwistStamped(_BASE, (0.125, 0.25, 0.5, 1.0, 2.0, 4.0))
+    yield "Arm/measured_cf", "", common_msgs.WrenchStamped(_BASE, (1.0, 2.0, 3.0, 0.125, 0.25, 0.5))
+    yield "Arm/clutch", "", common_msgs.Joy(_BASE, buttons=np.array([1], np.int32))
+    yield "Arm/operating_state", "", common_msgs.OperatingState(_BASE, "ENABLED", is_homed=True)
+    yield "Arm/state_command", "", common_msgs.StringStamped(_BASE, "home")
 
 
 def _videos() -> Iterator[Published]:
@@ -142,7 +145,7 @@ def _videos() -> Iterator[Published]:
     yield "Camera/compressed_image", "", common_msgs.CompressedImage(_BASE, "h264", H264_KEY)
     yield "Camera/compressed_image", "", common_msgs.CompressedImage(_BASE, "h264", H264_NEXT)
     yield "Camera/compressed_video", "", common_msgs.CompressedVideo(0, "Base", H264_KEY, "h264")
-    place = (igtl_msgs.IDENTITY, (0.001, 0.001, 0.001), (0.01, 0.02, 0.03))
+    place = (IDENTITY, (0.001, 0.001, 0.001), (0.01, 0.02, 0.03))
     sizes = ((32, 32, 1), (0, 0, 0), (32, 32, 1))
     yield "Camera/video_frame", "", igtl_msgs.VideoFrame(_BASE, "H264", 1, False, *sizes, RAS, *place, H264_KEY, _ITEMS)
 
@@ -155,7 +158,7 @@ def _lists() -> Iterator[Published]:
     yield "Labels", "", igtl_msgs.LabelMetaList(_BASE, (label,), _ITEMS)
     video = igtl_msgs.VideoMeta(
         *("Scope", "Endoscope", "Phantom^One", "P-1", -2, 0.0355, (1920, 1080, 1)),
-        *(igtl_msgs.IDENTITY, (0.001, 0.001, 0.001), (0.01, 0.02, 0.03), 3),
+        *(IDENTITY, (0.001, 0.001, 0.001), (0.01, 0.02, 0.03), 3),
     )
     yield "Videos", "", igtl_msgs.VideoMetaList(_BASE, (video,), _ITEMS)
     bound = igtl_msgs.BoundMessage("STRING", "Text", b"\x00\x03\x00\x03odd")

@@ -9,7 +9,7 @@ import pytest
 
 from igtl_gateway.addons.review.frames import FramePoses
 from igtl_gateway.base.errors import ConversionError
-from igtl_gateway.convert.igtl_msgs import Pose
+from igtl_gateway.convert.structs import Pose
 
 _QUARTER = (0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5))  # about z
 _NONE = (0.0, 0.0, 0.0, 1.0)

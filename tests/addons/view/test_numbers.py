@@ -9,9 +9,9 @@ pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 
 from igtl_gateway.addons.view.contents import EntityKind
 from igtl_gateway.addons.view.other_msgs import Float64
-from igtl_gateway.convert.common_msgs import MULTI_ARRAYS, JointState, MultiArrayDimension, MultiArrayLayout
+from igtl_gateway.convert.common_msgs import JointState, MultiArrayDimension, MultiArrayLayout, WrenchStamped
 from igtl_gateway.convert.igtl_msgs import NdArray, Sensor
-from igtl_gateway.convert.robot_msgs import WrenchStamped
+from igtl_gateway.convert.multi_arrays import MULTI_ARRAYS
 from igtl_gateway.convert.rosmsg import Header
 
 from .conftest import Draw

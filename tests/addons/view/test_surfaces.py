@@ -10,7 +10,8 @@ import pytest
 pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 
 from igtl_gateway.addons.view.contents import EntityKind
-from igtl_gateway.addons.view.other_msgs import MarkerArray, Path
+from igtl_gateway.addons.view.markers import MarkerArray
+from igtl_gateway.addons.view.other_msgs import Path
 from igtl_gateway.convert.cdr import CdrWriter
 from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.igtl_msgs import PolyData, PolyDataAttribute, Trajectory, TrajectoryList

@@ -11,7 +11,8 @@ pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 
 from igtl_gateway.addons.view.contents import EntityKind
 from igtl_gateway.addons.view.volumes import square
-from igtl_gateway.convert.igtl_msgs import IDENTITY, Volume
+from igtl_gateway.convert.geometry import IDENTITY
+from igtl_gateway.convert.igtl_msgs import Volume
 from igtl_gateway.convert.rosmsg import Header
 
 from .conftest import Draw

@@ -7,8 +7,9 @@ import pytest
 
 from igtl_gateway.config.configuration import Config, PeerRow, TfOutRow, ToIgtlRow
 from igtl_gateway.convert import rosmsg
-from igtl_gateway.convert.common_msgs import MULTI_ARRAYS, FrameTransform, MultiArrayLayout, TFMessage
+from igtl_gateway.convert.common_msgs import FrameTransform, MultiArrayLayout, TFMessage
 from igtl_gateway.convert.igtl_msgs import MetadataItem, PointList, Query, TrackedTool, TrackingData
+from igtl_gateway.convert.multi_arrays import MULTI_ARRAYS
 from igtl_gateway.convert.profiles import PROFILES
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.gateway import outcome, streams

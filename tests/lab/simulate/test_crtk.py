@@ -7,9 +7,8 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
-from igtl_gateway.convert.common_msgs import JointState, PoseStamped
+from igtl_gateway.convert.common_msgs import JointState, PoseStamped, StringStamped
 from igtl_gateway.convert.poses import rotation_matrix
-from igtl_gateway.convert.robot_msgs import StringStamped
 from igtl_gateway.convert.rosmsg import Header, String
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.note import Note
