@@ -10,6 +10,7 @@ import atexit
 import gc
 import os
 import shutil
+import signal
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -154,6 +155,20 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
     """A crashed worker makes the run invalid; that is not the same as a failed test, which might pass alone."""
     if _deaths:
         session.exitstatus = pytest.ExitCode.INTERNAL_ERROR
+
+
+@pytest.fixture
+def terminal_signals() -> Iterator[None]:
+    """The signals of a terminal end a program, here and in the programs that a test starts: ``nohup`` and a shell that
+    starts something in the background have it ignore them, and so would all of its children.
+    """
+    numbers = (signal.SIGHUP, signal.SIGINT, signal.SIGQUIT)
+    ignored = [number for number in numbers if signal.getsignal(number) is signal.SIG_IGN]
+    for number in ignored:
+        signal.signal(number, signal.default_int_handler if number is signal.SIGINT else signal.SIG_DFL)
+    yield
+    for number in ignored:
+        signal.signal(number, signal.SIG_IGN)
 
 
 @pytest.fixture(autouse=True)

@@ -113,6 +113,7 @@ def test_a_file_is_replaced_only_where_that_is_asked_for(words: str, out: Path, 
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("terminal_signals")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_a_program_that_is_ended(tmp_path: Path, number: signal.Signals) -> None:
     """It is ended when its file is written, and not yet moved."""

@@ -11,6 +11,7 @@ from igtl_gateway.cli.common import count_text, size_text, stop_event
 from igtl_gateway.cli.options import address
 
 
+@pytest.mark.usefixtures("terminal_signals")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_sets_the_event(number: signal.Signals) -> None:
     before = signal.getsignal(number)
