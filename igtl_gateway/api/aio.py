@@ -17,40 +17,24 @@ from types import TracebackType
 from typing import Any, Generic, Self, TypeVar
 
 from igtl_gateway.api import conversation
-from igtl_gateway.api.conversation import (
-    QUEUE_BYTES,
-    QUEUE_MESSAGES,
-    CommandReply,
-    Conversation,
-    Expected,
-    Handler,
-    HeaderVersion,
-    PeerCounts,
-    PeerOptions,
-    WhenFull,
-)
-from igtl_gateway.api.keywords import texts
-from igtl_gateway.api.peer import HOST, PORT, TIMEOUT_S, dialled, listening
+from igtl_gateway.api.conversation import QUEUE_BYTES, QUEUE_MESSAGES, CommandReply, HeaderVersion, Wait, WhenFull
+from igtl_gateway.api.endpoint import HOST, PORT, TIMEOUT_S, ClientEnd, Endpoint, Line, ServerEnd, options_of
 from igtl_gateway.api.received import ReceivedMessage
 from igtl_gateway.base.errors import LinkClosed
-from igtl_gateway.edges.tcp import LinkInfo, PeerLimits, TlsFiles
-from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.query import EmptyQuery
 
-T = TypeVar("T")
-F = TypeVar("F", bound=Callable[[ReceivedMessage], Any])
+R = TypeVar("R")
 
 
-class AsyncEndpoint:
-    """What `AsyncPeer` and `AsyncServer` share; the methods are those of `igtl_gateway.api.peer.Endpoint`.
+class AsyncEndpoint(Endpoint):
+    """What `AsyncPeer` and `AsyncServer` share; the methods are those of `Peer` and `Server`.
 
     All methods must be called in the event loop that created the object.
     """
 
-    def __init__(self, talk: Conversation) -> None:
-        self._talk = talk
-        self._handling: asyncio.Task[None] | None = None
+    _handling: asyncio.Task[None] | None = None
 
     # ── receiving ─────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -61,8 +45,7 @@ class AsyncEndpoint:
 
         A cancelled call takes no message.  Arguments and errors as of ``Peer.receive``.
         """
-        expected = f"a message {type or '*'}/{device or '*'}"
-        return await self._wait(lambda: self._talk.try_receive(type, device), timeout_s, expected)
+        return await self._run(self._talk.receive(type, device, timeout_s))
 
     async def __aiter__(self) -> AsyncIterator[ReceivedMessage]:
         """Iterate over all messages as they arrive, until the connection is closed."""
@@ -72,25 +55,6 @@ class AsyncEndpoint:
             except LinkClosed:
                 return
             yield message
-
-    def latest(self, device: str = "", type: str = "") -> ReceivedMessage | None:
-        """Return the last message of a device, as ``Peer.latest``."""
-        return self._talk.latest(device, type)
-
-    def on_message(self, type: str = "", device: str = "") -> Callable[[F], F]:
-        """Decorate a function, or a coroutine function, that handles messages, as ``Peer.on_message``.
-
-        One task calls all handlers, one message after the other.
-        """
-        return self._handle(conversation.selector(type, device), None)
-
-    def on_command(self, name: str = "**") -> Callable[[F], F]:
-        """Decorate a function, or a coroutine function, that executes commands, as ``Peer.on_command``."""
-        return self._handle(conversation.is_command(name), self._talk.respond_to_command)
-
-    def on_query(self, type: str, prefix: str = "GET") -> Callable[[F], F]:
-        """Decorate a function, or a coroutine function, that answers queries, as ``Peer.on_query``."""
-        return self._handle(conversation.is_query(prefix, type), self._talk.respond_to_query)
 
     # ── sending ───────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -111,13 +75,13 @@ class AsyncEndpoint:
         While a full send queue makes it wait, other tasks run.
         """
         out = self._talk.message(message, device, value, matrix, unit, time_ns, metadata)
-        if self._talk.options.when_full == "block" and self._talk.is_queueing():
+        if self._talk.options.when_full == "block" and self.counts.queued:
             return self._sent(await asyncio.to_thread(self._talk.send, out, to))
         return self._sent(self._talk.send(out, to))
 
     async def flush(self, timeout_s: float = TIMEOUT_S) -> bool:
         """Wait until the system has taken all messages for sending; False if that took longer."""
-        return await asyncio.to_thread(self._talk.edge.flush, timeout_s)
+        return await asyncio.to_thread(self._line.edge.flush, timeout_s)
 
     # ── queries and commands ──────────────────────────────────────────────────────────────────────────────────
 
@@ -125,9 +89,7 @@ class AsyncEndpoint:
         self, type: str, device: str = "", *, timeout_s: float | None = TIMEOUT_S, to: int | None = None
     ) -> ReceivedMessage:
         """Request one message (GET_…), and wait for it; as ``Peer.query``."""
-        expected = self._talk.ask("GET", type, device, EmptyQuery(), to)
-        reply = await self._wait_for(expected, timeout_s, f"{type}/{device or '*'} as the answer to a query")
-        return self._talk.answer_of(reply, "GET", type)
+        return await self._run(self._talk.query(type, device, timeout_s, to))
 
     async def start_stream(
         self,
@@ -142,13 +104,13 @@ class AsyncEndpoint:
     ) -> None:
         """Request a stream (STT_…), and wait for the acknowledgement; as ``Peer.start_stream``."""
         content = conversation.start_content(type, interval_ms, coordinate_name, codec)
-        await self._acknowledged("STT", self._talk.ask("STT", type, device, content, to), type, timeout_s)
+        await self._run(self._talk.stream("STT", type, device, content, timeout_s, to))
 
     async def stop_stream(
         self, type: str, device: str = "", *, timeout_s: float | None = TIMEOUT_S, to: int | None = None
     ) -> None:
         """End a stream (STP_…); as ``Peer.stop_stream``."""
-        await self._acknowledged("STP", self._talk.ask("STP", type, device, EmptyQuery(), to), type, timeout_s)
+        await self._run(self._talk.stream("STP", type, device, EmptyQuery(), timeout_s, to))
 
     async def command(
         self,
@@ -161,30 +123,9 @@ class AsyncEndpoint:
         to: int | None = None,
     ) -> CommandReply:
         """Send a command, and wait for its reply; as ``Peer.command``."""
-        expected = self._talk.command(name, text, device, metadata, to)
-        return conversation.reply_of(await self._wait_for(expected, timeout_s, f"a reply to the command {name!r}"))
+        return await self._run(self._talk.command(name, text, device, metadata, timeout_s, to))
 
     # ── state ─────────────────────────────────────────────────────────────────────────────────────────────────
-
-    @property
-    def links(self) -> tuple[LinkInfo, ...]:
-        """The connections that are up."""
-        return self._talk.links()
-
-    @property
-    def is_connected(self) -> bool:
-        """Whether a connection is up."""
-        return bool(self.links)
-
-    @property
-    def counts(self) -> PeerCounts:
-        """Counts of messages: received, invalid, dropped, sent."""
-        return self._talk.counts()
-
-    @property
-    def notes(self) -> tuple[Note, ...]:
-        """The last 100 notes."""
-        return tuple(self._talk.notes)
 
     async def close(self) -> None:
         """Send what is queued (for 1 s at most), then close all connections.  A second call does nothing."""
@@ -192,7 +133,7 @@ class AsyncEndpoint:
             self._handling.cancel()
             with suppress(asyncio.CancelledError):
                 await self._handling
-        await asyncio.to_thread(self._talk.close)
+        await asyncio.to_thread(self._line.close)
 
     async def __aenter__(self) -> Self:
         return self
@@ -202,96 +143,62 @@ class AsyncEndpoint:
     ) -> None:
         await self.close()
 
-    def _sent(self, number: int) -> int:
-        return number
-
-    async def _wait(self, attempt: Callable[[], T | None], timeout_s: float | None, expected: str) -> T:
-        """Repeat an attempt after each change, as ``Conversation.wait``."""
+    async def _run(self, wait: Wait[R]) -> R:
+        """Repeat an attempt after each change, as ``BlockingEndpoint._run``."""
         talk, loop = self._talk, asyncio.get_running_loop()
-        deadline_ns = talk.deadline_ns(timeout_s)
-        while True:
-            changed = asyncio.Event()
-
-            def wake(changed: asyncio.Event = changed) -> None:
-                with suppress(RuntimeError):  # the event loop is closed
-                    loop.call_soon_threadsafe(changed.set)
-
-            with talk.changed:
-                if (result := attempt()) is not None:
-                    return result
-                left_s = talk.left_s(deadline_ns)
-                if left_s is not None and left_s <= 0:
-                    raise talk.no_reply(expected, timeout_s)
-                talk.wakers.add(wake)
-            try:
-                with suppress(TimeoutError):
-                    async with asyncio.timeout(left_s):
-                        await changed.wait()
-            finally:
-                with talk.changed:
-                    talk.wakers.discard(wake)
-
-    async def _wait_for(self, expected: Expected, timeout_s: float | None, text: str) -> ReceivedMessage:
         try:
-            return await self._wait(lambda: self._talk.try_reply(expected), timeout_s, text)
+            deadline_ns = talk.deadline_ns(wait.timeout_s)
+            while True:
+                changed = asyncio.Event()
+
+                def wake(changed: asyncio.Event = changed) -> None:
+                    with suppress(RuntimeError):  # the event loop is closed
+                        loop.call_soon_threadsafe(changed.set)
+
+                with talk.changed:
+                    if (result := wait.attempt()) is not None:
+                        break
+                    left_s = talk.left_s(deadline_ns)
+                    if left_s is not None and left_s <= 0:
+                        raise talk.no_reply(wait)
+                    talk.wakers.add(wake)
+                try:
+                    with suppress(TimeoutError):
+                        async with asyncio.timeout(left_s):
+                            await changed.wait()
+                finally:
+                    with talk.changed:
+                        talk.wakers.discard(wake)
         finally:
-            self._talk.forget(expected)
+            wait.leave()
+        return wait.finish(result)
 
-    async def _acknowledged(self, prefix: str, expected: Expected, base: str, timeout_s: float | None) -> None:
-        if timeout_s == 0:
-            self._talk.forget(expected)
-            return
-        reply = await self._wait_for(expected, timeout_s, f"an acknowledgement of {prefix}_ {base}")
-        self._talk.answer_of(reply, prefix, base)
+    def _start_handling(self) -> None:
+        if self._handling is None:
+            self._handling = asyncio.get_running_loop().create_task(self._call_handlers())
 
-    def _handle(
-        self,
-        selects: Callable[[ReceivedMessage], bool],
-        respond: Callable[[ReceivedMessage, Any, Exception | None], None] | None,
-    ) -> Callable[[F], F]:
-        def add(function: F) -> F:
-            self._talk.add_handler(Handler(selects, function, respond))
-            if self._handling is None:
-                self._handling = asyncio.get_running_loop().create_task(self._run_handlers())
-            return function
-
-        return add
-
-    async def _run_handlers(self) -> None:
-        while next_one := await self._wait(self._talk.try_handle, None, "a message"):
-            (message,) = next_one
-            handler = self._talk.handler_of(message)
-            if handler is None:
-                continue
-            result, error = None, None
+    async def _call_handlers(self) -> None:
+        while call := await self._run(self._talk.next_call()):
+            result: Any = None
+            error: Exception | None = None
             try:
-                result = handler.function(message)
+                result = call.handler.function(call.message)
                 if inspect.isawaitable(result):
                     result = await result
             except Exception as raised:  # of the user's function: the sender gets a reply all the same
                 error = raised
-            self._talk.finish(message, handler, result, error)
+            self._talk.finish(call, result, error)
 
 
-class AsyncPeer(AsyncEndpoint):
+class AsyncPeer(AsyncEndpoint, ClientEnd):
     """A connection to an OpenIGTLink server; `connect` creates it."""
-
-    @property
-    def address(self) -> str:
-        """Address of the server, ``host:port``."""
-        return self._talk.place
 
     async def wait_connected(self, timeout_s: float | None = TIMEOUT_S) -> None:
         """Wait for the connection.  Raises NoReply or LinkClosed."""
-        await self._wait(lambda: self._talk.try_connected(1), timeout_s, "an OpenIGTLink server")
-
-    def _sent(self, number: int) -> int:
-        if not number:
-            raise LinkClosed(f"{self._talk.place}: found no connection, expected one to send to")
-        return number
+        await self._run(self._talk.connected(1, timeout_s, "an OpenIGTLink server"))
 
 
-class AsyncServer(AsyncEndpoint):
+class AsyncServer(AsyncEndpoint, ServerEnd):
     """A server for OpenIGTLink clients; `serve` creates it.
 
     Attributes:
@@ -299,17 +206,9 @@ class AsyncServer(AsyncEndpoint):
         port: the port that it listens on.
     """
 
-    def __init__(self, talk: Conversation, host: str, port: int) -> None:
-        super().__init__(talk)
-        self.host, self.port = host, port
-
     async def wait_connected(self, count: int = 1, timeout_s: float | None = TIMEOUT_S) -> None:
         """Wait for ``count`` clients.  Raises NoReply or LinkClosed."""
-        await self._wait(lambda: self._talk.try_connected(count), timeout_s, f"{count} OpenIGTLink clients")
-
-    def disconnect(self, link: int) -> None:
-        """Close the connection of one client, after it was sent what is queued for it."""
-        self._talk.edge.disconnect([link], "disconnected by the server")
+        await self._run(self._talk.connected(count, timeout_s, f"{count} OpenIGTLink clients"))
 
 
 E_co = TypeVar("E_co", bound=AsyncEndpoint, covariant=True)
@@ -353,10 +252,10 @@ def connect(
 
     Arguments and errors as of `igtl_gateway.connect`.
     """
-    options = PeerOptions(header_version, when_full, queue_messages, queue_bytes, limits or PeerLimits(), tls)
+    options = options_of(header_version, when_full, queue_messages, queue_bytes, limits, tls)
 
     async def open_it() -> AsyncPeer:
-        peer = AsyncPeer(dialled(host, port, reconnect, options))
+        peer = AsyncPeer(Line.dial(host, port, reconnect, options))
         try:
             if timeout_s != 0:
                 await peer.wait_connected(timeout_s)
@@ -384,11 +283,9 @@ def serve(
 
     Arguments and errors as of `igtl_gateway.serve`.
     """
-    options = PeerOptions(
-        header_version, when_full, queue_messages, queue_bytes, limits or PeerLimits(), tls, texts("allow", allow)
-    )
+    options = options_of(header_version, when_full, queue_messages, queue_bytes, limits, tls, allow)
 
     async def open_it() -> AsyncServer:
-        return AsyncServer(*await asyncio.to_thread(listening, host, port, options))
+        return AsyncServer(*await asyncio.to_thread(Line.listen, host, port, options))
 
     return Opening(open_it)

@@ -1,34 +1,34 @@
-"""Links, received messages and handlers of a peer or a server: what the synchronous and the asyncio interfaces share.
+"""What a peer or a server sends, expects and matches, without I/O: for any thread, and for any driver.
 
-The edge of the bridge (`igtl_gateway.edges.tcp`) does the rest: one I/O thread that connects, accepts, frames and
-receives, the send queue, TLS, and the limits for foreign peers.  So scripts and the bridge have one implementation of
+``endpoint`` connects a `Conversation` with the edge of the bridge (`igtl_gateway.edges.tcp`): what arrives is given to
+``received`` and ``link_changed``, what is sent goes to ``out``.  So scripts and the bridge have one implementation of
 the protocol.
 
-A wait is an attempt that is repeated after each change: ``attempt()`` returns a result, None to wait on, or raises.
-The synchronous interface waits on a condition, asyncio on an event of its loop.
+A request returns a `Wait`: ``attempt()`` returns a result, None to wait on, or raises, and the driver repeats it after
+each change.  ``peer`` waits on a condition, ``aio`` on an event of its loop.
 """
 
 from __future__ import annotations
 
 import threading
 from collections import Counter, OrderedDict, deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, TypeVar
+from typing import Any, Generic, Literal, TypeVar
 
 from igtl_gateway.api.contents import content_of
 from igtl_gateway.api.inbox import Inbox
 from igtl_gateway.api.received import ReceivedMessage, items_of
 from igtl_gateway.base.buffers import Buffer, join, total_size
-from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.errors import ConfigError, LinkClosed, NoReply, Refused, WireError
 from igtl_gateway.base.globs import matches
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.convert.commands import reply_result
 from igtl_gateway.convert.igtl_msgs import CommandReply as RosReply
 from igtl_gateway.convert.igtl_msgs import MetadataItem
-from igtl_gateway.edges.tcp import LinkInfo, PeerLimits, TcpEdge, TlsFiles
+from igtl_gateway.edges.tcp import LinkCounters, PeerLimits, TlsFiles
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.wire import Item, Message, decode, encode
 from igtl_gateway.wire.body import Body
@@ -47,7 +47,7 @@ from igtl_gateway.wire.query import (
 from igtl_gateway.wire.registry import ALIASES
 from igtl_gateway.wire.text import Status
 
-T = TypeVar("T")
+R = TypeVar("R")
 WhenFull = Literal["block", "drop"]
 HeaderVersion = Literal[1, 2]
 
@@ -141,16 +141,61 @@ class Handler:
     respond: Callable[[ReceivedMessage, Any, Exception | None], None] | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Call:
+    """A received message, and the handler that takes it."""
+
+    message: ReceivedMessage
+    handler: Handler
+
+
+def _same(result: Any) -> Any:
+    return result
+
+
+def _nothing() -> None:
+    return None
+
+
+@dataclass(frozen=True, slots=True)
+class Wait(Generic[R]):
+    """What a caller waits for.
+
+    Attributes:
+        attempt: returns the result, None to wait on, or raises; called under the lock.
+        timeout_s: longest wait in seconds; None: forever.
+        expected: what NoReply names.
+        finish: makes what the caller gets of the result; may raise.
+        leave: called once, when the caller waits no longer.
+    """
+
+    attempt: Callable[[], Any]
+    timeout_s: float | None
+    expected: str
+    finish: Callable[[Any], R] = _same
+    leave: Callable[[], None] = _nothing
+
+
 class Conversation:
-    """The state of a peer or a server, for any thread.
+    """The state of a peer or a server.
 
     Args:
         place: address for error messages.
         options: see `PeerOptions`.
+        clock: gives the stamps of messages, and the time of waits.
+        out: sends a message: links, buffers, stream, and whether to wait where the send queue is full.
         ends: whether the first connection that ends is the end of all (a client that does not reconnect).
     """
 
-    def __init__(self, place: str, options: PeerOptions, *, ends: bool) -> None:
+    def __init__(
+        self,
+        place: str,
+        options: PeerOptions,
+        clock: Clock,
+        out: Callable[[Sequence[int], Sequence[Buffer], str, bool], None],
+        *,
+        ends: bool,
+    ) -> None:
         self.place = place
         self.options = options
         self.changed = threading.Condition()  # guards all attributes below
@@ -169,30 +214,10 @@ class Conversation:
         self._expected: list[Expected] = []
         self._command_id = 0
         self._received = self._invalid = 0
-        self._clock = SystemClock()
-        self.edge = TcpEdge(
-            on_frame=self._on_frame,
-            on_link=self._on_link,
-            on_note=lambda _link, note: self.add_note(note),
-            clock=self._clock,
-            limits=options.limits,
-            allow=options.allow,
-            tls=options.tls or TlsFiles(),
-            when_full=options.when_full,
-        )
+        self._clock = clock
+        self._out = out
 
     # ── waiting ───────────────────────────────────────────────────────────────────────────────────────────────
-
-    def wait(self, attempt: Callable[[], T | None], timeout_s: float | None, expected: str) -> T:
-        """Repeat an attempt until it has a result.  Raises NoReply with ``expected`` after ``timeout_s`` seconds."""
-        deadline_ns = self.deadline_ns(timeout_s)
-        with self.changed:
-            while (result := attempt()) is None:
-                left_s = self.left_s(deadline_ns)
-                if left_s is not None and left_s <= 0:
-                    raise self.no_reply(expected, timeout_s)
-                self.changed.wait(left_s)
-            return result
 
     def deadline_ns(self, timeout_s: float | None) -> int | None:
         """Return the end of a wait, in monotonic nanoseconds.  Raises ConfigError."""
@@ -206,46 +231,63 @@ class Conversation:
         """Return the seconds until a deadline."""
         return None if deadline_ns is None else (deadline_ns - self._clock.monotonic_ns()) / NS_PER_S
 
-    def no_reply(self, expected: str, timeout_s: float | None) -> NoReply:
+    def no_reply(self, wait: Wait[Any]) -> NoReply:
         """Return the error of a wait that took too long; under the lock."""
         causes = [note.text for note in self.notes if note.level >= Level.WARN][-1:]
         arrived = [f"{stream} ({number:,})" for stream, number in self._arrived.most_common(_SHOWN)]
         received = [f"received so far: {', '.join(arrived)}"] if arrived else []
-        text = f"{self.place}: found nothing within {timeout_s or 0:g} s, expected {expected}"
+        text = f"{self.place}: found nothing within {wait.timeout_s or 0:g} s, expected {wait.expected}"
         return NoReply("; ".join([text, *received, *causes]))
 
-    def changed_now(self) -> None:
+    def _changed_now(self) -> None:
         """Wake everybody who waits; under the lock."""
         self.changed.notify_all()
         for wake in tuple(self.wakers):
             wake()
 
-    # ── attempts: under the lock, by ``wait`` ─────────────────────────────────────────────────────────────────
+    def connected(self, count: int, timeout_s: float | None, expected: str) -> Wait[None]:
+        """Wait until ``count`` connections are up."""
 
-    def try_connected(self, count: int) -> bool | None:
-        """Whether ``count`` connections are up."""
-        if len(self._up) >= count:
-            return True
-        self._raise_if_ended()
-        return None
-
-    def try_receive(self, type_name: str, device: str) -> ReceivedMessage | None:
-        """The first waiting message of a type and a device (globs)."""
-        found = self.inbox.take(selector(type_name, device))
-        if found is None:
+        def attempt() -> bool | None:
+            if len(self._up) >= count:
+                return True
             self._raise_if_ended()
-        return found
+            return None
 
-    def try_reply(self, expected: Expected) -> ReceivedMessage | None:
-        """The reply, once it is there."""
-        if expected.reply is None and expected.link not in self._up:
-            raise LinkClosed(f"{self.place}: found the connection closed, expected a reply; {self._last_note()}")
-        return expected.reply
+        return Wait(attempt, timeout_s, expected, lambda _: None)
 
-    def try_handle(self) -> tuple[ReceivedMessage, ...] | None:
-        """The next message for a handler; an empty tuple after the last one."""
-        found = self.to_handle.take(lambda _message: True)
-        return (found,) if found else (() if self.is_closed else None)
+    def receive(self, type_name: str, device: str, timeout_s: float | None) -> Wait[ReceivedMessage]:
+        """Wait for the first message of a type and a device (globs) in the receive queue."""
+        selects = selector(type_name, device)
+
+        def attempt() -> ReceivedMessage | None:
+            found = self.inbox.take(selects)
+            if found is None:
+                self._raise_if_ended()
+            return found
+
+        return Wait(attempt, timeout_s, f"a message {type_name or '*'}/{device or '*'}")
+
+    def next_call(self) -> Wait[Call | None]:
+        """Wait for the next message for a handler; None after the last one."""
+
+        def attempt() -> tuple[Call | None] | None:
+            found = self.to_handle.take(lambda _message: True)
+            if found is None:
+                return (None,) if self.is_closed else None
+            return (Call(found, next(handler for handler in self.handlers if handler.selects(found))),)
+
+        return Wait(attempt, None, "a message", lambda result: result[0])
+
+    def _reply(
+        self, expected: Expected, timeout_s: float | None, text: str, finish: Callable[[ReceivedMessage], R]
+    ) -> Wait[R]:
+        def attempt() -> ReceivedMessage | None:
+            if expected.reply is None and expected.link not in self._up:
+                raise LinkClosed(f"{self.place}: found the connection closed, expected a reply; {self._last_note()}")
+            return expected.reply
+
+        return Wait(attempt, timeout_s, text, finish, lambda: self._forget(expected))
 
     def _raise_if_ended(self) -> None:
         if self.is_closed:
@@ -264,13 +306,8 @@ class Conversation:
         with self.changed:
             return next((message for message in reversed(self._latest.values()) if selects(message)), None)
 
-    def links(self) -> tuple[LinkInfo, ...]:
-        """The connections that are up."""
-        return tuple(link for link in self.edge.links() if link.connected)
-
-    def counts(self) -> PeerCounts:
-        """The counts so far."""
-        per_link = self.edge.counters().values()
+    def counts(self, per_link: Collection[LinkCounters]) -> PeerCounts:
+        """The counts so far; ``per_link``: those of the edge."""
         unsent: Counter[str] = Counter()
         for counts in per_link:
             unsent.update(counts.dropped)
@@ -284,10 +321,6 @@ class Conversation:
                 dict(sorted(unsent.items())),
             )
 
-    def is_queueing(self) -> bool:
-        """Whether messages wait in a send queue."""
-        return any(counts.queued_messages for counts in self.edge.counters().values())
-
     def add_note(self, note: Note) -> None:
         """Store a note."""
         with self.changed:
@@ -298,12 +331,9 @@ class Conversation:
         with self.changed:
             self.handlers.append(handler)
 
-    def handler_of(self, message: ReceivedMessage) -> Handler | None:
-        """The handler of a message; under the lock."""
-        return next((handler for handler in self.handlers if handler.selects(message)), None)
-
-    def finish(self, message: ReceivedMessage, handler: Handler, result: Any, error: Exception | None) -> None:
+    def finish(self, call: Call, result: Any, error: Exception | None) -> None:
         """A handler has returned, or raised: respond to the message."""
+        message, handler = call.message, call.handler
         if error is not None:
             text = f"handler of {message}: {type(error).__name__}: {error}"
             self.add_note(Note(Level.ERROR, "callback_failed", text, str(message)))
@@ -317,14 +347,14 @@ class Conversation:
                     with suppress(Exception):
                         handler.respond(message, None, failure)
 
-    def close(self) -> None:
-        """Send what is queued, and close all connections; a second call does nothing."""
+    def close(self) -> bool:
+        """End all waits; False if it was closed before."""
         with self.changed:
             if self.is_closed:
-                return
+                return False
             self.is_closed = True
-            self.changed_now()
-        self.edge.stop()
+            self._changed_now()
+        return True
 
     # ── sending ───────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -358,18 +388,15 @@ class Conversation:
         for version in sorted(set(versions.values())):
             data = join(encode(message if message.header_version == version else _as_version(message, version)))
             stream = f"{message.type}/{message.device_name}"
-            self.edge.send([link for link in links if versions[link] == version], (data,), stream, self._keeps)
+            keeps = self.options.when_full == "block"
+            self._out([link for link in links if versions[link] == version], (data,), stream, keeps)
         return len(links)
-
-    @property
-    def _keeps(self) -> bool:
-        return self.options.when_full == "block"
 
     def _version(self, message: Message, link: int) -> int:
         """The header version of a message to a link; under the lock."""
         return message.header_version or self.options.header_version or self._versions.get(link, 1)
 
-    def the_link(self, to: int | None) -> int:
+    def _the_link(self, to: int | None) -> int:
         """Return the link of a request: ``to``, or the only one.  Raises LinkClosed or ConfigError."""
         with self.changed:
             if to is not None and to in self._up:
@@ -384,24 +411,43 @@ class Conversation:
 
     # ── queries and commands ──────────────────────────────────────────────────────────────────────────────────
 
-    def expect(self, expected: Expected) -> Expected:
+    def _expect(self, expected: Expected) -> Expected:
         """Keep the first message that ``expected`` selects for it."""
         with self.changed:
             self._expected.append(expected)
         return expected
 
-    def forget(self, expected: Expected) -> None:
+    def _forget(self, expected: Expected) -> None:
         """The caller waits no longer."""
         with self.changed, suppress(ValueError):
             self._expected.remove(expected)
 
-    def ask(self, prefix: str, base: str, device: str, content: Body, to: int | None) -> Expected:
+    def query(self, base: str, device: str, timeout_s: float | None, to: int | None) -> Wait[ReceivedMessage]:
+        """Request one message (GET_…); wait for it."""
+        expected = self._ask("GET", base, device, EmptyQuery(), to)
+        text = f"{base}/{device or '*'} as the answer to a query"
+        return self._reply(expected, timeout_s, text, lambda reply: self.answer_of(reply, "GET", base))
+
+    def stream(
+        self, prefix: str, base: str, device: str, content: Body, timeout_s: float | None, to: int | None
+    ) -> Wait[None]:
+        """Request a stream (STT_…) or its end (STP_…); wait for the acknowledgement, except with ``timeout_s=0``."""
+        expected = self._ask(prefix, base, device, content, to)
+        if timeout_s == 0:
+            return Wait(lambda: True, timeout_s, "", lambda _: None, lambda: self._forget(expected))
+
+        def finish(reply: ReceivedMessage) -> None:
+            self.answer_of(reply, prefix, base)
+
+        return self._reply(expected, timeout_s, f"an acknowledgement of {prefix}_ {base}", finish)
+
+    def _ask(self, prefix: str, base: str, device: str, content: Body, to: int | None) -> Expected:
         """Send a query; return the expected reply."""
         base = ALIASES.get(base, base)
         name = query_name(prefix, base)
         if name not in QUERIES and prefix != "GET":
             raise ConfigError(f"{name}: found a type without streams, expected one such as TDATA, IMAGE or POLYDATA")
-        link = self.the_link(to)
+        link = self._the_link(to)
 
         def selects(message: ReceivedMessage) -> bool:
             if device and message.device != device:
@@ -413,11 +459,11 @@ class Conversation:
             failed = isinstance(message.content, Status) and message.content.code != _STATUS_OK
             return failed and message.device == device
 
-        expected = self.expect(Expected(link, selects))
+        expected = self._expect(Expected(link, selects))
         try:
             self.send(Message(name, device, content, ns_to_ticks(self._clock.utc_ns()), _AS_LINK), link)
         except BaseException:
-            self.forget(expected)
+            self._forget(expected)
             raise
         return expected
 
@@ -434,10 +480,16 @@ class Conversation:
         raise Refused(f"{text}, expected {base if prefix == 'GET' else 'an acknowledgement'}")
 
     def command(
-        self, name: str, text: str, device: str, metadata: Mapping[str, str] | None, to: int | None
-    ) -> Expected:
-        """Send a command; return the expected reply."""
-        link = self.the_link(to)
+        self,
+        name: str,
+        text: str,
+        device: str,
+        metadata: Mapping[str, str] | None,
+        timeout_s: float | None,
+        to: int | None,
+    ) -> Wait[CommandReply]:
+        """Send a command; wait for its reply."""
+        link = self._the_link(to)
         with self.changed:
             self._command_id = number = self._command_id % _MAX_COMMAND_ID + 1
 
@@ -447,14 +499,14 @@ class Conversation:
 
         items = sorted_items(Item.of(key, value) for key, value in items_of(metadata or {}))
         content = Command.of(number, name, text)
-        expected = self.expect(Expected(link, selects))
+        expected = self._expect(Expected(link, selects))
         try:
             ticks = ns_to_ticks(self._clock.utc_ns())
             self.send(Message("COMMAND", device, content, ticks, 2 if items else _AS_LINK, 0, items), link)
         except BaseException:
-            self.forget(expected)
+            self._forget(expected)
             raise
-        return expected
+        return self._reply(expected, timeout_s, f"a reply to the command {name!r}", reply_of)
 
     def respond_to_command(self, message: ReceivedMessage, result: Any, error: Exception | None) -> None:
         """Send the reply to a command: the text that its handler returned, or a failure."""
@@ -495,9 +547,10 @@ class Conversation:
             out = Message("STATUS", device, Status(4, 0, "NotFound", text), ticks, _AS_LINK)
         self.send(out, message.link)
 
-    # ── the edge's thread ─────────────────────────────────────────────────────────────────────────────────────
+    # ── what arrives ──────────────────────────────────────────────────────────────────────────────────────────
 
-    def _on_frame(self, link: int, data: Buffer) -> None:
+    def received(self, link: int, data: Buffer) -> None:
+        """A link has received a message: for a caller that expects it, for a handler, or for the queue."""
         received_ns = self._clock.utc_ns()
         try:
             wire = decode(data)
@@ -518,11 +571,11 @@ class Conversation:
             if expected:
                 self._expected.remove(expected)
                 expected.reply = message
-            elif self.handler_of(message):
+            elif any(handler.selects(message) for handler in self.handlers):
                 self.to_handle.put(message, size)
             else:
                 self.inbox.put(message, size)
-            self.changed_now()
+            self._changed_now()
 
     def _remember(self, message: ReceivedMessage) -> None:
         stream = str(message)
@@ -533,7 +586,8 @@ class Conversation:
             gone, _ = self._latest.popitem(last=False)
             del self._arrived[gone]
 
-    def _on_link(self, link: int, up: bool, note: Note) -> None:
+    def link_changed(self, link: int, up: bool, note: Note) -> None:
+        """A link is up, or has ended."""
         with self.changed:
             self.notes.append(note)
             if up:
@@ -543,9 +597,7 @@ class Conversation:
                 self._versions.pop(link, None)
                 if self._ends:
                     self.ended = note.text
-            self.changed_now()
-        if self.ended:
-            self.edge.stop()  # or it would connect again
+            self._changed_now()
 
 
 def selector(type_name: str, device: str) -> Callable[[ReceivedMessage], bool]:

@@ -6,44 +6,26 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from igtl_gateway.api import conversation
-from igtl_gateway.api.conversation import (
-    QUEUE_BYTES,
-    QUEUE_MESSAGES,
-    CommandReply,
-    Conversation,
-    Expected,
-    Handler,
-    HeaderVersion,
-    PeerCounts,
-    PeerOptions,
-    WhenFull,
-)
-from igtl_gateway.api.keywords import texts
+from igtl_gateway.api.conversation import QUEUE_BYTES, QUEUE_MESSAGES, CommandReply, HeaderVersion, Wait, WhenFull
+from igtl_gateway.api.endpoint import HOST, PORT, TIMEOUT_S, ClientEnd, Endpoint, Line, ServerEnd, options_of
 from igtl_gateway.api.received import ReceivedMessage
 from igtl_gateway.base.errors import LinkClosed
-from igtl_gateway.edges.tcp import LinkInfo, PeerLimits, TlsFiles
-from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.query import EmptyQuery
 
-#: Address and port of OpenIGTLink programs by default.
-HOST, PORT = "127.0.0.1", 18944
-TIMEOUT_S = 5.0
-
-F = TypeVar("F", bound=Callable[[ReceivedMessage], Any])
+R = TypeVar("R")
 
 
-class Endpoint:
-    """What `Peer` and `Server` share: messages in and out, queries, commands, handlers.  Any thread may call it."""
+class BlockingEndpoint(Endpoint):
+    """What `Peer` and `Server` share: messages in and out, queries, commands.  Any thread may call it."""
 
-    def __init__(self, talk: Conversation) -> None:
-        self._talk = talk
-        self._handling: threading.Thread | None = None
+    _handling: threading.Thread | None = None
 
     # ── receiving ─────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -67,8 +49,7 @@ class Endpoint:
         Examples:
             >>> pose = peer.receive("TRANSFORM", "Probe").matrix  # doctest: +SKIP
         """
-        expected = f"a message {type or '*'}/{device or '*'}"
-        return self._talk.wait(lambda: self._talk.try_receive(type, device), timeout_s, expected)
+        return self._run(self._talk.receive(type, device, timeout_s))
 
     def __iter__(self) -> Iterator[ReceivedMessage]:
         """Iterate over all messages as they arrive, until the connection is closed."""
@@ -77,62 +58,6 @@ class Endpoint:
                 yield self.receive(timeout_s=None)
             except LinkClosed:
                 return
-
-    def latest(self, device: str = "", type: str = "") -> ReceivedMessage | None:
-        """Return the last message of a device, also if it was returned before; None if there is none.
-
-        Args:
-            device: device name, or a glob; "": any.
-            type: message type, or a glob; "": any.
-
-        Returns:
-            The message, which stays in the receive queue if it waits there.
-        """
-        return self._talk.latest(device, type)
-
-    def on_message(self, type: str = "", device: str = "") -> Callable[[F], F]:
-        """Decorate a function that handles the messages of a type and a device, instead of the receive queue.
-
-        One thread calls all handlers, one message after the other.  A handler may call everything of this object.
-        If a handler raises, a note reports it.
-
-        Args:
-            type: message type, or a glob; "": any.
-            device: device name, or a glob; "": any.
-
-        Returns:
-            The decorator.
-        """
-        return self._handle(conversation.selector(type, device), None)
-
-    def on_command(self, name: str = "**") -> Callable[[F], F]:
-        """Decorate a function that executes the commands with a name.
-
-        The function gets the message (``message.name``, ``message.text``) and returns the text of the reply, or None.
-        If it raises, the sender gets a reply with the status FAIL and the text of the exception.
-
-        Args:
-            name: name of the command, or a glob.
-
-        Returns:
-            The decorator.
-        """
-        return self._handle(conversation.is_command(name), self._talk.respond_to_command)
-
-    def on_query(self, type: str, prefix: str = "GET") -> Callable[[F], F]:
-        """Decorate a function that answers the queries of a type.
-
-        The function gets the query.  For GET it returns the value to send, as for `send`, or a `wire.Message`; None
-        refuses the query.  For STT and STP it returns False to refuse it.
-
-        Args:
-            type: type of the data, such as ``"TRANSFORM"``.
-            prefix: ``"GET"``, ``"STT"`` or ``"STP"``.
-
-        Returns:
-            The decorator.
-        """
-        return self._handle(conversation.is_query(prefix, type), self._talk.respond_to_query)
 
     # ── sending ───────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -176,7 +101,7 @@ class Endpoint:
 
     def flush(self, timeout_s: float = TIMEOUT_S) -> bool:
         """Wait until the system has taken all messages for sending; False if that took longer."""
-        return self._talk.edge.flush(timeout_s)
+        return self._line.edge.flush(timeout_s)
 
     # ── queries and commands ──────────────────────────────────────────────────────────────────────────────────
 
@@ -199,9 +124,7 @@ class Endpoint:
             Refused: the peer has no such message, or denies it.
             LinkClosed: the connection is closed.
         """
-        expected = self._talk.ask("GET", type, device, EmptyQuery(), to)
-        reply = self._wait_for(expected, timeout_s, f"{type}/{device or '*'} as the answer to a query")
-        return self._talk.answer_of(reply, "GET", type)
+        return self._run(self._talk.query(type, device, timeout_s, to))
 
     def start_stream(
         self,
@@ -231,13 +154,13 @@ class Endpoint:
             LinkClosed: the connection is closed.
         """
         content = conversation.start_content(type, interval_ms, coordinate_name, codec)
-        self._acknowledged("STT", self._talk.ask("STT", type, device, content, to), type, timeout_s)
+        self._run(self._talk.stream("STT", type, device, content, timeout_s, to))
 
     def stop_stream(
         self, type: str, device: str = "", *, timeout_s: float | None = TIMEOUT_S, to: int | None = None
     ) -> None:
         """End a stream (STP_…); arguments and errors as of `start_stream`."""
-        self._acknowledged("STP", self._talk.ask("STP", type, device, EmptyQuery(), to), type, timeout_s)
+        self._run(self._talk.stream("STP", type, device, EmptyQuery(), timeout_s, to))
 
     def command(
         self,
@@ -266,34 +189,13 @@ class Endpoint:
             NoReply: no reply in time.
             LinkClosed: the connection is closed.
         """
-        expected = self._talk.command(name, text, device, metadata, to)
-        return conversation.reply_of(self._wait_for(expected, timeout_s, f"a reply to the command {name!r}"))
+        return self._run(self._talk.command(name, text, device, metadata, timeout_s, to))
 
     # ── state ─────────────────────────────────────────────────────────────────────────────────────────────────
 
-    @property
-    def links(self) -> tuple[LinkInfo, ...]:
-        """The connections that are up: number, address of the peer, TCP role of this program."""
-        return self._talk.links()
-
-    @property
-    def is_connected(self) -> bool:
-        """Whether a connection is up."""
-        return bool(self.links)
-
-    @property
-    def counts(self) -> PeerCounts:
-        """Counts of messages: received, invalid, dropped, sent."""
-        return self._talk.counts()
-
-    @property
-    def notes(self) -> tuple[Note, ...]:
-        """The last 100 notes: connections, invalid messages, errors of handlers."""
-        return tuple(self._talk.notes)
-
     def close(self) -> None:
         """Send what is queued (for 1 s at most), then close all connections.  A second call does nothing."""
-        self._talk.close()
+        self._line.close()
         if self._handling and self._handling is not threading.current_thread():
             self._handling.join()
 
@@ -305,72 +207,49 @@ class Endpoint:
     ) -> None:
         self.close()
 
-    def _sent(self, number: int) -> int:
-        return number
-
-    def _wait_for(self, expected: Expected, timeout_s: float | None, text: str) -> ReceivedMessage:
+    def _run(self, wait: Wait[R]) -> R:
+        """Repeat an attempt until it has a result.  Raises NoReply, ConfigError, and what the attempt raises."""
+        talk = self._talk
         try:
-            return self._talk.wait(lambda: self._talk.try_reply(expected), timeout_s, text)
+            deadline_ns = talk.deadline_ns(wait.timeout_s)
+            with talk.changed:
+                while (result := wait.attempt()) is None:
+                    left_s = talk.left_s(deadline_ns)
+                    if left_s is not None and left_s <= 0:
+                        raise talk.no_reply(wait)
+                    talk.changed.wait(left_s)
         finally:
-            self._talk.forget(expected)
+            wait.leave()
+        return wait.finish(result)
 
-    def _acknowledged(self, prefix: str, expected: Expected, base: str, timeout_s: float | None) -> None:
-        if timeout_s == 0:
-            self._talk.forget(expected)
-            return
-        reply = self._wait_for(expected, timeout_s, f"an acknowledgement of {prefix}_ {base}")
-        self._talk.answer_of(reply, prefix, base)
+    def _start_handling(self) -> None:
+        if self._handling is None:
+            self._handling = threading.Thread(target=self._call_handlers, name="igtl-handlers", daemon=True)
+            self._handling.start()
 
-    def _handle(
-        self,
-        selects: Callable[[ReceivedMessage], bool],
-        respond: Callable[[ReceivedMessage, Any, Exception | None], None] | None,
-    ) -> Callable[[F], F]:
-        def add(function: F) -> F:
-            self._talk.add_handler(Handler(selects, function, respond))
-            if self._handling is None:
-                self._handling = threading.Thread(target=self._run_handlers, name="igtl-handlers", daemon=True)
-                self._handling.start()
-            return function
-
-        return add
-
-    def _run_handlers(self) -> None:
-        while next_one := self._talk.wait(self._talk.try_handle, None, "a message"):
-            (message,) = next_one
-            handler = self._talk.handler_of(message)
-            if handler is None:
-                continue
-            result, error = None, None
+    def _call_handlers(self) -> None:
+        while call := self._run(self._talk.next_call()):
+            result: Any = None
+            error: Exception | None = None
             try:
-                result = handler.function(message)
+                result = call.handler.function(call.message)
             except Exception as raised:  # of the user's function: the sender gets a reply all the same
                 error = raised
-            self._talk.finish(message, handler, result, error)
+            self._talk.finish(call, result, error)
 
 
-class Peer(Endpoint):
+class Peer(BlockingEndpoint, ClientEnd):
     """A connection to an OpenIGTLink server; a context manager and an iterator over the received messages.
 
     `connect` creates it.
     """
 
-    @property
-    def address(self) -> str:
-        """Address of the server, ``host:port``."""
-        return self._talk.place
-
     def wait_connected(self, timeout_s: float | None = TIMEOUT_S) -> None:
         """Wait for the connection.  Raises NoReply or LinkClosed."""
-        self._talk.wait(lambda: self._talk.try_connected(1), timeout_s, "an OpenIGTLink server")
-
-    def _sent(self, number: int) -> int:
-        if not number:
-            raise LinkClosed(f"{self._talk.place}: found no connection, expected one to send to")
-        return number
+        self._run(self._talk.connected(1, timeout_s, "an OpenIGTLink server"))
 
 
-class Server(Endpoint):
+class Server(BlockingEndpoint, ServerEnd):
     """A server for OpenIGTLink clients; a context manager and an iterator over the received messages.
 
     `serve` creates it.  `send` sends to all clients.  ``message.link`` is the number of the client that sent a message.
@@ -380,17 +259,9 @@ class Server(Endpoint):
         port: the port that it listens on.
     """
 
-    def __init__(self, talk: Conversation, host: str, port: int) -> None:
-        super().__init__(talk)
-        self.host, self.port = host, port
-
     def wait_connected(self, count: int = 1, timeout_s: float | None = TIMEOUT_S) -> None:
         """Wait for ``count`` clients.  Raises NoReply or LinkClosed."""
-        self._talk.wait(lambda: self._talk.try_connected(count), timeout_s, f"{count} OpenIGTLink clients")
-
-    def disconnect(self, link: int) -> None:
-        """Close the connection of one client, after it was sent what is queued for it."""
-        self._talk.edge.disconnect([link], "disconnected by the server")
+        self._run(self._talk.connected(count, timeout_s, f"{count} OpenIGTLink clients"))
 
 
 def connect(
@@ -438,13 +309,8 @@ def connect(
         ...     peer.send("STRING", "Greeting", "hello")
         ...     print(peer.receive("TRANSFORM", "ToolToReference").matrix)
     """
-    talk = dialled(
-        host,
-        port,
-        reconnect,
-        PeerOptions(header_version, when_full, queue_messages, queue_bytes, limits or PeerLimits(), tls),
-    )
-    peer = Peer(talk)
+    options = options_of(header_version, when_full, queue_messages, queue_bytes, limits, tls)
+    peer = Peer(Line.dial(host, port, reconnect, options))
     try:
         if timeout_s != 0:
             peer.wait_connected(timeout_s)
@@ -491,34 +357,5 @@ def serve(
         ...     server.links
         ()
     """
-    options = PeerOptions(
-        header_version, when_full, queue_messages, queue_bytes, limits or PeerLimits(), tls, texts("allow", allow)
-    )
-    return Server(*listening(host, port, options))
-
-
-def dialled(host: str, port: int, reconnect: bool, options: PeerOptions) -> Conversation:
-    """Return a conversation that connects to a server.  Raises ConfigError."""
-    place = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-    talk = Conversation(place, options, ends=not reconnect)
-    try:
-        talk.edge.connect(host, port, tls=options.tls is not None)
-    except BaseException:
-        talk.close()
-        raise
-    talk.edge.start()
-    return talk
-
-
-def listening(host: str, port: int, options: PeerOptions) -> tuple[Conversation, str, int]:
-    """Return a conversation that listens, with its address.  Raises ConfigError or Unavailable."""
-    place = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-    talk = Conversation(place, options, ends=False)
-    try:
-        bound = talk.edge.listen(host, port, tls=options.tls is not None)
-    except BaseException:
-        talk.close()
-        raise
-    talk.place = f"[{bound[0]}]:{bound[1]}" if ":" in bound[0] else f"{bound[0]}:{bound[1]}"
-    talk.edge.start()
-    return talk, *bound
+    options = options_of(header_version, when_full, queue_messages, queue_bytes, limits, tls, allow)
+    return Server(*Line.listen(host, port, options))

@@ -11,8 +11,8 @@ from os import PathLike
 from pathlib import Path
 from typing import get_args
 
+from igtl_gateway.api.endpoint import HOST, PORT
 from igtl_gateway.api.keywords import addresses, numbers, of_a_replay, one_of, ros_arguments, texts
-from igtl_gateway.api.peer import HOST, PORT
 from igtl_gateway.api.recording import Recording, session_of
 from igtl_gateway.app.comparison import RecordingDiff, compare_sessions
 from igtl_gateway.app.replay_sides import ReplayOptions, To

@@ -12,6 +12,7 @@ import pytest
 
 import igtl_gateway
 from igtl_gateway import Peer, Server
+from igtl_gateway.api.conversation import Wait
 from igtl_gateway.api.received import ReceivedMessage
 from igtl_gateway.base.errors import (
     ConfigError,
@@ -125,7 +126,7 @@ def test_a_full_receive_queue_drops_and_counts() -> None:
         for number in range(100):
             peer.send("STRING", "fast", str(number))
         peer.send("STATUS", "end", 1)
-        server._talk.wait(lambda: server._talk.latest("end", "") and True, 5, "the end")
+        server._run(Wait(lambda: server.latest("end") and True, 5, "the end"))
         counts = server.counts
         assert counts.received == 102
         assert counts.dropped == {"STRING/fast": 92}
@@ -225,7 +226,7 @@ def test_a_reply_that_cannot_come_any_more(server: Server, peer: Peer) -> None:
     @server.on_query("TRANSFORM")
     def leave(query: ReceivedMessage) -> object:
         server.disconnect(query.link)
-        server._talk.wait(lambda: not server.links or None, 5, "the end")
+        server._run(Wait(lambda: not server.links or None, 5, "the end"))
         return POSE
 
     with pytest.raises(LinkClosed, match="expected a reply"):

@@ -11,6 +11,7 @@ import pytest
 
 import igtl_gateway
 from igtl_gateway.addons.review import Thresholds
+from igtl_gateway.api.conversation import Wait
 from igtl_gateway.base.errors import ConfigError, DamagedRecording, GatewayError, UnsupportedRecording
 from igtl_gateway.cli import main
 from tests.places import ROOT
@@ -65,7 +66,7 @@ def test_replay_to_a_peer(capsys: pytest.CaptureFixture[str]) -> None:
     with igtl_gateway.serve(0, queue_messages=100_000) as server:
         address = (server.host, server.port)
         result = igtl_gateway.replay_recording(LEGO, connect=[address], rate=None, on_line=lines.append)
-        server._talk.wait(lambda: server.counts.received >= result.messages or None, 10, "all messages")
+        server._run(Wait(lambda: server.counts.received >= result.messages or None, 10, "all messages"))
         assert result.complete
         assert result.account is not None
         assert result.account["sent"] == result.messages == sum(result.streams.values()) == server.counts.received

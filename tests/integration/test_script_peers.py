@@ -16,7 +16,7 @@ import pytest
 import igtl_gateway
 from igtl_gateway import Bridge as ScriptBridge
 from igtl_gateway import Server
-from igtl_gateway.api.peer import Endpoint
+from igtl_gateway.api.peer import BlockingEndpoint
 from igtl_gateway.base.errors import Refused
 from igtl_gateway.wire.query import StartTracking
 from tests.integration.bridge import Bridge, Program, RosClient, environment, free_port
@@ -36,21 +36,21 @@ Partner = PyigtlPeer | ReferencePeer
 
 
 @contextmanager
-def as_server(kind: type[Partner]) -> Iterator[tuple[Endpoint, Partner]]:
+def as_server(kind: type[Partner]) -> Iterator[tuple[BlockingEndpoint, Partner]]:
     """The other program is the server."""
     with kind.server() as partner, igtl_gateway.connect(port=partner.port) as peer:
         yield peer, partner
 
 
 @contextmanager
-def as_client(kind: type[Partner]) -> Iterator[tuple[Endpoint, Partner]]:
+def as_client(kind: type[Partner]) -> Iterator[tuple[BlockingEndpoint, Partner]]:
     """The other program is the client."""
     with igtl_gateway.serve(0) as server, kind.client("127.0.0.1", server.port) as partner:
         server.wait_connected()
         yield server, partner
 
 
-Roles = Callable[[type[Partner]], AbstractContextManager[tuple[Endpoint, Partner]]]
+Roles = Callable[[type[Partner]], AbstractContextManager[tuple[BlockingEndpoint, Partner]]]
 
 
 @pytest.mark.parametrize("kind", PROGRAMS)
@@ -115,11 +115,10 @@ def test_queries_with_the_library(roles: Roles) -> None:
         # the program answers when its test has seen the query
         answers = {"GET_TRANS": ("TRANSFORM", {"matrix": POSE.tolist()}), "GET_STATUS": ("STATUS", {"code": 1})}
         for name, (type_name, content) in answers.items():
-            expected = peer._talk.ask("GET", type_name, "Tool", igtl_gateway.api.contents.content_of(name, None), None)
+            wait = peer._talk.query(type_name, "Tool", 10, None)
             partner.receive(name, "Tool")
             partner.send(type_name, "Tool", content)
-            reply = peer._wait_for(expected, 10, type_name)
-            assert peer._talk.answer_of(reply, "GET", type_name).type == type_name
+            assert peer._run(wait).type == type_name
 
 
 def example(name: str, *arguments: str) -> Program:
