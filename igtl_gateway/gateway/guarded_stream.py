@@ -4,8 +4,8 @@ Each oddity is reported once per *episode*: at its begin, and at its end with a 
 
 The fast path (`igtl_gateway.gateway.fastpath`) must give the same result as the full path, and a verification uses the
 full path only.  So the checks depend on the stamps of the entries only: decreasing stamps are checked in every message,
-everything else in one message per ``LOOK_NS``.  The fast path calls ``passes_quickly``, which sends the message to the
-full path if there is anything to report.
+everything else in one message per ``LOOK_NS``.  ``judge`` and ``observe`` are the rule.  ``passes_quickly`` and, in C,
+``passes_guard`` of ``_passage.c`` only pass what it has nothing to report about ("Twins" in ARCHITECTURE.md).
 """
 
 from __future__ import annotations
@@ -150,29 +150,32 @@ class GuardedStream:
 
     def judge(self, now_ns: int, own_ns: int) -> tuple[bool, list[Remark]]:
         """Return whether to withhold a message with the stamp ``own_ns`` (0: none) at ``now_ns``, and the remarks."""
-        if not self.max_age_ns:
-            return False, self._fresh(now_ns)  # the maximum age may have been changed to none
-        if own_ns <= 0:
-            if self._unknown_said:
-                return False, []
+        code = self._age_code(now_ns, own_ns)
+        if code == AGE_UNKNOWN:
             self._unknown_said = True
             text = f"{self.stream}: messages without stamps, age unknown (max_age_s)"
             return False, [(Level.WARN, AGE_UNKNOWN, text)]
-        age_ns = now_ns - self.ahead_ns - own_ns
-        if age_ns > self.max_age_ns:
+        if code == STALE:
             self.stale += 1
             if self.stale > 1:
                 return True, []
             self._stale_since_ns = now_ns
-            most = _seconds(self.max_age_ns)
-            text = f"{self.stream} is stale: messages are {_seconds(age_ns)} old, expected at most {most}"
+            age, most = _seconds(now_ns - self.ahead_ns - own_ns), _seconds(self.max_age_ns)
+            text = f"{self.stream} is stale: messages are {age} old, expected at most {most}"
             return True, [(Level.ERROR, STALE, text)]
-        return False, self._fresh(now_ns)
+        return False, self._fresh(now_ns) if code == FRESH else []
+
+    def _age_code(self, now_ns: int, own_ns: int) -> str:
+        """Return what the age of a message changes or withholds: the code of a remark, or ""."""
+        if self.max_age_ns:
+            if own_ns <= 0:
+                return "" if self._unknown_said else AGE_UNKNOWN
+            if now_ns - self.ahead_ns - own_ns > self.max_age_ns:
+                return STALE
+        return FRESH if self.stale else ""  # also if the maximum age was changed to none
 
     def _fresh(self, now_ns: int) -> list[Remark]:
         """Return the remark that a stream which was stale is no longer so."""
-        if not self.stale:
-            return []
         number, self.stale = self.stale, 0
         lasted = _seconds(now_ns - self._stale_since_ns)
         return [(Level.INFO, FRESH, f"{self.stream} is fresh again: {number:,} messages withheld in {lasted}")]
@@ -229,10 +232,9 @@ class GuardedStream:
             now_ns, stamp_ns: as for ``observe``.
             data, numbers, at: the message, and format (None: not a pose) and offset of its translation.
         """
-        if self.max_age_ns:
-            unknown = stamp_ns == now_ns and not self._unknown_said
-            if self.stale or unknown or now_ns - self.ahead_ns - stamp_ns > self.max_age_ns:
-                return False
+        # a stamp of now may be that of a message without one
+        if self.stale or self._age_code(now_ns, 0 if stamp_ns == now_ns else stamp_ns):
+            return False
         if not self._watch:
             return True
         place: Place | None = None

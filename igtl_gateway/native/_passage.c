@@ -330,7 +330,8 @@ static int might_jump(const double before[3], const double after[3])
     return !(most <= LEAST_SUSPECT * LEAST_SUSPECT * least) && most > 0.0;
 }
 
-/* GuardedStream.passes_quickly: 1 where the message passes and is observed; 0, and nothing changes: Python judges. */
+/* GuardedStream.passes_quickly: 1 where the message passes and is observed; 0, and nothing changes: Python judges.
+ * A twin of guarded_stream.py, see ARCHITECTURE.md; tests/native/test_twins.py compares them. */
 static int passes_guard(Guard *guard, int64_t now_ns, int64_t stamp_ns, const double place[3])
 {
     if (!guard)
@@ -1190,7 +1191,18 @@ static PyObject *guard_set(Guard *guard, PyObject *args)
     Py_RETURN_NONE;
 }
 
+static PyObject *guard_passes(Guard *guard, PyObject *args)
+{
+    long long now_ns, stamp_ns;
+    double place[3];
+    if (PyTuple_GET_SIZE(args) == 2 ? !PyArg_ParseTuple(args, "LL", &now_ns, &stamp_ns)
+                                    : !PyArg_ParseTuple(args, "LLddd", &now_ns, &stamp_ns, place, place + 1, place + 2))
+        return NULL;
+    return PyBool_FromLong(passes_guard(guard, now_ns, stamp_ns, PyTuple_GET_SIZE(args) == 2 ? NULL : place));
+}
+
 static PyMethodDef guard_methods[] = {
+    {"passes", (PyCFunction)guard_passes, METH_VARARGS, "(time, stamp[, x, y, z]) -> whether it passes, for the tests."},
     {"collect", (PyCFunction)guard_collect, METH_NOARGS, "Return the state, and what was looked at since the last call."},
     {"set", (PyCFunction)guard_set, METH_VARARGS, "Set the state."},
     {NULL, NULL, 0, NULL},

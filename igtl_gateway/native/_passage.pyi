@@ -23,6 +23,8 @@ class Guard:
     """The state of a guarded stream; all methods need the sequence lock."""
 
     is_dirty: bool
+    def passes(self, now_ns: int, stamp_ns: int, *place: float) -> bool:
+        """Judge a message as the passage does; for the tests."""
     def collect(
         self,
     ) -> tuple[tuple[int, int, int, int, int, int, tuple[float, float, float] | None], list[tuple[int, int]]]: ...

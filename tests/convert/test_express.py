@@ -1,12 +1,11 @@
 """The compiled conversions of poses: what the full conversion gives, byte by byte, or None; in C and in Python.
 
-Also the CRC of the C part, against fastcrc.
+Over random poses, and for the CRC: ``tests/native/test_twins.py``.
 """
 
 from __future__ import annotations
 
 import math
-import random
 import struct
 from collections.abc import Callable
 from typing import Any
@@ -270,46 +269,3 @@ def test_padding_between_the_names_is_not_compared(functions: Pair) -> None:
     assert not any(cdr[at : at + 3])
     cdr[at : at + 3] = b"\xaa\xbb\xcc"
     assert sent(functions[1], bytes(cdr)) == sent(functions[1], tool((1.0, 2.0, 3.0)))
-
-
-# The CRC of the C part: as the processor allows, and with tables
-
-BYTES = random.Random(64).randbytes(4 * 2**20 + 16)
-
-
-@pytest.fixture
-def both() -> Callable[..., Any]:
-    """Return the function (data, CRC of the bytes before) → CRC in both ways."""
-    module = pytest.importorskip("igtl_gateway.native._express", reason="installed without the C part")
-    function: Callable[..., Any] = module.crc64_both
-    return function
-
-
-@pytest.mark.parametrize("alignment", range(16))
-def test_crc_of_all_sizes_at_all_alignments(both: Callable[..., Any], alignment: int) -> None:
-    view = memoryview(BYTES)
-    for size in range(4097):
-        part = view[alignment : alignment + size]
-        assert both(part, 0) == (crc64(part),) * 2, size
-
-
-@pytest.mark.parametrize("size", [65_535, 1_000_000, 2**20, 4 * 2**20])
-def test_crc_of_many_bytes(both: Callable[..., Any], size: int) -> None:
-    assert both(BYTES[:size], 0) == (crc64(BYTES[:size]),) * 2
-
-
-def test_crc_in_pieces(both: Callable[..., Any]) -> None:
-    rng = random.Random(65)
-    for _ in range(200):
-        begin = at = rng.randrange(16)
-        crc = 0
-        for _ in range(rng.randrange(1, 6)):
-            part = BYTES[at : at + rng.choice([rng.randrange(32), rng.randrange(600), rng.randrange(40_000)])]
-            folded, plain = both(part, crc)
-            assert folded == plain
-            crc, at = folded, at + len(part)
-        assert crc == crc64(BYTES[begin:at])
-
-
-def test_crc_of_the_catalogue(both: Callable[..., Any]) -> None:
-    assert both(b"123456789", 0) == (0x6C40DF5F0B497347,) * 2
