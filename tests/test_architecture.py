@@ -242,6 +242,7 @@ UNMIRRORED = (
     "integration",
     "peers",
     "native/test_turns.py",  # turns of links in _passage.c
+    "native/test_twins.py",  # rules that stand in Python and in C
     "addons/exchange/test_import_memory.py",  # any importer
     "addons/exchange/test_import_mutations.py",  # tools/import_mutations.py
     "cli/test_file_modes.py",  # outputs of every verb
