@@ -76,6 +76,7 @@ if TYPE_CHECKING:
     )
     from igtl_gateway.cli.verbs import Verb
     from igtl_gateway.config.configuration import Config, read_toml
+    from igtl_gateway.convert.structs import Pose
     from igtl_gateway.gateway.log.entry import Entry, Kind
     from igtl_gateway.gateway.log.note import Level, Note
     from igtl_gateway.record.sessionfile import layout
@@ -88,6 +89,7 @@ if TYPE_CHECKING:
         write_bytes,
         write_text,
     )
+    from igtl_gateway.record.sessionfile.ranges import RangeFile, named
     from igtl_gateway.record.sessionfile.reader import SessionFile
     from igtl_gateway.record.sessionfile.writer import SessionWriter
     from igtl_gateway.replay.recorded_config import config_to_run
@@ -114,6 +116,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "api.stream": ("Stream",),
     # Sessions: entries as they are in the file, and their writing
     "record.sessionfile.reader": ("SessionFile",),
+    "record.sessionfile.ranges": ("RangeFile", "named"),
     "record.sessionfile.writer": ("SessionWriter",),
     "record.sessionfile": ("layout",),
     "gateway.log.entry": ("Entry", "Kind"),
@@ -206,7 +209,9 @@ __all__ = [
     "Note",
     "Options",
     "OutputError",
+    "Pose",
     "Qos",
+    "RangeFile",
     "Recording",
     "RecordingError",
     "SessionFile",
@@ -250,6 +255,7 @@ __all__ = [
     "make_folder",
     "matches",
     "missing",
+    "named",
     "new_recording",
     "ns_to_ros",
     "of_session",

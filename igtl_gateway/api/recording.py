@@ -12,7 +12,7 @@ from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from types import TracebackType
-from typing import IO, TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.api.display import html_table
 from igtl_gateway.api.keywords import texts
@@ -20,13 +20,14 @@ from igtl_gateway.api.moments import Moment
 from igtl_gateway.api.source import Source
 from igtl_gateway.api.stream import STREAM_HEAD, Stream, narrowed
 from igtl_gateway.api.transforms import TransformTree
-from igtl_gateway.base.errors import BeingRecorded, ConfigError, DamagedRecording, GatewayError
+from igtl_gateway.base.errors import BeingRecorded, ConfigError, DamagedRecording
 from igtl_gateway.base.near import did_you_mean, near_names
 from igtl_gateway.base.untrusted import limits as file_limits
 from igtl_gateway.base.untrusted.limits import FileLimits
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.record.sessionfile.ranges import named
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.remote import RemoteFile, is_url
 
@@ -340,12 +341,10 @@ def _limits(given: FileLimits | Mapping[str, int] | None) -> FileLimits:
 
 def _open_file(path: str | Path, resources: ExitStack, warnings: list[str]) -> SessionFile:
     if isinstance(path, str) and is_url(path):
-        # the file is a stream of blocks behind a buffer, so that small reads cost no request
-        stream: IO[bytes] = io.BufferedReader(resources.enter_context(RemoteFile(path)), RemoteFile.BLOCK)
-        try:
-            return SessionFile(Path(path.partition("?")[0]), stream)
-        except GatewayError as error:
-            raise type(error)(str(error).replace(str(Path(path.partition("?")[0])), path)) from None
+        raw = resources.enter_context(RemoteFile(path))
+        shown = Path(path.partition("?")[0])
+        with named(shown, path):
+            return SessionFile(shown, io.BufferedReader(raw, raw.block))
     try:
         return resources.enter_context(SessionFile.open(path))
     except BeingRecorded:

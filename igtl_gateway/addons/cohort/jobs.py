@@ -24,6 +24,7 @@ from igtl_gateway.addon import (
     files,
     layout,
     limits,
+    named,
     verify_session,
 )
 from igtl_gateway.addons.cohort.ends import (
@@ -37,7 +38,7 @@ from igtl_gateway.addons.cohort.ends import (
     UNREACHABLE,
     UNSUPPORTED,
 )
-from igtl_gateway.addons.cohort.objects import BLOCK, ObjectFile, Unreachable, is_url
+from igtl_gateway.addons.cohort.objects import ObjectFile, Unreachable, is_url
 from igtl_gateway.app.content_summary import ContentSummary
 from igtl_gateway.app.linting import observe
 from igtl_gateway.base.errors import BeingRecorded
@@ -147,10 +148,8 @@ def _opened(job: Mapping[str, Any], reply: dict[str, Any]) -> Iterator[SessionFi
         return
     raw = ObjectFile(name, int(job["size"]), job["e_tag"])
     try:
-        with io.BufferedReader(raw, BLOCK) as stream:
+        with named(Path(name), name), io.BufferedReader(raw, raw.block) as stream:
             yield SessionFile(Path(name), stream)
-    except GatewayError as error:
-        raise type(error)(str(error).replace(str(Path(name)), name)) from None
     finally:
         reply |= {"requests": raw.requests, "bytes_read": raw.bytes_read}
 

@@ -6,19 +6,16 @@ Credentials and endpoints are those of the environment (``AWS_ACCESS_KEY_ID``, `
 from __future__ import annotations
 
 import fnmatch
-import io
 import re
-from collections import OrderedDict
 from collections.abc import Iterator, Mapping
 from datetime import timedelta
 from pathlib import PurePosixPath
 from typing import Any
 
-from igtl_gateway.addon import ConfigError, Unavailable, extras
+from igtl_gateway.addon import ConfigError, RangeFile, Unavailable, extras
 
-#: Bytes of one request for small reads, and how many of these blocks are kept.
+#: Bytes of one request for small reads.
 BLOCK = 64 << 10
-_KEPT = 64
 #: How often and how long a request is tried again, each for 30 s at most (``AWS_TIMEOUT`` …).
 RETRY: Any = {"max_retries": 4, "retry_timeout": timedelta(seconds=60)}
 _URL = re.compile(r"(?P<root>(?P<scheme>[a-zA-Z][a-zA-Z0-9+.-]*)://[^/]*)/?(?P<name>.*)", re.DOTALL)
@@ -67,64 +64,24 @@ def list_objects(url: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
         raise Unreachable(f"{url}: {_reason(error)}") from None
 
 
-class ObjectFile(io.RawIOBase):
-    """An object, read by ranges; large reads are one request, small ones are served from blocks that are kept.
+class ObjectFile(RangeFile):
+    """An object, read by ranges.
 
     Args:
         url: of the object.
         size: bytes.
         e_tag: what the object must still have, ``""`` for any.
 
-    Attributes:
-        requests, bytes_read: what was requested so far.
-
     Reads raise Unreachable, also if the object has changed: its bytes are those of one version, or none.
     """
 
     def __init__(self, url: str, size: int, e_tag: str = "") -> None:
         root, self._name = _parts(url)
-        self._store, self._url, self._size, self._tag = _store(root), url, size, e_tag
-        self._at = self.requests = self.bytes_read = 0
-        self._blocks: OrderedDict[int, bytes] = OrderedDict()
+        self._store, self._url, self._tag = _store(root), url, e_tag
+        super().__init__(size, BLOCK)
 
-    def readable(self) -> bool:
-        return True
-
-    def seekable(self) -> bool:
-        return True
-
-    def tell(self) -> int:
-        return self._at
-
-    def seek(self, offset: int, whence: int = io.SEEK_SET, /) -> int:
-        start = {io.SEEK_SET: 0, io.SEEK_CUR: self._at, io.SEEK_END: self._size}[whence]
-        self._at = max(0, start + offset)
-        return self._at
-
-    def readinto(self, buffer: Any, /) -> int:
-        count = min(len(buffer), self._size - self._at)
-        if count <= 0:
-            return 0
-        if count >= BLOCK:
-            data = self._range(self._at, count)
-        else:
-            number, inside = divmod(self._at, BLOCK)
-            data = self._block(number)[inside : inside + count]  # the rest at the next call
-        buffer[: len(data)] = data
-        self._at += len(data)
-        return len(data)
-
-    def _block(self, number: int) -> bytes:
-        data = self._blocks.pop(number, None)
-        if data is None:
-            start = number * BLOCK
-            data = self._range(start, min(BLOCK, self._size - start))
-            while len(self._blocks) >= _KEPT:
-                self._blocks.popitem(last=False)
-        self._blocks[number] = data
-        return data
-
-    def _range(self, start: int, count: int) -> bytes:
+    def fetch(self, start: int, count: int) -> bytes:
+        """Raises Unreachable."""
         import obstore
 
         options: dict[str, Any] = {"range": (start, start + count)}
@@ -138,8 +95,6 @@ class ObjectFile(io.RawIOBase):
             raise self._changed() if changed else Unreachable(f"{self._url}: {_reason(error)}") from None
         if facts["size"] != self._size or (self._tag and facts.get("e_tag") != self._tag):
             raise self._changed()
-        self.requests += 1
-        self.bytes_read += len(data)
         if len(data) != count:
             raise Unreachable(f"{self._url}: found {len(data)} bytes at {start}, expected {count}; run again")
         return data
