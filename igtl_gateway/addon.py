@@ -50,7 +50,6 @@ if TYPE_CHECKING:
     from igtl_gateway.cli.options import (
         RECORDING,
         RECORDING_OR_BAG,
-        STREAM,
         Options,
         add_config,
         add_file,
@@ -60,10 +59,12 @@ if TYPE_CHECKING:
         add_streams,
         default,
         definitions,
+        file_name,
         new_recording,
         output_file,
         parser_of,
     )
+    from igtl_gateway.cli.settings import add_settings, values_with_effect
     from igtl_gateway.cli.terminal import (
         aligned,
         cell,
@@ -76,6 +77,7 @@ if TYPE_CHECKING:
     )
     from igtl_gateway.cli.verbs import Verb
     from igtl_gateway.config.configuration import Config, read_toml
+    from igtl_gateway.config.setting import STREAM, Setting
     from igtl_gateway.convert.structs import Pose
     from igtl_gateway.gateway.log.entry import Entry, Kind
     from igtl_gateway.gateway.log.note import Level, Note
@@ -150,7 +152,6 @@ HOMES: dict[str, tuple[str, ...]] = {
         "Options",
         "RECORDING",
         "RECORDING_OR_BAG",
-        "STREAM",
         "add_config",
         "add_file",
         "add_file_mode",
@@ -159,10 +160,13 @@ HOMES: dict[str, tuple[str, ...]] = {
         "add_streams",
         "default",
         "definitions",
+        "file_name",
         "new_recording",
         "output_file",
         "parser_of",
     ),
+    "cli.settings": ("add_settings", "values_with_effect"),
+    "config.setting": ("STREAM", "Setting"),
     "cli.terminal": (
         "aligned",
         "cell",
@@ -216,6 +220,7 @@ __all__ = [
     "RecordingError",
     "SessionFile",
     "SessionWriter",
+    "Setting",
     "Stream",
     "SystemClock",
     "Unavailable",
@@ -229,6 +234,7 @@ __all__ = [
     "add_file_mode",
     "add_json",
     "add_overwrite",
+    "add_settings",
     "add_streams",
     "aligned",
     "cell",
@@ -241,6 +247,7 @@ __all__ = [
     "default",
     "definitions",
     "extras",
+    "file_name",
     "files",
     "in_use",
     "is_present",
@@ -278,6 +285,7 @@ __all__ = [
     "size_text",
     "stop_event",
     "utc_text",
+    "values_with_effect",
     "verify_recording",
     "verify_session",
     "width",

@@ -17,7 +17,10 @@ from igtl_gateway.cli import main
 for words in json.loads(sys.argv[1]):
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        code = main(words)
+        try:
+            code = main(words)
+        except SystemExit as end:  # of a value that an option cannot have
+            code = end.code
     print(json.dumps([code, out.getvalue(), err.getvalue()]), flush=True)
 """
 

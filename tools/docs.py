@@ -24,10 +24,12 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.addons.cohort.columns import TABLES
+from igtl_gateway.api.keywords import keywords
 from igtl_gateway.app.commands import SERVICE
 from igtl_gateway.app.metrics import METRICS
 from igtl_gateway.app.recording import PAUSE, RESUME, SNAPSHOT
 from igtl_gateway.app.recording import TYPE as TRIGGER
+from igtl_gateway.app.replay_options import REPLAY
 from igtl_gateway.base.extras import PURPOSES
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.stamp import NS_PER_MS
@@ -37,7 +39,8 @@ from igtl_gateway.cli.options import argument_name
 from igtl_gateway.cli.verbs import Verb, available
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.faults import FAULTS
-from igtl_gateway.config.settings import ROWS, SETTINGS, Setting, of_table
+from igtl_gateway.config.setting import ROWS, Setting
+from igtl_gateway.config.settings import SETTINGS, of_table
 from igtl_gateway.convert import crtk
 from igtl_gateway.convert.commands import ERROR_MESSAGE, STATUS
 from igtl_gateway.convert.names import MAX_TOKEN, frames_of, short_device_name, topic_token
@@ -1218,6 +1221,15 @@ def _cohort_columns() -> str:
     )
 
 
+def _keywords_of_replay() -> str:
+    """The keyword arguments of `replay_recording`, of its table."""
+    rows = (
+        (f"`{row.name}`", f"`{row.default!r}`", f"`{row.flag}`", _escape(row.about).replace("`", ""))
+        for row in keywords(REPLAY).values()
+    )
+    return table(("keyword", "default", "option", "meaning"), rows)
+
+
 def _extras() -> str:
     return table(("extra", "needed for"), ((f"`{extra}`", purpose) for extra, purpose in PURPOSES.items()))
 
@@ -1237,6 +1249,7 @@ PARTS: dict[str, dict[str, Callable[[], str]]] = {
     "how-to/faults.md": {"faults": _faults},
     "how-to/metrics.md": {"metrics": _metrics},
     "reference/command-line.md": {"extras": _extras},
+    "how-to/python-verbs.md": {"replay": _keywords_of_replay},
     "reference/formats.md": {"rules of PLUS": _rules_of_plus},
     "reference/limits.md": {"limits": _file_limits},
 }

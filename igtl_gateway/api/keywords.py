@@ -2,27 +2,33 @@
 
 from __future__ import annotations
 
+import inspect
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from os import PathLike, fspath
-from typing import Any
+from typing import Any, TypeVar
 
+from igtl_gateway.app.replay_options import REPLAY
 from igtl_gateway.app.rows import rows_of
 from igtl_gateway.base.errors import ConfigError, RecordingError, Unavailable
-from igtl_gateway.config.settings import BY_SETTING, ROWS, SETTINGS, Setting, unknown
+from igtl_gateway.config.setting import ROWS, Setting, unknown
+from igtl_gateway.config.settings import SETTINGS
+from igtl_gateway.edges.tcp import TlsFiles
+
+F = TypeVar("F", bound=Callable[..., object])
 
 BEGIN = "--ros-args"
+#: Keywords that are a number of seconds, or a date and time.
+_MOMENTS = ("start", "end")
 
-#: Settings of the command line alone: it serves them from its own thread.
-_OF_THE_COMMAND_LINE = frozenset({"metrics"})
 _OF_A_BRIDGE = {row.flag: row.name for row in SETTINGS if row.flag} | {BEGIN: "ros_args", "--no-ros": "ros=False"}
-_OF_A_REPLAY = (
-    {f"--{name}": name for name in ("to", "rate", "start", "end", "duration", "streams", "send", "restamp", "loop")}
-    | {"--through-gateway": "through_gateway", "--wait-peers": "wait_peers", "--fault": "fault", "--seed": "seed"}
-    | {"--delay": "delay_s", "--clock": "clock_hz", "--allow": "allow", "--config": "config", BEGIN: "ros_args"}
-    | {"--tls-cert": "tls.cert", "--tls-key": "tls.key", "--tls-ca": "tls.ca"}
-)
+_OF_A_REPLAY = {row.flag: row.name for row in REPLAY} | {
+    BEGIN: "ros_args",
+    "--tls-cert": "tls.cert",
+    "--tls-key": "tls.key",
+    "--tls-ca": "tls.ca",
+}
 _OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*[a-z]")
 _CHOICE = re.compile(r"(?<![\w-])--(to|restamp) (igtl|ros|both|keep|now|shift)\b")
 
@@ -75,20 +81,6 @@ def texts(name: str, given: object) -> tuple[str, ...]:
     return found
 
 
-def one_of(name: str, found: object, choices: Sequence[str]) -> None:
-    """Raises ConfigError if a value is not one of the choices."""
-    if found not in choices:
-        raise ConfigError(f"{name}: found {found!r}, expected one of {', '.join(map(repr, choices))}")
-
-
-def numbers(*, optional: bool = False, **given: object) -> None:
-    """Raises ConfigError for an argument that is not a number; ``optional``: it may be None."""
-    for name, found in given.items():
-        is_number = isinstance(found, int | float) and not isinstance(found, bool)
-        if not (is_number or (optional and found is None)):
-            raise ConfigError(f"{name}: found {found!r}, expected a number{' or None' if optional else ''}")
-
-
 def ros_arguments(given: Sequence[str], *, ros: bool, without: str) -> tuple[str, ...]:
     """Return arguments of ROS as a node has them, from ``--ros-args`` on; () without any.
 
@@ -107,13 +99,19 @@ def ros_arguments(given: Sequence[str], *, ros: bool, without: str) -> tuple[str
     return (*(() if given[0] == BEGIN else (BEGIN,)), *given) if given else ()
 
 
-def checked(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings as the types of the table.  Raises ConfigError with the name of the setting."""
+def keywords(rows: Iterable[Setting]) -> dict[str, Setting]:
+    """Return the settings that the Python API has, by name."""
+    return {row.name: row for row in rows if row.keyword}
+
+
+def checked(settings: Mapping[str, Any], rows: Iterable[Setting] = SETTINGS) -> dict[str, Any]:
+    """Return settings as the types of a table.  Raises ConfigError with the name of the setting."""
+    known = keywords(rows)
     values: dict[str, Any] = {}
     for name, value in settings.items():
-        row = BY_SETTING.get(name)
-        if row is None or name in _OF_THE_COMMAND_LINE:
-            raise ConfigError(f"{name}: {unknown(name, BY_SETTING.keys() - _OF_THE_COMMAND_LINE)}")
+        row = known.get(name)
+        if row is None:
+            raise ConfigError(f"{name}: {unknown(name, known)}")
         try:
             values[name] = _rows(row, value) if row.table == ROWS else row.check(_plain(row, value))
         except ConfigError as error:
@@ -121,9 +119,47 @@ def checked(settings: Mapping[str, Any]) -> dict[str, Any]:
     return values
 
 
+def replay_values(to: str, tls: TlsFiles | None, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of all options of a replay for its arguments.  Raises ConfigError."""
+    given: dict[str, Any] = {"to": to, **settings}
+    places = {name: addresses(name, given.pop(name)) for name in ("listen", "connect") if name in given}
+    known = keywords(REPLAY)
+    for name, value in given.items():
+        if name in known and known[name].is_list:
+            given[name] = texts(name, value)
+        elif name in _MOMENTS and isinstance(value, int | float) and not isinstance(value, bool):
+            given[name] = str(value)
+    found = {row.name: row.default for row in REPLAY} | checked(given, REPLAY) | places
+    if tls is not None:
+        names = ("tls_cert", "tls_key", "tls_ca")
+        found |= dict(zip(names, (fspath(each) if each else "" for each in (tls.cert, tls.key, tls.ca)), strict=True))
+        found["tls"] = True
+    return found
+
+
+def with_keywords(rows: Sequence[Setting]) -> Callable[[F], F]:
+    """Return a decorator: the signature of a function names these rows in place of ``**settings``.
+
+    ``help`` and the completion of notebooks show them.
+    """
+
+    def decorate(function: F) -> F:
+        signature = inspect.signature(function)
+        own = [each for each in signature.parameters.values() if each.kind is not each.VAR_KEYWORD]
+        made = [
+            inspect.Parameter(row.name, inspect.Parameter.KEYWORD_ONLY, default=row.default)
+            for row in keywords(rows).values()
+            if row.name not in signature.parameters
+        ]
+        function.__signature__ = signature.replace(parameters=[*own, *made])  # type: ignore[attr-defined]
+        return function
+
+    return decorate
+
+
 def _plain(row: Setting, value: Any) -> Any:
     """A path as a string."""
-    return fspath(value) if isinstance(row.default, str) and isinstance(value, PathLike) else value
+    return fspath(value) if row.type is str and isinstance(value, PathLike) else value
 
 
 def _rows(row: Setting, value: Any) -> tuple[dict[str, Any], ...]:

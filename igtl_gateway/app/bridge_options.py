@@ -165,10 +165,13 @@ def _site(values: Mapping[str, Any]) -> SiteOptions:
 
 
 def addresses(
-    listening: Iterable[str], servers: Iterable[str]
+    listening: Iterable[str | tuple[str, int]], servers: Iterable[str | tuple[str, int]]
 ) -> tuple[tuple[tuple[str, int], ...], tuple[tuple[str, int], ...]]:
-    """Return (listen, connect) for checked strings, with the default server if there are none."""
-    listen, connect = (tuple(map(peer_address, texts)) for texts in (listening, servers))
+    """Return (listen, connect) for checked strings or pairs, with the default server if there are none."""
+    listen, connect = (
+        tuple(peer_address(place) if isinstance(place, str) else place for place in places)
+        for places in (listening, servers)
+    )
     return listen if listen or connect else ((DEFAULT_HOST, DEFAULT_PORT),), connect
 
 

@@ -1,16 +1,15 @@
-"""The options of a replay and its sides: opened, waited for, closed at the end."""
+"""The sides of a replay: opened, waited for, closed at the end."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from pathlib import Path
 from threading import Event
-from typing import Literal
 
 from igtl_gateway.app.faulty import all_with_disconnects, disconnector, with_disconnects
 from igtl_gateway.app.replay_listeners import Listeners
+from igtl_gateway.app.replay_options import ReplayOptions
 from igtl_gateway.app.replay_plan import (
     PLAYED_QOS,
     ReplayPlan,
@@ -24,15 +23,13 @@ from igtl_gateway.app.replay_plan import (
 )
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.stamp import NS_PER_MS
-from igtl_gateway.convert.profiles import AUTO
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.ros.env import prepare_environment
 from igtl_gateway.edges.ros.host import NodeHost
-from igtl_gateway.edges.tcp import TcpEdge, TlsFiles
+from igtl_gateway.edges.tcp import TcpEdge
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.sessionfile.reader import SessionFile
-from igtl_gateway.replay.restamp import Mode
 from igtl_gateway.replay.simclock import CLOCK_TOPIC, CLOCK_TYPE
 from igtl_gateway.replay.source import matches_any
 
@@ -42,69 +39,6 @@ _LOOK_S = 0.2
 _HELLO_NS, _HELLO_LOOK_S = 500 * NS_PER_MS, 0.01
 
 OnLine = Callable[[str], None]
-Address = tuple[str, int]
-To = Literal["igtl", "ros", "both"]
-
-
-@dataclass(frozen=True, slots=True)
-class ReplayOptions:
-    """The options of a replay, those of ``igtl-gateway replay``.
-
-    Attributes:
-        to: send to OpenIGTLink peers, to ROS, or to both.
-        listen, connect: addresses of the OpenIGTLink side.
-        allow: networks (CIDR) whose peers may connect beside those of this host.
-        tls: files for TLS.
-        tls_listen, tls_connect: the addresses that use TLS.
-        config: configuration file to use with ``through_gateway``, instead of the recorded configuration.
-        send: ROS topics that are sent to OpenIGTLink, as ``TOPIC=DEVICE:TYPE``.
-        start, end: first and last recorded time, as ``replay.moment`` has it; None: the beginning, the end.
-        duration: recorded seconds, instead of ``end``.
-        streams: globs of the streams to send; empty: all.
-        through_gateway: recompute the outputs from the recorded inputs.
-        restamp: what happens to the stamps in the messages.
-        rate: recorded seconds per second; None: no pauses.
-        lock_step: wait after each message until its readers have it.
-        loop: repeat until stopped.
-        paused: start paused.
-        delay_s: seconds before the first message.
-        wait_peers: number of peers, or of subscribers on each topic, to wait for; None: 1 peer, 0 subscribers.
-        clock_hz: rate of /clock; None: do not publish it.
-        fault, seed: fault injection.
-        digest: compute the SHA-256 of the sent bytes.
-        ros_args: arguments of ROS for the node, from ``--ros-args`` on.
-        profile: profile of all OpenIGTLink peers; ``auto``: recognised from their messages.
-        exact: send the recorded bytes, whatever the peers can read.
-    """
-
-    to: To
-    listen: tuple[Address, ...] = ()
-    connect: tuple[Address, ...] = ()
-    allow: tuple[str, ...] = ()
-    tls: TlsFiles = field(default_factory=TlsFiles)
-    tls_listen: frozenset[Address] = frozenset()
-    tls_connect: frozenset[Address] = frozenset()
-    config: Path | None = None
-    send: tuple[str, ...] = ()
-    start: str | None = None
-    end: str | None = None
-    duration: float | None = None
-    streams: tuple[str, ...] = ()
-    through_gateway: bool = False
-    restamp: Mode = "keep"
-    rate: float | None = 1.0
-    lock_step: bool = False
-    loop: bool = False
-    paused: bool = False
-    delay_s: float = 0.0
-    wait_peers: int | None = None
-    clock_hz: float | None = None
-    fault: str = ""
-    seed: int = 0
-    digest: bool = True
-    ros_args: tuple[str, ...] = ()
-    profile: str = AUTO
-    exact: bool = False
 
 
 @dataclass(slots=True)

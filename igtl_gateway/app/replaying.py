@@ -12,25 +12,21 @@ from typing import Any
 from igtl_gateway.app.faulty import FaultyFeed
 from igtl_gateway.app.player import Jump, Player
 from igtl_gateway.app.replay_account import ReplayAccount
+from igtl_gateway.app.replay_options import ReplayOptions
 from igtl_gateway.app.replay_plan import check_streams, plan_replay, planned_entries
-from igtl_gateway.app.replay_sides import ReplayOptions, ReplaySides, open_sides
+from igtl_gateway.app.replay_sides import ReplaySides, open_sides
 from igtl_gateway.app.sends import with_sends
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import ConfigError, GatewayError
 from igtl_gateway.base.stamp import NS_PER_S
-from igtl_gateway.config.faults import CLOCK_STEP, LOSS, Fate, Faults
-from igtl_gateway.convert.profiles import AUTO
+from igtl_gateway.config.faults import LOSS, Fate, Faults
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.moment import moment
-from igtl_gateway.replay.playback import checked_rate
 from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.replay.restamp import Restamper
 from igtl_gateway.replay.simclock import period_ns, with_ticks
 from igtl_gateway.replay.timeline import SessionTimeline, clock_steps_of
-
-#: A year: longer than a session, shorter than what a clock of the system cannot wait for.
-_LONGEST_S = 366 * 86_400.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +130,6 @@ def run_replay(path: Path, options: ReplayOptions, stop: Event, events: ReplayEv
         GatewayError: the recording has no message for the side; UnsupportedRecording, DamagedRecording, RosError,
             Unavailable.
     """
-    check_options(options)
     clock_ns = None if options.clock_hz is None else period_ns(options.clock_hz)
     results: list[ReplayResult] = []
     with SessionFile.open(path) as file, ExitStack() as at_end, ExitStack() as stack:
@@ -199,38 +194,6 @@ def run_replay(path: Path, options: ReplayOptions, stop: Event, events: ReplayEv
         why = next(iter(player.played.refused), ("", "see `igtl-gateway info`, and --send"))[1]
         raise GatewayError(f"{path}: found no messages for {options.to}: {why}")
     return results[0]
-
-
-def check_options(options: ReplayOptions) -> None:
-    """Check the options before anything is opened.  Raises ConfigError."""
-    checked_rate(options.rate)
-    if options.wait_peers is not None and options.wait_peers < 0:
-        raise ConfigError(f"--wait-peers: found {options.wait_peers}, expected 0 or more")
-    if not 0 <= options.delay_s <= _LONGEST_S:
-        raise ConfigError(f"--delay: found {options.delay_s}, expected seconds, 0 or more, at most {_LONGEST_S:,.0f}")
-    if options.duration is not None and not 0 < options.duration <= _LONGEST_S:
-        raise ConfigError(f"--duration: found {options.duration}, expected seconds, above 0, at most {_LONGEST_S:,.0f}")
-    for option, need, is_given, is_met in (
-        ("--config", "--through-gateway", options.config is not None, options.through_gateway),
-        ("--seed", "--fault", bool(options.seed), bool(options.fault)),
-        ("--ros-args", "--to ros or --to both", bool(options.ros_args), options.to != "igtl"),
-    ):
-        if is_given and not is_met:
-            raise ConfigError(f"{option}: found no {need}, expected it: the option has no effect here")
-    if options.clock_hz is not None:
-        period_ns(options.clock_hz)
-        if options.to == "igtl":
-            raise ConfigError("--clock: found --to igtl, expected --to ros or --to both: /clock is a ROS topic")
-    for option, given in (("--profile", options.profile != AUTO), ("--exact", options.exact)):
-        if given and options.to == "ros":
-            raise ConfigError(f"{option}: found --to ros, expected --to igtl or --to both: it is of OpenIGTLink peers")
-    faults = Faults.parse(options.fault)
-    if faults and options.to == "ros":
-        raise ConfigError("--fault: found --to ros, expected --to igtl or --to both: faults are of OpenIGTLink lines")
-    if faults.clock_step_ns and options.restamp == "now":
-        raise ConfigError(
-            f"--fault: {CLOCK_STEP}: found --restamp now, which replaces all stamps, expected keep or shift"
-        )
 
 
 def _part(options: ReplayOptions, file: SessionFile) -> tuple[int | None, int | None]:

@@ -8,7 +8,8 @@ from typing import Any
 
 from igtl_gateway.app.sends import send_row
 from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.config.settings import PROFILE_NAMES, Setting
+from igtl_gateway.config.setting import Setting
+from igtl_gateway.config.settings import PROFILE_NAMES
 from igtl_gateway.convert.frames import TfRequest
 from igtl_gateway.convert.table import TO_ROS
 

@@ -14,19 +14,8 @@ from typing import Any
 from igtl_gateway.app.rows import rows_of
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.config.configuration import LIVE, Config, read_toml
-from igtl_gateway.config.settings import (
-    GATEWAY,
-    HOST,
-    IGTL,
-    RECORD,
-    ROWS,
-    SETTINGS,
-    Value,
-    check_values,
-    of_table,
-    parameters,
-    unknown,
-)
+from igtl_gateway.config.setting import GATEWAY, HOST, IGTL, RECORD, ROWS, Value, unknown
+from igtl_gateway.config.settings import SETTINGS, check_values, of_table, parameters
 
 _FILES = ("tls_cert", "tls_key", "tls_ca")
 

@@ -1,20 +1,10 @@
-"""Settings of peers: who may connect, TLS, denied messages, limits."""
+"""The denied messages of a bridge, as lines."""
 
 from __future__ import annotations
 
-from igtl_gateway.cli.options import Options
-from igtl_gateway.cli.settings import add_settings
 from igtl_gateway.config.configuration import Config
-from igtl_gateway.edges.tcp import TlsFiles
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.wire.registry import BODIES
-
-_NEVER = TlsFiles()
-
-
-def add_tls(group: Options) -> None:
-    """Options for TLS and its files."""
-    add_settings(group, "tls", "tls_cert", "tls_key", "tls_ca")
 
 
 def denials(config: Config) -> list[str]:

@@ -19,17 +19,18 @@ from igtl_gateway.base.clock import Clock, SystemClock
 from igtl_gateway.base.errors import ConfigError, ViewerError
 from igtl_gateway.base.extras import missing
 from igtl_gateway.base.stamp import NS_PER_S
-from igtl_gateway.cli import admission, recording
+from igtl_gateway.cli import recording
 from igtl_gateway.cli.bridge_output import BridgeOutput, JsonOutput, TextOutput
 from igtl_gateway.cli.bridge_session import BridgeSession, LiveWindow, PlainRunner, options_of_session
 from igtl_gateway.cli.common import stop_event
-from igtl_gateway.cli.options import default
 from igtl_gateway.cli.ros_arguments import add_ros_arguments
-from igtl_gateway.cli.settings import add_faults, add_settings, common_options, given, settled
+from igtl_gateway.cli.settings import add_settings, common_options, faults_text, given, settled
 from igtl_gateway.cli.terminal import is_terminal, print_line
 from igtl_gateway.cli.type_tables import types
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.notations import DDS, address, ros_middleware
+from igtl_gateway.config.setting import Setting, grouped
+from igtl_gateway.config.settings import SETTINGS
 from igtl_gateway.edges.ros.env import prepare_environment, tune_malloc
 from igtl_gateway.edges.ros.host import NodeHost
 
@@ -80,69 +81,53 @@ EXAMPLES = """\
 Messages of a device are published on /igtl/in/<device>/<kind>.  Messages that
 are published on /igtl/out/<device> are sent to the peers."""
 
-#: Options that the short help shows.
-COMMON = common_options("--duration", "--no-ros", "--view", "--json", "--ros-args")
-
 _STATUS_EVERY_S = 0.5
 _SHARED_TF = (
     "poses go to /tf, which all namespaces share; if another bridge has the same device names, give both "
     "--ros-args -r /tf:=tf -r /tf_static:=tf_static"
 )
+
+
 _NODE_NAME = "igtl_gateway"
+
+#: Options beside the settings: what the verb prints, how long it runs, where it runs.
+OPTIONS = (
+    Setting("duration", None, "stop after this time", kind=float, metavar="SECONDS", unit="s", common=True),
+    Setting("types", False, "list all conversions of message types, then exit"),
+    *grouped(
+        "ROS",
+        Setting("no_ros", False, "run without ROS, for OpenIGTLink only", common=True),
+        Setting("node_name", "", "name of the ROS node", metavar="NAME", shown=_NODE_NAME),
+        Setting(
+            "no_autostart",
+            False,
+            "start as a managed node that other nodes configure and activate, in the state unconfigured",
+        ),
+    ),
+    *grouped(
+        "diagnostics",
+        Setting("view", False, "show all messages live in the window of rerun", common=True),
+        Setting(
+            "log_format",
+            "text",
+            "format of the output; json: one object per line, with its time",
+            choices=("text", "json"),
+        ),
+        Setting("json", False, "same as --log-format json", common=True),
+    ),
+)
+
+#: Options that the short help shows.
+COMMON = common_options((*SETTINGS, *OPTIONS), "--ros-args")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    add_settings(parser, "config")
-    parser.add_argument("--duration", type=float, metavar="SECONDS", help="stop after this time")
-    parser.add_argument("--types", action="store_true", help="list all conversions of message types, then exit")
-    add_settings(parser.add_argument_group("addresses"), "listen", "connect", "relay")
-    group = parser.add_argument_group("security")
-    add_settings(group, "allow")
-    admission.add_tls(group)
-    add_settings(group, "deny_in", "deny_out", "allow_in", "allow_out", "cautious")
-    group = parser.add_argument_group("limits of a peer")
-    add_settings(group, "max_clients", "queue_mib", "queue_messages", "max_body_mib", "max_body", "max_messages")
-    add_settings(group, "stall_s", "min_rate_kib", "idle_s")
-    group = parser.add_argument_group("peers and messages")
-    add_settings(group, "profile", "peers", "to_igtl", "tf_out", "to_ros")
-    group = parser.add_argument_group("ROS")
-    add_settings(group, "ros", "site", "site_budget", "site_classes", "publish_tf")
-    group.add_argument("--no-ros", action="store_true", help="run without ROS, for OpenIGTLink only")
-    group.add_argument("--node-name", metavar="NAME", help="name of the ROS node " + default(_NODE_NAME))
-    group.add_argument(
-        "--no-autostart",
-        action="store_true",
-        help="start as a managed node that other nodes configure and activate, in the state unconfigured",
+    more = faults_text(
+        "With --relay only.  in:NAME=VALUE applies to messages of clients to the",
+        "server, out:NAME=VALUE to messages of the server to clients.",
     )
-    add_ros_arguments(group, "parameters, remapping, namespace, log level")
-    group = parser.add_argument_group("video (needs PyAV)")
-    add_settings(group, "video_codec", "video_bit_rate", "video_key_interval")
-    recording.add_arguments(parser.add_argument_group("recording"))
-    group = parser.add_argument_group("scheduling")
-    add_settings(group, "realtime_priority", "lock_memory", "cpu_affinity")
-    _add_diagnostics(parser.add_argument_group("diagnostics"))
-    add_faults(
-        parser,
-        [
-            "With --relay only.  in:NAME=VALUE applies to messages of clients to the",
-            "server, out:NAME=VALUE to messages of the server to clients.",
-        ],
-    )
-
-
-def _add_diagnostics(group: argparse._ArgumentGroup) -> None:
-    add_settings(group, "diagnostics", "watch")
-    group.add_argument("--view", action="store_true", help="show all messages live in the window of rerun")
-    add_settings(group, "metrics")
-    group.add_argument(
-        "--log-format",
-        choices=("text", "json"),
-        default="text",
-        help="format of the output; json: one object per line, with its time " + default("text"),
-    )
-    group.add_argument(
-        "--json", dest="log_format", action="store_const", const="json", help="same as --log-format json"
-    )
+    add_settings(parser, (*SETTINGS, *OPTIONS), fault_injection=more)
+    add_ros_arguments(parser.add_argument_group("arguments of ROS"), "parameters, remapping, namespace, log level")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -153,6 +138,7 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError(f"--duration: found {options.duration:g}, expected a number of seconds above 0")
     if options.ros_args and options.no_ros:
         raise ConfigError("--ros-args: found --no-ros, expected ROS: they are arguments of its node")
+    as_text = not options.json and options.log_format != "json"
     clock = SystemClock()
     plan = _Plan(options)
     problems: deque[str] = deque()  # of transitions
@@ -175,11 +161,11 @@ def run(options: argparse.Namespace) -> int:
                 on_failure=problems.append,
                 on_end=stop.set,
             )
-            if options.log_format == "text":
+            if as_text:
                 out = TextOutput(is_terminal(), runner.host.logs)
         else:
             runner = PlainRunner(make(None, 1))
-            if options.log_format == "text":
+            if as_text:
                 out = TextOutput(is_terminal())
         host = runner.host if isinstance(runner, ManagedBridge) else None
         show = _Show(out, host, notes, clock)

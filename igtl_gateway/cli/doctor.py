@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 
 from igtl_gateway.app import bridge_options
 from igtl_gateway.app.examine import ExamineOptions, examine
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.cli import admission, lint
+from igtl_gateway.cli import lint
 from igtl_gateway.cli.common import load_config, stop_event
-from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT, add_config, add_json, default, peer_address
-from igtl_gateway.cli.settings import add_settings
+from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT, peer_address
+from igtl_gateway.cli.settings import add_settings, values_with_effect
 from igtl_gateway.cli.terminal import print_json, print_line
+from igtl_gateway.config import notations
+from igtl_gateway.config.setting import Setting, grouped
+from igtl_gateway.config.settings import BY_SETTING, TLS
 from igtl_gateway.doctor.host_report import HostReport, examine_host
 from igtl_gateway.doctor.report import DoctorReport
 
@@ -35,7 +39,54 @@ EXAMPLES = """\
 
 exit code 0: no error found; 1: an error; 2: wrong usage"""
 
-_SECONDS = 5.0
+_YEAR_S = 365 * 86_400.0
+
+#: What an option needs: a peer, or an address for it; a recording and this machine have neither.
+_PEER = "a peer"
+_ABSENT = {_PEER: "found a recording or --host, expected a peer"}
+
+OPTIONS = (
+    Setting(
+        "listen",
+        None,
+        "wait for the peer to connect to this address",
+        kind=str,
+        metavar="[tls://]HOST:PORT",
+        reads=notations.peer_address,
+        bare=f"{DEFAULT_HOST}:{DEFAULT_PORT}",
+        shown=f"{DEFAULT_HOST}:{DEFAULT_PORT}",
+        needs=(_PEER,),
+    ),
+    Setting(
+        "seconds",
+        5.0,
+        "observe for this time",
+        metavar="SECONDS",
+        unit="s",
+        least=0,
+        most=_YEAR_S,
+        open_ends=True,
+        needs=(_PEER,),
+    ),
+    Setting("messages", 0, "stop after this number of messages", metavar="N", least=0, needs=(_PEER,)),
+    Setting(
+        "speak",
+        1,
+        "send one STATUS with this header version to a peer that sends nothing; 0: send none",
+        metavar="VERSION",
+        choices=(0, 1, 2),
+        needs=(_PEER,),
+    ),
+    Setting("ros", False, "also compare with the topics, types and QoS of the ROS graph", needs=(_PEER,)),
+    Setting(
+        "host",
+        False,
+        "check this machine for causes of jitter instead of a peer: kernel, CPUs, timers, limits, memory, clock",
+    ),
+    Setting("config", "", "configuration of the bridge (TOML)", metavar="FILE"),
+    Setting("json", False, "print the result as one JSON object"),
+    *grouped("security", *(replace(BY_SETTING[name], needs=(_PEER,)) for name in ("allow", *TLS))),
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,39 +97,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         help="address of the peer; or a recording, which exists or ends in .mcap, or directory of a split recording",
     )
-    parser.add_argument(
-        "--listen",
-        type=peer_address,
-        nargs="?",
-        const=(DEFAULT_HOST, DEFAULT_PORT),
-        metavar="[tls://]HOST:PORT",
-        help="wait for the peer to connect to this address " + default(f"{DEFAULT_HOST}:{DEFAULT_PORT}"),
-    )
-    parser.add_argument(
-        "--seconds", type=float, default=_SECONDS, metavar="SECONDS", help="observe for this time " + default(_SECONDS)
-    )
-    parser.add_argument("--messages", type=int, default=0, metavar="N", help="stop after this number of messages")
-    parser.add_argument(
-        "--speak",
-        type=int,
-        choices=(0, 1, 2),
-        default=1,
-        metavar="VERSION",
-        help="send one STATUS with this header version to a peer that sends nothing; 0: send none " + default(1),
-    )
-    parser.add_argument(
-        "--ros", action="store_true", help="also compare with the topics, types and QoS of the ROS graph"
-    )
-    parser.add_argument(
-        "--host",
-        action="store_true",
-        help="check this machine for causes of jitter instead of a peer: kernel, CPUs, timers, limits, memory, clock",
-    )
-    add_config(parser, "configuration of the bridge (TOML)")
-    add_json(parser)
-    group = parser.add_argument_group("security")
-    add_settings(group, "allow")
-    admission.add_tls(group)
+    add_settings(parser, OPTIONS)
 
 
 def _peer_or_file(text: str) -> tuple[str, int] | Path:
@@ -86,44 +105,32 @@ def _peer_or_file(text: str) -> tuple[str, int] | Path:
 
 
 def run(options: argparse.Namespace) -> int:
-    if isinstance(options.peer, Path):
-        if options.listen or options.ros or options.host or options.messages or options.allow:
-            raise ConfigError(
-                f"found the recording {options.peer} with an option of a connection or --host, "
-                "expected --config or --json"
-            )
-        return lint.run(argparse.Namespace(file=options.peer, config=options.config, json=options.json))
+    is_file = isinstance(options.peer, Path)
+    if options.host and options.peer:
+        raise ConfigError("--host: found a peer or a recording, expected --host alone: it checks this machine only")
+    peer = not (is_file or options.host)
+    values = values_with_effect(options, OPTIONS, {_PEER: peer}, _ABSENT)
+    config = Path(values["config"]) if values["config"] else None
+    if is_file:
+        return lint.run(argparse.Namespace(file=options.peer, config=config, json=values["json"]))
     if options.host:
-        return _run_host(options)
-    if not options.peer and not options.listen:
+        return _printed(examine_host(SystemClock()), values["json"])
+    if not options.peer and not values["listen"]:
         raise ConfigError("found no peer, expected its HOST:PORT, a recording, --listen or --host")
-    if not 0 < options.seconds < float("inf"):
-        raise ConfigError(f"--seconds: found {options.seconds:g}, expected a number above 0")
-    if options.messages < 0:
-        raise ConfigError(f"--messages: found {options.messages}, expected 0 or more")
-    ours, servers = ([place] if place else [] for place in (options.listen, options.peer))
-    tls_listen, tls_connect = bridge_options.secured(vars(options), ours, servers)
+    listen = notations.peer_address(values["listen"]) if values["listen"] else None
+    ours, servers = ([place] if place else [] for place in (listen, options.peer))
+    tls_listen, tls_connect = bridge_options.secured(values, ours, servers)
     how = ExamineOptions(
-        options.peer,
-        options.listen,
-        options.seconds,
-        options.messages,
-        options.speak,
-        tuple(options.allow),
-        options.ros,
-        bridge_options.tls(vars(options)),
-        bool(tls_listen),
-        bool(tls_connect),
+        connect=options.peer,
+        listen=listen,
+        tls=bridge_options.tls(values),
+        tls_listen=bool(tls_listen),
+        tls_connect=bool(tls_connect),
+        **{name: values[name] for name in ("seconds", "messages", "speak", "allow", "ros")},
     )
     with stop_event() as stop:
-        report = DoctorReport.of(examine(load_config(options.config), how, SystemClock(), stop))
-    return _printed(report, options.json)
-
-
-def _run_host(options: argparse.Namespace) -> int:
-    if options.peer or options.listen or options.ros:
-        raise ConfigError("--host: found a peer, --listen or --ros, expected --host alone: it checks this machine only")
-    return _printed(examine_host(SystemClock()), options.json)
+        report = DoctorReport.of(examine(load_config(config), how, SystemClock(), stop))
+    return _printed(report, values["json"])
 
 
 def _printed(report: DoctorReport | HostReport, as_json: bool) -> int:

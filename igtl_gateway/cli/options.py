@@ -12,6 +12,7 @@ from typing import Any, Protocol, TypeVar
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.untrusted import limits
 from igtl_gateway.config import notations
+from igtl_gateway.config.setting import STREAM
 
 T = TypeVar("T")
 
@@ -19,7 +20,6 @@ DEFAULT_HOST, DEFAULT_PORT = notations.DEFAULT_HOST, notations.DEFAULT_PORT
 
 RECORDING = "recording (MCAP)"
 RECORDING_OR_BAG = "recording, or MCAP file of rosbag2"
-STREAM = "by TYPE/device, device or topic; * matches one level, ** any number"
 
 #: Verbs with more options have a usage line without them: a screen of brackets hides the arguments.
 _MANY_OPTIONS = 9
@@ -133,9 +133,14 @@ address = parser_of(notations.address)
 peer_address = parser_of(notations.peer_address)
 
 
+def file_name(*suffixes: str) -> Callable[[str], str]:
+    """Return a function for ``reads`` of a setting: the name of a file to write, see ``notations.named``."""
+    return lambda text: notations.named(text, *suffixes)
+
+
 def output_file(*suffixes: str) -> Callable[[str], Path]:
     """Return a function for ``type`` of an option: the path of a file to write, see ``notations.named``."""
-    return parser_of(lambda text: Path(notations.named(text, *suffixes)))
+    return parser_of(lambda text: Path(file_name(*suffixes)(text)))
 
 
 #: Parse the name of a recording to write.

@@ -1,4 +1,4 @@
-"""The recording of ``bridge``: its options, and the keys and signals that control it."""
+"""The keys and signals that control the recording of ``bridge``."""
 
 from __future__ import annotations
 
@@ -10,21 +10,9 @@ from igtl_gateway.app.recording import pause, resume, snapshot
 from igtl_gateway.base.systems.signals import PAUSE as PAUSE_SIGNAL
 from igtl_gateway.base.systems.signals import SAVE, signals_in_thread
 from igtl_gateway.cli.keys import NEXT, PAUSE, can_read_keys, keyboard
-from igtl_gateway.cli.options import Options
-from igtl_gateway.cli.settings import add_settings
 
 if TYPE_CHECKING:
     from igtl_gateway.record.recorder import Recorder
-
-
-def add_arguments(group: Options) -> None:
-    """Options of a recording."""
-    add_settings(group, "record", "overwrite", "file_mode")
-    add_settings(group, "record_topics", words=True)
-    add_settings(group, "record_all")
-    add_settings(group, "record_include", "record_exclude", "custom_data", words=True)
-    add_settings(group, "compression", "flush_interval", "fsync", "split_size", "split_duration", "snapshot")
-    add_settings(group, "seal", "retention", "upload", "upload_rate", "on_record_failure")
 
 
 @contextmanager

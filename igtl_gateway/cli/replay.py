@@ -7,36 +7,23 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from threading import Event, Thread
 
-from igtl_gateway.app.bridge_options import addresses, secured
-from igtl_gateway.app.bridge_options import tls as tls_files
 from igtl_gateway.app.player import Jump, Player
 from igtl_gateway.app.player_services import PlayerServices
-from igtl_gateway.app.replay_sides import ReplayOptions, ReplaySides
+from igtl_gateway.app.replay_options import REPLAY, ReplayOptions
+from igtl_gateway.app.replay_sides import ReplaySides
 from igtl_gateway.app.replaying import ReplayEvents, run_replay, since_text
 from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.cli import admission
 from igtl_gateway.cli.common import stop_event
 from igtl_gateway.cli.keys import FASTER, HELP, NEXT, PAUSE, QUIT, SLOWER, can_read_keys, keyboard, read_lines
-from igtl_gateway.cli.options import (
-    RECORDING_OR_BAG,
-    add_config,
-    add_file,
-    add_json,
-    add_streams,
-    default,
-)
+from igtl_gateway.cli.options import RECORDING_OR_BAG, add_file
 from igtl_gateway.cli.replay_report import print_report
 from igtl_gateway.cli.ros_arguments import add_ros_arguments
-from igtl_gateway.cli.settings import add_faults, add_settings, common_options
+from igtl_gateway.cli.settings import add_settings, all_values, common_options, faults_text
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.config.faults import Fate
-from igtl_gateway.config.settings import PROFILE_NAMES
-from igtl_gateway.convert.profiles import AUTO
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.sessionfile.reader import SessionFile
-from igtl_gateway.replay.restamp import MODES
-from igtl_gateway.replay.simclock import DEFAULT_HZ
 
 EXAMPLES = """\
   # serve the session to the first client
@@ -88,160 +75,31 @@ exit code 1 if the replay is stopped, or if ROS rejects messages (for example
 of a type that is not installed); the other messages are sent."""
 
 #: Options that the short help shows.
-COMMON = common_options(
-    *("--to", "--json", "--start", "--end", "--duration", "--streams", "--through-gateway", "--restamp"),
-    *("--rate", "--as-fast-as-possible", "--loop", "--step", "--clock"),
-)
+COMMON = common_options(REPLAY)
 
 _FASTER, _SLOWER = 1.1, 0.9
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_file(parser, RECORDING_OR_BAG)
-    parser.add_argument(
-        "--to", choices=("igtl", "ros", "both"), required=True, help="send to OpenIGTLink peers, to ROS, or to both"
-    )
-    add_json(parser, "print jumps, faults and the result as JSON lines")
-    parser.add_argument(
-        "--no-digest",
-        action="store_true",
-        help="do not compute the SHA-256 of the sent bytes, which delays large images",
-    )
-    group = parser.add_argument_group("addresses and security")
-    add_settings(group, "listen", "connect", "allow")
-    admission.add_tls(group)
-    _add_forms(parser.add_argument_group("what the peers can read"))
-    _add_selection(parser.add_argument_group("selection of messages"))
-    _add_pace(parser.add_argument_group("pace"))
+    add_settings(parser, REPLAY, fault_injection=faults_text())
     add_ros_arguments(parser.add_argument_group("ROS"), "remapping, namespace, log level")
-    add_faults(parser)
-    parser.set_defaults(fault="", seed=0)
-
-
-def _add_forms(group: argparse._ArgumentGroup) -> None:
-    forms = group.add_mutually_exclusive_group()
-    forms.add_argument(
-        "--profile",
-        choices=PROFILE_NAMES,
-        default=AUTO,
-        help="profile of all OpenIGTLink peers: messages that it cannot read are adapted or left out "
-        + default(f"{AUTO}, detected from their messages"),
-    )
-    forms.add_argument(
-        "--exact", action="store_true", help="send the recorded bytes, also those at which a peer may lose the stream"
-    )
-
-
-def _add_selection(group: argparse._ArgumentGroup) -> None:
-    group.add_argument("--start", metavar="TIME", help="start at this time " + default("the beginning"))
-    end = group.add_mutually_exclusive_group()
-    end.add_argument("--end", metavar="TIME", help="stop after this time " + default("the end"))
-    end.add_argument("--duration", type=float, metavar="SECONDS", help="stop after this much recorded time")
-    add_streams(group)
-    add_settings(group, "to_igtl")
-    group.add_argument(
-        "--through-gateway",
-        action="store_true",
-        help="recompute the outputs from the recorded inputs with this version, and send them",
-    )
-    add_config(group, "with --through-gateway: use this configuration (TOML) instead of the recorded one")
-    group.add_argument(
-        "--restamp",
-        choices=MODES,
-        default="keep",
-        help="stamps in the messages, at any depth; now: the time of sending; shift: all moved by one offset, so that "
-        "the first is now, again after each jump " + default("keep"),
-    )
-
-
-def _add_pace(group: argparse._ArgumentGroup) -> None:
-    pace = group.add_mutually_exclusive_group()
-    pace.add_argument(
-        "--rate", type=float, default=1.0, metavar="FACTOR", help="recorded seconds per second " + default("1.0")
-    )
-    pace.add_argument("--as-fast-as-possible", action="store_true", help="send without pauses")
-    pace.add_argument(
-        "--speed-of-light",
-        action="store_true",
-        help="send without pauses, one message at a time: wait until the kernel has accepted the message for every "
-        "peer and every reliable ROS subscriber has acknowledged it",
-    )
-    group.add_argument("--loop", action="store_true", help="repeat until stopped")
-    group.add_argument("--start-paused", action="store_true", help="wait for the key or the ROS service to resume")
-    group.add_argument(
-        "--step",
-        action="store_true",
-        help="start paused and send one message per → or Enter; without a terminal, per line of standard input",
-    )
-    group.add_argument(
-        "--delay", type=float, default=0.0, metavar="SECONDS", help="wait before the first message " + default(0)
-    )
-    group.add_argument(
-        "--wait-peers",
-        type=int,
-        metavar="N",
-        help="wait for N connected peers, or for N ROS subscribers on each topic " + default("1 peer, 0 subscribers"),
-    )
-    group.add_argument(
-        "--clock",
-        type=float,
-        nargs="?",
-        const=DEFAULT_HZ,
-        metavar="HZ",
-        help="publish the recorded time on /clock at this rate of recorded time "
-        + default(f"{DEFAULT_HZ:.0f} if HZ is not given"),
-    )
 
 
 def run(options: argparse.Namespace) -> int:
     if options.start_paused and not options.step and options.to == "igtl" and not can_read_keys():
         raise ConfigError("--start-paused: found no terminal for the keys, expected one, or --to ros for the services")
+    how = ReplayOptions.of(all_values(options, REPLAY), tuple(options.ros_args))
     events = ReplayEvents(
         on_line=lambda text: _print_status(options, text),
         jumped=lambda jump, start_ns: _print_jump(options, jump, start_ns),
         fault=lambda fate: _print_fault(options, fate),
         controls=lambda file, player, side: _controls(options, file, player, side, stop),
-        ended=lambda result: print_report(options, result),
+        ended=lambda result: print_report(how, result, as_json=options.json),
     )
     with stop_event() as stop:
-        result = run_replay(options.file, _replay_options(options), stop, events)
+        result = run_replay(options.file, how, stop, events)
     return 0 if result and (result.complete or options.loop) and not any(each.at_once for each in result.refused) else 1
-
-
-def _replay_options(options: argparse.Namespace) -> ReplayOptions:
-    """The options of the command line as those of a replay.  Raises ConfigError."""
-    listen, connect = ((), ()) if options.to == "ros" else addresses(options.listen, options.connect)
-    tls_listen, tls_connect = secured(vars(options), listen, connect)
-    return ReplayOptions(
-        options.to,
-        listen,
-        connect,
-        tuple(options.allow),
-        tls_files(vars(options)),
-        tls_listen,
-        tls_connect,
-        options.config,
-        tuple(options.send),
-        options.start,
-        options.end,
-        options.duration,
-        tuple(options.streams),
-        options.through_gateway,
-        options.restamp,
-        None if options.as_fast_as_possible or options.speed_of_light else options.rate,
-        options.speed_of_light,
-        options.loop,
-        options.step or options.start_paused,
-        options.delay,
-        options.wait_peers,
-        options.clock,
-        options.fault,
-        options.seed,
-        not options.no_digest,
-        tuple(options.ros_args),
-        options.profile,
-        options.exact,
-    )
 
 
 @contextmanager

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 from collections.abc import Mapping
 from typing import Any
 
 from igtl_gateway.app.replay_account import account_lines
+from igtl_gateway.app.replay_options import ReplayOptions
 from igtl_gateway.app.replaying import ReplayResult
 from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.terminal import cell, print_json, print_line
 
 
-def print_report(options: argparse.Namespace, result: ReplayResult) -> None:
+def print_report(options: ReplayOptions, result: ReplayResult, *, as_json: bool) -> None:
     """Print what was sent, what was not and why."""
-    if options.json:
+    if as_json:
         print_json(_facts(options, result))
         return
     sent = count_text(result.messages, "message")
@@ -45,7 +45,7 @@ def print_report(options: argparse.Namespace, result: ReplayResult) -> None:
         print_line(f"sha256 {result.sha256}")
 
 
-def _facts(options: argparse.Namespace, result: ReplayResult) -> dict[str, Any]:
+def _facts(options: ReplayOptions, result: ReplayResult) -> dict[str, Any]:
     """The report as JSON values."""
     facts: dict[str, Any] = {
         "file": str(result.file),

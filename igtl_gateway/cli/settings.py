@@ -1,65 +1,80 @@
-"""Settings of ``bridge`` as options of the command line, made of rows of the table."""
+"""Settings as options of the command line, made of the rows of a table."""
 
 from __future__ import annotations
 
 import argparse
 from collections.abc import Iterable, Mapping
+from types import MappingProxyType
 from typing import Any
 
 from igtl_gateway.app import settings as app_settings
 from igtl_gateway.app.rows import rows_of
 from igtl_gateway.cli.options import Options, default, definitions, parser_of
 from igtl_gateway.config.faults import FAULTS
-from igtl_gateway.config.settings import BY_SETTING, ROWS, SETTINGS, Setting
+from igtl_gateway.config.setting import ROWS, Setting, by_name, changed, check_effect
+from igtl_gateway.config.settings import SETTINGS
 
 
-class Usual(tuple[str, ...]):
+class Usual(tuple[str | int, ...]):
     """Values that the help and the completion show, among others that are possible."""
 
     def __contains__(self, _value: object) -> bool:
         return True
 
 
-def add_settings(group: Options, *names: str, words: bool = False) -> None:
-    """Add the options of settings to a group; without a value they are None, False or [].
+def add_settings(parser: argparse.ArgumentParser, rows: Iterable[Setting], **about: str) -> None:
+    """Add the options of settings, in their groups; without a value they are None, False or [].
 
     Args:
-        group: the parser, or a group of it.
-        names: of the settings.
-        words: an option of a list takes several words, as well as being repeatable.
+        parser: the parser of a verb.
+        rows: the settings; one without an option is left out.
+        about: group, with _ for blanks → its description.
     """
-    for name in names:
-        row = BY_SETTING[name]
-        if isinstance(row.default, bool):
-            text = row.about if row.default is False else f"do not {row.about}"
-            group.add_argument(row.flag, action="store_true", help=_help(row, text))
+    groups: dict[str, Options] = {"": parser}
+    exclusive: dict[str, Options] = {}
+    for row in rows:
+        if not row.flag:
             continue
-        more: dict[str, Any] = {}
-        if row.is_list:
-            more = {"action": "extend", "nargs": "+"} if words else {"action": "append"}
-            more["default"] = []
-        if row.choices:
-            usual = tuple(filter(None, row.choices))
-            more["choices"] = Usual(usual) if row.reads else usual
-        else:
-            more["metavar"] = row.metavar
-        group.add_argument(row.flag, type=parser_of(row.parse), help=_help(row, row.about), **more)
+        if row.group not in groups:
+            groups[row.group] = parser.add_argument_group(row.group, about.get(row.group.replace(" ", "_")))
+        place = groups[row.group]
+        if row.instead:
+            if row.instead not in exclusive:
+                assert isinstance(place, argparse._ActionsContainer)
+                exclusive[row.instead] = place.add_mutually_exclusive_group()
+            place = exclusive[row.instead]
+        _add(place, row)
 
 
-def common_options(*others: str) -> frozenset[str]:
+def _add(group: Options, row: Setting) -> None:
+    if isinstance(row.default, bool):
+        text = row.about if row.default is False else f"do not {row.about}"
+        group.add_argument(row.flag, action="store_true", help=_help(row, text))
+        return
+    more: dict[str, Any] = {"required": True} if row.required else {}
+    if row.is_list:
+        more |= {"action": "extend", "nargs": "+"} if row.words else {"action": "append"}
+        more["default"] = []
+    if row.bare is not None:
+        more |= {"nargs": "?", "const": row.bare}
+    if row.choices:
+        more["choices"] = Usual(row.usual) if row.reads else row.usual
+    if row.metavar:
+        more["metavar"] = row.metavar
+    group.add_argument(row.flag, type=parser_of(row.parse), help=_help(row, row.about), **more)
+
+
+def common_options(rows: Iterable[Setting], *others: str) -> frozenset[str]:
     """Return the options that the short help shows: those of common settings, and ``others``."""
-    return frozenset(row.flag for row in SETTINGS if row.common and row.flag).union(others)
+    return frozenset(row.flag for row in rows if row.common and row.flag).union(others)
 
 
-def add_faults(parser: argparse.ArgumentParser, more: Iterable[str] = ()) -> None:
-    """``--fault`` and ``--seed`` in a group of their own; ``more`` are lines of its description."""
+def faults_text(*more: str) -> str:
+    """The description of the group of fault injection; ``more`` are lines at its end."""
     rows = [(f"{row.name}={row.unit.value}", row.meaning) for row in FAULTS]
-    lines = definitions(rows)
-    group = parser.add_argument_group(
-        "fault injection",
-        "\n".join(["Faults of --fault; TIME is such as 50ms, 2s or 1h, SHARE% such as 0.5%:", *lines, *more]),
+    return "\n".join(
+        ["Faults of --fault; TIME is such as 50ms, 2s or 1h, SHARE% such as 0.5%:", *definitions(rows), *more]
     )
-    add_settings(group, "faults", "fault_seed")
 
 
 def _help(row: Setting, text: str) -> str:
@@ -72,10 +87,10 @@ def _help(row: Setting, text: str) -> str:
     return f"{text} {default(shown)}" if shown else text
 
 
-def given(options: argparse.Namespace) -> dict[str, Any]:
+def given(options: argparse.Namespace, rows: Iterable[Setting] = SETTINGS) -> dict[str, Any]:
     """Return the settings that the command line has.  Raises ConfigError for rows of messages."""
     values: dict[str, Any] = {}
-    for row in SETTINGS:
+    for row in rows:
         found = getattr(options, row.flag.lstrip("-").replace("-", "_"), None) if row.flag else None
         if found is None or found is False or found == []:
             continue
@@ -88,6 +103,34 @@ def given(options: argparse.Namespace) -> dict[str, Any]:
     return values
 
 
+def all_values(options: argparse.Namespace, rows: Iterable[Setting]) -> dict[str, Any]:
+    """Return the values of all settings of a verb that has no configuration file for them."""
+    table = by_name(rows)
+    return {name: row.default for name, row in table.items()} | given(options, table.values())
+
+
+def values_with_effect(
+    options: argparse.Namespace,
+    rows: Iterable[Setting],
+    met: Mapping[str, bool] = MappingProxyType({}),
+    absent: Mapping[str, str] = MappingProxyType({}),
+) -> dict[str, Any]:
+    """Return the values of all settings of a verb.
+
+    Args:
+        options: of the command line.
+        rows: the settings.
+        met, absent: see `check_effect`.
+
+    Raises:
+        ConfigError: an option has no effect, because what it needs is not there.
+    """
+    table = by_name(rows)
+    values = all_values(options, table.values())
+    check_effect(table, values, changed(table, values), met, absent)
+    return values
+
+
 def settled(options: argparse.Namespace, overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of all settings, see ``app.settings``.  Raises ConfigError."""
+    """Return the values of all settings of a bridge, see ``app.settings``.  Raises ConfigError."""
     return app_settings.settled(given(options), overrides)

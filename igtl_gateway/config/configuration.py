@@ -86,19 +86,8 @@ from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.untrusted.files import read_bytes
 from igtl_gateway.base.untrusted.text import parse_toml
 from igtl_gateway.config.faults import RelayFaults
-from igtl_gateway.config.settings import (
-    GATEWAY,
-    HOST,
-    IGTL,
-    PROFILE_NAMES,
-    RECEIVE,
-    RECORD,
-    SOURCE,
-    STAMP_POLICIES,
-    TYPE_NAMES,
-    check_values,
-    of_table,
-)
+from igtl_gateway.config.setting import GATEWAY, HOST, IGTL, RECORD, TYPE_NAMES
+from igtl_gateway.config.settings import PROFILE_NAMES, RECEIVE, SOURCE, STAMP_POLICIES, check_values, of_table
 from igtl_gateway.convert import crtk
 from igtl_gateway.convert.arms import ArmsRow, arms_of_profile, arms_row
 from igtl_gateway.convert.frames import TfRequest

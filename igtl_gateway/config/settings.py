@@ -1,8 +1,6 @@
 """The table of settings: options of ``bridge``, keys of the configuration file and parameters of the ROS node.
 
-Strategy: each setting is one row of ``SETTINGS``.  The row has the name, which is also the key and the parameter, the
-type by its default, the unit, the range and the description.  The command line, the file and the node take what they
-need from the row, and all three check a value with ``Setting.check``: the same mistake has the same message everywhere.
+Each setting is one row of ``SETTINGS`` (``config.setting``), whose name is also the key and the parameter.
 
 Rows of messages (``to_igtl``, ``to_ros``, ``tf_out``, ``peers``) are tables in a file.  As a parameter they are a list
 of strings; ``app.rows`` has their form.
@@ -10,24 +8,28 @@ of strings; ``app.rows`` has their form.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
 
 from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.base.near import did_you_mean, near_names
 from igtl_gateway.config import notations
+from igtl_gateway.config.setting import (
+    GATEWAY,
+    HOST,
+    IGTL,
+    RECORD,
+    ROWS,
+    STREAM,
+    Setting,
+    Value,
+    by_name,
+    check_effect,
+    grouped,
+    unknown,
+)
 from igtl_gateway.convert.arms import PROFILE, arms_of_profile
 from igtl_gateway.convert.profiles import AUTO, BY_NAME
 from igtl_gateway.convert.table import TO_ROS
 from igtl_gateway.convert.units import UNITS
-
-#: Tables of a configuration file: what influences messages, which is recorded; the OpenIGTLink side; the host; closed
-#: recordings.
-GATEWAY, IGTL, HOST, RECORD = "gateway", "igtl", "host", "record"
-#: No table: such a setting is an option and a parameter.
-NONE = ""
-#: The setting is a table of a file itself: one row of messages for each ``[[to_igtl]]``.
-ROWS = "rows"
 
 #: What a setting may need beside other settings: a graph of ROS, and a port for clients.
 ROS_GRAPH, CLIENTS = "ROS", "clients"
@@ -37,6 +39,8 @@ _ABSENT = {
     CLIENTS: "found --connect without --listen, expected --listen",
 }
 
+#: Settings of TLS.
+TLS = ("tls", "tls_cert", "tls_key", "tls_ca")
 #: Values of the setting ``profile``.
 PROFILE_NAMES = (AUTO, *BY_NAME)
 #: Values of the setting ``stamp``: the sender's stamp, if it sent one, or the time of receipt.
@@ -50,122 +54,6 @@ MAX_TIMEOUT_S = 86_400.0
 
 _YEAR_S = 365 * 86_400.0
 _MANY = 1_000_000_000
-
-Value = bool | int | float | str | tuple[str, ...]
-
-TYPE_NAMES: dict[type, str] = {
-    str: "a string in quotes",
-    bool: "true or false",
-    int: "an integer",
-    float: "a number",
-    tuple: 'strings such as ["a", "b"]',
-}
-
-
-@dataclass(frozen=True, slots=True)
-class Setting:
-    """One row of the table.
-
-    Attributes:
-        name: key in the file, and name of the parameter.
-        default: value without a setting; its type is that of the setting, a tuple is a list of strings.
-        about: what it does, as the help of its option; options in it become parameters in the descriptor.
-        table: table of the file: ``GATEWAY``, ``IGTL``, ``HOST``, ``RECORD``, ``NONE`` or ``ROWS``.
-        option: its option; None: by the name; "": it has none.
-        metavar: placeholder of its value on the command line.
-        unit: of the value.
-        least, most: the range of a number, both included.
-        open_ends: the ends of the range are not part of it.
-        choices: the values that a string may have; with ``reads``, the usual ones.
-        reads: returns the meaning of a string, or of each string of a list.  Raises ConfigError.
-        shown: the default, as the help of the option has it; None: the value, where it is more than nothing.
-        changes: whether it may change while the bridge runs.
-        parameter: whether the node has it: the settings of a relay have no node.
-        adds: the command line adds to the list of the file or of the parameters; other settings are replaced.
-        common: whether most sessions need it: the short help shows its option.
-        needs: settings, ``ROS_GRAPH`` or ``CLIENTS``, without which it has no effect.
-    """
-
-    name: str
-    default: Value
-    about: str
-    table: str = NONE
-    option: str | None = None
-    metavar: str | None = None
-    unit: str = ""
-    least: float | None = None
-    most: float | None = None
-    open_ends: bool = False
-    choices: tuple[str, ...] = ()
-    reads: Callable[[str], object] | None = None
-    shown: str | None = None
-    changes: bool = False
-    parameter: bool = True
-    adds: bool = False
-    common: bool = False
-    needs: tuple[str, ...] = ()
-
-    @property
-    def flag(self) -> str:
-        """The option; "" if it has none."""
-        return f"--{self.name.replace('_', '-')}" if self.option is None else self.option
-
-    @property
-    def is_list(self) -> bool:
-        return isinstance(self.default, tuple)
-
-    @property
-    def range_text(self) -> str:
-        """The range of a number, for people; "" if it has none."""
-        if self.least is None or self.most is None:
-            return ""
-        least, most = f"{self.least:.15g}", f"{self.most:.15g}"
-        return f"more than {least} and less than {most}" if self.open_ends else f"{least} to {most}"
-
-    def check(self, value: object) -> Value:
-        """Return a value as its type.  Raises ConfigError with what was found and what is expected, without a place."""
-        kind: type = type(self.default)
-        found = value
-        if kind is tuple:
-            is_list = isinstance(value, list | tuple) and all(isinstance(item, str) for item in value)
-            value = tuple(value) if is_list else None  # type: ignore[arg-type]  # it is one
-        elif kind is float and type(value) is int and abs(value) < 1 << 63:
-            value = float(value)
-        if type(value) is not kind:
-            raise ConfigError(f"found {found!r}, expected {TYPE_NAMES[kind]}")
-        if isinstance(value, int | float) and not self._is_in_range(value):
-            raise ConfigError(f"found {value:.15g}, expected {self.range_text}")
-        if self.choices and not self.reads and value not in self.choices:
-            raise ConfigError(f"found {value!r}, expected one of {', '.join(filter(None, self.choices))}")
-        if self.reads and value:
-            for text in value if isinstance(value, tuple) else (value,):
-                self.reads(str(text))
-        return value  # type: ignore[return-value]  # of the type of the default
-
-    def parse(self, text: str) -> Value:
-        """Return the value of a word of the command line; of a list, one item.  Raises ConfigError."""
-        if self.is_list:
-            self.check((text,))
-            return text
-        value: object = text
-        if isinstance(self.default, int | float):
-            value = _number(text)
-        return self.check(value)
-
-    def _is_in_range(self, value: float) -> bool:
-        if self.least is None or self.most is None:
-            return True
-        return self.least < value < self.most if self.open_ends else self.least <= value <= self.most
-
-
-def _number(text: str) -> int | float | str:
-    """The number of a string, which a file would have without quotes; otherwise the text."""
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            pass
-    return text
 
 
 def check_values(place: str, table: str, values: Mapping[str, object]) -> dict[str, Value]:
@@ -191,27 +79,7 @@ def check_needs(values: Mapping[str, object], names: Iterable[str], *, ros: bool
         ros: whether there is a ROS graph.
     """
     met = {ROS_GRAPH: ros, CLIENTS: bool(values["listen"] or values["relay"]) or not values["connect"]}
-    without: dict[str, list[str]] = {}  # need → options
-    for name in dict.fromkeys(names):
-        row = BY_SETTING.get(name)
-        for need in row.needs if row else ():
-            if not met.get(need, values.get(need)):
-                without.setdefault(need, []).append(row.flag if row and row.flag else name)
-    for need, flags in without.items():
-        absent = _ABSENT.get(need) or f"found no {_usage(BY_SETTING[need])}, expected it"
-        raise ConfigError(f"{' and '.join(flags)}: {absent}: the option has no effect here")
-
-
-def _usage(row: Setting) -> str:
-    """Return the option of a setting with the placeholder of its value."""
-    return f"{row.flag} {row.metavar}" if row.metavar else row.flag
-
-
-def unknown(name: str, names: Iterable[str]) -> str:
-    """The message about a name that no setting has."""
-    names = list(names)
-    question = did_you_mean(near_names(name, names))
-    return f"unknown setting, expected one of {', '.join(names)}" + (f"; {question}" if question else "")
+    check_effect(BY_SETTING, values, names, met, _ABSENT)
 
 
 def of_table(table: str) -> dict[str, Setting]:
@@ -245,12 +113,10 @@ def _profile(text: str) -> str:
     return text
 
 
-#: All settings, in the order of the documents.
-SETTINGS: tuple[Setting, ...] = (
-    Setting(
-        "config", "", "read the configuration from this file (TOML); options override it", metavar="FILE", common=True
-    ),
-    # -- addresses and security ----------------------------------------------------------------------------------------
+_CONFIG = Setting(
+    "config", "", "read the configuration from this file (TOML); options override it", metavar="FILE", common=True
+)
+_ADDRESSES = (
     Setting(
         "listen",
         (),
@@ -278,6 +144,8 @@ SETTINGS: tuple[Setting, ...] = (
         parameter=False,
         common=True,
     ),
+)
+_SECURITY = (
     Setting(
         "allow",
         (),
@@ -318,7 +186,10 @@ SETTINGS: tuple[Setting, ...] = (
             changes=True,
             adds=True,
         )
-        for way, text in (("in", "reject messages of this type from peers"), ("out", "send no messages of this type"))
+        for way, text in (
+            ("in", "reject messages of this type from peers"),
+            ("out", "send no messages of this type"),
+        )
     ),
     *(
         Setting(
@@ -331,11 +202,24 @@ SETTINGS: tuple[Setting, ...] = (
             adds=True,
         )
         for way, text, example in (
-            ("in", "with a CRTK profile: let peers send this device to its topic", "PSM1/servo_cp or 'PSM1/move_*'"),
+            (
+                "in",
+                "with a CRTK profile: let peers send this device to its topic",
+                "PSM1/servo_cp or 'PSM1/move_*'",
+            ),
             ("out", "with a CRTK profile: send this command of ROS to peers", "PSM1/servo_cp"),
         )
     ),
-    # -- limits of a peer ----------------------------------------------------------------------------------------------
+    Setting(
+        "cautious",
+        True,
+        "send peers that are not recognised, and show header version 1 only, no type at which common programs lose the "
+        "stream",
+        GATEWAY,
+        "--no-cautious",
+    ),
+)
+_LIMITS_OF_A_PEER = (
     Setting(
         "max_clients",
         32,
@@ -400,7 +284,8 @@ SETTINGS: tuple[Setting, ...] = (
         most=_YEAR_S,
         shown="0",
     ),
-    # -- messages ------------------------------------------------------------------------------------------------------
+)
+_PEERS_AND_MESSAGES = (
     Setting(
         "profile",
         AUTO,
@@ -483,6 +368,8 @@ SETTINGS: tuple[Setting, ...] = (
         most=_YEAR_S,
         changes=True,
     ),
+)
+_ROS = (
     Setting(
         "ros",
         notations.DDS,
@@ -565,7 +452,8 @@ SETTINGS: tuple[Setting, ...] = (
         most=MAX_TIMEOUT_S,
         open_ends=True,
     ),
-    # -- recording -----------------------------------------------------------------------------------------------------
+)
+_RECORDING = (
     Setting(
         "record",
         "",
@@ -590,15 +478,16 @@ SETTINGS: tuple[Setting, ...] = (
         metavar="GLOB",
         needs=("record", ROS_GRAPH),
         common=True,
+        words=True,
     ),
     Setting("record_all", False, "also record all ROS topics", needs=("record", ROS_GRAPH), common=True),
     Setting(
         "record_include",
         (),
-        "record only inputs of these streams and their outputs; by TYPE/device, device or topic; * matches one level, "
-        "** any number",
+        f"record only inputs of these streams and their outputs; {STREAM}",
         metavar="GLOB",
         needs=("record",),
+        words=True,
     ),
     Setting(
         "record_exclude",
@@ -606,6 +495,7 @@ SETTINGS: tuple[Setting, ...] = (
         "do not record inputs of these streams and their outputs",
         metavar="GLOB",
         needs=("record",),
+        words=True,
     ),
     Setting(
         "custom_data",
@@ -614,6 +504,7 @@ SETTINGS: tuple[Setting, ...] = (
         metavar="KEY=VALUE",
         reads=notations.key_value,
         needs=("record",),
+        words=True,
     ),
     Setting(
         "compression",
@@ -718,7 +609,8 @@ SETTINGS: tuple[Setting, ...] = (
         choices=("continue", "stop"),
         needs=("record",),
     ),
-    # -- video ---------------------------------------------------------------------------------------------------------
+)
+_VIDEO = (
     Setting(
         "video_codec",
         "",
@@ -746,7 +638,8 @@ SETTINGS: tuple[Setting, ...] = (
         most=10_000,
         needs=("video_codec",),
     ),
-    # -- the host, diagnostics, faults ---------------------------------------------------------------------------------
+)
+_SCHEDULING = (
     Setting(
         "realtime_priority",
         0,
@@ -771,16 +664,10 @@ SETTINGS: tuple[Setting, ...] = (
         metavar="LIST",
         reads=notations.cpus,
     ),
+)
+_DIAGNOSTICS = (
     Setting("diagnostics", True, "publish on /diagnostics", option="--no-diagnostics"),
     Setting("watch", True, "report jumps and implausible stamps", GATEWAY, "--no-watch"),
-    Setting(
-        "cautious",
-        True,
-        "send peers that are not recognised, and show header version 1 only, no type at which common programs lose the "
-        "stream",
-        GATEWAY,
-        "--no-cautious",
-    ),
     Setting(
         "metrics",
         "",
@@ -788,7 +675,10 @@ SETTINGS: tuple[Setting, ...] = (
         metavar="[HOST:]PORT",
         reads=notations.address,
         common=True,
+        keyword=False,
     ),
+)
+_FAULT_INJECTION = (
     Setting(
         "faults",
         "",
@@ -812,4 +702,19 @@ SETTINGS: tuple[Setting, ...] = (
     ),
 )
 
-BY_SETTING = {row.name: row for row in SETTINGS}
+#: All settings, in the order of the documents, each with its group in the help.
+SETTINGS: tuple[Setting, ...] = (
+    _CONFIG,
+    *grouped("addresses", *_ADDRESSES),
+    *grouped("security", *_SECURITY),
+    *grouped("limits of a peer", *_LIMITS_OF_A_PEER),
+    *grouped("peers and messages", *_PEERS_AND_MESSAGES),
+    *grouped("ROS", *_ROS),
+    *grouped("recording", *_RECORDING),
+    *grouped("video (needs PyAV)", *_VIDEO),
+    *grouped("scheduling", *_SCHEDULING),
+    *grouped("diagnostics", *_DIAGNOSTICS),
+    *grouped("fault injection", *_FAULT_INJECTION),
+)
+
+BY_SETTING = by_name(SETTINGS)

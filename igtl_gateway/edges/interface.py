@@ -7,7 +7,7 @@ from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
 from igtl_gateway.base.qos import Endpoint, Qos
-from igtl_gateway.config.settings import Value
+from igtl_gateway.config.setting import Value
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.native.passage import Publisher, Subscription
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 import socket
 import threading
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,7 @@ import pytest
 import igtl_gateway
 from igtl_gateway.addons.review import Thresholds
 from igtl_gateway.api.conversation import Wait
+from igtl_gateway.app.replay_options import REPLAY, ReplayOptions
 from igtl_gateway.base.errors import ConfigError, DamagedRecording, GatewayError, UnsupportedRecording
 from igtl_gateway.cli import main
 from tests.places import ROOT
@@ -99,24 +102,39 @@ def test_replay_stops() -> None:
     [
         ({"rate": -1.0}, "rate: found -1.0, expected a number above 0"),
         ({"rate": "2"}, "rate: found '2', expected a number"),
-        ({"to": "ros", "listen": [("127.0.0.1", 0)]}, "to: found 'ros' with addresses"),
-        ({"to": "rviz"}, "to: found 'rviz', expected one of 'igtl', 'ros', 'both'"),
+        ({"to": "ros", "listen": [("127.0.0.1", 0)]}, "listen: found to='ros', expected to='igtl' or to='both'"),
+        ({"to": "rviz"}, "to: found 'rviz', expected one of igtl, ros, both"),
         ({"listen": "127.0.0.1:0"}, "listen: found '127.0.0.1:0', expected a list of pairs"),
         ({"connect": [("127.0.0.1", "18944")]}, r"connect: found \('127.0.0.1', '18944'\), expected a list"),
         ({"clock_hz": 10.0}, "clock_hz: found to='igtl', expected to='ros' or to='both'"),
         ({"wait_peers": -1}, "wait_peers: found -1, expected 0 or more"),
-        ({"delay_s": float("nan")}, "delay_s: found nan, expected seconds"),
+        ({"delay_s": float("nan")}, "delay_s: found nan, expected 0 to 31622400"),
         ({"delay_s": None}, "delay_s: found None, expected a number$"),
         ({"start": 1e5}, "start: found"),
         ({"fault": "luck=1%"}, "fault: .*luck"),
         ({"fault": "clock-step=1s", "restamp": "now"}, "fault: clock-step: found restamp='now', which replaces"),
-        ({"restamp": "later"}, "restamp: found 'later', expected one of 'keep', 'now', 'shift'"),
+        ({"rat": 2.0}, "rat: unknown setting, .*did you mean 'rate'"),
+        ({"as_fast_as_possible": True}, "as_fast_as_possible: unknown setting"),
+        ({"seed": 3}, "seed: found no fault"),
+        ({"restamp": "later"}, "restamp: found 'later', expected one of keep, now, shift"),
         ({"ros_args": ["-r", "__ns:=/a"]}, "ros_args: found to='igtl', expected ROS"),
     ],
 )
 def test_arguments_of_replay(options: dict[str, object], text: str) -> None:
     with pytest.raises(ConfigError, match="^" + text):
         igtl_gateway.replay_recording(LEGO, **options)  # type: ignore[arg-type]
+
+
+def test_the_signature_of_replay_is_the_table() -> None:
+    names = inspect.signature(igtl_gateway.replay_recording).parameters
+    assert {row.name for row in REPLAY if row.keyword} <= set(names)
+    assert names["rate"].default == 1.0 and "settings" not in names and "step" not in names
+
+
+def test_the_table_of_replay_and_its_options_have_the_same_names() -> None:
+    used = {each.name for each in fields(ReplayOptions)} - {"tls_listen", "tls_connect", "paused", "ros_args"}
+    of_the_command_line = {"json", "tls_cert", "tls_key", "tls_ca", "as_fast_as_possible", "start_paused", "step"}
+    assert {row.name for row in REPLAY} - of_the_command_line == used
 
 
 def test_other_files(tmp_path: Path) -> None:

@@ -90,7 +90,7 @@ def test_old_spellings_work_and_name_the_new_ones(
 
 def test_a_recording_has_no_options_of_a_connection(capsys: pytest.CaptureFixture[str]) -> None:
     code, _, err = outcome(capsys, "doctor", str(FIXTURE), "--ros")
-    assert code == 2 and "expected --config or --json" in err
+    assert code == 2 and "--ros: found a recording or --host, expected a peer" in err
 
 
 @table(

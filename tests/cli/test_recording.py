@@ -15,7 +15,8 @@ from igtl_gateway.app.bridge_options import bridge_options
 from igtl_gateway.base.clock import ManualClock
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.cli import recording
-from igtl_gateway.cli.settings import given, settled
+from igtl_gateway.cli.settings import add_settings, given, settled
+from igtl_gateway.config.settings import SETTINGS
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
@@ -30,7 +31,7 @@ DEADLINE_S = 30.0
 
 def parsed(*arguments: str) -> RecordOptions:
     parser = argparse.ArgumentParser()
-    recording.add_arguments(parser)
+    add_settings(parser, SETTINGS)
     options = parser.parse_args(arguments)
     return bridge_options(settled(options, {}), ros=True, node_name="gateway", given=given(options))[1].recording
 

@@ -16,17 +16,8 @@ from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.cli import bridge, main
 from igtl_gateway.cli.settings import settled
 from igtl_gateway.config.configuration import Config, PeerRow, TfOutRow, ToIgtlRow, ToRosRow
-from igtl_gateway.config.settings import (
-    GATEWAY,
-    HOST,
-    IGTL,
-    NONE,
-    RECORD,
-    ROWS,
-    SETTINGS,
-    Setting,
-    parameters,
-)
+from igtl_gateway.config.setting import GATEWAY, HOST, IGTL, NONE, RECORD, ROWS, Setting
+from igtl_gateway.config.settings import SETTINGS, parameters
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from tests.integration.bridge import Bridge, RawPeer, string
 from tests.places import ROOT
@@ -35,7 +26,7 @@ from tests.tables import table
 EXAMPLE = ROOT / "examples" / "operating-room.toml"
 
 #: Options of ``bridge`` without a row: what it prints, how long it runs, where it runs.
-NO_SETTINGS = {"help", "duration", "types", "no_ros", "no_autostart", "node_name", "ros_args", "view", "log_format"}
+NO_SETTINGS = {"help", "ros_args", *(row.name for row in bridge.OPTIONS)}
 
 
 @pytest.fixture

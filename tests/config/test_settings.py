@@ -10,16 +10,8 @@ import pytest
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.realtime import PRIORITIES
 from igtl_gateway.config.configuration import LIVE, Config
-from igtl_gateway.config.settings import (
-    BY_SETTING,
-    GATEWAY,
-    ROWS,
-    SETTINGS,
-    VIDEO_CODECS,
-    Setting,
-    of_table,
-    parameters,
-)
+from igtl_gateway.config.setting import GATEWAY, ROWS, Setting
+from igtl_gateway.config.settings import BY_SETTING, SETTINGS, VIDEO_CODECS, of_table, parameters
 from igtl_gateway.edges.tcp import PeerLimits
 from igtl_gateway.edges.video import CODECS, VideoOptions
 from igtl_gateway.record.options import RecordOptions

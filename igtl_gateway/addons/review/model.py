@@ -12,6 +12,8 @@ from typing import Any
 
 import numpy.typing as npt
 
+from igtl_gateway.addons.review.options import limit
+
 Array = npt.NDArray[Any]
 Point = tuple[float, float, float]
 
@@ -33,37 +35,30 @@ class Level(Enum):
 class Thresholds:
     """The limits that make a figure a reason; ``docs/how-to/review.md`` explains the defaults.
 
-    Attributes:
-        wrong_mm: distance of a point from the tissue from which its level is *wrong*, if the distance is also more
-            than ``sure`` standard errors.
-        look_mm: distance of a point from the tissue from which its level is *look*.
-        sure: standard errors that a distance must exceed for *wrong*.
-        noise_mm: depth noise above which the level is *look*.
-        reading_mm: from this deviation the level is *look*: of the camera's reading at a point from the tissue around
-            it, or of the surface from that of a window twice as wide.
-        density_mm2: points for each mm² below which the level is *look*.
-        missing: share of pixels without depth above which the level is *look*.
-        spacing: relative difference of the distance to the next stitch from the plan's median, for *look*.
-        bite: relative difference of the bite length from the plan's median, for *look*.
-        reach_mm: the tool reached a planned point if it came at least this close.
-        window_mm: radius of the window in which the tissue is fitted.
-        place_mm: radius around a point for noise, density and missing pixels.
-        core_mm: radius around a point for the camera's own reading.
+    The difference that ``reading_mm`` limits is also that of the surface from one of a window twice as wide.
     """
 
-    wrong_mm: float = 1.0
-    look_mm: float = 0.5
-    sure: float = 3.0
-    noise_mm: float = 0.4
-    reading_mm: float = 0.7
-    density_mm2: float = 2.0
-    missing: float = 0.5
-    spacing: float = 0.4
-    bite: float = 0.4
-    reach_mm: float = 5.0
-    window_mm: float = 4.0
-    place_mm: float = 2.5
-    core_mm: float = 1.0
+    wrong_mm: float = limit(
+        1.0, "MM", "a point this far from the tissue is wrong; two fifths of the needle's bite of 2.5 mm"
+    )
+    look_mm: float = limit(
+        0.5, "MM", "a point this far from the tissue needs a look; the cost of lifting a point from one cloud"
+    )
+    sure: float = limit(3.0, "FACTOR", "standard errors that a distance must exceed to be wrong; once in 400 by chance")
+    noise_mm: float = limit(0.4, "MM", "depth noise above which a point needs a look; 0.4 times --wrong-mm")
+    reading_mm: float = limit(
+        0.7, "MM", "depth difference to the tissue around it above which a point needs a look; wet spots, glints, folds"
+    )
+    density_mm2: float = limit(
+        2.0, "PER_MM2", "points/mm² below which a point needs a look; a hundred in the window for six unknowns"
+    )
+    missing: float = limit(0.5, "SHARE", "share of pixels without depth above which a point needs a look")
+    spacing: float = limit(0.4, "SHARE", "largest deviation from the usual spacing of the plan, as a share")
+    bite: float = limit(0.4, "SHARE", "largest deviation from the usual bite length of the plan, as a share")
+    reach_mm: float = limit(5.0, "MM", "the tool has reached a point if it came this near")
+    window_mm: float = limit(4.0, "MM", "radius of the tissue that the quadric is fitted to")
+    place_mm: float = limit(2.5, "MM", "radius in which noise, density and missing pixels are measured")
+    core_mm: float = limit(1.0, "MM", "radius in which the depth at the point is measured")
 
 
 @dataclass(frozen=True, slots=True)

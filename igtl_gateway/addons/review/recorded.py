@@ -10,24 +10,18 @@ from pathlib import Path
 from igtl_gateway.addon import ConfigError, GatewayError, SessionFile, config_to_run
 from igtl_gateway.addons.review import Material, Review, Thresholds, review_of
 from igtl_gateway.addons.review.material import CLOUDS
+from igtl_gateway.addons.review.options import option
 from igtl_gateway.convert.units import UNITS
 
 
 @dataclass(frozen=True, slots=True)
 class ReviewSelection:
-    """What a review is about.
+    """What a review is about; "" selects the default of the help."""
 
-    Attributes:
-        plan: topic of the plan; "": pairs of points on the tissue.
-        cloud: topic of the point cloud; "": the largest.
-        tool: topic or frame of the tool; "": the one that comes nearest.
-        clouds: maximum number of clouds, evenly spread over time.
-    """
-
-    plan: str = ""
-    cloud: str = ""
-    tool: str = ""
-    clouds: int = CLOUDS
+    plan: str = option("", "TOPIC", "topic of the plan", shown="pairs of points on the tissue")
+    cloud: str = option("", "TOPIC", "topic of the point cloud", shown="the largest")
+    tool: str = option("", "TOPIC", "topic or frame of the tool", shown="the one that comes nearest")
+    clouds: int = option(CLOUDS, "N", "maximum number of clouds, evenly spread over time", least=1)
 
 
 def review_recording(path: Path, selection: ReviewSelection, thresholds: Thresholds) -> tuple[Review, int]:

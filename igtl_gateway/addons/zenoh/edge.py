@@ -39,7 +39,7 @@ from igtl_gateway.addons.zenoh.traffic import Traffic
 from igtl_gateway.addons.zenoh.types import TypeHashes
 from igtl_gateway.base.errors import RosError
 from igtl_gateway.base.qos import Endpoint
-from igtl_gateway.config.settings import Value
+from igtl_gateway.config.setting import Value
 from igtl_gateway.convert.structs import STRING, TIME, UINT8, UINT32, Struct
 from igtl_gateway.edges.ros.graph import Publication
 from igtl_gateway.edges.ros.middleware import UnknownTypeError

@@ -24,7 +24,7 @@ from contextlib import AbstractContextManager
 from typing import Any
 
 from igtl_gateway.base.qos import Endpoint, Qos
-from igtl_gateway.config.settings import Value
+from igtl_gateway.config.setting import Value
 from igtl_gateway.edges.ros.direct import Rcl
 from igtl_gateway.edges.ros.graph import Graph, Publication
 from igtl_gateway.edges.ros.host import NodeHost

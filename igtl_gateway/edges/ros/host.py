@@ -15,7 +15,7 @@ from typing import Any, Protocol
 from igtl_gateway.base.errors import ConfigError, RosError
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.stamp import NS_PER_S
-from igtl_gateway.config.settings import Value
+from igtl_gateway.config.setting import Value
 from igtl_gateway.edges.ros.middleware import first_line, import_lifecycle, import_rclpy, interface_class, profile_of
 from igtl_gateway.edges.ros.parameters import Change, changeable, checking_node, declare, overrides, show
 from igtl_gateway.gateway.log.note import Level

@@ -13,7 +13,8 @@ from contextlib import AbstractContextManager
 from typing import Any
 
 from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.config.settings import ROWS, SETTINGS, Setting, Value, parameters, unknown
+from igtl_gateway.config.setting import ROWS, Setting, Value, unknown
+from igtl_gateway.config.settings import SETTINGS, parameters
 from igtl_gateway.edges.ros.middleware import interface_class
 
 #: Changes settings while the bridge runs.  Raises ConfigError.
@@ -124,7 +125,7 @@ def constraints(row: Setting) -> str:
     parts = [f"unit: {row.unit}"] if row.unit and not row.is_list else []
     parts += [row.range_text] if row.range_text else []
     if row.choices:
-        parts.append(f"one of: {', '.join(filter(None, row.choices))}")
+        parts.append(f"one of: {', '.join(map(str, row.usual))}")
     if row.is_list:
         parts.append(f"each: {row.metavar or 'KIND'}")
     if row.table == ROWS:

@@ -9,7 +9,8 @@ import pytest
 
 from igtl_gateway.app.settings import config_of, declared, settled
 from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.config.settings import SETTINGS, Setting, parameters
+from igtl_gateway.config.setting import Setting
+from igtl_gateway.config.settings import SETTINGS, parameters
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.ros.middleware import import_rclpy, interface_class
 from igtl_gateway.edges.ros.parameters import description, overrides
