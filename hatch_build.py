@@ -27,6 +27,7 @@ SOURCES = (
     Path("igtl_gateway/native/_passage.c"),
     Path("igtl_gateway/native/_queue.c"),
     Path("igtl_gateway/native/_chunk.c"),
+    Path("igtl_gateway/native/_resim.c"),  # not a module: preloaded into the programs of resim
 )
 #: Results have to be those of Python's floats: no fused or reordered arithmetic.  No -march: the wheel is for every
 #: processor of its architecture, and the parts with AVX2 are chosen at run time.

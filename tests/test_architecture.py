@@ -74,6 +74,7 @@ MOST_OF_CORE = {
     "exchange": 38,
     "lerobot": 19,
     "merge": 12,
+    "resim": 7,
     "review": 11,
     "sync": 6,
     "upload": 9,
@@ -123,6 +124,7 @@ HOMES: dict[str, tuple[str, ...]] = {
         "edges.tcp",
         "edges.reserved",
         "base.systems.signals",
+        "addons.resim.link",  # to the library in a program
         "lab.bench",
     ),  # a measurement has a peer that costs nothing, and a port for any bridge
     "socketserver": (),
@@ -221,7 +223,7 @@ ABSENT: dict[str, frozenset[str]] = {
 ABSENT_HOMES: dict[str, tuple[str, ...]] = {
     "os": (SYSTEM, "cli.keys", "edges.ros.env", "base.realtime", "record.shared_queue"),
     "signal": (SYSTEM,),
-    "socket": ("edges.tcp.sockets",),
+    "socket": ("edges.tcp.sockets", "addons.resim.link"),
     "select": ("edges.tcp.sender",),
 }
 
@@ -243,6 +245,9 @@ UNMIRRORED = (
     "peers",
     "native/test_turns.py",  # turns of links in _passage.c
     "native/test_twins.py",  # rules that stand in Python and in C
+    "addons/resim/test_abi.py",  # native/_resim_abi.h
+    "addons/resim/test_programs.py",  # programs of every kind, 5 runs each
+    "addons/resim/test_faults.py",  # programs that do what they should not
     "addons/exchange/test_import_memory.py",  # any importer
     "addons/exchange/test_import_mutations.py",  # tools/import_mutations.py
     "cli/test_file_modes.py",  # outputs of every verb

@@ -23,6 +23,7 @@ ADDONS: dict[str, tuple[str, ...]] = {
     "upload": ("upload",),
     "view": ("view",),
     "review": ("review",),
+    "resim": ("resim",),
     "cohort": ("cohort",),
     "lerobot": (),
     "zenoh": ("zenoh-router",),

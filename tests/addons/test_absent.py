@@ -81,6 +81,7 @@ NEEDED: dict[str, tuple[tuple[object, ...], ...]] = {
     "exchange": (("import", STAR, "-o", "OUT/i.mcap"), ("export", STAR, "--to", "csv", "-o", "OUT/csv")),
     "upload": (("upload", "OUT", "--to", "s3://bucket"),),
     "view": (("view", STAR),),
+    "resim": (("resim", STAR, "--", "true"),),
     "review": (("review", STAR), ("cohort", "review", STAR, "--out", "OUT/cohort")),
     "cohort": (("cohort", "info", STAR, "--out", "OUT/cohort"),),
     "lerobot": (("export", STAR, "--to", "lerobot", "-o", "OUT/set"),),

@@ -40,6 +40,17 @@ if sys.platform == "win32":
         """
         _KERNEL.SetPriorityClass(ctypes.c_void_p(_KERNEL.GetCurrentProcess()), _IDLE_PRIORITY_CLASS)
 
+    def end_session(pid: int) -> None:
+        """Kill the processes of a session; Windows has none.
+
+        Args:
+            pid: of its first process.
+        """
+
+    def ticks_per_second() -> int:
+        """Return the unit of CPU times in /proc, which Windows does not have."""
+        return 1
+
 else:
     import ctypes
     import resource
@@ -75,6 +86,19 @@ else:
         """Add to the niceness of this process, where that is permitted."""
         with suppress(OSError):
             os.nice(niceness)
+
+    def end_session(pid: int) -> None:
+        """Kill all processes that are left in the session, and its process group, that `apart` made.
+
+        Args:
+            pid: of its first process.
+        """
+        with suppress(OSError):
+            os.killpg(pid, signal.SIGKILL)
+
+    def ticks_per_second() -> int:
+        """Return the unit of CPU times in /proc."""
+        return os.sysconf("SC_CLK_TCK")
 
 
 def usable_cpus() -> int:

@@ -1,0 +1,16 @@
+"""The add-on resim: run ROS 2 programs on a recording again, deterministically."""
+
+from __future__ import annotations
+
+from igtl_gateway.addon import Verb
+from igtl_gateway.cli.verbs import INSPECT
+
+VERBS = {
+    "resim": Verb(
+        "run ROS 2 programs on a recording again, in its time, and compare their outputs",
+        f"{__package__}.verb",
+        writes_files=True,
+        group=INSPECT,
+        place=8,
+    ),
+}

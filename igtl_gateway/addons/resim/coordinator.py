@@ -1,0 +1,455 @@
+"""The coordinator of a run: it decides which event is next, and routes what the programs send.
+
+An event is a recorded input, a message from one program to another, or a deadline (timer, timeout) within a program.
+The next one is that of the least session time; of one time, inputs come before messages and those before deadlines;
+inputs in the order of the recording, messages in that of their sending, deadlines in the order of the programs.
+
+A program may go on by itself up to the next event that is not its own.  It stops earlier if it sends what another
+program receives, or makes or removes an entity.
+"""
+
+from __future__ import annotations
+
+import heapq
+import struct
+from collections import Counter
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+from igtl_gateway.addon import GatewayError, Qos
+from igtl_gateway.addons.resim import frames
+from igtl_gateway.addons.resim.frames import ALL, DEADLINE, INPUT, MESSAGE, NEVER, EntityFrame
+from igtl_gateway.addons.resim.inputs import Inputs, RecordedInput, RecordedTopic
+from igtl_gateway.addons.resim.link import Gone, Link
+from igtl_gateway.addons.resim.outputs import OutputFile, OutputStream
+from igtl_gateway.base.qos import incompatible
+
+#: Messages and bytes that are sent to a program at once.
+_BATCH, _BATCH_BYTES = 512, 1 << 20
+_CLOCK = "/clock"
+
+
+class ProgramFault(GatewayError):
+    """A program did what a re-simulation cannot go on with."""
+
+
+@dataclass(slots=True)
+class Entity:
+    """An entity of a program: what its frame states, and for a subscription whether it receives recorded messages."""
+
+    frame: EntityFrame
+    takes_recorded: bool = True
+    stream: OutputStream | None = None
+
+    @property
+    def qos(self) -> Qos:
+        return Qos(self.frame.depth, self.frame.reliable, self.frame.latched)
+
+
+@dataclass(slots=True)
+class Peer:
+    """A process of a program.
+
+    Attributes:
+        index: its number, from 0: the order of programs.
+        name: of its program, for messages.
+        link: its connection.
+        entities: by their numbers.
+        idle: where it waits.
+        batch: messages that are sent at once; adapts to how many it uses before it stops.
+    """
+
+    index: int
+    name: str
+    link: Link
+    entities: dict[int, Entity] = field(default_factory=dict)
+    idle: frames.Idle = field(default_factory=lambda: frames.Idle(0, NEVER, DEADLINE, 0))
+    batch: int = 64
+    outbox: list[bytes] = field(default_factory=list)
+
+    def named(self, kind: str, name: str) -> list[Entity]:
+        return [each for each in self.entities.values() if each.frame.kind == kind and each.frame.name == name]
+
+
+@dataclass(slots=True)
+class Roles:
+    """What the topics of a run are.
+
+    Attributes:
+        inputs: topics that the recording drives, with the number of its messages.
+        outputs: topics that programs publish.
+        between: topics that one program publishes and another one, or itself, receives.
+        missing: topics that programs ask for and nothing has.
+        unused: recorded topics that no program asks for.
+        expected: recorded topics that programs publish themselves: what they are compared with.
+        refused: topics that a program does not receive, and why.
+        unserved: services that programs call and none offers.
+    """
+
+    inputs: dict[str, int] = field(default_factory=dict)
+    outputs: list[str] = field(default_factory=list)
+    between: list[str] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
+    unused: list[str] = field(default_factory=list)
+    expected: list[str] = field(default_factory=list)
+    refused: dict[str, str] = field(default_factory=dict)
+    unserved: list[str] = field(default_factory=list)
+
+
+class Coordinator:
+    """Drives the processes of one run through the session.
+
+    Args:
+        peers: the processes, which have sent their hello and got their welcome.
+        inputs: the messages of the recording.
+        topics: its ROS topics.
+        outputs: where outputs go.
+        start_ns, end_ns: session time of the run.
+        latency_ns: from the sending of a message to its arrival.
+        is_input: whether a recorded topic is an input although a program publishes it (True), is not one (False), or
+            follows from the programs (None).
+        on_start: called when all programs wait for the first time, with the roles of the topics.
+        on_event: called before a program goes on.
+    """
+
+    def __init__(
+        self,
+        peers: list[Peer],
+        inputs: Inputs,
+        topics: Mapping[str, RecordedTopic],
+        outputs: OutputFile,
+        *,
+        start_ns: int,
+        end_ns: int,
+        latency_ns: int,
+        is_input: Callable[[str], bool | None],
+        on_start: Callable[[Roles], None],
+        on_event: Callable[[], None],
+    ) -> None:
+        self._peers, self._inputs, self._topics, self._outputs = peers, inputs, topics, outputs
+        self._start_ns, self._end_ns, self._latency_ns = start_ns, end_ns, latency_ns
+        self._is_input = is_input
+        self._on_start, self._on_event = on_start, on_event
+        self._messages: list[tuple[int, int, int, bytes]] = []  # heap of time, order, peer, frame
+        self._order = 0
+        self._latched: dict[str, list[tuple[Qos, RecordedInput]]] = {}
+        self._targets: dict[str, list[tuple[Peer, tuple[int, ...]]]] = {}  # topic → who receives its recorded messages
+        self._published_topics: Counter[str] = Counter()
+        self._announced: set[str] = set()
+        self.refused: dict[str, str] = {}
+        #: Topic → recorded messages that went to programs.
+        self.delivered: Counter[str] = Counter()
+        #: Service → requests that no program answers.
+        self.unserved: Counter[str] = Counter()
+        #: Events: recorded inputs, messages and runs of deadlines.
+        self.events = 0
+        self.now_ns = start_ns
+
+    # -- the order of events ------------------------------------------------------------------------------------------
+
+    def run(self) -> None:
+        """Drive the programs to the end of the session.  Raises ProgramFault."""
+        for peer in self._peers:
+            self._receive(peer)
+        for peer in self._peers:  # what became known since a program's own first frame
+            self._flush(peer)
+        self._on_start(self.roles())
+        while True:
+            message = self._next_input()
+            moments = [(message.time_ns, INPUT)] if message else []
+            if self._messages:
+                moments.append((self._messages[0][0], MESSAGE))
+            peer = min(self._peers, key=lambda each: (each.idle.next_ns, each.idle.next_class, each.index))
+            moments.append((peer.idle.next_ns, peer.idle.next_class))
+            time_ns, class_ = min(moments)
+            if time_ns > self._end_ns:
+                return
+            self.now_ns = max(self.now_ns, time_ns)
+            if message and (time_ns, class_) == (message.time_ns, INPUT):
+                self._deliver_inputs(message)
+            elif self._messages and (time_ns, class_) == (self._messages[0][0], MESSAGE):
+                _, _, index, frame = heapq.heappop(self._messages)
+                self.events += 1
+                self._grant(self._peers[index], [frame], time_ns, MESSAGE)
+            else:
+                self.events += 1
+                self._grant(peer, [], *self._bound(peer))
+
+    def _next_input(self) -> RecordedInput | None:
+        """The next recorded message that a program receives."""
+        while (message := self._inputs.peek()) and not self._receivers(message):
+            self._skip(self._inputs.pop())
+        return message
+
+    def _skip(self, message: RecordedInput) -> None:
+        topic = self._topics.get(message.topic)
+        if topic and topic.qos.latched:
+            self._keep(message.topic, topic.qos, message)
+
+    def _keep(self, topic: str, qos: Qos, message: RecordedInput) -> None:
+        """Keep a latched message for subscriptions that come later."""
+        kept = self._latched.setdefault(topic, [])
+        kept.append((qos, message))
+        del kept[: -max(1, qos.depth)]
+
+    def _bound(self, peer: Peer, *, has_input: bool = True) -> tuple[int, int]:
+        """Up to which time and class a program may go on by itself: up to the next event that is not its own."""
+        bounds = [(self._end_ns, ALL)]
+        if has_input and (message := self._next_input()):
+            bounds.append(_before(message.time_ns, INPUT))
+        if self._messages:
+            bounds.append(_before(self._messages[0][0], MESSAGE))
+        bounds += [
+            _before(each.idle.next_ns, each.idle.next_class) if each.index < peer.index
+            else (each.idle.next_ns, each.idle.next_class)
+            for each in self._peers
+            if each is not peer and each.idle.next_ns != NEVER
+        ]  # fmt: skip
+        return min(bounds)
+
+    def _deliver_inputs(self, first: RecordedInput) -> None:
+        """Deliver the next input; and those behind it, as far as no other program has an event before them."""
+        receivers = self._receivers(first)
+        if len(receivers) > 1:
+            self._take(self._inputs.pop())
+            for peer, targets in receivers:
+                self._grant(peer, _message_frames(first, targets), first.time_ns, INPUT)
+            return
+        peer, _ = receivers[0]
+        bound = self._bound(peer, has_input=False)
+        sent: list[RecordedInput] = []
+        content: list[bytes] = []
+        size = 0
+        while (message := self._next_input()) and len(sent) < peer.batch and size < _BATCH_BYTES:
+            receivers = self._receivers(message)
+            if len(receivers) != 1 or receivers[0][0] is not peer or (message.time_ns, INPUT) > bound:
+                break
+            sent.append(self._inputs.pop())
+            content += _message_frames(message, receivers[0][1])
+            size += len(message.data)
+        if message := self._next_input():
+            bound = min(bound, _before(message.time_ns, INPUT))
+        self._grant(peer, content, *bound)
+        done = peer.idle.number
+        used = sum(message.number <= done for message in sent)
+        for message in sent[:used]:
+            self._take(message)
+        if used < len(sent):
+            for message in reversed(sent[used:]):
+                self._inputs.give_back(message)
+            peer.outbox.append(frames.drop())
+            peer.batch = max(1, 2 * used)
+        else:
+            peer.batch = min(_BATCH, 2 * peer.batch)
+
+    def _take(self, message: RecordedInput) -> None:
+        self.events += 1
+        self.delivered[message.topic] += 1
+        self._skip(message)
+
+    def _grant(self, peer: Peer, content: list[bytes], time_ns: int, class_: int) -> None:
+        """Let a program go on, and take what it sends until it waits again."""
+        self._on_event()
+        peer.outbox += content
+        peer.outbox.append(frames.run_to(time_ns, class_))
+        self._flush(peer)
+        self._receive(peer)
+
+    # -- frames -------------------------------------------------------------------------------------------------------
+
+    def _flush(self, peer: Peer) -> None:
+        try:
+            peer.link.send(b"".join(peer.outbox))
+        except Gone:
+            raise ProgramFault(f"{peer.name}: ended") from None
+        peer.outbox.clear()
+
+    def _receive(self, peer: Peer) -> None:
+        """Take frames of a program until it is idle."""
+        try:
+            while True:
+                frame = peer.link.receive()
+                match frame:
+                    case frames.Published():
+                        self._published(peer, frame)
+                    case frames.Idle():
+                        peer.idle = frame
+                        return
+                    case EntityFrame():
+                        self._entity(peer, frame)
+                    case frames.Request():
+                        self._request(peer, frame)
+                    case frames.Response():
+                        self._send(
+                            frame.program,
+                            frames.to_client(frame.time_ns + self._latency_ns, frame.client, frame.number, frame.data),
+                            frame.time_ns,
+                        )
+                    case frames.Remark(code="f"):
+                        raise ProgramFault(f"{peer.name}: started another process while it took part, expected one")
+                    case _:
+                        raise ProgramFault(f"{peer.name}: found an unexpected frame {frame!r}")
+        except Gone:
+            raise ProgramFault(f"{peer.name}: ended") from None
+        except (ValueError, struct.error, IndexError) as error:
+            raise ProgramFault(f"{peer.name}: found a damaged frame: {error}") from error
+
+    def _send(self, index: int, frame: bytes, time_ns: int) -> None:
+        """Queue a frame for a program, at its arrival."""
+        self._order += 1
+        heapq.heappush(self._messages, (time_ns + self._latency_ns, self._order, index, frame))
+
+    def _published(self, peer: Peer, frame: frames.Published) -> None:
+        publisher = peer.entities[frame.publisher]
+        if publisher.stream is None:
+            publisher.stream = self._stream(publisher)
+        self._outputs.add(publisher.stream, frame.time_ns, frame.data)
+        name, type_ = publisher.frame.name, publisher.frame.type
+        arrival_ns = frame.time_ns + self._latency_ns
+        for other in self._peers:
+            targets = [
+                each.frame.number
+                for each in other.named("s", name)
+                if other is not peer and each.frame.type == type_ and not incompatible(publisher.qos, each.qos)
+            ]
+            for target in targets:
+                content = frames.message(0, arrival_ns, frame.time_ns, target, MESSAGE, name.encode(), frame.data)
+                self._send(other.index, content, frame.time_ns)
+        if publisher.frame.latched:
+            message = RecordedInput(0, frame.time_ns, name, type_, frame.data, frame.time_ns, False)
+            self._keep(name, publisher.qos, message)
+
+    def _stream(self, publisher: Entity) -> OutputStream:
+        frame = publisher.frame
+        stream = self._outputs.streams.get(frame.name)
+        if stream is None:
+            stream = self._outputs.streams[frame.name] = OutputStream(frame.name, frame.type, publisher.qos)
+            self._outputs.definitions.setdefault(frame.type, frame.definition)
+        return stream
+
+    def _request(self, peer: Peer, frame: frames.Request) -> None:
+        name = peer.entities[frame.client].frame.name
+        for other in self._peers:
+            for service in other.named("v", name):
+                content = frames.to_service(
+                    frame.time_ns + self._latency_ns, service.frame.number, peer.index, frame.client, frame.number,
+                    frame.data,
+                )  # fmt: skip
+                self._send(other.index, content, frame.time_ns)
+                return
+        self.unserved[name] += 1
+
+    # -- entities -----------------------------------------------------------------------------------------------------
+
+    def _entity(self, peer: Peer, frame: EntityFrame) -> None:
+        if frame.is_made:
+            peer.entities[frame.number] = Entity(frame)
+        else:
+            peer.entities.pop(frame.number, None)
+        self._targets.clear()
+        if frame.kind == "p":
+            self._published_topics[frame.name] += 1 if frame.is_made else -1
+        for other in self._peers:
+            if other is not peer:
+                other.outbox.append(frames.elsewhere(frame.kind, frame.is_made, frame.name, frame.type))
+        for each in self._peers:
+            for publisher in each.named("p", frame.name) if frame.kind in "ps" else ():
+                is_routed = any(other is not each and other.named("s", frame.name) for other in self._peers)
+                each.outbox.append(frames.routed(publisher.frame.number, is_routed))
+        topic = self._topics.get(frame.name)
+        if frame.kind == "s" and frame.is_made:
+            if topic and frame.name not in self._announced and self._is_recorded_input(topic):
+                self._announced.add(frame.name)
+                for each in self._peers:
+                    each.outbox.append(frames.elsewhere("p", True, topic.name, topic.type))
+            if frame.latched:
+                self._send_latched(peer, frame)
+
+    def _send_latched(self, peer: Peer, frame: EntityFrame) -> None:
+        """What a new subscription with durability TRANSIENT_LOCAL gets at once: the last messages of latched topics."""
+        kept = [message for qos, message in self._latched.get(frame.name, ()) if message.type == frame.type]
+        for message in kept[-frame.depth or None :] if not frame.keeps_all else kept:
+            now_ns = max(self.now_ns, peer.idle.time_ns)
+            content = frames.message(
+                0, now_ns, message.source_ns, frame.number, MESSAGE, message.topic.encode(), message.data
+            )
+            self._order += 1
+            heapq.heappush(self._messages, (now_ns, self._order, peer.index, content))
+
+    def _is_recorded_input(self, topic: RecordedTopic) -> bool:
+        """Whether the recording drives a topic; by default, what programs publish themselves comes from them."""
+        chosen = self._is_input(topic.name)
+        if chosen is not None:
+            return chosen
+        return not self._published_topics[topic.name] or topic.from_gateway > 0
+
+    def _receivers(self, message: RecordedInput) -> list[tuple[Peer, tuple[int, ...]]]:
+        """The programs that receive a recorded message, and the numbers of their subscriptions; () for all of them."""
+        found = self._targets.get(message.topic)
+        if found is None:
+            found = self._targets[message.topic] = self._find_receivers(message.topic)
+        if found and not message.is_ours and self._published_topics[message.topic]:
+            return found if self._is_input(message.topic) else []
+        return found
+
+    def _find_receivers(self, name: str) -> list[tuple[Peer, tuple[int, ...]]]:
+        topic = self._topics.get(name)
+        if not topic or not self._is_recorded_input(topic):
+            return []
+        found = []
+        for peer in self._peers:
+            subscriptions = peer.named("s", name)
+            taken = []
+            for each in subscriptions:
+                why = incompatible(topic.qos, each.qos)
+                if each.frame.type != topic.type:
+                    why = f"recorded as {topic.type}, expected {each.frame.type}"
+                if why:
+                    self.refused[name] = why
+                else:
+                    taken.append(each.frame.number)
+            if taken:
+                found.append((peer, () if len(taken) == len(subscriptions) else tuple(taken)))
+        return found
+
+    def roles(self) -> Roles:
+        """What the topics are, by what the programs have made so far."""
+        wanted = {each.frame.name for peer in self._peers for each in peer.entities.values() if each.frame.kind == "s"}
+        given = {each.frame.name for peer in self._peers for each in peer.entities.values() if each.frame.kind == "p"}
+        called = {each.frame.name for peer in self._peers for each in peer.entities.values() if each.frame.kind == "c"}
+        served = {each.frame.name for peer in self._peers for each in peer.entities.values() if each.frame.kind == "v"}
+        inputs = {name: 0 for name in sorted(wanted) if name in self._topics and self._find_receivers(name)}
+        for name in inputs:
+            topic = self._topics[name]
+            both = self._published_topics[name] and not self._is_input(name)
+            inputs[name] = topic.from_gateway + (0 if both else topic.from_others)
+        return Roles(
+            inputs,
+            sorted(given),
+            sorted(wanted & given),
+            sorted(name for name in wanted - given if name not in self._topics and name != _CLOCK),
+            sorted(name for name in self._topics if name not in wanted | given),
+            sorted(name for name in self._topics if name in given and self._topics[name].from_others),
+            dict(self.refused),
+            sorted(called - served),
+        )
+
+    def end(self) -> None:
+        """Report to all programs that the session is over."""
+        for peer in self._peers:
+            with suppress(Gone):
+                peer.link.send(frames.end())
+
+
+def _before(time_ns: int, class_: int) -> tuple[int, int]:
+    """The last moment before another one."""
+    return (time_ns, class_ - 1) if class_ else (time_ns - 1, ALL)
+
+
+def _message_frames(message: RecordedInput, targets: tuple[int, ...]) -> list[bytes]:
+    name = message.topic.encode()
+    return [
+        frames.message(message.number, message.time_ns, message.source_ns, target, INPUT, name, message.data)
+        for target in targets or (0,)
+    ]

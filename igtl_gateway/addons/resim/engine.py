@@ -1,0 +1,319 @@
+"""Runs programs on a recording, several times, in session time: the interface of the add-on.
+
+::
+
+    result = run(Path("session.mcap"), [Program(("python", "planner.py"))], ResimOptions(runs=3), folder)
+    for one in result.runs: ...    # one.outputs: a session file
+
+``verdict.compare`` judges the runs.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from enum import IntEnum
+from pathlib import Path
+
+from igtl_gateway.addon import (
+    ConfigError,
+    SessionFile,
+    SystemClock,
+    matches,
+)
+from igtl_gateway.addons.resim.coordinator import Coordinator, Peer, ProgramFault, Roles
+from igtl_gateway.addons.resim.frames import ABI_VERSION, Hello, welcome
+from igtl_gateway.addons.resim.inputs import Inputs, topics_of
+from igtl_gateway.addons.resim.library import library_path
+from igtl_gateway.addons.resim.link import Gone, Listener
+from igtl_gateway.addons.resim.outputs import OutputFile, OutputStream
+from igtl_gateway.addons.resim.processes import Process
+
+#: The only middleware whose serialisation the library knows how to find.
+_MIDDLEWARE = "rmw_fastrtps_cpp"
+
+
+class Clocks(IntEnum):
+    """Which clocks of libc have session time; those of ROS always have it, and so do sleeps and timeouts.
+
+    WAITS is the default: a steady clock measures how long a program waits, and waiting happens in session time; the
+    wall clock is data, and a result that depends on it differs in every run of the real program, too.
+    """
+
+    WAITS = 0  #: the steady clocks (``time.monotonic()``); ``time.time()`` is real
+    LIBC = 1  #: all: ``time.time()`` is session time
+    REAL = 2  #: none
+
+
+@dataclass(frozen=True, slots=True)
+class Program:
+    """A program to run.
+
+    Attributes:
+        command: program and arguments.
+        name: for messages; default: the last part of the command that is a name.
+        env: added to the environment.
+        folder: where it runs; None: here.
+    """
+
+    command: tuple[str, ...]
+    name: str = ""
+    env: Mapping[str, str] = field(default_factory=dict)
+    folder: Path | None = None
+
+    @property
+    def title(self) -> str:
+        return self.name or next((Path(word).name for word in reversed(self.command) if word[:1] != "-"), "program")
+
+
+@dataclass(frozen=True, slots=True)
+class ResimOptions:
+    """How to run.
+
+    Attributes:
+        runs: how often.
+        latency_ns: from the sending of a message of a program to its arrival at another one, or at itself.
+        clocks: what the clocks of libc are.
+        inputs: recorded topics that are inputs although a program publishes them; globs.
+        outputs: recorded topics that do not drive programs; globs.
+        wall_s: real seconds without an event, and without CPU time, after which a program counts as hanging.
+        cpu_s: CPU seconds without an event after which a program counts as busy without end.
+        most_outputs: messages that a run may have; more count as a flood.
+    """
+
+    runs: int = 3
+    latency_ns: int = 0
+    clocks: Clocks = Clocks.WAITS
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+    wall_s: float = 30.0
+    cpu_s: float = 60.0
+    most_outputs: int = 10_000_000
+
+
+@dataclass(slots=True)
+class Run:
+    """One run.
+
+    Attributes:
+        number: from 1.
+        outputs: session file with what the programs published.
+        streams: its topics.
+        delivered: topic → recorded messages that went to programs.
+        unserved: service → requests that no program answered.
+        refused: topic → why a program did not receive it.
+        events: number of events.
+        start_ns, end_ns: session time, UTC ns; the end is where it stopped.
+        seconds: real time that it took; of these `start_s` until all programs waited for the first time.
+        fault: why it stopped before its end; ``""`` if it did not.
+    """
+
+    number: int
+    outputs: Path
+    streams: dict[str, OutputStream] = field(default_factory=dict)
+    delivered: dict[str, int] = field(default_factory=dict)
+    unserved: dict[str, int] = field(default_factory=dict)
+    refused: dict[str, str] = field(default_factory=dict)
+    events: int = 0
+    start_ns: int = 0
+    end_ns: int = 0
+    seconds: float = 0.0
+    start_s: float = 0.0
+    fault: str = ""
+
+    @property
+    def messages(self) -> int:
+        return sum(stream.messages for stream in self.streams.values())
+
+
+@dataclass(slots=True)
+class RunResult:
+    """All runs of one recording.
+
+    Attributes:
+        recording: the recording.
+        roles: what the topics are, as of the first run; None if it did not come that far.
+        runs: in order; the last one has a fault if a program is at fault, and then there are fewer than requested.
+    """
+
+    recording: Path
+    roles: Roles | None = None
+    runs: list[Run] = field(default_factory=list)
+
+    @property
+    def fault(self) -> str:
+        return self.runs[-1].fault if self.runs else ""
+
+
+def run(
+    recording: Path,
+    programs: Sequence[Program],
+    options: ResimOptions,
+    folder: Path,
+    *,
+    on_roles: Callable[[Roles], None] = lambda roles: None,
+    on_run: Callable[[Run], None] = lambda run: None,
+) -> RunResult:
+    """Run programs on a recording.
+
+    Args:
+        recording: a session, or an MCAP file of rosbag2.
+        programs: the programs; their order is the order of ties.
+        options: how.
+        folder: where the outputs go, as ``run-1.mcap`` …
+        on_roles: called before the first event of the first run, with what is input and what output.
+        on_run: called after each run.
+
+    Raises:
+        ConfigError: nothing to run, another middleware, or an invalid folder.
+        Unavailable: the library is not built on this machine.
+        RecordingError: the recording cannot be read.
+    """
+    if not programs or not all(program.command for program in programs):
+        raise ConfigError("found no program, expected one behind --")
+    if options.runs < 1:
+        raise ConfigError(f"runs: found {options.runs}, expected 1 or more")
+    for program in programs:
+        middleware = {**os.environ, **program.env}.get("RMW_IMPLEMENTATION", _MIDDLEWARE)
+        if middleware != _MIDDLEWARE:
+            raise ConfigError(f"{program.title}: found RMW_IMPLEMENTATION={middleware}, expected {_MIDDLEWARE}")
+    library = library_path()
+    result = RunResult(recording)
+    for number in range(1, options.runs + 1):
+
+        def take(roles: Roles) -> None:
+            if result.roles is None:
+                result.roles = roles
+                on_roles(roles)
+
+        one = Run(number, folder / f"run-{number}.mcap")
+        result.runs.append(one)
+        _run_once(recording, programs, options, library, one, take)
+        on_run(one)
+        if one.fault:
+            break
+    return result
+
+
+def _run_once(
+    recording: Path,
+    programs: Sequence[Program],
+    options: ResimOptions,
+    library: Path,
+    one: Run,
+    on_roles: Callable[[Roles], None],
+) -> None:
+    clock = SystemClock()
+    began_ns = clock.monotonic_ns()
+
+    def started(roles: Roles) -> None:
+        one.start_s = (clock.monotonic_ns() - began_ns) / 1e9
+        on_roles(roles)
+
+    with ExitStack() as stack:
+        file = stack.enter_context(SessionFile.open(recording))
+        outputs = OutputFile(one.outputs, recording.name, overwrite=True)
+        stack.callback(outputs.close)
+        one.start_ns, one.end_ns = file.start_ns, file.end_ns
+        place = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="igtl-resim-")))
+        listener = Listener(place)
+        stack.callback(listener.close)
+        processes: list[Process] = []
+        watch = _Watch(processes, clock, options)
+        coordinator: Coordinator | None = None
+        try:
+            peers = []
+            for index, program in enumerate(programs):
+                env = {**os.environ, **program.env, "IGTL_GATEWAY_RESIM": str(listener.path)}
+                env["LD_PRELOAD"] = " ".join(filter(None, [str(library), env.get("LD_PRELOAD", "")]))
+                process = Process(program.title, program.command, env, program.folder)
+                processes.append(process)
+                stack.callback(process.end)
+                watch.begin()
+                link = listener.accept(lambda: watch.look(is_joining=True))
+                stack.callback(link.close)
+                hello = link.receive()
+                if not isinstance(hello, Hello) or hello.abi != ABI_VERSION:
+                    raise ProgramFault(f"{program.title}: found a library of another version: {hello!r}")
+                process.joined(hello.pid)
+                link.send(welcome(one.start_ns, options.latency_ns, index, options.clocks))
+                peers.append(Peer(index, program.title, link))
+            coordinator = Coordinator(
+                peers,
+                Inputs(file),
+                topics_of(file),
+                outputs,
+                start_ns=one.start_ns,
+                end_ns=one.end_ns,
+                latency_ns=options.latency_ns,
+                is_input=lambda topic: _chosen(topic, options),
+                on_start=started,
+                on_event=watch.begin,
+            )
+            coordinator.run()
+        except (ProgramFault, Gone) as fault:
+            one.fault = watch.ended() or str(fault) or "a program closed its connection"
+        finally:
+            if coordinator:
+                if one.fault:
+                    one.end_ns = coordinator.now_ns
+                coordinator.end()
+                one.delivered, one.unserved = dict(coordinator.delivered), dict(coordinator.unserved)
+                one.refused, one.events = dict(coordinator.refused), coordinator.events
+            outputs.close()
+            one.streams = outputs.streams
+            one.seconds = (clock.monotonic_ns() - began_ns) / 1e9
+
+
+def _chosen(topic: str, options: ResimOptions) -> bool | None:
+    if any(matches(glob, topic) for glob in options.inputs):
+        return True
+    return False if any(matches(glob, topic) for glob in options.outputs) else None
+
+
+class _Watch:
+    """Looks after the processes while they are waited for: whether they run, and what time they use."""
+
+    def __init__(self, processes: list[Process], clock: SystemClock, options: ResimOptions) -> None:
+        self._processes, self._clock, self._options = processes, clock, options
+        self._since_ns = 0
+        self._cpu_s: dict[int, float] = {}
+
+    def begin(self) -> None:
+        """An event happened: the time of the next one begins."""
+        self._since_ns = 0
+
+    def look(self, *, is_joining: bool = False) -> None:
+        """Raise ProgramFault if a process has ended, hangs, or is busy without end."""
+        now_ns = self._clock.monotonic_ns()
+        if not self._since_ns:
+            self._since_ns = now_ns
+            self._cpu_s = {each.pid: each.cpu_s() for each in self._processes}
+        if ended := self.ended():
+            raise ProgramFault(ended + (": it made no ROS 2 node" if is_joining and "code 0" in ended else ""))
+        options = self._options
+        waited_s = (now_ns - self._since_ns) / 1e9
+        used = {each: each.cpu_s() - self._cpu_s.get(each.pid, 0.0) for each in self._processes}
+        busy = max(used, key=lambda each: used[each], default=None)
+        if busy is None:
+            return
+        what = "made no ROS 2 node" if is_joining else "did not come to rest"
+        if used[busy] > options.cpu_s:
+            thread = busy.busiest()
+            raise ProgramFault(
+                f"{busy.name}: {what} within {options.cpu_s:g} s of CPU time (the CPU limit): "
+                f"thread {thread.name!r} is busy"
+            )
+        if waited_s > options.wall_s and used[busy] < waited_s / 2:
+            name = self._processes[-1].name if is_joining else busy.name
+            raise ProgramFault(f"{name}: {what} within {options.wall_s:g} s (the wall limit)")
+
+    def ended(self) -> str:
+        """Which process has ended, and how; ``""`` for none."""
+        for each in self._processes:
+            if not each.is_running:
+                return f"{each.name}: {each.exit_text()}"
+        return ""

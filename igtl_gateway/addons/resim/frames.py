@@ -1,0 +1,198 @@
+"""The frames between the coordinator and the library in a program; ``native/_resim.c`` has the same table.
+
+A frame is its size (uint32, of what follows), a letter, and its fields without padding in the order of the machine.
+Times are session time in UTC ns.
+"""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+from typing import Final
+
+#: Of the interface between both sides; the library states it in its hello.
+ABI_VERSION = 1
+#: Later than everything.
+NEVER: Final = (1 << 63) - 1
+#: Classes of events of one time, in their order: recorded inputs, messages of programs, timers and timeouts.
+INPUT, MESSAGE, DEADLINE, ALL = 0, 1, 2, 9
+
+_HEAD = struct.Struct("=IB")
+_ENTITY = struct.Struct("=cBIBBBI")
+_IDLE = struct.Struct("=qqBQ")
+_WELCOME = struct.Struct("=qqIB")
+_MESSAGE = struct.Struct("=QqqIBH")
+_OUTPUT = struct.Struct("=Iq")
+_REQUEST = struct.Struct("=Iqq")
+_RESPONSE = struct.Struct("=IIIqq")
+_TO_SERVICE = struct.Struct("=qIIIq")
+_TO_CLIENT = struct.Struct("=qIq")
+_ROUTED = struct.Struct("=IB")
+_RUN = struct.Struct("=qB")
+_HELLO = struct.Struct("=II")
+_SIZE = struct.Struct("=H")
+
+
+@dataclass(frozen=True, slots=True)
+class EntityFrame:
+    """A subscription (``s``), publisher (``p``), service (``v``) or client (``c``) that was made, or is gone."""
+
+    kind: str
+    is_made: bool
+    number: int
+    reliable: bool
+    latched: bool
+    keeps_all: bool
+    depth: int
+    name: str
+    type: str
+    node: str
+    definition: str
+
+
+@dataclass(frozen=True, slots=True)
+class Published:
+    """A message that a publisher sent."""
+
+    publisher: int
+    time_ns: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """A request of a client."""
+
+    client: int
+    number: int
+    time_ns: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Response:
+    """A response of a service to the client of a program."""
+
+    service: int
+    program: int
+    client: int
+    number: int
+    time_ns: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Remark:
+    """Something that the coordinator has to know: ``f`` the program has forked."""
+
+    code: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class Idle:
+    """The program waits.
+
+    Attributes:
+        time_ns: its session time.
+        next_ns, next_class: its next event of its own; ``NEVER`` without one.
+        number: of the last recorded input that was delivered.
+    """
+
+    time_ns: int
+    next_ns: int
+    next_class: int
+    number: int
+
+
+@dataclass(frozen=True, slots=True)
+class Hello:
+    """The first frame of a process."""
+
+    pid: int
+    abi: int
+
+
+FromProgram = EntityFrame | Published | Request | Response | Remark | Idle | Hello
+
+
+def parse(frame: bytes) -> FromProgram:
+    """Return a frame of a program, without its size.  Raises ValueError or struct.error for what is not a frame."""
+    match frame[:1]:
+        case b"O":
+            publisher, time_ns = _OUTPUT.unpack_from(frame, 1)
+            return Published(publisher, time_ns, frame[13:])
+        case b"I":
+            return Idle(*_IDLE.unpack_from(frame, 1))
+        case b"E":
+            kind, made, number, reliable, latched, keeps_all, depth = _ENTITY.unpack_from(frame, 1)
+            texts, at = [], 1 + _ENTITY.size
+            for _ in range(3):
+                (size,) = _SIZE.unpack_from(frame, at)
+                texts.append(frame[at + 2 : at + 2 + size].decode("utf-8", "replace"))
+                at += 2 + size
+            definition = frame[at:].decode("utf-8", "replace").replace("\0", "")
+            flags = (bool(reliable), bool(latched), bool(keeps_all), depth)
+            return EntityFrame(kind.decode(), bool(made), number, *flags, *texts, definition)
+        case b"Q":
+            return Request(*_REQUEST.unpack_from(frame, 1), frame[1 + _REQUEST.size :])
+        case b"A":
+            return Response(*_RESPONSE.unpack_from(frame, 1), frame[1 + _RESPONSE.size :])
+        case b"X":
+            return Remark(frame[1:2].decode("ascii", "replace"), frame[4:].decode("utf-8", "replace"))
+        case b"H":
+            return Hello(*_HELLO.unpack_from(frame, 1))
+        case letter:
+            raise ValueError(f"found frame {letter!r}, expected one of E, O, Q, A, X, I, H")
+
+
+def _frame(letter: bytes, *parts: bytes) -> bytes:
+    body = b"".join(parts)
+    return _HEAD.pack(1 + len(body), letter[0]) + body
+
+
+def _text(text: str) -> bytes:
+    raw = text.encode()
+    return _SIZE.pack(len(raw)) + raw
+
+
+def welcome(start_ns: int, latency_ns: int, program: int, clocks: int) -> bytes:
+    return _frame(b"W", _WELCOME.pack(start_ns, latency_ns, program, clocks))
+
+
+def message(number: int, time_ns: int, source_ns: int, target: int, class_: int, topic: bytes, data: bytes) -> bytes:
+    """A message; ``target``: a subscription, 0 for all of the topic."""
+    size = 1 + _MESSAGE.size + len(topic) + len(data)
+    head = _MESSAGE.pack(number, time_ns, source_ns, target, class_, len(topic))
+    return b"".join((_HEAD.pack(size, 77), head, topic, data))
+
+
+def to_service(time_ns: int, service: int, program: int, client: int, number: int, data: bytes) -> bytes:
+    return _frame(b"q", _TO_SERVICE.pack(time_ns, service, program, client, number), data)
+
+
+def to_client(time_ns: int, client: int, number: int, data: bytes) -> bytes:
+    return _frame(b"a", _TO_CLIENT.pack(time_ns, client, number), data)
+
+
+def routed(publisher: int, is_routed: bool) -> bytes:
+    """Whether another program receives what a publisher sends: then the program stops behind it."""
+    return _frame(b"T", _ROUTED.pack(publisher, 1 if is_routed else 2))
+
+
+def elsewhere(kind: str, is_made: bool, name: str, type_: str) -> bytes:
+    """An entity of the recording, or of another program."""
+    return _frame(b"N", kind.encode(), b"\1" if is_made else b"\0", _text(name), _text(type_))
+
+
+def drop() -> bytes:
+    return _frame(b"D")
+
+
+def run_to(time_ns: int, class_: int) -> bytes:
+    """Let the program run, up to the events of this time and class."""
+    return _frame(b"R", _RUN.pack(time_ns, class_))
+
+
+def end() -> bytes:
+    return _frame(b"Z")

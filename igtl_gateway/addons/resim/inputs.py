@@ -1,0 +1,110 @@
+"""What a recording has for programs: the messages of its ROS topics, in order, read as they are needed."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from igtl_gateway.addon import Kind, Qos, SessionFile
+
+_ROS = frozenset({Kind.ROS_IN, Kind.ROS_OUT})
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedTopic:
+    """A ROS topic of the recording: its type, its QoS, and its messages by direction as the gateway saw it.
+
+    Attributes:
+        name: the topic.
+        type: ROS type of its messages.
+        qos: as recorded; the default where the file has none.
+        from_gateway: messages that the gateway published; what programs may have received from it.
+        from_others: messages that others published.
+    """
+
+    name: str
+    type: str
+    qos: Qos
+    from_gateway: int
+    from_others: int
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedInput:
+    """A recorded message.
+
+    Attributes:
+        number: its number among all ROS messages of the recording, from 1.
+        time_ns: when the gateway had it, session time in UTC ns.
+        topic: its topic.
+        type: its ROS type.
+        data: CDR with its encapsulation.
+        source_ns: stamp of its sender; that of the gateway where the recording has none.
+        is_ours: whether the gateway published it.
+    """
+
+    number: int
+    time_ns: int
+    topic: str
+    type: str
+    data: bytes
+    source_ns: int
+    is_ours: bool
+
+
+def topics_of(file: SessionFile) -> dict[str, RecordedTopic]:
+    """Return the ROS topics of a recording by name; of several types of one topic, the first."""
+    found: dict[str, RecordedTopic] = {}
+    for channel in file.channels:
+        if channel.kind not in _ROS or not channel.count:
+            continue
+        before = found.get(channel.topic)
+        if before and before.type != channel.type:
+            continue
+        ours = channel.count if channel.kind is Kind.ROS_OUT else 0
+        qos = channel.qos or (before.qos if before else Qos())
+        found[channel.topic] = RecordedTopic(
+            channel.topic,
+            channel.type,
+            qos,
+            ours + (before.from_gateway if before else 0),
+            channel.count - ours + (before.from_others if before else 0),
+        )
+    return found
+
+
+class Inputs:
+    """The messages in order, of which the next ones can be looked at and given back."""
+
+    def __init__(self, file: SessionFile) -> None:
+        self._coming = self._read(file)
+        self._waiting: deque[RecordedInput] = deque()
+
+    @staticmethod
+    def _read(file: SessionFile) -> Iterator[RecordedInput]:
+        number = 0
+        for entry in file.entries_of_kinds(_ROS):
+            if entry.seq and entry.kind in _ROS:
+                number += 1
+                stamp_ns = entry.stamp_ns
+                source_ns = entry.source_ns or stamp_ns
+                ours = entry.kind is Kind.ROS_OUT
+                yield RecordedInput(number, stamp_ns, entry.channel, entry.type, entry.data(), source_ns, ours)
+
+    def peek(self) -> RecordedInput | None:
+        """The next message; None at the end."""
+        if not self._waiting:
+            following = next(self._coming, None)
+            if following is None:
+                return None
+            self._waiting.append(following)
+        return self._waiting[0]
+
+    def pop(self) -> RecordedInput:
+        """Take the message that `peek` returned."""
+        return self._waiting.popleft()
+
+    def give_back(self, message: RecordedInput) -> None:
+        """Put a message back, before all others."""
+        self._waiting.appendleft(message)

@@ -1,0 +1,26 @@
+"""Where the library is that is preloaded into programs."""
+
+from __future__ import annotations
+
+import sysconfig
+from pathlib import Path
+
+import igtl_gateway
+from igtl_gateway.addon import Unavailable
+
+_NAME = "_resim"
+
+
+def library_path() -> Path:
+    """Return the place of the library.
+
+    Raises:
+        Unavailable: the package was installed without it: no C compiler, or not Linux.
+    """
+    suffix = sysconfig.get_config_var("EXT_SUFFIX") or ".so"
+    path = Path(igtl_gateway.__file__).with_name("native") / f"{_NAME}{suffix}"
+    if not path.is_file():
+        raise Unavailable(
+            f"resim: found no {path.name}, which needs Linux and a C compiler when igtl-gateway is installed"
+        )
+    return path

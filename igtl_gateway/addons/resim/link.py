@@ -1,0 +1,91 @@
+"""The socket between the coordinator and the processes of the programs."""
+
+from __future__ import annotations
+
+import socket
+import struct
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from igtl_gateway.addons.resim import frames
+
+_SIZE = struct.Struct("=I")
+_READ_BYTES = 1 << 18
+#: How often a wait looks after the processes.
+_PATIENCE_S = 0.1
+
+
+class Gone(Exception):
+    """The process has closed its connection."""
+
+
+class Link:
+    """The connection of one process.  ``waiting`` is called now and then while a frame is awaited; it may raise."""
+
+    def __init__(self, connection: socket.socket, waiting: Callable[[], None]) -> None:
+        self._socket = connection
+        self._waiting = waiting
+        self._buffer = bytearray()
+        self._at = 0
+        connection.settimeout(_PATIENCE_S)
+
+    def send(self, data: bytes) -> None:
+        """Send frames.  Raises Gone."""
+        view = memoryview(data)
+        while view:
+            try:
+                view = view[self._socket.send(view) :]
+            except TimeoutError:
+                self._waiting()
+            except OSError as error:
+                raise Gone from error
+
+    def receive(self) -> frames.FromProgram:
+        """Return the next frame.  Raises Gone."""
+        while True:
+            buffer, at = self._buffer, self._at
+            if len(buffer) - at >= _SIZE.size:
+                (size,) = _SIZE.unpack_from(buffer, at)
+                end = at + _SIZE.size + size
+                if len(buffer) >= end:
+                    frame = bytes(memoryview(buffer)[at + _SIZE.size : end])
+                    self._at = end
+                    return frames.parse(frame)
+            self._buffer, self._at = buffer[at:], 0
+            try:
+                more = self._socket.recv(_READ_BYTES)
+            except TimeoutError:
+                self._waiting()
+                continue
+            except OSError as error:
+                raise Gone from error
+            if not more:
+                raise Gone
+            self._buffer += more
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+class Listener:
+    """Where the processes connect: a socket in a folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / "resim"
+        self._socket = socket.socket(socket.AF_UNIX)
+        self._socket.bind(str(self.path))
+        self._socket.listen()
+        self._socket.settimeout(_PATIENCE_S)
+
+    def accept(self, waiting: Callable[[], None]) -> Link:
+        """Return the connection of the next process; ``waiting`` as of `Link`, also while there is none."""
+        while True:
+            with suppress(TimeoutError):
+                connection, _ = self._socket.accept()
+                return Link(connection, waiting)
+            waiting()
+
+    def close(self) -> None:
+        self._socket.close()
+        self.path.unlink(missing_ok=True)

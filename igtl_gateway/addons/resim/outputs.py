@@ -1,0 +1,87 @@
+"""What the programs published in a run: written as a session, and digested for the comparison of runs."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from igtl_gateway.addon import Config, Entry, Kind, Qos, SessionWriter, __version__
+
+#: Topics that every node has: kept in the session, but not part of the verdict.
+OF_EVERY_NODE = ("/rosout", "/parameter_events")
+
+
+@dataclass(slots=True)
+class OutputStream:
+    """A topic that the programs published in a run.
+
+    Attributes:
+        topic, type: of it.
+        qos: as its publisher offers it.
+        messages: their number.
+        first_ns, last_ns: session time of the first and the last one, UTC ns.
+        digest: SHA-256 of times and bytes, as hexadecimal digits; set at the end of the run.
+    """
+
+    topic: str
+    type: str
+    qos: Qos
+    messages: int = 0
+    first_ns: int = 0
+    last_ns: int = 0
+    digest: str = ""
+    sum: hashlib._Hash = field(default_factory=hashlib.sha256, repr=False, compare=False)
+
+
+class OutputFile:
+    """The outputs of a run as a session file: ROS messages that are inputs of a gateway, at their session time.
+
+    The stamp of an entry is the session time at which it was published; of several at one time, each is a nanosecond
+    later than the one before it.  Its source stamp is the session time itself.
+
+    Args:
+        path: the file to write.
+        recording: name of the recording that drove the programs.
+        is_judged: whether a topic is part of the verdict.
+    """
+
+    def __init__(self, path: Path, recording: str, *, overwrite: bool = False) -> None:
+        self.path = path
+        self.streams: dict[str, OutputStream] = {}
+        self.definitions: dict[str, str] = {}
+        self._seq = self._stamp_ns = 0
+        facts = {
+            "config": json.dumps(Config().to_dict(), sort_keys=True),
+            "igtl_gateway_version": __version__,
+            "resim_of": recording,
+        }
+        self._writer = SessionWriter(
+            path,
+            facts,
+            qos_of=lambda topic, _type: self.streams[topic].qos if topic in self.streams else None,
+            definition_of=lambda name: (self.definitions[name], "") if self.definitions.get(name) else None,
+            overwrite=overwrite,
+        )
+
+    def add(self, stream: OutputStream, time_ns: int, data: bytes) -> None:
+        """Add a message."""
+        self._seq += 1
+        self._stamp_ns = max(self._stamp_ns + 1, time_ns)
+        if not stream.messages:
+            stream.first_ns = time_ns
+        stream.messages += 1
+        stream.last_ns = time_ns
+        stream.sum.update(time_ns.to_bytes(8, "little"))
+        stream.sum.update(len(data).to_bytes(8, "little"))
+        stream.sum.update(data)
+        self._writer.write(
+            Entry(self._seq, self._stamp_ns, Kind.ROS_IN, stream.topic, stream.type, (data,), (), time_ns)
+        )
+
+    def close(self) -> None:
+        """Finish the file; idempotent."""
+        for stream in self.streams.values():
+            stream.digest = stream.sum.hexdigest()
+        self._writer.close({})

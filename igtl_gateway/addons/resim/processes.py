@@ -1,0 +1,98 @@
+"""The processes of programs: started, watched, ended with all that they have started."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from igtl_gateway.addon import ConfigError
+from igtl_gateway.base.child import Child
+from igtl_gateway.base.systems.processes import KILL, end_session, ticks_per_second
+
+#: Seconds that a program has to end after the session, as after Ctrl-C.
+_END_S = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class ThreadUse:
+    """A thread: its name, its state (a letter of the kernel) and the CPU seconds that it has used."""
+
+    name: str
+    state: str
+    cpu_s: float
+
+
+class Process:
+    """A running program.
+
+    Args:
+        name: for messages.
+        command: program and arguments.
+        env: its environment.
+        folder: where it runs.
+
+    Raises ConfigError if it cannot be started.
+    """
+
+    def __init__(self, name: str, command: Sequence[str], env: Mapping[str, str], folder: Path | None) -> None:
+        self.name = name
+        self._ros_pid = 0
+        if folder:
+            command = ("env", "-C", str(folder), *command)
+        try:
+            self._child = Child(f"resim-{name}", command, on_line=lambda line: None, env=env, death_signal=KILL)
+        except OSError as error:
+            raise ConfigError(f"{name}: cannot be started: {error.strerror}: {command[0]}") from error
+
+    def joined(self, pid: int) -> None:
+        """Remember the process that takes part in the session: a child, if the program is a launcher."""
+        self._ros_pid = pid
+
+    @property
+    def pid(self) -> int:
+        return self._ros_pid or self._child.pid
+
+    @property
+    def is_running(self) -> bool:
+        return self._child.is_running
+
+    def exit_text(self) -> str:
+        """How it ended, with its last line; waits for the end."""
+        code = self._child.wait(_END_S)
+        if code is None:
+            return "closed its connection"
+        how = f"ended with exit code {code}" if code >= 0 else f"was ended by signal {-code}"
+        lines = self._child.last_error_lines()
+        return f"{how}: {lines[0].strip()}" if lines else how
+
+    def cpu_s(self) -> float:
+        """CPU time of all its threads so far, s; 0 where the system has no /proc, or it has ended."""
+        return _use(Path(f"/proc/{self.pid}/stat")).cpu_s
+
+    def busiest(self) -> ThreadUse:
+        """The thread that runs, or else the one with the most CPU time."""
+        with suppress(OSError):
+            uses = [_use(task / "stat") for task in Path(f"/proc/{self.pid}/task").iterdir()]
+            if uses:
+                return max(uses, key=lambda use: (use.state == "R", use.cpu_s))
+        return ThreadUse("", "", 0.0)
+
+    def end(self) -> None:
+        """Have it end as by Ctrl-C, and kill what is left of its session; idempotent."""
+        if self._child.is_running:
+            self._child.interrupt()
+            self._child.wait(_END_S)
+        end_session(self._child.pid)
+        self._child.kill()
+
+
+def _use(stat: Path) -> ThreadUse:
+    try:
+        text = stat.read_text("utf-8", "replace")
+    except OSError:
+        return ThreadUse("", "", 0.0)
+    name, _, rest = text.partition("(")[2].rpartition(")")
+    fields = rest.split()
+    return ThreadUse(name, fields[0], (int(fields[11]) + int(fields[12])) / ticks_per_second())

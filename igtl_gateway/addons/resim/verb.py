@@ -1,0 +1,211 @@
+"""``igtl-gateway resim``: a recording drives ROS 2 programs again, and their outputs are compared."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import tempfile
+from contextlib import ExitStack
+from dataclasses import asdict
+from pathlib import Path
+
+from igtl_gateway.addon import (
+    RECORDING_OR_BAG,
+    ConfigError,
+    add_file,
+    add_json,
+    add_overwrite,
+    aligned,
+    check_target,
+    count_text,
+    default,
+    new_recording,
+    print_json,
+    print_line,
+    written,
+)
+from igtl_gateway.addons.resim.coordinator import Roles
+from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, Run, RunResult
+from igtl_gateway.addons.resim.engine import run as run_programs
+from igtl_gateway.addons.resim.verdict import Tolerance, Verdict, compare, is_judged
+
+EXAMPLES = """\
+  # three runs, compared with each other and with what the recording has
+  igtl-gateway resim session.mcap -- python planner.py
+  # keep the outputs, and compare later versions with them
+  igtl-gateway resim session.mcap --record good.mcap -- python planner.py
+  igtl-gateway resim session.mcap --baseline good.mcap --tolerance 0.05mm,0.05deg \\
+      -- python planner.py
+  # two programs: what one publishes, the other one receives
+  igtl-gateway resim session.mcap -- python planner.py -- python controller.py
+
+Exit code 0: all runs are equal, and equal to the recording or the baseline;
+1: they differ, and the first difference is named; 2: a program ended, hung or
+did something that a re-simulation cannot repeat."""
+
+_CLOCKS = {"--libc-clock": Clocks.LIBC, "--real-clock": Clocks.REAL}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    add_file(parser, RECORDING_OR_BAG)
+    parser.add_argument(
+        "programs", metavar="-- PROGRAM", nargs=argparse.PARSER, help="the program and its arguments; -- between two"
+    )
+    parser.add_argument("--runs", type=int, default=3, metavar="N", help="how often to run " + default(3))
+    parser.add_argument("--record", type=new_recording, metavar="FILE", help="write the outputs of the first run")
+    parser.add_argument(
+        "--baseline", type=Path, metavar="FILE", help="compare with the outputs of an earlier run, not the recording"
+    )
+    parser.add_argument(
+        "--tolerance", default="", metavar="MM,DEG", help="what may differ from them, such as 0.05mm,0.05deg"
+    )
+    parser.add_argument(
+        "--input", action="append", default=[], metavar="TOPIC",
+        help="drive a topic with the recording although a program publishes it (repeatable)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--output", action="append", default=[], metavar="TOPIC",
+        help="do not drive a topic with the recording; judge it also if every node has it (repeatable)",
+    )  # fmt: skip
+    parser.add_argument(
+        "--latency", type=float, default=0.0, metavar="MS",
+        help="of messages from program to program, in session time " + default(0),
+    )  # fmt: skip
+    clocks = parser.add_mutually_exclusive_group()
+    clocks.add_argument("--libc-clock", action="store_true", help="time.time() is session time, too")
+    clocks.add_argument("--real-clock", action="store_true", help="time.monotonic() is real; sleeps are not")
+    parser.add_argument(
+        "--wall-limit", type=float, default=30.0, metavar="S",
+        help="real time in which a program has to come to rest " + default(30),
+    )  # fmt: skip
+    parser.add_argument(
+        "--cpu-limit", type=float, default=60.0, metavar="S",
+        help="CPU time in which a program has to come to rest " + default(60),
+    )  # fmt: skip
+    add_overwrite(parser, "the outputs")
+    add_json(parser)
+
+
+def run(options: argparse.Namespace) -> int:
+    programs = _programs(options.programs)
+    tolerance = _tolerance(options.tolerance)
+    if not 0 <= options.latency < math.inf:
+        raise ConfigError(f"--latency: found {options.latency:g}, expected 0 or more")
+    for name in ("wall_limit", "cpu_limit"):
+        if not 0 < getattr(options, name) < math.inf:
+            raise ConfigError(f"--{name.replace('_', '-')}: found {getattr(options, name):g}, expected more than 0")
+    if options.record:
+        check_target(options.record, overwrite=options.overwrite)
+    clocks = Clocks.LIBC if options.libc_clock else Clocks.REAL if options.real_clock else Clocks.WAITS
+    settings = ResimOptions(
+        runs=options.runs,
+        latency_ns=round(options.latency * 1e6),
+        clocks=clocks,
+        inputs=tuple(options.input),
+        outputs=tuple(options.output),
+        wall_s=options.wall_limit,
+        cpu_s=options.cpu_limit,
+    )
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="igtl-resim-")))
+        is_text = not options.json
+        result = run_programs(
+            options.file,
+            programs,
+            settings,
+            folder,
+            on_roles=_print_roles if is_text else lambda roles: None,
+            on_run=_print_run if is_text else lambda run: None,
+        )
+        reference = options.baseline or options.file
+        verdict = compare(result, reference=reference, tolerance=tolerance, outputs=settings.outputs)
+        if options.record and result.runs and result.runs[0].outputs.is_file():
+            with written(options.record, overwrite=options.overwrite) as place:
+                place.write_bytes(result.runs[0].outputs.read_bytes())
+    if options.json:
+        print_json(facts_of(result, verdict))
+    else:
+        _print_verdict(result, verdict)
+    return verdict.exit_code
+
+
+def _programs(words: list[str]) -> list[Program]:
+    """The commands between the ``--``.  Raises ConfigError."""
+    commands: list[list[str]] = []
+    for word in words if words[:1] == ["--"] else ["--", *words]:
+        if word == "--":
+            commands.append([])
+        else:
+            commands[-1].append(word)
+    if not all(commands):
+        raise ConfigError("found no program, expected one behind --")
+    return [Program(tuple(command)) for command in commands]
+
+
+def _tolerance(text: str) -> Tolerance:
+    """Parse ``0.05mm,0.05deg``.  Raises ConfigError."""
+    found = {"mm": 0.0, "deg": 0.0}
+    for part in filter(None, text.split(",")):
+        unit = next((unit for unit in found if part.strip().endswith(unit)), None)
+        try:
+            value = float(part.strip().removesuffix(unit or ""))
+        except ValueError:
+            value = math.nan
+        if unit is None or not 0 <= value < math.inf:
+            raise ConfigError(f"--tolerance: found {part!r}, expected numbers with units such as 0.05mm,0.05deg")
+        found[unit] = value
+    return Tolerance(**found)
+
+
+def _print_roles(roles: Roles) -> None:
+    rows = [("input", name, count_text(count, "message")) for name, count in roles.inputs.items()]
+    rows += [
+        ("output", name, "also recorded" if name in roles.expected else "") for name in roles.outputs if is_judged(name)
+    ]
+    rows += [("missing", name, "asked for, but not recorded") for name in roles.missing]
+    rows += [("not received", name, why) for name, why in roles.refused.items()]
+    rows += [("no server", name, "called, but no program offers it") for name in roles.unserved]
+    if roles.unused:
+        rows.append(("not used", count_text(len(roles.unused), "recorded topic"), ""))
+    print_line(*aligned(rows, left=3))
+
+
+def _print_run(one: Run) -> None:
+    session_s = (one.end_ns - one.start_ns) / 1e9
+    print_line(
+        f"run {one.number}: {count_text(sum(one.delivered.values()), 'input')}, "
+        f"{count_text(one.messages, 'output')}, {session_s:.1f} s of session in {one.seconds:.1f} s"
+    )
+
+
+def _print_verdict(result: RunResult, verdict: Verdict) -> None:
+    for name, count in result.runs[0].unserved.items() if result.runs else ():
+        print_line(f"{name}: {count_text(count, 'request')} without a server")
+    for stream in verdict.between_runs or verdict.streams:
+        if stream.first:
+            print_line(f"  {stream.first.text(verdict.start_ns)}")
+    print_line(verdict.line())
+
+
+def facts_of(result: RunResult, verdict: Verdict) -> dict[str, object]:
+    """The result as JSON."""
+    return {
+        "recording": str(result.recording),
+        "verdict": verdict.line(),
+        "exit_code": verdict.exit_code,
+        "fault": verdict.fault,
+        "deterministic": verdict.is_deterministic,
+        "roles": asdict(result.roles) if result.roles else None,
+        "runs": [
+            {
+                "number": one.number,
+                "inputs": sum(one.delivered.values()),
+                "outputs": {name: stream.messages for name, stream in one.streams.items()},
+                "digests": {name: stream.digest for name, stream in one.streams.items()},
+                "events": one.events,
+                "seconds": one.seconds,
+                "start_seconds": one.start_s,
+            }
+            for one in result.runs
+        ],
+    }

@@ -1,0 +1,646 @@
+/* Session time of a program: which threads wait, whether all are quiet, and the clocks and waits of libc.
+ *
+ * Included by _resim.c only.  A thread of the program waits in session time as a `struct waiter`: in rmw_wait, a sleep, or
+ * a wait with a timeout.  Time passes only if the program is quiet: every other thread sleeps in the kernel, nothing has
+ * woken it, and none is on its way into this library.  Then one event happens (`step` in _resim.c).
+ *
+ * Why "quiet" is sound: the CPU time of all threads is read, then the state of each, then the CPU times again.  If no
+ * CPU time changed, no thread ran between the end of the first reading and the start of the second; if each state in
+ * between is "sleeping", none was about to run; and a thread that does not run wakes no other.
+ */
+#ifndef IGTL_GATEWAY_RESIM_TIME_H
+#define IGTL_GATEWAY_RESIM_TIME_H
+
+enum { CLOCKS_WAITS = 0, CLOCKS_LIBC = 1, CLOCKS_REAL = 2 }; /* which clocks of libc have session time */
+enum wait_kind { WAIT_ROS, WAIT_SLEEP, WAIT_SIGNAL, WAIT_CONDITION };
+
+#define NEVER INT64_MAX
+#define NS_PER_S 1000000000LL
+/* Session time of steady clocks starts here, above all uptimes, so that the step from the real one goes forward. */
+#define STEADY_START_NS 1000000000000000000LL
+/* Ends a semaphore's wait or a poll at its session time; programs do not use the last real-time signals but two. */
+#define WAKE_SIGNAL (SIGRTMAX - 2)
+
+struct wait_set_args {
+    struct abi_array *lists[5]; /* subscriptions, guards, services, clients, events */
+    void **items[5];            /* copies of what was asked for */
+};
+
+struct waiter {
+    struct waiter *next;
+    enum wait_kind kind;
+    pid_t tid;
+    _Atomic int word;    /* futex of WAIT_ROS and WAIT_SLEEP: 1 = go on */
+    bool fired;          /* it was chosen, and is about to go on */
+    int64_t deadline_ns; /* session time; NEVER */
+    uint64_t order;      /* among equal deadlines: wait sets by their creation, then threads by theirs */
+    pthread_cond_t *condition;
+    struct abi_array **lists;
+    void *ready; /* WAIT_ROS: the entity that is ready; NULL: guard conditions, or the deadline */
+    bool timed_out;
+};
+
+/* All of it is protected by `lock`, except for what is atomic. */
+static struct {
+    pthread_mutex_t lock;
+    _Atomic int active;   /* session time is on */
+    _Atomic int entering; /* threads inside this library that do not wait yet */
+    _Atomic int watch;    /* futex: the watching thread has to look whether all are quiet */
+    _Atomic int64_t now_ns;
+    int64_t start_ns;
+    int clocks;
+    struct waiter *waiters;
+    pid_t watcher;
+    int task_folder;
+    struct task {
+        pid_t tid;
+        int stat;
+        clockid_t clock;
+        int64_t cpu_ns;
+        bool skip;
+        bool seen;
+    } *tasks;
+    size_t task_count;
+    size_t task_room;
+} T = {.lock = PTHREAD_MUTEX_INITIALIZER, .task_folder = -1};
+
+static __thread pid_t own_tid;
+
+static void step(void);
+static bool is_spinning(void); /* whether the program waits for events, so that time may pass */
+
+static pid_t tid_of_this(void)
+{
+    if (!own_tid)
+        own_tid = (pid_t)syscall(SYS_gettid);
+    return own_tid;
+}
+
+static void *next_symbol(const char *name, const char *version)
+{
+    void *found = version ? dlvsym(RTLD_NEXT, name, version) : NULL;
+    return found ? found : dlsym(RTLD_NEXT, name);
+}
+
+/* The function that ours stands before; `GLIBC_2.3.2` is x86-64's version of the condition variables of today. */
+#define NEXT(name, version)                                                                                            \
+    ({                                                                                                                 \
+        static __typeof__(&name) found;                                                                                \
+        if (!found)                                                                                                    \
+            found = (__typeof__(&name))next_symbol(#name, version);                                                    \
+        found;                                                                                                         \
+    })
+
+static int64_t ns_of(const struct timespec *time) { return (int64_t)time->tv_sec * NS_PER_S + time->tv_nsec; }
+static struct timespec timespec_of(int64_t ns)
+{
+    return (struct timespec){.tv_sec = (time_t)(ns / NS_PER_S), .tv_nsec = (long)(ns % NS_PER_S)};
+}
+
+static int64_t real_ns(clockid_t clock)
+{
+    struct timespec now;
+    NEXT(clock_gettime, NULL)(clock, &now);
+    return ns_of(&now);
+}
+
+static void futex_wait(_Atomic int *word, int value, const struct timespec *timeout)
+{
+    syscall(SYS_futex, word, FUTEX_WAIT_PRIVATE, value, timeout, NULL, 0);
+}
+static void futex_wake(_Atomic int *word) { syscall(SYS_futex, word, FUTEX_WAKE_PRIVATE, INT32_MAX, NULL, NULL, 0); }
+
+static void enter(void)
+{
+    atomic_fetch_add(&T.entering, 1);
+    pthread_mutex_lock(&T.lock);
+}
+static void leave(void)
+{
+    pthread_mutex_unlock(&T.lock);
+    atomic_fetch_sub(&T.entering, 1);
+}
+
+/* -- quiet ------------------------------------------------------------------------------------------------------- */
+
+static int64_t cpu_ns_of(const struct task *task)
+{
+    struct timespec time;
+    return syscall(SYS_clock_gettime, task->clock, &time) ? -1 : ns_of(&time);
+}
+
+/* State of a thread: a letter of the kernel, 0 if it has ended. */
+static char state_of(const struct task *task)
+{
+    char text[128];
+    ssize_t size = pread(task->stat, text, sizeof text - 1, 0);
+    if (size <= 0)
+        return 0;
+    text[size] = 0;
+    char *end = strrchr(text, ')');
+    return end && end[1] ? end[2] : 0;
+}
+
+static bool list_tasks(void)
+{
+    struct linux_dirent {
+        uint64_t inode;
+        int64_t offset;
+        uint16_t size;
+        uint8_t type;
+        char name[];
+    };
+    _Alignas(8) char buffer[8192];
+    for (size_t i = 0; i < T.task_count; i++)
+        T.tasks[i].seen = false;
+    lseek(T.task_folder, 0, SEEK_SET);
+    for (;;) {
+        long size = syscall(SYS_getdents64, T.task_folder, buffer, sizeof buffer);
+        if (size <= 0)
+            break;
+        for (long at = 0; at < size;) {
+            struct linux_dirent *entry = (struct linux_dirent *)(buffer + at);
+            at += entry->size;
+            pid_t tid = (pid_t)strtol(entry->name, NULL, 10);
+            if (tid <= 0)
+                continue;
+            size_t i = 0;
+            while (i < T.task_count && T.tasks[i].tid != tid)
+                i++;
+            if (i < T.task_count) {
+                T.tasks[i].seen = true;
+                continue;
+            }
+            if (T.task_count == T.task_room) {
+                size_t room = T.task_room ? 2 * T.task_room : 32;
+                struct task *more = realloc(T.tasks, room * sizeof *more);
+                if (!more)
+                    return false;
+                T.tasks = more;
+                T.task_room = room;
+            }
+            char path[64];
+            snprintf(path, sizeof path, "/proc/self/task/%d/stat", tid);
+            int stat = open(path, O_RDONLY | O_CLOEXEC);
+            if (stat < 0)
+                continue;
+            /* the clock of a thread's CPU time, as glibc's pthread_getcpuclockid makes it */
+            clockid_t clock = (clockid_t)((~(unsigned)tid << 3) | 6U);
+            T.tasks[T.task_count++] = (struct task){tid, stat, clock, 0, false, true};
+        }
+    }
+    for (size_t i = T.task_count; i-- > 0;)
+        if (!T.tasks[i].seen) {
+            close(T.tasks[i].stat);
+            memmove(&T.tasks[i], &T.tasks[i + 1], (--T.task_count - i) * sizeof *T.tasks);
+        }
+    return true;
+}
+
+/* Whether all threads sleep but the caller's and the watching one; under the lock. */
+static bool is_quiet(int entering)
+{
+    struct stat folder;
+    if (atomic_load(&T.entering) != entering)
+        return false;
+    if (fstat(T.task_folder, &folder) || (folder.st_nlink != T.task_count + 2 && !list_tasks()))
+        return false;
+    bool all_skipped = true;
+    pid_t self = tid_of_this();
+    for (size_t i = 0; i < T.task_count; i++) {
+        struct task *task = &T.tasks[i];
+        task->skip = task->tid == self || task->tid == T.watcher;
+        for (struct waiter *w = T.waiters; w && !task->skip; w = w->next)
+            if (w->tid == task->tid) {
+                if (w->fired)
+                    return false;
+                task->skip = w->kind == WAIT_ROS || w->kind == WAIT_SLEEP;
+                break;
+            }
+        if (task->skip)
+            continue;
+        all_skipped = false;
+        task->cpu_ns = cpu_ns_of(task);
+    }
+    if (all_skipped)
+        return true;
+    for (size_t i = 0; i < T.task_count; i++) {
+        if (T.tasks[i].skip)
+            continue;
+        char state = state_of(&T.tasks[i]);
+        if (!state)
+            list_tasks();
+        if (state != 'S')
+            return false;
+    }
+    for (size_t i = 0; i < T.task_count; i++)
+        if (!T.tasks[i].skip && cpu_ns_of(&T.tasks[i]) != T.tasks[i].cpu_ns)
+            return false;
+    return atomic_load(&T.entering) == entering;
+}
+
+static void call_watcher(void)
+{
+    if (!atomic_exchange(&T.watch, 1))
+        futex_wake(&T.watch);
+}
+
+/* A thread of ours: looks whether all are quiet when the last thread of the program that ran does not do it itself. */
+static void *watch(void *nothing)
+{
+    const struct timespec seldom = {.tv_nsec = 5000000};
+    (void)nothing;
+    T.watcher = tid_of_this();
+    for (;;) {
+        long delay_ns = 20000;
+        futex_wait(&T.watch, 0, &seldom);
+        do {
+            if (atomic_load(&T.watch)) {
+                struct timespec delay = {.tv_nsec = delay_ns};
+                syscall(SYS_nanosleep, &delay, NULL);
+                delay_ns = delay_ns < 500000 ? delay_ns * 5 / 4 : delay_ns;
+            }
+            if (!atomic_load(&T.active))
+                break;
+            if (pthread_mutex_trylock(&T.lock))
+                continue;
+            if (is_spinning() && is_quiet(0)) {
+                atomic_store(&T.watch, 0);
+                step();
+            }
+            pthread_mutex_unlock(&T.lock);
+        } while (atomic_load(&T.watch));
+    }
+    return NULL;
+}
+
+/* -- waits ------------------------------------------------------------------------------------------------------- */
+
+static uint64_t order_of_thread(void)
+{
+    return (1ULL << 32) + (uint64_t)tid_of_this();
+}
+
+static void add_waiter(struct waiter *waiter)
+{
+    waiter->tid = tid_of_this();
+    waiter->next = T.waiters;
+    T.waiters = waiter;
+}
+
+static void remove_waiter(struct waiter *waiter)
+{
+    struct waiter **at = &T.waiters;
+    while (*at && *at != waiter)
+        at = &(*at)->next;
+    if (*at)
+        *at = waiter->next;
+}
+
+/* Let a waiter go on; under the lock. */
+static void fire(struct waiter *waiter)
+{
+    waiter->fired = true;
+    switch (waiter->kind) {
+    case WAIT_ROS:
+    case WAIT_SLEEP:
+        atomic_store(&waiter->word, 1);
+        if (waiter->tid != tid_of_this())
+            futex_wake(&waiter->word);
+        break;
+    case WAIT_SIGNAL:
+        syscall(SYS_tgkill, getpid(), waiter->tid, WAKE_SIGNAL);
+        break;
+    case WAIT_CONDITION: /* others that wait for it see a spurious wake-up, which POSIX allows */
+        pthread_cond_broadcast(waiter->condition);
+        break;
+    }
+    if (waiter->tid != tid_of_this())
+        call_watcher();
+}
+
+/* Wait until `step` has chosen this waiter, which is WAIT_ROS or WAIT_SLEEP. */
+static void wait_for_turn(struct waiter *waiter)
+{
+    int code = errno;
+    enter();
+    add_waiter(waiter);
+    while (!waiter->fired && atomic_load(&T.active)) {
+        if (is_quiet(1)) {
+            step();
+            if (waiter->fired)
+                break;
+        } else {
+            call_watcher();
+        }
+        leave();
+        futex_wait(&waiter->word, 0, NULL);
+        enter();
+    }
+    remove_waiter(waiter);
+    leave();
+    errno = code;
+}
+
+/* Sleep until a session time; false if session time has ended meanwhile. */
+static bool sleep_until(int64_t deadline_ns)
+{
+    struct waiter waiter = {.kind = WAIT_SLEEP, .deadline_ns = deadline_ns, .order = order_of_thread()};
+    wait_for_turn(&waiter);
+    return waiter.fired && atomic_load(&T.active);
+}
+
+/* -- clocks ------------------------------------------------------------------------------------------------------ */
+
+static bool is_wall(clockid_t clock) { return clock == CLOCK_REALTIME || clock == CLOCK_REALTIME_COARSE; }
+static bool is_steady(clockid_t clock)
+{
+    return clock == CLOCK_MONOTONIC || clock == CLOCK_MONOTONIC_COARSE || clock == CLOCK_MONOTONIC_RAW ||
+           clock == CLOCK_BOOTTIME;
+}
+static int64_t steady_ns(void) { return atomic_load(&T.now_ns) - T.start_ns + STEADY_START_NS; }
+
+/* Whether the program reads session time from a clock of libc. */
+static bool is_session(clockid_t clock)
+{
+    if (!atomic_load_explicit(&T.active, memory_order_relaxed) || T.clocks == CLOCKS_REAL)
+        return false;
+    return is_steady(clock) || (is_wall(clock) && T.clocks == CLOCKS_LIBC);
+}
+
+/* What the program reads from a clock, ns. */
+static int64_t read_clock(clockid_t clock)
+{
+    if (!is_session(clock))
+        return real_ns(clock);
+    return is_steady(clock) ? steady_ns() : atomic_load(&T.now_ns);
+}
+
+/* Session time of a deadline on a clock; one on a real clock is rounded up, as the clock was read at any time. */
+static int64_t deadline_of(clockid_t clock, const struct timespec *until)
+{
+    int64_t left = ns_of(until) - read_clock(clock), now = atomic_load(&T.now_ns);
+    if (left <= 0)
+        return now;
+    if (!is_session(clock))
+        left = (left + 99999) / 100000 * 100000;
+    return left > NEVER - now ? NEVER : now + left;
+}
+
+/* The same deadline for the real clock. */
+static struct timespec real_deadline(clockid_t clock, const struct timespec *until)
+{
+    return timespec_of(real_ns(clock) + (ns_of(until) - read_clock(clock)));
+}
+
+int clock_gettime(clockid_t clock, struct timespec *time)
+{
+    if (!is_session(clock))
+        return NEXT(clock_gettime, NULL)(clock, time);
+    *time = timespec_of(read_clock(clock));
+    return 0;
+}
+
+int gettimeofday(struct timeval *restrict time, void *restrict zone)
+{
+    if (!is_session(CLOCK_REALTIME))
+        return NEXT(gettimeofday, NULL)(time, zone);
+    int64_t now = atomic_load(&T.now_ns);
+    *time = (struct timeval){.tv_sec = (time_t)(now / NS_PER_S), .tv_usec = (suseconds_t)(now % NS_PER_S / 1000)};
+    return 0;
+}
+
+time_t time(time_t *result)
+{
+    time_t seconds = (time_t)(read_clock(CLOCK_REALTIME) / NS_PER_S);
+    if (result)
+        *result = seconds;
+    return seconds;
+}
+
+/* -- sleeps ------------------------------------------------------------------------------------------------------ */
+
+static bool is_on(void) { return atomic_load_explicit(&T.active, memory_order_relaxed) && tid_of_this() != T.watcher; }
+
+int clock_nanosleep(clockid_t clock, int flags, const struct timespec *request, struct timespec *rest)
+{
+    if (!is_on() || !(is_wall(clock) || is_steady(clock)))
+        return NEXT(clock_nanosleep, NULL)(clock, flags, request, rest);
+    int64_t now = atomic_load(&T.now_ns);
+    sleep_until(flags & TIMER_ABSTIME ? deadline_of(clock, request) : now + ns_of(request));
+    return 0;
+}
+
+int nanosleep(const struct timespec *request, struct timespec *rest)
+{
+    if (!is_on())
+        return NEXT(nanosleep, NULL)(request, rest);
+    sleep_until(atomic_load(&T.now_ns) + ns_of(request));
+    return 0;
+}
+
+int usleep(useconds_t microseconds)
+{
+    struct timespec request = timespec_of((int64_t)microseconds * 1000);
+    return nanosleep(&request, NULL);
+}
+
+unsigned sleep(unsigned seconds)
+{
+    struct timespec request = {.tv_sec = seconds};
+    return nanosleep(&request, NULL) ? seconds : 0;
+}
+
+/* -- waits with a timeout ---------------------------------------------------------------------------------------- */
+
+static void begin_timed(struct waiter *waiter, enum wait_kind kind, int64_t deadline_ns, pthread_cond_t *condition)
+{
+    *waiter = (struct waiter){
+        .kind = kind, .deadline_ns = deadline_ns, .order = order_of_thread(), .condition = condition};
+    if (kind == WAIT_SIGNAL) {
+        sigset_t own;
+        sigemptyset(&own);
+        sigaddset(&own, WAKE_SIGNAL);
+        pthread_sigmask(SIG_UNBLOCK, &own, NULL);
+    }
+    enter();
+    add_waiter(waiter);
+    leave();
+    call_watcher();
+}
+
+/* Whether the wait ended by its deadline. */
+static bool end_timed(struct waiter *waiter)
+{
+    int code = errno;
+    enter();
+    remove_waiter(waiter);
+    leave();
+    errno = code;
+    return waiter->fired;
+}
+
+static int wait_semaphore(sem_t *semaphore, int64_t deadline_ns)
+{
+    if (!sem_trywait(semaphore))
+        return 0;
+    if (deadline_ns <= atomic_load(&T.now_ns)) {
+        errno = ETIMEDOUT;
+        return -1;
+    }
+    struct waiter waiter;
+    begin_timed(&waiter, WAIT_SIGNAL, deadline_ns, NULL);
+    int result = sem_wait(semaphore), code = errno;
+    bool is_late = end_timed(&waiter);
+    if (!result)
+        return 0;
+    errno = is_late && code == EINTR ? ETIMEDOUT : code;
+    return -1;
+}
+
+int sem_timedwait(sem_t *restrict semaphore, const struct timespec *restrict until)
+{
+    if (!is_on())
+        return NEXT(sem_timedwait, NULL)(semaphore, until);
+    return wait_semaphore(semaphore, deadline_of(CLOCK_REALTIME, until));
+}
+
+int sem_clockwait(sem_t *restrict semaphore, clockid_t clock, const struct timespec *restrict until)
+{
+    if (!is_on())
+        return NEXT(sem_clockwait, NULL)(semaphore, clock, until);
+    return wait_semaphore(semaphore, deadline_of(clock, until));
+}
+
+/* Whether the interpreter itself waits, for its lock: that is a matter of real time, every 5 ms. */
+static bool is_interpreter(const void *caller)
+{
+    static struct {
+        _Atomic(const void *) caller;
+        _Atomic int is_interpreter;
+    } known[64];
+    size_t at = ((uintptr_t)caller >> 2) % 64;
+    if (atomic_load(&known[at].caller) == caller)
+        return atomic_load(&known[at].is_interpreter);
+    Dl_info info;
+    bool found = false;
+    if (dladdr(caller, &info) && info.dli_fname) {
+        const char *file = strrchr(info.dli_fname, '/');
+        file = file ? file + 1 : info.dli_fname;
+        found = !strncmp(file, "libpython", 9) || !strncmp(file, "python", 6);
+    }
+    atomic_store(&known[at].caller, NULL);
+    atomic_store(&known[at].is_interpreter, found);
+    atomic_store(&known[at].caller, caller);
+    return found;
+}
+
+static int wait_condition(pthread_cond_t *condition, pthread_mutex_t *mutex, clockid_t clock,
+                          const struct timespec *until)
+{
+    int64_t deadline_ns = deadline_of(clock, until);
+    if (deadline_ns <= atomic_load(&T.now_ns))
+        return ETIMEDOUT;
+    struct waiter waiter;
+    begin_timed(&waiter, WAIT_CONDITION, deadline_ns, condition);
+    int result = pthread_cond_wait(condition, mutex);
+    return end_timed(&waiter) && !result ? ETIMEDOUT : result;
+}
+
+int pthread_cond_timedwait(pthread_cond_t *restrict condition, pthread_mutex_t *restrict mutex,
+                           const struct timespec *restrict until)
+{
+    clockid_t clock = condition->__data.__wrefs & 2 ? CLOCK_MONOTONIC : CLOCK_REALTIME; /* as glibc keeps it */
+    if (!is_on())
+        return NEXT(pthread_cond_timedwait, "GLIBC_2.3.2")(condition, mutex, until);
+    if (is_interpreter(__builtin_return_address(0))) {
+        struct timespec real = real_deadline(clock, until);
+        return NEXT(pthread_cond_timedwait, "GLIBC_2.3.2")(condition, mutex, &real);
+    }
+    return wait_condition(condition, mutex, clock, until);
+}
+
+int pthread_cond_clockwait(pthread_cond_t *restrict condition, pthread_mutex_t *restrict mutex, clockid_t clock,
+                           const struct timespec *restrict until)
+{
+    if (!is_on())
+        return NEXT(pthread_cond_clockwait, NULL)(condition, mutex, clock, until);
+    if (is_interpreter(__builtin_return_address(0))) {
+        struct timespec real = real_deadline(clock, until);
+        return NEXT(pthread_cond_clockwait, NULL)(condition, mutex, clock, &real);
+    }
+    return wait_condition(condition, mutex, clock, until);
+}
+
+/* Poll without a timeout, until something is ready, a signal of others comes, or the session time of the deadline. */
+#define POLLED(call, left_ns)                                                                                          \
+    ({                                                                                                                 \
+        struct waiter waiter;                                                                                          \
+        begin_timed(&waiter, WAIT_SIGNAL, atomic_load(&T.now_ns) + (left_ns), NULL);                                   \
+        int result = (call);                                                                                           \
+        if (end_timed(&waiter) && result < 0 && errno == EINTR)                                                        \
+            result = 0;                                                                                                \
+        result;                                                                                                        \
+    })
+
+int poll(struct pollfd *files, nfds_t count, int timeout_ms)
+{
+    if (!is_on() || timeout_ms <= 0)
+        return NEXT(poll, NULL)(files, count, timeout_ms);
+    return POLLED(NEXT(poll, NULL)(files, count, -1), (int64_t)timeout_ms * 1000000);
+}
+
+int epoll_wait(int file, struct epoll_event *events, int most, int timeout_ms)
+{
+    if (!is_on() || timeout_ms <= 0)
+        return NEXT(epoll_wait, NULL)(file, events, most, timeout_ms);
+    return POLLED(NEXT(epoll_wait, NULL)(file, events, most, -1), (int64_t)timeout_ms * 1000000);
+}
+
+int select(int count, fd_set *restrict readable, fd_set *restrict writable, fd_set *restrict failed,
+           struct timeval *restrict timeout)
+{
+    int64_t left_ns = timeout ? (int64_t)timeout->tv_sec * NS_PER_S + (int64_t)timeout->tv_usec * 1000 : 0;
+    if (!is_on() || left_ns <= 0)
+        return NEXT(select, NULL)(count, readable, writable, failed, timeout);
+    if (!count && !readable && !writable && !failed) { /* a sleep of old programs */
+        sleep_until(atomic_load(&T.now_ns) + left_ns);
+        return 0;
+    }
+    int result = POLLED(NEXT(select, NULL)(count, readable, writable, failed, NULL), left_ns);
+    if (!result) {
+        size_t size = (size_t)(count + 63) / 64 * 8;
+        for (int i = 0; i < 3; i++) {
+            fd_set *set = i == 0 ? readable : i == 1 ? writable : failed;
+            if (set)
+                memset(set, 0, size);
+        }
+    }
+    return result;
+}
+
+static void on_wake_signal(int number) { (void)number; }
+
+/* Start the watching thread; once. */
+static bool start_time(int64_t start_ns, int clocks)
+{
+    pthread_t thread;
+    sigset_t all, before;
+    struct sigaction action = {.sa_handler = on_wake_signal}; /* without SA_RESTART: waits end with EINTR */
+    T.start_ns = start_ns;
+    T.clocks = clocks;
+    atomic_store(&T.now_ns, start_ns);
+    T.task_folder = open("/proc/self/task", O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+    if (T.task_folder < 0 || sigaction(WAKE_SIGNAL, &action, NULL))
+        return false;
+    sigfillset(&all);
+    pthread_sigmask(SIG_SETMASK, &all, &before);
+    bool is_started = !pthread_create(&thread, NULL, watch, NULL);
+    pthread_sigmask(SIG_SETMASK, &before, NULL);
+    if (!is_started)
+        return false;
+    pthread_detach(thread);
+    return true;
+}
+
+#endif

@@ -1,0 +1,71 @@
+"""Recordings for the programs of these tests, made with the typestore of rosbags."""
+
+from __future__ import annotations
+
+import json
+import math
+import random
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from rosbags.typesys import Stores, get_typestore
+
+from igtl_gateway.addon import Config, Entry, Kind, Qos, SessionWriter, __version__
+
+START_NS = 1_700_000_000_000_000_000
+MS = 1_000_000
+_TYPES = get_typestore(Stores.ROS2_JAZZY)
+Row = tuple[int, str, str, Any]
+"""Session time in ns since the start, topic, type, message."""
+
+
+def message(type_: str, **fields: Any) -> Any:
+    """A message of rosbags."""
+    return _TYPES.types[type_](**fields)
+
+
+def write(path: Path, rows: Iterable[Row], *, qos: Mapping[str, Qos] = {}, kind: Kind = Kind.ROS_OUT) -> Path:
+    """Write a session with ROS messages."""
+    facts = {"config": json.dumps(Config().to_dict()), "igtl_gateway_version": __version__}
+    writer = SessionWriter(path, facts, qos_of=lambda topic, _type: qos.get(topic), overwrite=True)
+    last_ns = 0
+    for number, (ns, topic, type_, content) in enumerate(sorted(rows, key=lambda row: row[0]), 1):
+        last_ns = max(last_ns + 1, START_NS + ns)
+        data = bytes(_TYPES.serialize_cdr(content, type_))
+        writer.write(Entry(number, last_ns, kind, topic, type_, (data,)))
+    writer.close({})
+    return path
+
+
+def texts(count: int, topic: str = "/in", *, seed: int = 1) -> list[Row]:
+    """Strings at random times, 20 ms apart on average."""
+    chance, ns, rows = random.Random(seed), 0, []
+    for number in range(count):
+        ns += chance.randint(1 * MS, 40 * MS)
+        rows.append((ns, topic, "std_msgs/msg/String", message("std_msgs/msg/String", data=f"m{number}")))
+    return rows
+
+
+def stamp(ns: int) -> Any:
+    return message("builtin_interfaces/msg/Time", sec=(START_NS + ns) // 10**9, nanosec=(START_NS + ns) % 10**9)
+
+
+def header(ns: int, frame: str) -> Any:
+    return message("std_msgs/msg/Header", stamp=stamp(ns), frame_id=frame)
+
+
+def poses(count: int, topic: str = "/pose", *, period_ns: int = 10 * MS) -> list[Row]:
+    """A tool that moves on a circle."""
+    rows = []
+    for number in range(count):
+        ns, angle = number * period_ns, number / 50
+        position = message("geometry_msgs/msg/Vector3", x=math.cos(angle), y=math.sin(angle), z=0.1)
+        rotation = message("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=math.sin(angle / 2), w=math.cos(angle / 2))
+        transform = message("geometry_msgs/msg/Transform", translation=position, rotation=rotation)
+        content = message(
+            "geometry_msgs/msg/TransformStamped",
+            header=header(ns, "base"), child_frame_id="tool", transform=transform,
+        )  # fmt: skip
+        rows.append((ns, topic, "geometry_msgs/msg/TransformStamped", content))
+    return rows
