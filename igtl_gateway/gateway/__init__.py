@@ -3,12 +3,19 @@
 ``Gateway.handle`` reads no clock, no file and no socket.  Its state (links, names, counters) depends on the inputs
 only.  The same inputs with the same configuration therefore give the same outputs: live, in a replay and in a
 verification.  All three use it through ``Session``, which adds the numbering.
+
+The names load at their first use: the recorder's process needs the session log of this package, and none of them.
 """
 
-from igtl_gateway.gateway.core import LISTENED, TICK, Gateway
-from igtl_gateway.gateway.dialogue.links import LINK_DOWN, LINK_UP, LINKS_TOPIC
-from igtl_gateway.gateway.relay import CUT, FAULT, PARTNER, RelayGateway
-from igtl_gateway.gateway.session import Core, Session, header_names, make_core
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from igtl_gateway.gateway.core import LISTENED, TICK, Gateway
+    from igtl_gateway.gateway.dialogue.links import LINK_DOWN, LINK_UP, LINKS_TOPIC
+    from igtl_gateway.gateway.relay import CUT, FAULT, PARTNER, RelayGateway
+    from igtl_gateway.gateway.session import Core, Session, header_names, make_core
 
 __all__ = [
     "CUT",
@@ -26,3 +33,21 @@ __all__ = [
     "header_names",
     "make_core",
 ]
+
+#: Module → its names above.
+_HOMES = {
+    "core": ("LISTENED", "TICK", "Gateway"),
+    "dialogue.links": ("LINKS_TOPIC", "LINK_DOWN", "LINK_UP"),
+    "relay": ("CUT", "FAULT", "PARTNER", "RelayGateway"),
+    "session": ("Core", "Session", "header_names", "make_core"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    from importlib import import_module
+
+    for home, names in _HOMES.items():
+        if name in names:
+            globals()[name] = found = getattr(import_module(f"{__name__}.{home}"), name)
+            return found
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

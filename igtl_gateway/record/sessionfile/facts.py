@@ -23,7 +23,6 @@ from igtl_gateway.base.untrusted.shape import (
     wrong,
 )
 from igtl_gateway.base.untrusted.text import parse_json
-from igtl_gateway.config.configuration import Config
 from igtl_gateway.record.sessionfile import layout
 
 _COUNTS = map_of(number)
@@ -122,6 +121,10 @@ def usable_session(items: Mapping[str, str]) -> tuple[dict[str, str], dict[str, 
 
 def configuration_fault(written: str) -> str:
     """Why a recorded configuration cannot be used; ``""`` if it can."""
+    from igtl_gateway.config.configuration import (
+        Config,
+    )  # here: a process that only writes does not load all conversions
+
     try:
         Config.from_dict(configuration({layout.CONFIGURATION_KEY: written}))
     except (ConfigError, DamagedRecording) as error:
