@@ -12,7 +12,7 @@ from tests.places import ROOT
 
 #: Interrupts its own process at the import with a number, and runs the program as the console script does.
 PROGRAM = """\
-import os, signal, sys
+import atexit, os, signal, sys
 class Interrupt:
     count = 0
     def find_spec(self, *_names):
@@ -20,6 +20,7 @@ class Interrupt:
         if Interrupt.count == {number}:
             os.kill(os.getpid(), signal.SIGINT)
 sys.meta_path.insert(0, Interrupt())
+atexit.register(lambda: Interrupt.count < {number} and open({late!r}, "w").close())
 sys.argv = ["igtl-gateway", *{words!r}]
 signal.signal(signal.SIGINT, signal.{handler})
 from igtl_gateway.start import main
@@ -37,7 +38,7 @@ VERBS = {
 
 def interrupted(verb: str, number: int, folder: Path, handler: str = "default_int_handler") -> tuple[int, str, str]:
     words = [each.replace("OUT", f"{folder}/{number}") for each in VERBS[verb]]
-    code = PROGRAM.format(number=number, words=words, handler=handler)
+    code = PROGRAM.format(number=number, words=words, handler=handler, late=str(folder / "late"))
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=60, check=False
     )  # fmt: skip
@@ -54,8 +55,11 @@ def test_an_interrupt_while_modules_are_imported_is_one_line(verb: str, number: 
 @pytest.mark.parametrize("verb", VERBS)
 def test_an_interrupt_at_any_import_is_no_traceback(verb: str, tmp_path: Path) -> None:
     """Also at those that come while the verb runs, and after the last one."""
-    numbers = [20, 50, 120, 300, 450, 600, 800, 1_200]
-    results = {number: interrupted(verb, number, tmp_path) for number in numbers}
+    results = {}
+    for number in (20, 50, 120, 300, 450, 600, 800, 1_200):
+        results[number] = interrupted(verb, number, tmp_path)
+        if (tmp_path / "late").exists():  # there are not that many: without an interrupt, the others are the same
+            break
     for number, (code, _, error) in results.items():
         assert "Traceback" not in error and len(error.strip().splitlines()) <= 2, (number, error)
         assert code in (0, 1), (number, code, error)

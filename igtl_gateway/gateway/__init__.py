@@ -34,20 +34,14 @@ __all__ = [
     "make_core",
 ]
 
-#: Module → its names above.
-_HOMES = {
-    "core": ("LISTENED", "TICK", "Gateway"),
-    "dialogue.links": ("LINKS_TOPIC", "LINK_DOWN", "LINK_UP"),
-    "relay": ("CUT", "FAULT", "PARTNER", "RelayGateway"),
-    "session": ("Core", "Session", "header_names", "make_core"),
-}
-
 
 def __getattr__(name: str) -> Any:
-    from importlib import import_module
+    """Import the names of the package when one of them is first used."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from igtl_gateway.gateway import core, relay, session
+    from igtl_gateway.gateway.dialogue import links
 
-    for home, names in _HOMES.items():
-        if name in names:
-            globals()[name] = found = getattr(import_module(f"{__name__}.{home}"), name)
-            return found
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    for module in (core, links, relay, session):
+        globals().update({each: getattr(module, each) for each in __all__ if hasattr(module, each)})
+    return globals()[name]
