@@ -65,11 +65,11 @@ def direct_publisher(publisher: Any) -> RclPublisher:
     return DirectPublisher(publish, handle.get_subscription_count, publisher.wait_for_all_acked, pointer)
 
 
-def closed_publisher() -> RclPublisher:
-    """Return a publisher that refuses all messages, in place of one that is about to be destroyed."""
+def refusing_publisher(cause: str) -> RclPublisher:
+    """Return a publisher that refuses all messages, in place of one that is not made yet, or about to be destroyed."""
 
     def refuse(*_: Any) -> Any:
-        raise RosError("the node has stopped")
+        raise RosError(cause)
 
     return DirectPublisher(refuse, int, refuse)
 

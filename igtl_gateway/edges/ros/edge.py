@@ -137,6 +137,7 @@ class RosEdge:
 
     def stop(self) -> None:
         """Send what is held, leave the graph, end the threads.  Further calls do nothing."""
+        self._publishing.finish_making()
         leave = self._node.begin_stop()
         if leave is None:
             return

@@ -1,9 +1,16 @@
-"""Publishers: made on first use, holding their first messages until the subscribers are matched."""
+"""Publishers: made on first use, holding their first messages until the subscribers are matched.
+
+The first message does not wait for its publisher, because the thread that publishes has the sequence lock: rcl needs up
+to 60 ms for the first publisher of a type, and a message package that is not compiled yet needs many seconds.  So
+another thread makes it, and the messages are held until then.
+"""
 
 from __future__ import annotations
 
+import threading
 from collections import deque
 from collections.abc import Callable
+from queue import SimpleQueue
 from typing import Any
 
 from igtl_gateway.base.errors import RosError
@@ -11,7 +18,7 @@ from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.edges.ros.direct import direct_publisher
 from igtl_gateway.edges.ros.graph import Graph
-from igtl_gateway.edges.ros.middleware import interface_class, profile_of
+from igtl_gateway.edges.ros.middleware import first_line, interface_class, profile_of
 from igtl_gateway.edges.ros.node import RosNode
 from igtl_gateway.edges.ros.reports import Reports
 from igtl_gateway.edges.ros.streams import HOLD_MESSAGES, TopicPublisher, Topics
@@ -46,22 +53,25 @@ class Publishing:
         self._reports = reports
         self._on_first_subscriber = on_listener
         self._listened: deque[str] = deque(maxlen=_MATCHES_MAX)  # topics with a new subscriber, not reported yet
+        self._announcing = threading.Lock()  # guards additions to the table, for moments only
+        self._to_make: SimpleQueue[tuple[str, TopicPublisher] | None] = SimpleQueue()
+        self._maker = threading.Thread(target=self._make_announced, name="igtl-ros-maker", daemon=True)
 
     # ── for any thread ────────────────────────────────────────────────────────────────────────────────────────
 
     def publish(self, topic: str, type_name: str, cdr: bytes, qos: Qos) -> str:
         """Send CDR bytes (with encapsulation); from any thread.
 
-        The publisher is created on first use, and ``qos`` counts then.  Never raises for a bad topic or type, nor
-        before start or after stop: a note reports that once, and the message counts as failed.
+        The publisher is created after the first use, and ``qos`` counts then.  Never raises for a bad topic or type,
+        nor before start or after stop: a note reports that once, and the message counts as failed.
 
         Returns:
-            Why the message is not published, or ``""``.  One that is held for its subscribers might still fail later,
-            which `counters` show.
+            Why the message is not published, or ``""``.  One that is held for its publisher or its subscribers might
+            still fail later, which `counters` show.
         """
         publisher = self._publishers.get(topic)
         if publisher is None or publisher.type_name != type_name:
-            publisher = self.advertise(topic, type_name, qos)
+            publisher = self._announce(topic, type_name, qos)
             if publisher is None:
                 self._reports.counts(topic).failed += 1
                 return self._reports.refusal("publish", topic, type_name) or "the node is not running"
@@ -124,21 +134,57 @@ class Publishing:
 
     def advertise(self, topic: str, type_name: str, qos: Qos) -> TopicPublisher | None:
         """The publisher of the topic, made if there is none; None (and a note) if that is impossible."""
+        publisher = self._announce(topic, type_name, qos, later=False)
+        return publisher if publisher and self._complete(topic, publisher) else None
+
+    def _announce(self, topic: str, type_name: str, qos: Qos, *, later: bool = True) -> TopicPublisher | None:
+        """The publisher of the topic; a new one holds its messages, and is made ``later``, by another thread.
+
+        None (and a note) if that is impossible.
+        """
         if self._reports.refusal("publish", topic, type_name):
             return None
         try:
-            with self._node.lock:
+            _ = self._node.handle  # raises if the node does not run
+            with self._announcing:
                 full = self._node.names.full(topic)
                 publisher = self._publishers.get(full)
+                is_new = publisher is None
                 if publisher is None:
-                    publisher = self._make(full, type_name, qos)
+                    publisher = TopicPublisher(full, type_name, qos, self._reports.counts(full))
                 if publisher.type_name != type_name:
                     raise RosError(f"the topic has the type {publisher.type_name}")
                 self._publishers[topic] = self._publishers[full] = publisher
+                if is_new and later:
+                    if self._maker.ident is None:
+                        self._maker.start()
+                    self._to_make.put((topic, publisher))
                 return publisher
         except Exception as error:  # rclpy raises a dozen unrelated classes here
             self._reports.refuse("publish", topic, type_name, error)
             return None
+
+    def _make_announced(self) -> None:
+        """Make the publishers that messages wait for, one after the other, until the stop."""
+        while announced := self._to_make.get():
+            if self._node.is_running and self._complete(*announced):
+                self._node.graph.wake()  # the keeper sends what is held
+
+    def _complete(self, topic: str, publisher: TopicPublisher) -> bool:
+        """Make a publisher, unless it is made; False (and a note): that is impossible, and its messages fail."""
+        try:
+            message_class = interface_class(publisher.type_name)  # without the lock: it may have to be compiled
+            with self._node.lock:
+                if not publisher.is_made:
+                    self._make(publisher, message_class)
+        except Exception as error:  # rclpy raises a dozen unrelated classes here
+            self._reports.refuse("publish", topic, publisher.type_name, error)
+            with self._announcing:
+                for name in [name for name, each in self._publishers.items() if each is publisher]:
+                    del self._publishers[name]
+            publisher.refuse(first_line(error))
+            return False
+        return True
 
     def subscriber_count(self, topic: str) -> int:
         """The number of matched subscriptions, without our own."""
@@ -194,6 +240,12 @@ class Publishing:
         while self._on_first_subscriber and self._listened:
             self._on_first_subscriber(self._listened.popleft())
 
+    def finish_making(self) -> None:
+        """Before the stop: wait a moment for the publishers that messages wait for."""
+        self._to_make.put(None)
+        if self._maker.ident is not None:
+            self._maker.join(_LINGER_NS / NS_PER_S)
+
     def close(self) -> None:
         """At stop: send what is held, wait a moment for the acknowledgements, and refuse all further messages."""
         deadline_ns = self._clock.monotonic_ns() + _LINGER_NS
@@ -202,13 +254,13 @@ class Publishing:
             self._reports.publish_failed(publisher.topic, publisher.release(self._clock, HOLD_MESSAGES + 1))
         for publisher in publishers:
             left_ns = deadline_ns - self._clock.monotonic_ns()
-            if left_ns > 0 and publisher.qos.reliable:
+            if left_ns > 0 and publisher.qos.reliable and publisher.is_made:
                 publisher.publisher.wait_for_all_acked(self._node.rclpy.duration.Duration(nanoseconds=left_ns))
         for publisher in publishers:
             publisher.close()
 
     def _all(self) -> list[TopicPublisher]:
-        with self._node.lock:
+        with self._announcing:
             return list({id(publisher): publisher for publisher in self._publishers.values()}.values())
 
     def _can_send(self, publisher: TopicPublisher) -> bool:
@@ -217,33 +269,33 @@ class Publishing:
         known = self._graph.subscriptions_of(publisher.topic)
         return 0 < known <= self.subscriber_count(publisher.topic)
 
-    def _make(self, topic: str, type_name: str, qos: Qos) -> TopicPublisher:
-        """A new publisher, by its full name; the caller has the lock."""
-        rclpy = self._node.rclpy
+    def _make(self, publisher: TopicPublisher, message_class: Any) -> None:
+        """Make the publisher of the middleware; the caller has the lock of the node."""
+        rclpy, topic = self._node.rclpy, publisher.topic
         events = rclpy.event_handler.PublisherEventCallbacks(
             incompatible_qos=lambda event: self._note_incompatible(topic, event),
             matched=lambda event: self._on_matched(topic, event.current_count_change),
             use_default_callbacks=False,
         )
         made = self._node.handle.create_publisher(
-            interface_class(type_name), self._node.names.asked(topic), profile_of(rclpy, qos), event_callbacks=events
+            message_class, self._node.names.asked(topic), profile_of(rclpy, publisher.qos), event_callbacks=events
         )
-        publisher = TopicPublisher(topic, type_name, direct_publisher(made), qos, self._reports.counts(topic))
         publisher.in_graph = self._node.names.in_graph(topic)
         subscriptions = self._topics.subscriptions_at(publisher.in_graph)
         # a latched message might also reach a subscription that we make later
-        if subscriptions or qos.latched:
+        if subscriptions or publisher.qos.latched:
             publisher.echo = self._topics.echo(publisher.in_graph)
         for subscription in subscriptions:
             subscription.echo = publisher.echo
         now_ns = self._clock.monotonic_ns()
-        publisher.deadline_ns = now_ns + HOLD_NS
         discovered_ns = self._node.started_ns + DISCOVERY_NS
-        if not self._graph.subscriptions_of(topic):
-            publisher.deadline_ns = discovered_ns
-            publisher.ready = now_ns >= discovered_ns
+        known = self._graph.subscriptions_of(topic)
+        publisher.made(
+            direct_publisher(made),
+            deadline_ns=now_ns + HOLD_NS if known else discovered_ns,
+            ready=not known and now_ns >= discovered_ns,
+        )
         self._node.graph.wake()
-        return publisher
 
     def _on_matched(self, topic: str, change: int) -> None:
         if change > 0 and self._on_first_subscriber:

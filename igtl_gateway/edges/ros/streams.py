@@ -14,7 +14,7 @@ from typing import Any
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.qos import Qos
-from igtl_gateway.edges.ros.direct import RclPublisher, closed_publisher
+from igtl_gateway.edges.ros.direct import RclPublisher, refusing_publisher
 from igtl_gateway.edges.ros.middleware import first_line
 from igtl_gateway.native.passage import Publisher as NativePublisher
 from igtl_gateway.native.passage import Subscription as NativeSubscription
@@ -24,6 +24,7 @@ HOLD_MESSAGES = 2000
 #: Bytes held for one topic: ten Full HD RGB images.
 HOLD_BYTES = 64 << 20
 
+_NEVER_NS = 1 << 63  # a monotonic time that does not come
 _ECHO_MEMORY = 4096  # own messages remembered per topic: more than a reader has in its queue
 _ECHO_PREFIX = 256  # enough to hold the header with its stamp; whole images need not be kept
 _CAME_BACK = (0, b"")
@@ -166,16 +167,17 @@ class TopicSubscription:
 
 
 class TopicPublisher:
-    """One publisher, with the messages that wait for its subscribers.
+    """One publisher, with the messages that wait until it is made, and for its subscribers.
 
     ``ready`` once they need not wait: from then on `Publishing.publish` sends in the caller's thread.  All attributes
     but ``ready`` are guarded by ``lock``, for which no other thread competes after the first seconds.
     """
 
-    def __init__(self, topic: str, type_name: str, publisher: RclPublisher, qos: Qos, counts: TopicCounts) -> None:
+    def __init__(self, topic: str, type_name: str, qos: Qos, counts: TopicCounts) -> None:
         self.topic = topic
         self.type_name = type_name
-        self.publisher = publisher
+        self.publisher = refusing_publisher("its publisher is not made yet")
+        self.is_made = False
         self.native: NativePublisher | None = None
         self.qos = qos
         self.counts = counts
@@ -184,9 +186,24 @@ class TopicPublisher:
         self.lock = threading.Lock()
         self.held: deque[bytes] = deque()
         self.held_bytes = 0
-        self.deadline_ns = 0
+        self.deadline_ns = _NEVER_NS
         self.ready = False
         self.burst = qos.depth
+
+    def made(self, publisher: RclPublisher, *, deadline_ns: int, ready: bool) -> None:
+        """The middleware's publisher is there; what was held is sent first."""
+        with self.lock:
+            self.publisher, self.deadline_ns, self.is_made = publisher, deadline_ns, True
+            self.ready = ready and not self.held
+
+    def refuse(self, cause: str) -> None:
+        """There will be no publisher: the messages that are held, and all further ones, fail."""
+        with self.lock:
+            self.publisher = refusing_publisher(cause)
+            self.counts.failed += len(self.held)
+            self.held.clear()
+            self.held_bytes = self.counts.held = 0
+            self.ready = True
 
     @property
     def has_subscriber(self) -> bool:
@@ -219,7 +236,7 @@ class TopicPublisher:
     def close(self) -> None:
         """The publisher is about to be destroyed: all further messages fail."""
         with self.lock:
-            self.publisher = closed_publisher()
+            self.publisher = refusing_publisher("the node has stopped")
 
     def hold(self, cdr: bytes) -> None:
         """Keep a message for later (with ``lock`` held).  If it then `overflows`, the oldest must be sent."""
@@ -270,7 +287,8 @@ class Topics:
 
     def publishers_at(self, in_graph: str) -> list[TopicPublisher]:
         """Return the publishers of a topic in the graph."""
-        return list({id(each): each for each in self.publishers.values() if each.in_graph == in_graph}.values())
+        publishers = list(self.publishers.values())  # at once: others are announced meanwhile
+        return list({id(each): each for each in publishers if each.in_graph == in_graph}.values())
 
     def subscriptions_at(self, in_graph: str) -> list[TopicSubscription]:
         """Return the subscriptions to a topic in the graph."""

@@ -18,7 +18,9 @@ import pytest
 from igtl_gateway.base.errors import RosError
 from igtl_gateway.base.extras import missing
 from igtl_gateway.base.qos import Qos
+from igtl_gateway.edges.ros import publishing
 from igtl_gateway.edges.ros.edge import RosEdge
+from igtl_gateway.edges.ros.middleware import interface_class
 from igtl_gateway.gateway.log.note import Level, Note
 
 pytest.importorskip("rclpy", reason='needs ROS 2: pip install "igtl-gateway[ros]", or source an installation')
@@ -26,6 +28,7 @@ pytest.importorskip("rclpy", reason='needs ROS 2: pip install "igtl-gateway[ros]
 PEER = Path(__file__).with_name("ros_peer.py")
 TRANSFORM = "geometry_msgs/msg/TransformStamped"
 STRING = "std_msgs/msg/String"
+SLOW = "geometry_msgs/msg/Point"
 DEEP = Qos(depth=5000)
 TIMEOUT_S = 15.0
 POSE = {
@@ -334,11 +337,38 @@ def test_what_cannot_be_published_is_noted_once_and_counted(edge: RosEdge, heard
     for (topic, type_name), code in cases.items():
         for _ in range(3):
             edge.publish(topic, type_name, string_cdr("x"), Qos())
+        assert heard.until(lambda topic=topic: edge.counters()[topic]["failed"] == 3)
         assert heard.codes(topic).count(code) == 1
-        assert edge.counters()[topic]["failed"] == 3
     edge.publish("/types", STRING, b"\0\1", Qos())
     assert edge.counters()["/types"]["failed"] == 4
     assert heard.codes("/types") == ["ros_refused", "ros_publish_failed"]
+
+
+def test_a_publisher_that_takes_long_to_make_delays_no_message(
+    peer: Peer, edge: RosEdge, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The package of one type has to be compiled first; the caller has the sequence lock."""
+    compiled = threading.Event()
+
+    def slow_class(type_name: str) -> Any:
+        assert type_name != SLOW or compiled.wait(TIMEOUT_S)
+        return interface_class(type_name)
+
+    peer.subscribe("/slow/other", STRING, {})
+    wait_known(edge, "/slow/other")
+    edge.publish("/slow/other", STRING, string_cdr("first"), Qos())
+    assert peer.take("/slow/other", 1)
+    monkeypatch.setattr(publishing, "interface_class", slow_class)
+    peer.subscribe("/slow/first", SLOW, {})
+    wait_known(edge, "/slow/first")
+    points = [b"\0\1\0\0" + bytes([number]) * 24 for number in range(3)]
+    for point in points:
+        assert edge.publish("/slow/first", SLOW, point, Qos()) == ""
+    assert edge.publish("/slow/other", STRING, string_cdr("second"), Qos()) == ""
+    assert [cdr for cdr, _ in peer.take("/slow/other", 1)] == [carried(string_cdr("second")).hex()]
+    assert edge.counters()["/slow/first"]["held"] == 3
+    compiled.set()
+    assert [cdr for cdr, _ in peer.take("/slow/first", 3)] == [point.hex() for point in points]
 
 
 def test_unknown_type_of_a_publisher_is_noted_once(
@@ -442,7 +472,9 @@ def test_stop_is_final_and_quiet(peer: Peer) -> None:
 
 FORGETFUL = """
 import signal, sys
+from igtl_gateway.edges.ros import publishing
 from igtl_gateway.edges.ros.edge import RosEdge
+from igtl_gateway.edges.ros.middleware import interface_class
 from igtl_gateway.base.qos import Qos
 signal.signal(signal.SIGINT, signal.default_int_handler)  # the program that started the tests might ignore it
 edge = RosEdge(on_message=print, wants=lambda topic, kind: Qos(), on_note=lambda note: None)
@@ -474,7 +506,9 @@ def test_interrupt_reaches_python_and_a_forgotten_edge_ends_cleanly() -> None:
 
 LARGE = """
 import re
+from igtl_gateway.edges.ros import publishing
 from igtl_gateway.edges.ros.edge import RosEdge
+from igtl_gateway.edges.ros.middleware import interface_class
 from igtl_gateway.edges.ros.env import prepare_environment
 print(prepare_environment()[0])
 edge = RosEdge(on_message=print, wants=lambda topic, kind: None, on_note=print)
@@ -499,7 +533,9 @@ def fails_to_start(code: str, **environ: str) -> str:
     script = f"""
 import sys
 {code}
+from igtl_gateway.edges.ros import publishing
 from igtl_gateway.edges.ros.edge import RosEdge
+from igtl_gateway.edges.ros.middleware import interface_class
 from igtl_gateway.base.errors import RosError
 from igtl_gateway.base.extras import missing
 try:

@@ -40,7 +40,9 @@ class Publisher:
 def writer_and_publisher() -> tuple[TopicPublisher, Publisher, ManualClock]:
     clock = ManualClock(10**18)
     publisher = Publisher(clock)
-    return TopicPublisher("/t", "std_msgs/msg/String", publisher, Qos(), TopicCounts()), publisher, clock
+    topic = TopicPublisher("/t", "std_msgs/msg/String", Qos(), TopicCounts())
+    topic.made(publisher, deadline_ns=0, ready=False)
+    return topic, publisher, clock
 
 
 def test_held_messages_go_in_order_and_then_the_writer_is_ready() -> None:
