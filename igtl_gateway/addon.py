@@ -55,6 +55,7 @@ if TYPE_CHECKING:
         add_file,
         add_file_mode,
         add_json,
+        add_output,
         add_overwrite,
         add_streams,
         default,
@@ -77,7 +78,8 @@ if TYPE_CHECKING:
     )
     from igtl_gateway.cli.verbs import Verb
     from igtl_gateway.config.configuration import Config, read_toml
-    from igtl_gateway.config.setting import STREAM, Setting
+    from igtl_gateway.config.notations import STREAM
+    from igtl_gateway.config.setting import Setting
     from igtl_gateway.convert.structs import Pose
     from igtl_gateway.gateway.log.entry import Entry, Kind
     from igtl_gateway.gateway.log.note import Level, Note
@@ -156,6 +158,8 @@ HOMES: dict[str, tuple[str, ...]] = {
         "add_file",
         "add_file_mode",
         "add_json",
+        "add_output",
+        "add_output",
         "add_overwrite",
         "add_streams",
         "default",
@@ -166,7 +170,8 @@ HOMES: dict[str, tuple[str, ...]] = {
         "parser_of",
     ),
     "cli.settings": ("add_settings", "values_with_effect"),
-    "config.setting": ("STREAM", "Setting"),
+    "config.notations": ("STREAM",),
+    "config.setting": ("Setting",),
     "cli.terminal": (
         "aligned",
         "cell",
@@ -233,6 +238,7 @@ __all__ = [
     "add_file",
     "add_file_mode",
     "add_json",
+    "add_output",
     "add_overwrite",
     "add_settings",
     "add_streams",

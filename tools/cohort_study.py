@@ -167,7 +167,7 @@ def scale(folder: Path, verbs: Sequence[str], work: Path) -> None:
             command = [sys.executable, "-m", "igtl_gateway", "cohort", verb, str(folder), "--workers", str(workers)]
             start = time.monotonic()
             program = subprocess.Popen(
-                [*command, "--out", str(work / f"{verb}-{workers}")],
+                [*command, "-o", str(work / f"{verb}-{workers}")],
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.DEVNULL,
             )
@@ -208,7 +208,7 @@ def upload(folder: Path) -> str:
 def run(verb: str, source: str, out: Path, workers: int, kills: float) -> tuple[float, float, int]:
     """Run `cohort`.  Returns its seconds, the largest resident memory of a worker (MiB), and the number of kills."""
     chance = random.Random(7)
-    command = [sys.executable, "-m", "igtl_gateway", "cohort", verb, source, "--out", str(out)]
+    command = [sys.executable, "-m", "igtl_gateway", "cohort", verb, source, "-o", str(out)]
     start = last = time.monotonic()
     program = subprocess.Popen([*command, "--workers", str(workers)], stdout=subprocess.DEVNULL)
     peak_kib, killed, wait = 0, 0, kills

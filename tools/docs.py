@@ -505,7 +505,7 @@ def _conformance() -> str:
         prose(
             """Messages of other implementations: the corpus made with the C++ library, the test vectors of the
             C library, and handmade files for cases that neither has.  Each passes through `igtl-gateway decode
-            --reencode`; *decoded* messages have every value that their author wrote, *re-encoded* ones the same bytes.
+            -o`; *decoded* messages have every value that their author wrote, *re-encoded* ones the same bytes.
             `tests/wire/test_conformance.py` tests it.  `python tools/fuzz.py --seconds 600 --seed 1` mutates these
             messages for ten minutes: each must be rejected, or encoded to the decoded bytes."""
         ),

@@ -27,7 +27,7 @@ from igtl_gateway.cli import main as igtl_gateway
 
 ROOT = Path(__file__).parents[1]
 FIXTURES = ROOT / "fixtures"
-_COMMAND = re.compile(r"^ {4}((?:\w+=\S+ )*)igtl-gateway (.* --out fixtures/(\S+)\.mcap .*)$", re.MULTILINE)
+_COMMAND = re.compile(r"^ {4}((?:\w+=\S+ )*)igtl-gateway (.* -o fixtures/(\S+)\.mcap .*)$", re.MULTILINE)
 #: The content of a recording; all other records contain positions in the file.
 _CONTENT = (Header, Schema, Channel, Message, Metadata, Attachment)
 

@@ -81,8 +81,8 @@ def make(picture: Picture) -> bool:
         with redirect_stdout(io.StringIO()):
             if not fixture.exists():
                 fixture = Path(folder) / fixture.name
-                igtl_gateway(["simulate", picture.fixture, "--out", str(fixture)])
-            failed = igtl_gateway(["view", str(fixture), "--save", str(recording)])
+                igtl_gateway(["simulate", picture.fixture, "-o", str(fixture)])
+            failed = igtl_gateway(["view", str(fixture), "-o", str(recording)])
         if failed:
             raise GatewayError(f"cannot draw {fixture}")
         with HeadlessViewer(recording, SIZE) as viewer:

@@ -78,7 +78,7 @@ def _pass_session(python: str, folder: Path) -> None:
         ("info", path),
         ("doctor", path),
         ("diff", path, path),
-        ("slice", path, folder / "part.mcap", "--end", "1"),
+        ("slice", path, "-o", folder / "part.mcap", "--end", "1"),
         ("seal", "keys", "new", folder / "own.key"),
         ("seal", path, "--key", folder / "own.key", "-o", folder / "sealed.mcap"),
         ("verify", "--seal", folder / "sealed.mcap", "--trust", folder / "own.key.pub"),

@@ -13,7 +13,8 @@ from typing import Any, Literal, Self
 from igtl_gateway.app import bridge_options
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.config.faults import CLOCK_STEP, Faults
-from igtl_gateway.config.setting import NONE, STREAM, Setting, by_name, changed, check_effect, grouped
+from igtl_gateway.config.notations import STREAM
+from igtl_gateway.config.setting import NONE, Setting, by_name, changed, check_effect, grouped
 from igtl_gateway.config.settings import BY_SETTING, PROFILE_NAMES, TLS
 from igtl_gateway.convert.profiles import AUTO
 from igtl_gateway.edges.tcp import TlsFiles

@@ -13,7 +13,7 @@ from igtl_gateway.base.addons import is_present, part_of
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import ConfigError, GatewayError, MessageTooLarge, WireError
 from igtl_gateway.base.untrusted.files import is_same
-from igtl_gateway.cli.options import add_overwrite, default
+from igtl_gateway.cli.options import add_output, add_overwrite, default
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.record.sessionfile.beside import written
 from igtl_gateway.record.sessionfile.new_file import open_new
@@ -32,7 +32,7 @@ EXAMPLES = """\
   # the messages of a server, live
   nc localhost 18944 | igtl-gateway decode -
   # decode, encode again, write
-  igtl-gateway decode in.igtl --reencode out.igtl
+  igtl-gateway decode in.igtl -o out.igtl
 
 The object of a damaged message has an `error` with what was found and what was
 expected.  After a wrong CRC the content is unreliable.  Exit code 1 if a
@@ -46,11 +46,10 @@ _FOREIGN = 1000
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", help="file of consecutive messages; - for standard input")
-    parser.add_argument(
-        "--reencode",
-        metavar="OUT",
-        type=Path,
-        help="decode and encode each message, and write it to OUT; damaged messages are copied",
+    add_output(
+        parser,
+        "decode and encode each message, and write it to OUT; damaged messages are copied",
+        old=("--reencode",),
     )
     add_overwrite(parser, "OUT")
     parser.add_argument(
@@ -65,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         source = stack.enter_context(_source(options.file))
-        target = stack.enter_context(_target(options, source)) if options.reencode else None
+        target = stack.enter_context(_target(options, source)) if options.output else None
         return _decode(options, source, target)
 
 
@@ -82,9 +81,9 @@ def _source(name: str) -> BufferedReader[FileIO]:
 @contextmanager
 def _target(options: argparse.Namespace, source: BufferedReader[FileIO]) -> Iterator[BufferedWriter]:
     """Context manager for the output.  Raises ConfigError if it is the input, GatewayError if it cannot be written."""
-    path: Path = options.reencode
+    path: Path = options.output
     if is_same(path, Path(f"/dev/fd/{source.fileno()}")):
-        raise ConfigError(f"--reencode: found {path}, which is the input, expected another file")
+        raise ConfigError(f"--output: found {path}, which is the input, expected another file")
     with written(path, overwrite=options.overwrite) as place, open_new(place) as file:
         yield file
 

@@ -11,8 +11,9 @@ from typing import Any, Protocol, TypeVar
 
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.untrusted import limits
+from igtl_gateway.cli.terminal import print_line
 from igtl_gateway.config import notations
-from igtl_gateway.config.setting import STREAM
+from igtl_gateway.config.notations import STREAM
 
 T = TypeVar("T")
 
@@ -53,7 +54,7 @@ def shorten_usage(parser: argparse.ArgumentParser) -> None:
         return
     words = [f"{each.option_strings[-1]} {argument_name(each)}" for each in optional if each.required]
     for each in actions:
-        if not each.option_strings:
+        if not each.option_strings and each.help != argparse.SUPPRESS:
             words.append(f"[{argument_name(each)}]" if each.nargs == "?" else argument_name(each))
     parser.usage = " ".join(["%(prog)s", "[OPTION ...]", *words])
 
@@ -68,6 +69,43 @@ def argument_name(action: argparse.Action) -> str:
 def add_file(parser: Options, what: str = RECORDING) -> None:
     """``FILE``: the recording that a verb reads."""
     parser.add_argument("file", metavar="FILE", type=Path, help=what)
+
+
+class StoredOption(argparse.Action):
+    """An option that has a value; one with old spellings prints its new one when an old one is used.
+
+    The old spellings work for one release, and neither the help nor the completion has them.  The namespace also has
+    ``<dest>_spelling``, as which the option was written.
+    """
+
+    def __call__(
+        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option: str | None = None
+    ) -> None:
+        setattr(namespace, self.dest, values)
+        setattr(namespace, f"{self.dest}_spelling", option)
+        if option not in self.option_strings:
+            new = "/".join(self.option_strings)
+            print_line(f"{parser.prog}: {option}: the new spelling is {new}", error=True)
+
+
+def keep_spellings(parser: Options, action: argparse.Action, *old: str) -> None:
+    """Let a `StoredOption` be written by its old names, too."""
+    assert isinstance(parser, argparse._ActionsContainer)
+    parser._option_string_actions.update(dict.fromkeys(old, action))  # argparse has no hidden name of an option
+
+
+def add_output(
+    parser: Options,
+    what: str = "file to write",
+    read: Callable[[str], Path] = Path,
+    *,
+    metavar: str = "OUT",
+    required: bool = False,
+    old: Sequence[str] = ("--out",),
+) -> None:
+    """``-o/--output``: what a verb writes; ``old`` are earlier names of the option."""
+    more: dict[str, Any] = {"type": read, "metavar": metavar, "required": required, "help": what}
+    keep_spellings(parser, parser.add_argument("-o", "--output", action=StoredOption, **more), *old)
 
 
 def add_json(parser: Options, what: str = "print the result as one JSON object") -> None:

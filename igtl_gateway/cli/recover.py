@@ -10,7 +10,7 @@ from igtl_gateway.base.errors import ConfigError, UnsupportedRecording
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.files import is_same
 from igtl_gateway.cli.common import count_text, size_text
-from igtl_gateway.cli.options import add_file, add_json, add_overwrite, default, new_recording
+from igtl_gateway.cli.options import add_file, add_json, add_output, add_overwrite, default, new_recording
 from igtl_gateway.cli.terminal import clear_live_line, is_terminal, live_line, print_json, print_line
 from igtl_gateway.record.sessionfile.beside import written, written_folder
 from igtl_gateway.record.sessionfile.recovery import Recovery, recover
@@ -38,13 +38,7 @@ _SHOWN = 20
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_file(parser, "recording, directory of a split recording, or another MCAP file")
-    parser.add_argument(
-        "-o",
-        "--output",
-        metavar="OUT",
-        type=new_recording,
-        help="file to write " + default("FILE with .recovered.mcap"),
-    )
+    add_output(parser, "file to write " + default("FILE with .recovered.mcap"), new_recording, old=())
     add_overwrite(parser, "OUT")
     add_json(parser)
 

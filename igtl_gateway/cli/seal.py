@@ -7,7 +7,7 @@ from pathlib import Path
 
 from igtl_gateway.app.sealing import seal_recording, stamp_recording
 from igtl_gateway.cli.common import size_text
-from igtl_gateway.cli.options import RECORDING_OR_BAG, add_file, add_overwrite, new_recording
+from igtl_gateway.cli.options import RECORDING_OR_BAG, add_file, add_output, add_overwrite, new_recording
 from igtl_gateway.cli.terminal import print_line
 
 EXAMPLES = """\
@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument(
         "--time-stamp", metavar="REPLY", type=Path, help="reply of a time-stamp authority (RFC 3161), for a sealed FILE"
     )
-    parser.add_argument("-o", "--output", required=True, metavar="OUT", type=new_recording, help="file to write")
+    add_output(parser, read=new_recording, required=True, old=())
     add_overwrite(parser, "OUT")
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from igtl_gateway.app import settings as app_settings
 from igtl_gateway.app.rows import rows_of
-from igtl_gateway.cli.options import Options, default, definitions, parser_of
+from igtl_gateway.cli.options import Options, StoredOption, default, definitions, keep_spellings, parser_of
 from igtl_gateway.config.faults import FAULTS
 from igtl_gateway.config.setting import ROWS, Setting, by_name, changed, check_effect
 from igtl_gateway.config.settings import SETTINGS
@@ -61,7 +61,11 @@ def _add(group: Options, row: Setting) -> None:
         more["choices"] = Usual(row.usual) if row.reads else row.usual
     if row.metavar:
         more["metavar"] = row.metavar
-    group.add_argument(row.flag, type=parser_of(row.parse), help=_help(row, row.about), **more)
+    if row.old:
+        more["action"] = StoredOption
+    names = (row.short, row.flag) if row.short else (row.flag,)
+    action = group.add_argument(*names, type=parser_of(row.parse), help=_help(row, row.about), **more)
+    keep_spellings(group, action, *row.old)
 
 
 def common_options(rows: Iterable[Setting], *others: str) -> frozenset[str]:

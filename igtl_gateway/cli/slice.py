@@ -13,7 +13,16 @@ from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.files import is_same
 from igtl_gateway.base.version import __version__
 from igtl_gateway.cli.common import count_text, size_text
-from igtl_gateway.cli.options import add_config, add_file, add_json, add_overwrite, add_streams, default, new_recording
+from igtl_gateway.cli.options import (
+    add_config,
+    add_file,
+    add_json,
+    add_output,
+    add_overwrite,
+    add_streams,
+    default,
+    new_recording,
+)
 from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.beside import written
@@ -25,11 +34,11 @@ from igtl_gateway.replay.slice import Slice, SliceReport, SliceWindow
 
 EXAMPLES = """\
   # seconds 12 to 15
-  igtl-gateway slice out.mcap part.mcap --start 12 --end 15
+  igtl-gateway slice out.mcap -o part.mcap --start 12 --end 15
   # from a time of day to the end
-  igtl-gateway slice out.mcap part.mcap --start 2026-11-21T08:30:00Z
+  igtl-gateway slice out.mcap -o part.mcap --start 2026-11-21T08:30:00Z
   # some streams and the outputs that they cause
-  igtl-gateway slice out.mcap probe.mcap --streams 'TRANSFORM/*'
+  igtl-gateway slice out.mcap -o probe.mcap --streams 'TRANSFORM/*'
 
 TIME is in seconds from the beginning, in UTC seconds, or a date and time such
 as 2026-11-21T08:30:00Z.  The part begins with the few inputs that restore the
@@ -38,7 +47,8 @@ state of the gateway at its start, so that it verifies like the recording."""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_file(parser)
-    parser.add_argument("out", metavar="OUT", type=new_recording, help="file to write")
+    parser.add_argument("out", nargs="?", type=new_recording, help=argparse.SUPPRESS)  # the old spelling
+    add_output(parser, "file to write (required)", new_recording)
     parser.add_argument("--start", metavar="TIME", help="start at this time " + default("the beginning"))
     parser.add_argument("--end", metavar="TIME", help="skip messages from this time on " + default("the end"))
     add_streams(parser, "select inputs of these streams, and the inputs that cause outputs in them,")
@@ -48,13 +58,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
+    if options.out and options.output:
+        raise ConfigError(f"found two files to write, {options.out} and {options.output}, expected one: -o OUT")
+    if options.out:
+        print_line(f"igtl-gateway slice: {options.out}: the new spelling is -o {options.out}", error=True)
+        options.output = options.out
+    if not options.output:
+        raise ConfigError("found no file to write, expected -o OUT")
     with SessionFile.open(options.file) as file:
         if file.foreign:
             raise UnsupportedRecording(
                 f"{options.file}: found an MCAP file of another program, expected a session of igtl-gateway"
             )
-        if is_same(options.out, options.file):
-            raise ConfigError(f"{options.out}: found the recording itself, expected another file to write to")
+        if is_same(options.output, options.file):
+            raise ConfigError(f"{options.output}: found the recording itself, expected another file to write to")
         window = SliceWindow(
             file.start_ns if options.start is None else moment(options.start, file.start_ns, "--start"),
             file.end_ns + 1 if options.end is None else moment(options.end, file.start_ns, "--end"),
@@ -71,9 +88,9 @@ def run(options: argparse.Namespace) -> int:
         )
         _write(file, part, window, options)
         if options.json:
-            print_json({"file": str(options.out), "bytes": options.out.stat().st_size, **_facts(part.report)})
+            print_json({"file": str(options.output), "bytes": options.output.stat().st_size, **_facts(part.report)})
         else:
-            _print(options.out, part.report)
+            _print(options.output, part.report)
     return 0
 
 
@@ -100,7 +117,7 @@ def _write(file: SessionFile, part: Slice, window: SliceWindow, options: argpars
     # a slice begins at its own beginning, whatever it was cut from
     own = (layout.PART_KEY, layout.PREVIOUS_KEY, layout.SNAPSHOT_KEY)
     facts = {**{key: value for key, value in file.session.items() if key not in own}, **facts}
-    with written(options.out, overwrite=options.overwrite) as place:
+    with written(options.output, overwrite=options.overwrite) as place:
         writer = SessionWriter(place, facts, qos_of=qos_of, compression="zstd")
         for entry in part.entries():
             writer.write(entry)

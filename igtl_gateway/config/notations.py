@@ -13,6 +13,8 @@ from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.untrusted.numbers import whole_number
 
 DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 18944
+#: How globs of streams are written.
+STREAM = "by TYPE/device, device or topic; * matches one level, ** any number"
 
 #: The ways to the ROS graph, and where a router of Zenoh usually listens.
 DDS, ZENOH = "dds", "zenoh"

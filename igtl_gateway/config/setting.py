@@ -24,9 +24,6 @@ NONE = ""
 #: The setting is a table of a file itself: one row of messages for each ``[[to_igtl]]``.
 ROWS = "rows"
 
-#: How globs of streams are written.
-STREAM = "by TYPE/device, device or topic; * matches one level, ** any number"
-
 Value = bool | int | float | str | tuple[str, ...] | None
 
 TYPE_NAMES: dict[type, str] = {
@@ -67,6 +64,8 @@ class Setting:
         words: the option of a list takes several words, as well as being repeatable.
         required: the command line needs it.
         keyword: whether the Python API has it.
+        short: a letter for the option, such as ``-o``.
+        old: earlier names of the option, which work for one release and print the new one.
     """
 
     name: str
@@ -94,6 +93,8 @@ class Setting:
     words: bool = False
     required: bool = False
     keyword: bool = True
+    short: str = ""
+    old: tuple[str, ...] = ()
 
     @property
     def flag(self) -> str:

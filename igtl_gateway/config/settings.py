@@ -18,7 +18,6 @@ from igtl_gateway.config.setting import (
     IGTL,
     RECORD,
     ROWS,
-    STREAM,
     Setting,
     Value,
     by_name,
@@ -484,7 +483,7 @@ _RECORDING = (
     Setting(
         "record_include",
         (),
-        f"record only inputs of these streams and their outputs; {STREAM}",
+        f"record only inputs of these streams and their outputs; {notations.STREAM}",
         metavar="GLOB",
         needs=("record",),
         words=True,

@@ -58,7 +58,7 @@ CORE = (
     ("info", STAR),
     ("verify", STAR),
     ("diff", STAR, STAR),
-    ("slice", STAR, "OUT/slice.mcap", "--end", "1"),
+    ("slice", STAR, "-o", "OUT/slice.mcap", "--end", "1"),
     ("recover", STAR, "-o", "OUT/recovered.mcap"),
     ("doctor", STAR),
     ("replay", "--help"),
@@ -72,8 +72,8 @@ NEEDED: dict[str, tuple[tuple[object, ...], ...]] = {
     "sync": (
         ("sync", STAR),
         ("merge", STAR, STAR, "-o", "OUT/n.mcap", "--sync", "/a", "/b"),
-        ("view", STAR, "--save", "OUT/lag.rrd", "--sync", "/star/tool", "/star/tool"),
-        ("cohort", "sync", STAR, "--out", "OUT/cohort"),
+        ("view", STAR, "-o", "OUT/lag.rrd", "--sync", "/star/tool", "/star/tool"),
+        ("cohort", "sync", STAR, "-o", "OUT/cohort"),
         ("export", STAR, "--to", "lerobot", "--write-recipe", "OUT/recipe.toml"),
     ),
     "merge": (("merge", STAR, STAR, "-o", "OUT/m.mcap"),),
@@ -82,20 +82,20 @@ NEEDED: dict[str, tuple[tuple[object, ...], ...]] = {
     "upload": (("upload", "OUT", "--to", "s3://bucket"),),
     "view": (("view", STAR),),
     "resim": (("resim", STAR, "--", "true"),),
-    "review": (("review", STAR), ("cohort", "review", STAR, "--out", "OUT/cohort")),
-    "cohort": (("cohort", "info", STAR, "--out", "OUT/cohort"),),
+    "review": (("review", STAR), ("cohort", "review", STAR, "-o", "OUT/cohort")),
+    "cohort": (("cohort", "info", STAR, "-o", "OUT/cohort"),),
     "lerobot": (("export", STAR, "--to", "lerobot", "-o", "OUT/set"),),
     "zenoh": (("zenoh-router",), ("bridge", "--ros", "zenoh", "--listen", "127.0.0.1:0", "--duration", "0.1")),
 }
 #: Add-on → what other add-ons do without it.
 WITHOUT: dict[str, tuple[tuple[object, ...], ...]] = {
     "sync": (
-        ("view", STAR, "--save", "OUT/view.rrd"),
+        ("view", STAR, "-o", "OUT/view.rrd"),
         ("merge", f"a={STAR}", f"b={OTHER}", "-o", "OUT/m.mcap", "--offset", "b=0.1"),
-        ("cohort", "info", STAR, "--out", "OUT/cohort"),
+        ("cohort", "info", STAR, "-o", "OUT/cohort"),
     ),
-    "exchange": (("cohort", "info", STAR, "--out", "OUT/cohort"),),
-    "review": (("view", STAR, "--save", "OUT/view.rrd"), ("cohort", "info", STAR, "--out", "OUT/cohort")),
+    "exchange": (("cohort", "info", STAR, "-o", "OUT/cohort"),),
+    "review": (("view", STAR, "-o", "OUT/view.rrd"), ("cohort", "info", STAR, "-o", "OUT/cohort")),
     "lerobot": (("export", STAR, "--to", "csv", "-o", "OUT/csv"), ("export", "--help")),
 }
 EVERY = tuple(ADDONS)

@@ -150,5 +150,5 @@ def test_a_recorded_configuration_with_a_glob_that_backtracks(verb: str, tmp_pat
         entry = Entry(number, 10**18 + number, Kind.ROS_IN, "/" + "a" * 200, "std_msgs/msg/String", payload=(text,))
         writer.write(entry)
     writer.close({})
-    words = {"slice": [str(out)], "deidentify": ["-o", str(out)]}
+    words = {"slice": ["-o", str(out)], "deidentify": ["-o", str(out)]}
     assert main([verb, str(path), *words.get(verb, [])]) == (1 if verb == "sync" else 0)

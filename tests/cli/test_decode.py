@@ -54,7 +54,7 @@ def test_one_json_object_per_message(stream: Path, capsys: pytest.CaptureFixture
 
 def test_reencoding_gives_the_same_bytes(stream: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "again.igtl"
-    code, _, _ = decoded(capsys, str(stream), "--reencode", str(out))
+    code, _, _ = decoded(capsys, str(stream), "-o", str(out))
     assert code == 0
     assert out.read_bytes() == STREAM
 
@@ -78,7 +78,7 @@ def test_damage_is_told_and_the_rest_decoded(tmp_path: Path, capsys: pytest.Capt
     path = tmp_path / "bad.igtl"
     path.write_bytes(bad)
     out = tmp_path / "again.igtl"
-    code, told, _ = decoded(capsys, str(path), "--reencode", str(out))
+    code, told, _ = decoded(capsys, str(path), "-o", str(out))
     assert code == 1
     assert [one["crc_ok"] for one in told] == [False, True, True, True]
     assert out.read_bytes() == bytes(bad), "what cannot be trusted stays as it was"
@@ -158,12 +158,12 @@ def test_sources_that_are_no_files(shell: str, code: int, said: str, stream: Pat
     [
         (["/tmp"], 2, "/tmp: Is a directory"),
         (["/dev/zero"], 1, "offset 57942: found 1000 messages in a row of an unknown header version"),
-        (["{stream}", "--reencode", "{stream}"], 2, "which is the input, expected another file"),
-        (["{stream}", "--reencode", "none/out"], 1, "cannot write to none/out: there is no folder none"),
-        (["{stream}", "--reencode", "{stream.parent}/there"], 2, "exists already, expected a new file or --overwrite"),
-        (["{stream}", "--overwrite", "--reencode", "/tmp"], 1, "cannot write to /tmp: it is a folder"),
+        (["{stream}", "-o", "{stream}"], 2, "which is the input, expected another file"),
+        (["{stream}", "-o", "none/out"], 1, "cannot write to none/out: there is no folder none"),
+        (["{stream}", "-o", "{stream.parent}/there"], 2, "exists already, expected a new file or --overwrite"),
+        (["{stream}", "--overwrite", "-o", "/tmp"], 1, "cannot write to /tmp: it is a folder"),
         (
-            ["{stream}", "--overwrite", "--reencode", "/dev/full"],
+            ["{stream}", "--overwrite", "-o", "/dev/full"],
             1,
             "cannot write to /dev/full: it is a device",
         ),

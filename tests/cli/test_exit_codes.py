@@ -42,7 +42,7 @@ MISSING = [
     Case("demo", 1, missing("rclpy"), ROS),
     Case("doctor --listen :0 --ros --seconds 0.1", 1, missing("rclpy"), ROS),
     Case("view {fixture}", 1, missing("rerun"), RERUN),
-    Case("view {fixture} --save {folder}/out.rrd", 1, missing("rerun"), RERUN),
+    Case("view {fixture} -o {folder}/out.rrd", 1, missing("rerun"), RERUN),
     Case(f"{BRIDGE} --view", 1, missing("rerun"), RERUN),
     Case("bridge --duration 0.1 --listen :0 --video-codec h264", 1, missing("av"), AV),
 ]
@@ -55,7 +55,7 @@ REFUSED = [
     Case("replay {fixture} --to igtl --listen 127.0.0.1:{port}", 1, "the port is in use by another program"),
     *(
         Case(f"{call} {place}", 1, said)
-        for call in (f"{BRIDGE} --record", "simulate paper-types --out", "recover {fixture} --output")
+        for call in (f"{BRIDGE} --record", "simulate paper-types -o", "recover {fixture} --output")
         for place, said in (
             ("{folder}/none/out.mcap", "there is no folder {folder}/none"),
             ("{folder}", "it is a folder, expected a file or a new name"),
@@ -75,7 +75,7 @@ REFUSED = [
 USAGE = [
     *(  # a link is replaced itself, and only if that is asked for
         Case(f"{call} {{folder}}/link", 2, "exists already, expected a new file or --overwrite")
-        for call in ("simulate paper-types --out", "recover {fixture} --output")
+        for call in ("simulate paper-types -o", "recover {fixture} --output")
     ),
     Case("bridge --listen 127.0.0.1:99999", 2, "found '127.0.0.1:99999', expected HOST:PORT"),
     Case(f"{BRIDGE} --realtime-priority 100", 2, "found 100, expected 0 to 99"),

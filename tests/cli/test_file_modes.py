@@ -77,7 +77,7 @@ def test_a_mode_is_for_files_and_directories(tmp_path: Path) -> None:
     words = ["export", str(SMALL), "--to", "csv", "-o", str(tmp_path / "out"), "--file-mode", "0640"]
     assert main(words) < 2
     assert set(_modes(tmp_path).values()) == {0o640, 0o750}
-    assert main(["slice", str(SMALL), str(tmp_path / "a.mcap"), "--end", "1", "--file-mode", "0644"]) == 0
+    assert main(["slice", str(SMALL), "-o", str(tmp_path / "a.mcap"), "--end", "1", "--file-mode", "0644"]) == 0
     assert (tmp_path / "a.mcap").stat().st_mode & 0o777 == 0o644
     for wrong in ("640x", "0400", "0755", "9999", "06400"):
         assert main([*words[:-1], wrong]) == 2
@@ -114,6 +114,6 @@ def test_an_overwritten_recording_becomes_private(tmp_path: Path) -> None:
     path.touch(0o666)
     path.chmod(0o666)
     code = "import sys; from igtl_gateway.cli import main; sys.exit(main())"
-    words = ["slice", str(SMALL), str(path), "--end", "1", "--overwrite"]
+    words = ["slice", str(SMALL), "-o", str(path), "--end", "1", "--overwrite"]
     subprocess.run([sys.executable, "-c", code, *words], check=True, capture_output=True)
     assert path.stat().st_mode & 0o777 == 0o600

@@ -109,7 +109,7 @@ def test_what_a_file_is_a_part_of_is_told(tmp_path: Path, capsys: pytest.Capture
 
     part = tmp_path / "part.mcap"
     whole = FIXTURES / "star.mcap"
-    assert main(["slice", str(whole), str(part), "--start", "1", "--end", "2", "--streams", "TRANSFORM/*"]) == 0
+    assert main(["slice", str(whole), "-o", str(part), "--start", "1", "--end", "2", "--streams", "TRANSFORM/*"]) == 0
     capsys.readouterr()
     facts = json.loads(said(capsys, part, "--json"))["session"]
     line = next(line for line in said(capsys, part).splitlines() if line.startswith("  slice "))

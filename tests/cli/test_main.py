@@ -290,9 +290,9 @@ def test_limits_are_lowered_and_raised_for_each_verb(
     fixture = str(ROOT / "fixtures" / "star.mcap")
     more = {
         "recover": ["-o", str(tmp_path / "out.mcap")],
-        "slice": [str(tmp_path / "out.mcap"), "--end", "0.5"],
+        "slice": ["-o", str(tmp_path / "out.mcap"), "--end", "0.5"],
         "diff": [fixture],
-        "export": ["--to", "csv", "--out", str(tmp_path / "out")],
+        "export": ["--to", "csv", "-o", str(tmp_path / "out")],
     }.get(verb, [])
     code, _, err = outcome(capsys, verb, fixture, *more, "--limit", "memory=1000")
     assert code == 1
@@ -317,7 +317,7 @@ def test_limits_of_an_import(name: str, tmp_path: Path, capsys: pytest.CaptureFi
         path.write_bytes(contents[name]())
     else:
         bags.database(path)
-    command = ["import", str(path), "--out", str(tmp_path / "out.mcap"), "--overwrite"]
+    command = ["import", str(path), "-o", str(tmp_path / "out.mcap"), "--overwrite"]
     code, _, err = outcome(capsys, *command, "--limit", "memory=8", "--limit", "free=8")
     assert code == 1
     assert "expected at most 8 (--limit" in err or "too big" in err

@@ -6,6 +6,8 @@ import argparse
 import re
 import shlex
 from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
 
 import pytest
 
@@ -15,8 +17,11 @@ from igtl_gateway.cli.options import HelpFormatter
 from igtl_gateway.cli.verbs import available
 from igtl_gateway.record.sessionfile.layout import FORMAT_VERSION
 from igtl_gateway.wire.header import HEADER_VERSIONS
+from tests.places import FIXTURES
+from tests.tables import table
 
 COLUMNS = 80
+STAR = FIXTURES / "star.mcap"
 
 
 @pytest.fixture(params=available())
@@ -95,3 +100,40 @@ def test_version_names_formats_and_libraries(capsys: pytest.CaptureFixture[str])
     assert {"session log", "OpenIGTLink", "Python", "C part", "numpy", "mcap", "rclpy", "laboratory"} <= names
     assert versions.FORMAT_VERSION == FORMAT_VERSION
     assert versions.HEADER_VERSIONS == " and ".join(map(str, HEADER_VERSIONS))
+
+
+@table(
+    ("words", "old"),
+    [
+        (["slice", str(STAR), "OUT.mcap", "--end", "1"], "OUT.mcap: the new spelling is -o OUT.mcap"),
+        (["export", str(STAR), "--to", "csv", "--out", "OUT"], "--out: the new spelling is -o/--output"),
+        (["import", "absent.bag", "--out", "OUT.mcap"], "--out: the new spelling is -o/--output"),
+        (["decode", "absent.igtl", "--reencode", "OUT.igtl"], "--reencode: the new spelling is -o/--output"),
+        (["view", "absent.mcap", "--save", "OUT.rrd"], "--save: the new spelling is -o/--output"),
+        (["view", "absent.mcap", "--screenshot=OUT.png"], "--screenshot: the new spelling is -o/--output"),
+        (["review", "absent.mcap", "--csv", "OUT.csv"], "--csv: the new spelling is -o/--output"),
+        (["cohort", "info", "absent", "--out", "OUT"], "--out: the new spelling is -o/--output"),
+        (["simulate", "star", "--out", "OUT.mcap", "--seed", "x"], "--out: the new spelling is -o/--output"),
+    ],
+)
+def test_old_spellings_of_outputs_name_the_new_one(
+    words: list[str], old: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with suppress(SystemExit):
+        main([word.replace("OUT", str(tmp_path / "out")) for word in words])
+    err = capsys.readouterr().err
+    line = f"igtl-gateway {words[0]}: {old}".replace("OUT", str(tmp_path / "out"))
+    assert err.splitlines()[0] == line
+    assert "--out:" not in line or "--out " not in parsed_help(words[0], capsys)
+
+
+def parsed_help(verb: str, capsys: pytest.CaptureFixture[str]) -> str:
+    with suppress(SystemExit):
+        main([verb, "--help"])
+    return capsys.readouterr().out
+
+
+def test_a_slice_needs_one_output(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["slice", str(STAR)]) == 2
+    assert main(["slice", str(STAR), "a.mcap", "-o", "b.mcap"]) == 2
+    assert "expected -o OUT" in capsys.readouterr().err

@@ -31,7 +31,7 @@ def test_a_slice_verifies_and_other_tools_read_it(
 ) -> None:
     out = tmp_path / "part.mcap"
     source = FIXTURES / f"{name}.mcap"
-    assert main(["slice", str(source), str(out), *options, "--json"]) == 0
+    assert main(["slice", str(source), "-o", str(out), *options, "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert main(["verify", str(out)]) == 0
     assert main(["info", str(out)]) == 0
@@ -62,7 +62,7 @@ def test_a_part_of_a_split_recording_is_cut_with_what_it_brings_of_the_time_befo
         writer.close({})
     assert main(["verify", str(part)]) == 0
     out = tmp_path / "slice.mcap"
-    assert main(["slice", str(part), str(out), "--start", "1"]) == 0
+    assert main(["slice", str(part), "-o", str(out), "--start", "1"]) == 0
     assert main(["verify", str(out)]) == 0
     with SessionFile.open(out) as file:
         assert "part" not in file.session and next(file.entries()).seq == 1
@@ -70,7 +70,7 @@ def test_a_part_of_a_split_recording_is_cut_with_what_it_brings_of_the_time_befo
 
 def test_equal_slices_are_equal_files(tmp_path: Path) -> None:
     for name in ("one.mcap", "two.mcap"):
-        assert main(["slice", str(FIXTURES / "paper-types.mcap"), str(tmp_path / name), "--end", "2"]) == 0
+        assert main(["slice", str(FIXTURES / "paper-types.mcap"), "-o", str(tmp_path / name), "--end", "2"]) == 0
     assert (tmp_path / "one.mcap").read_bytes() == (tmp_path / "two.mcap").read_bytes()
 
 
@@ -86,7 +86,7 @@ def test_what_makes_no_window_is_refused(
     options: list[str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "part.mcap"
-    assert main(["slice", str(FIXTURES / "paper-types.mcap"), str(out), *options]) == 2
+    assert main(["slice", str(FIXTURES / "paper-types.mcap"), "-o", str(out), *options]) == 2
     assert told in capsys.readouterr().err
     assert not out.exists()
 
@@ -99,11 +99,11 @@ def test_no_file_is_replaced_unasked_and_never_the_recording_itself(
     source.write_bytes(data)
     other = tmp_path / "other.mcap"
     other.write_bytes(b"mine")
-    assert main(["slice", str(source), str(other)]) == 2
+    assert main(["slice", str(source), "-o", str(other)]) == 2
     assert other.read_bytes() == b"mine"
-    assert main(["slice", str(source), str(source), "--overwrite"]) == 2
+    assert main(["slice", str(source), "-o", str(source), "--overwrite"]) == 2
     assert source.read_bytes() == data
-    assert main(["slice", str(source), str(other), "--overwrite"]) == 0
+    assert main(["slice", str(source), "-o", str(other), "--overwrite"]) == 0
     assert capsys.readouterr().out.startswith(f"{other}: ")
 
 
@@ -113,7 +113,7 @@ def test_what_is_before_the_window_is_read_once(tmp_path: Path, monkeypatch: pyt
     with SessionFile.open(source) as file:
         share = 2e9 / (file.end_ns - file.start_ns)
     read = BytesRead(monkeypatch)
-    assert main(["slice", str(source), str(tmp_path / "late.mcap"), "--start", str((1 - share) * 2 / share)]) == 0
+    assert main(["slice", str(source), "-o", str(tmp_path / "late.mcap"), "--start", str((1 - share) * 2 / share)]) == 0
     # the state follows from all of the session before, so that is read; the window is read to compare, and to write
     assert read.count < size * (1 + 2 * share) + (1 << 20)
 
@@ -140,7 +140,7 @@ def test_a_part_of_a_recording_without_its_end_verifies_as_the_whole(
     without_end(whole, ledger)
     assert main(["verify", str(whole)]) == 0
     assert "not verified: 1 output that the recording has lost" in capsys.readouterr().out
-    assert main(["slice", str(whole), str(part), "--start", "1"]) == 0
+    assert main(["slice", str(whole), "-o", str(part), "--start", "1"]) == 0
     capsys.readouterr()
     assert main(["verify", str(part)]) == 0
     assert "not verified: 1 output that the recording has lost" in capsys.readouterr().out

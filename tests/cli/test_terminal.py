@@ -157,7 +157,7 @@ def test_help_goes_to_stdout(arguments: list[str], capsys: pytest.CaptureFixture
         ["info", "missing\n\x1b[2J.mcap"],
         ["verify\n\x1b[2J"],
         ["info", "a.mcap", "--limit", "memory\x1b[2J\nx=1"],
-        ["export", "a.mcap", "--to", "csv\x1b\n", "--out", "x"],
+        ["export", "a.mcap", "--to", "csv\x1b\n", "-o", "x"],
     ],
 )
 def test_no_argument_reaches_the_terminal_raw(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:

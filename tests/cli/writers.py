@@ -33,26 +33,26 @@ stream = "TRANSFORM/ProbeToTracker"
 #: of a recording.  ``cohort VERB`` and ``bridge`` write in other processes: ``test_tables_are_private``, and below.
 WRITERS = (
     "keys new OUT",
-    "slice SMALL OUT.mcap --end 1",
+    "slice SMALL -o OUT.mcap --end 1",
     "recover SMALL -o OUT.mcap",
     "recover HERE -o OUT",
     "merge SMALL IMAGES -o OUT.mcap --offset ultrasound=1",
     "deidentify SMALL -o OUT.mcap",
     "import BAG -o OUT.mcap",
-    "decode CORPUS --reencode OUT.igtl",
+    "decode CORPUS -o OUT.igtl",
     *(f"export SMALL --to {target} -o OUT" for target in ("csv", "rosbag2", "parquet", "arrow")),
     *(f"export IMAGES --to {target} -o OUT" for target in ("nrrd", "igs.mha", "ply", "vtk")),
     "export IMAGES --to lerobot --write-recipe OUT.toml",
     "export IMAGES --to lerobot --recipe RECIPE -o OUT",
     "seal SMALL --key KEY -o OUT.mcap",
     "sync MOVING --plot OUT.svg --max-lag 0.1",
-    "view SMALL --save OUT.rrd",
+    "view SMALL -o OUT.rrd",
     "retain HERE --retention 1h",
     "upload HERE --to s3://bucket --patience 0",
-    "simulate TINY --out OUT.mcap",
-    "cohort query SQL --out COHORT --csv OUT.csv",
-    "cohort query SQL --out COHORT --parquet OUT.parquet",
-    "cohort report --out COHORT --html OUT.html",
+    "simulate TINY -o OUT.mcap",
+    "cohort query SQL -o COHORT --csv OUT.csv",
+    "cohort query SQL -o COHORT --parquet OUT.parquet",
+    "cohort report -o COHORT --html OUT.html",
 )
 
 

@@ -122,6 +122,6 @@ def test_the_lag_between_pose_and_joints_of_an_arm(
     assert lag["verdict"] in ("measured", "varies")
     assert lag["lag_s"] == pytest.approx(0.12, abs=0.025)
     assert lag["low_s"] <= 0.12 <= lag["high_s"]
-    assert main(["export", str(insertions), "--to", "parquet", "--out", str(tmp_path / "tables")]) == 0
+    assert main(["export", str(insertions), "--to", "parquet", "-o", str(tmp_path / "tables")]) == 0
     assert len(list((tmp_path / "tables").rglob("*.parquet"))) == 2
-    assert main(["view", str(insertions), "--save", str(tmp_path / "out.rrd"), "--json"]) == 0
+    assert main(["view", str(insertions), "-o", str(tmp_path / "out.rrd"), "--json"]) == 0

@@ -1,6 +1,6 @@
 """Every message of other implementations through the command line, and what came of it as a table.
 
-Strategy: each file goes through ``igtl-gateway decode --reencode`` as a user would have it done.  What it prints is
+Strategy: each file goes through ``igtl-gateway decode -o`` as a user would have it done.  What it prints is
 compared with the JSON beside the file (for the C library's vectors: with the values that its tests assert), what it
 writes with the file.  The counts by type and header version are the conformance table.
 """
@@ -115,7 +115,7 @@ def run(case: Case, folder: Path) -> list[Result]:
     decode.add_arguments(parser)
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed):
-        decode.run(parser.parse_args([str(source), "--reencode", str(target)]))
+        decode.run(parser.parse_args([str(source), "-o", str(target)]))
     shown = [json.loads(line) for line in printed.getvalue().splitlines()]
     written = target.read_bytes()
     results = []

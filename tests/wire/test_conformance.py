@@ -1,4 +1,4 @@
-"""Corpus, vectors and our own files through ``igtl-gateway decode --reencode``; ``-rP`` or ``-s`` shows the table."""
+"""Corpus, vectors and our own files through ``igtl-gateway decode -o``; ``-rP`` or ``-s`` shows the table."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ class Tables:
     Args:
         connection: of DuckDB, to a database in memory.
         errors: what DuckDB raises.
-        folder: that of ``--out``.
+        folder: that of ``--output``.
 
     Attributes:
         devices: files that DuckDB still reads for a question: name → path.

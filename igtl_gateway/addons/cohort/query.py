@@ -182,7 +182,7 @@ def asking(folder: Path) -> Iterator[Questions]:
     except ImportError as error:
         raise Unavailable(extras.missing("duckdb", error)) from None
     if not (folder / MANIFEST).is_file():
-        raise ConfigError(f"{folder}: found no {MANIFEST}, expected the folder of a cohort (--out)")
+        raise ConfigError(f"{folder}: found no {MANIFEST}, expected the folder of a cohort (-o)")
     connection = duckdb.connect(":memory:")
     try:
         with Tables(connection, duckdb.Error, folder) as tables:

@@ -42,7 +42,7 @@ class Results:
     """The tables in a folder.
 
     Args:
-        folder: that of ``--out``; it need not exist yet.
+        folder: that of ``--output``; it need not exist yet.
 
     Raises ConfigError if the folder has something else, or tables of another version; GatewayError for others.
     """

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from igtl_gateway.addon import (
     ADDONS,
     ConfigError,
     add_json,
+    add_output,
     add_overwrite,
     aligned,
     check_present,
@@ -32,18 +32,18 @@ from igtl_gateway.base.systems.processes import usable_cpus
 
 EXAMPLES = """\
   # streams, times and rates of all sessions in and below a folder
-  igtl-gateway cohort info sessions --out study
+  igtl-gateway cohort info sessions -o study
   # does every session verify?  Eight files at a time
-  igtl-gateway cohort verify 'sessions/**/*.mcap' --out study --workers 8
+  igtl-gateway cohort verify 'sessions/**/*.mcap' -o study --workers 8
   # sessions of an object store, on a cluster; credentials: AWS_ACCESS_KEY_ID …
-  igtl-gateway cohort review s3://bucket/2026 --out study \\
+  igtl-gateway cohort review s3://bucket/2026 -o study \\
       --scheduler tls://cluster:8786 --tls-ca ca.pem --tls-cert me.pem \\
       --tls-key me.key
 
   # questions to the tables, and one page about them
   igtl-gateway cohort query \\
-      "SELECT rule, count(*) n FROM findings GROUP BY rule" --out study
-  igtl-gateway cohort report --out study --html study.html
+      "SELECT rule, count(*) n FROM findings GROUP BY rule" -o study
+  igtl-gateway cohort report -o study --html study.html
 
 What is done is not done again.  Exit code 0: every file has a result;
 1: a file has none (see the table tasks), or outputs differ, or lint finds
@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="*",
         help="files, folders, globs and URLs (s3://, gs://, az://, https://); query: the SQL",
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the tables")
+    add_output(parser, "folder of the tables", metavar="DIR", required=True)
     add_json(parser)
     parser.add_argument("--csv", type=output_file(".csv"), metavar="FILE", help="query: write the answer as CSV")
     parser.add_argument(
@@ -129,7 +129,7 @@ def _run_query(options: argparse.Namespace) -> int:
     targets = [each for each in (options.csv, options.parquet) if each]
     for target in targets:
         check_target(target, overwrite=options.overwrite)
-    with asking(options.out) as questions:
+    with asking(options.output) as questions:
         table = questions.table(sql) if targets else None
         answer = questions.answer(sql) if table is None else of_table(table) if options.json else None
     for target in targets:
@@ -158,12 +158,12 @@ def _run_report(options: argparse.Namespace) -> int:
     from igtl_gateway.addons.cohort.report import page
 
     check_target(options.html, overwrite=options.overwrite)
-    with asking(options.out) as questions, written(options.html, overwrite=options.overwrite) as path:
-        write_text(path, page(questions, str(options.out)))
+    with asking(options.output) as questions, written(options.html, overwrite=options.overwrite) as path:
+        write_text(path, page(questions, str(options.output)))
     if options.json:
-        print_json({"out": str(options.out), "html": str(options.html)})
+        print_json({"out": str(options.output), "html": str(options.html)})
     else:
-        print_line(f"{options.html}: report of {options.out}")
+        print_line(f"{options.html}: report of {options.output}")
     return 0
 
 
@@ -174,7 +174,7 @@ def _run_files(options: argparse.Namespace) -> int:
     from igtl_gateway.addons.cohort.running import run_cohort
     from igtl_gateway.addons.cohort.sources import locate
 
-    results = Results(options.out)
+    results = Results(options.output)
     files = locate(options.sources)
     work = RunSettings(options.action, _settings(options), options.limit, options.memory_mib << 20, options.timeout)
     where = RunPlace(
@@ -188,16 +188,16 @@ def _run_files(options: argparse.Namespace) -> int:
         summary = run_cohort(work, files, results, where, progress)
     if options.json:
         facts = {"files": summary.files, "done_before": summary.before, "ends": dict(sorted(summary.ends.items()))}
-        print_json({"out": str(options.out), "verb": work.verb, **facts, "different": summary.different})
+        print_json({"out": str(options.output), "verb": work.verb, **facts, "different": summary.different})
     else:
-        print_line(f"{options.out}: {count_text(summary.files, 'file')}, {summary.before:,} done before")
+        print_line(f"{options.output}: {count_text(summary.files, 'file')}, {summary.before:,} done before")
         for status, number in sorted(summary.ends.items()):
             print_line(f"  {number:>7,} {status.replace('_', ' ')}")
         if summary.different:
             print_line(f"  {summary.different:>7,} with {'differences' if work.verb == 'verify' else 'errors'}")
         print_next(
-            (command("cohort", QUERY, _FIRST_QUESTION, "--out", options.out), "ask the tables"),
-            (command("cohort", REPORT, "--out", options.out, "--html", "report.html"), "write a page about them"),
+            (command("cohort", QUERY, _FIRST_QUESTION, "-o", options.output), "ask the tables"),
+            (command("cohort", REPORT, "-o", options.output, "--html", "report.html"), "write a page about them"),
         )
     return int(bool(summary.failed or summary.different))
 

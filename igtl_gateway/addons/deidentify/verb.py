@@ -12,6 +12,7 @@ from igtl_gateway.addon import (
     UnsupportedRecording,
     add_file,
     add_json,
+    add_output,
     add_overwrite,
     aligned,
     check_target,
@@ -45,7 +46,7 @@ rule covers, such as faces in volumes.  See docs/how-to/deidentify.md."""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_file(parser)
-    parser.add_argument("-o", "--out", type=new_recording, required=True, metavar="OUT", help="file to write")
+    add_output(parser, read=new_recording, required=True)
     parser.add_argument(
         "--profile", type=Path, metavar="FILE", help="what stays, rules and masks (TOML) " + default("basic: nothing")
     )
@@ -62,9 +63,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    check_target(options.out, overwrite=options.overwrite)
-    if is_same(options.out, options.file):
-        raise ConfigError(f"{options.out}: found the recording itself, expected another file to write to")
+    check_target(options.output, overwrite=options.overwrite)
+    if is_same(options.output, options.file):
+        raise ConfigError(f"{options.output}: found the recording itself, expected another file to write to")
     if options.shift == 0:
         raise ConfigError("--shift: found 0, expected another number, or --keep-times")
     if options.shift is not None and abs(options.shift) > 1 << 32:
@@ -72,12 +73,12 @@ def run(options: argparse.Namespace) -> int:
     profile = read_profile(options.profile) if options.profile else BASIC
     shift_ns = 0 if options.keep_times else None if options.shift is None else options.shift * NS_PER_S
     report = deidentify(
-        options.file, options.out, profile, _key(options.secret), shift_ns=shift_ns, overwrite=options.overwrite
+        options.file, options.output, profile, _key(options.secret), shift_ns=shift_ns, overwrite=options.overwrite
     )
     if options.json:
-        print_json({"file": str(options.out), **report.to_dict()})
+        print_json({"file": str(options.output), **report.to_dict()})
     else:
-        _print(options.out, report)
+        _print(options.output, report)
     return 0
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import shlex
-from pathlib import Path
 from typing import Any
 
 from igtl_gateway.addon import (
@@ -13,6 +12,7 @@ from igtl_gateway.addon import (
     SessionFile,
     add_file,
     add_json,
+    add_output,
     add_streams,
     cell,
     count_text,
@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--to", choices=(*TARGETS, LEROBOT), required=True, metavar="FORMAT", help="format to write, see below"
     )
-    parser.add_argument("-o", "--out", metavar="OUT", type=Path, help="file or directory to write")
+    add_output(parser, "file or directory to write")
     add_streams(parser)
     if LEROBOT_ROW:
         part_of(LEROBOT, "verb:add_lerobot")(parser)
@@ -75,13 +75,13 @@ def run(options: argparse.Namespace) -> int:
         return int(part_of(LEROBOT, "verb:run_lerobot")(options))
     if LEROBOT_ROW:
         part_of(LEROBOT, "verb:refuse_lerobot_options")(options)
-    if options.out is None:
+    if options.output is None:
         raise ConfigError("-o: found none, expected the file or directory to write")
     with SessionFile.open(options.file) as file:
         try:
-            account = export_to(options.to, file, options.out, options.streams)
+            account = export_to(options.to, file, options.output, options.streams)
         except OSError as error:
-            raise GatewayError(f"cannot write to {options.out}: {error.strerror or error}") from None
+            raise GatewayError(f"cannot write to {options.output}: {error.strerror or error}") from None
     written = sum(row.taken for row in account.rows)
     if not written:
         reasons = [f"{row.stream}: {row.why}" for row in account.rows if row.why]
@@ -91,14 +91,14 @@ def run(options: argparse.Namespace) -> int:
         )
     good = all(row.good for row in account.rows)
     if options.json:
-        facts = {"file": str(options.file), "to": options.to, "out": str(options.out), "good": good}
+        facts = {"file": str(options.file), "to": options.to, "out": str(options.output), "good": good}
         rows, parts = ([_as_json(row) for row in each] for each in (account.rows, account.parts))
         more = {"files": account.files, "rows": rows, "parts": parts, "others": account.others}
         print_json({**facts, **more, "notes": account.notes})
     else:
         _print(account, options)
-        print_line(f"{options.out}: {count_text(written, 'message')} in {count_text(account.files, 'file')}")
-        print_line(f"next: {TARGETS[options.to].next_step.format(out=shlex.quote(str(options.out)))}")
+        print_line(f"{options.output}: {count_text(written, 'message')} in {count_text(account.files, 'file')}")
+        print_line(f"next: {TARGETS[options.to].next_step.format(out=shlex.quote(str(options.output)))}")
     return 0 if good else 1
 
 

@@ -18,6 +18,7 @@ from igtl_gateway.addon import (
     WireError,
     __version__,
     add_json,
+    add_output,
     add_overwrite,
     cell,
     count_text,
@@ -58,7 +59,7 @@ output marks them.  If SOURCE is damaged, OUT is not written without --partial."
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("source", metavar="SOURCE", type=Path, help="file, or directory of a rosbag2 recording")
-    parser.add_argument("-o", "--out", metavar="OUT", type=new_recording, required=True, help="session file to write")
+    add_output(parser, "session file to write", new_recording, required=True)
     parser.add_argument(
         "--epoch",
         metavar="TIME",
@@ -85,12 +86,12 @@ def epoch(text: str) -> int:
 
 
 def run(options: argparse.Namespace) -> int:
-    if is_same(options.out, options.source):
-        raise ConfigError(f"--out: found {options.out}, which is the source, expected another file")
+    if is_same(options.output, options.source):
+        raise ConfigError(f"--output: found {options.output}, which is the source, expected another file")
     failure = ""
     with (
         closing(open_source(options.source, options.epoch)) as source,
-        written(options.out, overwrite=options.overwrite) as place,
+        written(options.output, overwrite=options.overwrite) as place,
     ):
         writer = SessionWriter(
             place, import_facts(options.source, source), qos_of=source.qos_of, definition_of=source.definition_of
@@ -111,7 +112,7 @@ def run(options: argparse.Namespace) -> int:
     facts: dict[str, Any] = {
         "source": str(options.source),
         "format": source.facts["imported_format"],
-        "file": str(options.out),
+        "file": str(options.output),
         "good": good,
         "entries": writer.entries,
         "bytes": 0 if failure and not options.partial else size,

@@ -54,7 +54,7 @@ def run_lerobot(options: argparse.Namespace) -> int:
     if len(given) != 1:
         raise ConfigError(f"--to {LEROBOT}: found {' and '.join(given) or 'none'}, expected one of "
                           f"{', '.join(_OPTIONS.values())}")  # fmt: skip
-    if (options.out is not None) != (options.recipe is not None):
+    if (options.output is not None) != (options.recipe is not None):
         raise ConfigError("-o: found it or --recipe alone, expected both")
     if options.streams:
         raise ConfigError(f"--streams: found it with --to {LEROBOT}, expected the streams in the recipe")
@@ -103,12 +103,12 @@ def _export(options: argparse.Namespace) -> int:
     from igtl_gateway.addons.lerobot.splits import divided
 
     try:
-        done = export_lerobot(options.file, options.recipe, options.out)
+        done = export_lerobot(options.file, options.recipe, options.output)
     except OSError as error:
-        raise write_error(options.out, error) from None
+        raise write_error(options.output, error) from None
     except GatewayError as error:
         text = str(error)
-        known = str(options.recipe), str(options.file), str(options.out), "cannot write"
+        known = str(options.recipe), str(options.file), str(options.output), "cannot write"
         raise type(error)(text if text.startswith(known) else f"{options.recipe}: {text}") from None
     plan = done.plan
     facts: list[dict[str, Any]] = [
@@ -127,7 +127,7 @@ def _export(options: argparse.Namespace) -> int:
     if options.json:
         print_json(
             {
-                "file": str(options.file), "to": LEROBOT, "out": str(options.out), "format": plan.recipe.format,
+                "file": str(options.file), "to": LEROBOT, "out": str(options.output), "format": plan.recipe.format,
                 "clock": plan.clock, "episodes": len(plan.episodes), "frames": plan.frame_count, "files": done.files,
                 "demonstrations": plan.demonstrations, "cuts": plan.cuts, "splits": plan.splits,
                 "left_out": plan.left_out, "streams": facts,
@@ -148,7 +148,7 @@ def _export(options: argparse.Namespace) -> int:
     if plan.recipe.splits:
         print_line("splits: " + ", ".join(f"{name} has the episodes {text}" for name, text in plan.splits.items()))
     print_line(
-        f"{options.out}: LeRobot {plan.recipe.format}, {count_text(plan.frame_count, 'frame')} in "
+        f"{options.output}: LeRobot {plan.recipe.format}, {count_text(plan.frame_count, 'frame')} in "
         f"{count_text(len(plan.episodes), 'episode')}, clock: {plan.clock}"
     )
     return 0

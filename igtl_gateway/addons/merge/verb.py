@@ -13,6 +13,7 @@ from igtl_gateway.addon import (
     GatewayError,
     SessionFile,
     add_json,
+    add_output,
     add_overwrite,
     check_target,
     count_text,
@@ -54,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         help="recordings, and names of the parts; the clock of the first one is the reference",
     )
-    parser.add_argument("-o", "--output", required=True, metavar="OUT", type=new_recording, help="file to write")
+    add_output(parser, read=new_recording, required=True, old=())
     parser.add_argument(
         "--offset",
         action="append",

@@ -26,7 +26,7 @@ EXAMPLES = """\
   # each stitch of the first and the last plan, with reasons
   igtl-gateway review out.mcap
   # all versions of the plan, one row for each stitch
-  igtl-gateway review out.mcap --csv stitches.csv
+  igtl-gateway review out.mcap -o stitches.csv
   # the wrong stitches, for programs
   igtl-gateway review out.mcap --json |
       jq '.plans[-1].stitches[] | select(.level == "wrong")'
@@ -42,13 +42,15 @@ Method and formulae: docs/how-to/review.md"""
 OPTIONS = (
     *rows_of(ReviewSelection),
     Setting(
-        "csv",
+        "output",
         "",
         "write a table with one row per stitch and version",
         metavar="OUT",
         reads=file_name(".csv"),
+        short="-o",
+        old=("--csv",),
     ),
-    Setting("overwrite", False, "overwrite an existing table", needs=("csv",)),
+    Setting("overwrite", False, "overwrite an existing table", needs=("output",)),
     Setting("json", False, "print the result as one JSON object"),
     *rows_of(Thresholds, "thresholds"),
 )
@@ -65,14 +67,14 @@ def run(options: argparse.Namespace) -> int:
     selection = ReviewSelection(**{each.name: values[each.name] for each in fields(ReviewSelection)})
     limits = checked_thresholds(thresholds, selection.clouds, lambda name: f"--{name.replace('_', '-')}")
     review, start_ns = review_recording(options.file, selection, limits)
-    if values["csv"]:
-        write_csv(Path(values["csv"]), review, values["overwrite"])
+    if values["output"]:
+        write_csv(Path(values["output"]), review, values["overwrite"])
     if values["json"]:
         print_json(review_facts(options.file, review))
     else:
         print_review(options.file, review, start_ns)
         print_next(
             (command("view", options.file), "show the stitches and the cloud in rerun"),
-            (command("review", options.file, "--csv", "stitches.csv"), "write one row for each stitch"),
+            (command("review", options.file, "-o", "stitches.csv"), "write one row for each stitch"),
         )
     return 1 if review.last.wrong else 0

@@ -20,6 +20,7 @@ from igtl_gateway.addon import (
     Stream,
     add_file,
     add_json,
+    add_output,
     add_overwrite,
     aligned,
     check_target,
@@ -103,7 +104,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="write a session with corrected stamps of the second stream (and of the second one of each --pair)",
     )
-    parser.add_argument("-o", "--out", type=new_recording, metavar="FILE", help="with --apply: the file to write")
+    add_output(parser, "with --apply: the file to write", new_recording, metavar="FILE")
     add_overwrite(parser, "files")
     add_json(parser)
 
@@ -134,7 +135,7 @@ def run(options: argparse.Namespace) -> int:
     else:
         _print(fixed, lags)
         if options.apply:
-            print_line(applied.text() if applied else f"{options.out}: not written: there is no lag to correct")
+            print_line(applied.text() if applied else f"{options.output}: not written: there is no lag to correct")
     return 0 if good else 1
 
 
@@ -145,11 +146,11 @@ def _check(options: argparse.Namespace) -> None:
             raise ConfigError(f"--{name.replace('_', '-')}: found {value:g}, expected more than 0")
     if options.pair and len(options.streams) != 2:
         raise ConfigError(f"--pair: found {len(options.streams)} streams, expected two before it")
-    if options.apply != (options.out is not None):
-        raise ConfigError("--apply: found it or --out alone, expected both")
+    if options.apply != (options.output is not None):
+        raise ConfigError("--apply: found it or -o OUT alone, expected both")
     if options.apply and (len(options.streams) != 2 or options.other):
         raise ConfigError(f"--apply: found {len(options.streams)} streams, expected two of one file")
-    for target in (options.out, options.plot):
+    for target in (options.output, options.plot):
         if target:
             check_target(target, overwrite=options.overwrite)
 
@@ -315,7 +316,7 @@ def _apply(
         if not is_corrected(lag, found[0]):
             raise GatewayError(
                 f"{moving.name}: after the correction by {lag_text(lag)} found {lag_text(found[0])}, "
-                f"expected no lag; {options.out} is not written"
+                f"expected no lag; {options.output} is not written"
             )
 
     corrections = {}
@@ -327,5 +328,5 @@ def _apply(
             corrections[stream.name, stream.type] = StampCorrection(
                 other.name, one.name, lag_ns, low_ns, high_ns, skew_ppm, lag.middle_ns, other.is_stamped
             )
-    verified = write_corrected(options.file, options.out, corrections, check=check, overwrite=options.overwrite)
-    return _Applied(options.out, tuple(each for _, each in ((fixed, moving), *pairs)), found[0], verified)
+    verified = write_corrected(options.file, options.output, corrections, check=check, overwrite=options.overwrite)
+    return _Applied(options.output, tuple(each for _, each in ((fixed, moving), *pairs)), found[0], verified)

@@ -29,6 +29,7 @@ from igtl_gateway.addon import (
     ViewerError,
     add_file,
     add_json,
+    add_output,
     add_overwrite,
     cell,
     check_target,
@@ -62,11 +63,11 @@ EXAMPLES = """\
   # in the window of rerun
   igtl-gateway view out.mcap
   # as a recording of rerun
-  igtl-gateway view out.mcap --save out.rrd
+  igtl-gateway view out.mcap -o out.rrd
   # as a web page for a browser on this machine
   igtl-gateway view out.mcap --web
   # as an image, 4.5 s after the start; needs no screen
-  igtl-gateway view out.mcap --screenshot out.png --at 4.5
+  igtl-gateway view out.mcap -o out.png --at 4.5
   # with another layout: star, ultrasound, navigation, generic
   igtl-gateway view out.mcap --blueprint navigation
   # with point clouds coloured by one of their fields
@@ -88,16 +89,19 @@ _WAIT_S = 0.2
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_file(parser, RECORDING_OR_BAG)
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--save", metavar="OUT.rrd", type=output_file(".rrd"), help="write a recording of rerun")
-    where.add_argument("--web", action="store_true", help="serve a web page on 127.0.0.1 until stopped")
-    where.add_argument(
-        "--screenshot", metavar="OUT.png", type=output_file(".png"), help="write an image; needs no screen"
+    add_output(
+        where,
+        "write a recording of rerun, or an image, which needs no screen",
+        output_file(".rrd", ".png"),
+        metavar="OUT.rrd|OUT.png",
+        old=("--save", "--screenshot"),
     )
+    where.add_argument("--web", action="store_true", help="serve a web page on 127.0.0.1 until stopped")
     parser.add_argument(
         "--port", type=int, metavar="PORT", help="with --web: port of the page " + default("a free one")
     )
     parser.add_argument(
-        "--at", type=float, metavar="SECONDS", help="with --screenshot: time from the start " + default("the end")
+        "--at", type=float, metavar="SECONDS", help="with -o OUT.png: time from the start " + default("the end")
     )
     parser.add_argument(
         "--blueprint", metavar="NAME", default="", help="layout of the views " + default("chosen by the content")
@@ -119,6 +123,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
+    is_image = options.output and (options.output.suffix == ".png" or options.output_spelling == "--screenshot")
+    options.screenshot, options.save = (options.output, None) if is_image else (None, options.output)
     _check(options)
     with SessionFile.open(options.file):  # before what only a good file needs: rerun, a screen
         pass
@@ -172,13 +178,13 @@ def _folder() -> Iterator[Path]:
 
 def _check(options: argparse.Namespace) -> None:
     if options.at is not None and not options.screenshot:
-        raise ConfigError("--at: found no --screenshot OUT.png, expected it: --at is the time of the image")
+        raise ConfigError("--at: found no -o OUT.png, expected it: --at is the time of the image")
     if options.at is not None and not 0 <= options.at < math.inf:
         raise ConfigError(f"--at: found {options.at:g}, expected seconds from the start, 0 or more")
     if options.port is not None and not options.web:
         raise ConfigError("--port: found no --web, expected it: --port is the port of the web page")
     if options.overwrite and not (options.save or options.screenshot):
-        raise ConfigError("--overwrite: found neither --save nor --screenshot, expected one of them")
+        raise ConfigError("--overwrite: found no -o OUT, expected it")
     if options.port is not None and not 0 <= options.port < 1 << 16:
         raise ConfigError(f"--port: found {options.port}, expected 0 to 65535")
     for path in filter(None, (options.save, options.screenshot)):

@@ -89,5 +89,5 @@ def check_screen(environment: Mapping[str, str]) -> None:
     if sys.platform == "linux" and not any(environment.get(name) for name in ("DISPLAY", "WAYLAND_DISPLAY")):
         raise ViewerError(
             "found no screen (neither DISPLAY nor WAYLAND_DISPLAY is set), expected a screen for the window; "
-            "without a screen use `igtl-gateway view` with --save, --web or --screenshot"
+            "without a screen use `igtl-gateway view` with -o FILE or --web"
         )

@@ -217,7 +217,7 @@ def replay(shop: WorkContext) -> list[Row]:
 def verify(shop: WorkContext) -> list[Row]:
     """The synthetic suturing session, and a recording of small messages: until the verdict, the start included."""
     star = shop.folder / "star.mcap"
-    _until_end("simulate", ["simulate", "star", "--out", str(star), "--overwrite", "--json"])
+    _until_end("simulate", ["simulate", "star", "-o", str(star), "--overwrite", "--json"])
     small = shop.folder / "small.mcap"
     count = _REPLAYED["transform"]
     record_passage(small, BenchStream("transform", 0.0), count, shop.clock)

@@ -10,7 +10,16 @@ from pathlib import Path
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.version import __version__
 from igtl_gateway.cli.common import count_text, size_text
-from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT, add_json, add_overwrite, address, default, definitions
+from igtl_gateway.cli.options import (
+    DEFAULT_HOST,
+    DEFAULT_PORT,
+    add_json,
+    add_output,
+    add_overwrite,
+    address,
+    default,
+    definitions,
+)
 from igtl_gateway.cli.terminal import print_json, print_line, print_text
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway import Gateway
@@ -31,7 +40,7 @@ EXAMPLES = f"""\
   # the same, shown live in rerun
   igtl-gateway simulate star --view
   # offline: no ROS, no network, always the same content
-  igtl-gateway simulate acquisition --out a.mcap
+  igtl-gateway simulate acquisition -o a.mcap
   # a load for the bridge
   igtl-gateway simulate test-server --type IMAGE --size 640 --rate 30 \\
       --count 300
@@ -53,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--duration", type=float, metavar="SECONDS", help="duration of the session")
     add_overwrite(parser)
     add_json(parser)
-    parser.add_argument("--out", type=Path, metavar="FILE", help="play offline and write this recording")
+    add_output(parser, "play offline and write this recording", metavar="FILE")
     live = parser.add_argument_group("live")
     live.add_argument("--record", type=Path, metavar="FILE", help="record to this MCAP file")
     live.add_argument("--view", action="store_true", help="show the session in rerun, like `bridge --view`")
@@ -109,11 +118,11 @@ def run(options: argparse.Namespace) -> int:
     if options.print_config:
         print_text(scenario.config.to_toml())
         return 0
-    if not options.out:
+    if not options.output:
         return stage.play_live(options, scenario)
     for name in ("record", "view", "side", "connect", "listen", "timeout"):
         if getattr(options, name):
-            raise ConfigError(f"--{name} is for a live scenario: it cannot be used with --out")
+            raise ConfigError(f"--{name} is for a live scenario: it cannot be used with -o")
     return _write(options, scenario)
 
 
@@ -139,7 +148,7 @@ def _write(options: argparse.Namespace, scenario: Scenario) -> int:
     cast = scenario.cast(options.duration)  # refuses what does not fit, before a file is replaced
     gateway = Gateway(scenario.config)
     entries, content = 0, ContentDigest()
-    with written(options.out, overwrite=options.overwrite) as place:
+    with written(options.output, overwrite=options.overwrite) as place:
         writer = SessionWriter(
             place,
             scenario_facts(options.name, scenario.config),
@@ -153,8 +162,8 @@ def _write(options: argparse.Namespace, scenario: Scenario) -> int:
         writer.close({"streams": gateway.ledger.to_dict()})
     reports = {actor.name: (actor.done, actor.report()) for actor in cast}
     good = all(done and report.good for done, report in reports.values())
-    length, sha256 = options.out.stat().st_size, content.hexdigest()
-    told = {"file": str(options.out), "entries": entries, "bytes": length, "sha256": sha256, "good": good}
+    length, sha256 = options.output.stat().st_size, content.hexdigest()
+    told = {"file": str(options.output), "entries": entries, "bytes": length, "sha256": sha256, "good": good}
     if options.json:
         actors = {name: stage.report_facts(done, report) for name, (done, report) in reports.items()}
         print_json(told | ({"actors": actors} if actors else {}))
@@ -163,7 +172,7 @@ def _write(options: argparse.Namespace, scenario: Scenario) -> int:
         for name, (done, report) in reports.items():
             print_line(*stage.report_lines(name, "", done, report))
         print_line(
-            f"{options.out}: {count_text(entries, 'entry', 'entries')}, {size_text(length)}",
+            f"{options.output}: {count_text(entries, 'entry', 'entries')}, {size_text(length)}",
             f"sha256 {sha256} of the content",
         )
     return 0 if good else 1

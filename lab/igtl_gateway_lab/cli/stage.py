@@ -45,7 +45,7 @@ _WARNINGS = 5
 def play_live(options: argparse.Namespace, scenario: Scenario) -> int:
     """Play it live and print the outcome."""
     if not scenario.actors:
-        raise ConfigError(f"{options.name} has no actors to play live: write it with --out FILE")
+        raise ConfigError(f"{options.name} has no actors to play live: write it with -o FILE")
     side = ActorProtocol(options.side) if options.side else None
     actors = [actor for actor in scenario.cast(options.duration) if side in (None, actor.side)]
     own_bridge = side is None or (side is ActorProtocol.ROS and options.listen is not None)
@@ -85,7 +85,7 @@ def _check(options: argparse.Namespace, side: ActorProtocol | None, own_bridge: 
     if not actors:
         raise ConfigError(f"--side {options.side}: {options.name} has no actors of that side")
     if any(actor.side is ActorProtocol.ROS for actor in actors) and importlib.util.find_spec("rclpy") is None:
-        raise Unavailable(f"{missing('rclpy')}; --out FILE plays offline, without ROS")
+        raise Unavailable(f"{missing('rclpy')}; -o FILE plays offline, without ROS")
 
 
 def _limits_s(options: argparse.Namespace, scenario: Scenario) -> tuple[float, float]:

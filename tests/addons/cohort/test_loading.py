@@ -169,6 +169,6 @@ def test_a_question_needs_no_library_that_takes_long_to_import(tmp_path: Path) -
         "import sys; from igtl_gateway.cli import main; code = main(sys.argv[1:]);"
         "print(code, sorted({'numpy', 'pandas', 'pyarrow', 'dask', 'igtl_gateway.convert'} & set(sys.modules)))"
     )
-    question = ["cohort", "query", "SELECT count(*) AS n FROM sessions", "--out", str(tmp_path / "out")]
+    question = ["cohort", "query", "SELECT count(*) AS n FROM sessions", "-o", str(tmp_path / "out")]
     done = subprocess.run([sys.executable, "-c", program, *question], capture_output=True, text=True, check=True)
     assert done.stdout.split("\n")[-2] == "0 []"

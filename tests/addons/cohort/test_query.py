@@ -91,7 +91,7 @@ def test_questions_only_read_the_tables(out: Path) -> None:
 
 
 def test_answers_as_table_json_csv_and_parquet(out: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    question = ["cohort", "query", "SELECT file, error, 0.5 AS x FROM tasks WHERE verb = 'verify'", "--out", str(out)]
+    question = ["cohort", "query", "SELECT file, error, 0.5 AS x FROM tasks WHERE verb = 'verify'", "-o", str(out)]
     assert main(question) == 0
     printed = capsys.readouterr().out
     assert "\\x1b[31m" in printed
@@ -103,13 +103,13 @@ def test_answers_as_table_json_csv_and_parquet(out: Path, tmp_path: Path, capsys
         assert main([*question, f"--{kind}", str(target)]) == 0
         assert target.stat().st_size > 50
         assert main([*question, f"--{kind}", str(target)]) == 2
-    assert main(["cohort", "query", "SELECT 1", "--out", str(tmp_path / "nothing")]) == 2
+    assert main(["cohort", "query", "SELECT 1", "-o", str(tmp_path / "nothing")]) == 2
     assert "found no cohort.json" in capsys.readouterr().err
 
 
 def test_the_report_escapes_all_foreign_text(out: Path, tmp_path: Path) -> None:
     page = tmp_path / "report.html"
-    assert main(["cohort", "report", "--out", str(out), "--html", str(page)]) == 0
+    assert main(["cohort", "report", "-o", str(out), "--html", str(page)]) == 0
     text = page.read_text("utf-8")
     assert "<script" not in text
     assert "\x1b" not in text
@@ -124,7 +124,7 @@ def test_an_empty_cohort_has_a_report(tmp_path: Path) -> None:
     with results.locked():
         results.add({"tasks": [task(1, "info", "timeout")]}, {})
     page = tmp_path / "report.html"
-    assert main(["cohort", "report", "--out", str(tmp_path / "out"), "--html", str(page)]) == 0
+    assert main(["cohort", "report", "-o", str(tmp_path / "out"), "--html", str(page)]) == 0
     assert "1 files." in page.read_text("utf-8")
 
 

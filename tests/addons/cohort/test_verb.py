@@ -24,7 +24,7 @@ from tests.tables import table
     ],
 )
 def test_wrong_usage(tmp_path: Path, arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["cohort", *arguments, "--out", str(tmp_path / "out")]) == 2
+    assert main(["cohort", *arguments, "-o", str(tmp_path / "out")]) == 2
     assert message in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
@@ -32,5 +32,5 @@ def test_wrong_usage(tmp_path: Path, arguments: list[str], message: str, capsys:
 def test_a_folder_with_other_things_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("pyarrow", reason='needs pyarrow: pip install "igtl-gateway[cohort]"')
     (tmp_path / "thesis.tex").touch()
-    assert main(["cohort", "info", str(tmp_path), "--out", str(tmp_path)]) == 2
+    assert main(["cohort", "info", str(tmp_path), "-o", str(tmp_path)]) == 2
     assert "expected tables of a cohort or a new folder" in capsys.readouterr().err

@@ -116,7 +116,7 @@ def test_the_viewer_dies_with_a_killed_program(recording: Path) -> None:
 
 def test_no_view_complains_about_the_suturing_session(tmp_path: Path, driver: None) -> None:
     recording = tmp_path / "star.rrd"
-    assert igtl_gateway(["view", str(FIXTURES / "star.mcap"), "--save", str(recording), "--json"]) == 0
+    assert igtl_gateway(["view", str(FIXTURES / "star.mcap"), "-o", str(recording), "--json"]) == 0
     with HeadlessViewer(recording, SIZE) as viewer:
         # before the first message, when no frame is known yet, and in the middle of it all
         start, sewing = (viewer.shot(viewer.at(part)) for part in (0.0, 0.5))

@@ -35,7 +35,7 @@ class Judge:
 
         self.files = {name: folder / f"{name}.rrd" for name in NAMES}
         for name, path in self.files.items():
-            assert main(["view", str(FIXTURES / f"{name}.mcap"), "--save", str(path), "--json"]) == 0
+            assert main(["view", str(FIXTURES / f"{name}.mcap"), "-o", str(path), "--json"]) == 0
         sets: Any = {name: [path] for name, path in self.files.items()}
         self.server = Server(host="127.0.0.1", datasets=sets)
         self.client = self.server.client()

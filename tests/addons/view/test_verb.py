@@ -46,7 +46,7 @@ def counts(path: Path) -> dict[str, int]:
 
 def test_a_suturing_session_is_saved_with_its_review(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "star.rrd"
-    assert main(["view", str(FIXTURES / "star.mcap"), "--save", str(out), "--json"]) == 0
+    assert main(["view", str(FIXTURES / "star.mcap"), "-o", str(out), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     rows = counts(out)
     assert told["blueprint"] == "star"
@@ -59,7 +59,7 @@ def test_a_suturing_session_is_saved_with_its_review(tmp_path: Path, capsys: pyt
 
 def test_what_is_drawn_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out.rrd"
-    arguments = ["view", str(FIXTURES / "paper-types.mcap"), "--save", str(out), "--blueprint", "generic"]
+    arguments = ["view", str(FIXTURES / "paper-types.mcap"), "-o", str(out), "--blueprint", "generic"]
     assert main(arguments) == 0
     told = capsys.readouterr().out
     assert "/igtl/in/Surface/mesh" in told
@@ -75,22 +75,22 @@ def test_a_recording_that_became_no_ros_messages_is_drawn_by_what_they_would_be(
         stamp_ns = START_NS + number * 1000
         writer.write(Entry(number, stamp_ns, Kind.IGTL_IN, "STRING/Greeting", "STRING", (data,), (1,)))
     writer.close({})
-    assert main(["view", str(path), "--save", str(out)]) == 0
+    assert main(["view", str(path), "-o", str(out)]) == 0
     assert counts(out)["/igtl/in/Greeting/string"] == 3
 
 
 @table(
     ("arguments", "code", "sentence"),
     [
-        (["--at", "3"], 2, "--at: found no --screenshot OUT.png, expected it"),
-        (["--screenshot", "{folder}/x.png", "--at", "nan"], 2, "--at: found nan, expected seconds from the start"),
-        (["--screenshot", "{folder}/x.png", "--at", "-1"], 2, "--at: found -1, expected seconds from the start"),
-        (["--screenshot", "{folder}/none/x.png"], 1, "none/x.png: there is no folder {folder}/none"),
+        (["--at", "3"], 2, "--at: found no -o OUT.png, expected it"),
+        (["-o", "{folder}/x.png", "--at", "nan"], 2, "--at: found nan, expected seconds from the start"),
+        (["-o", "{folder}/x.png", "--at", "-1"], 2, "--at: found -1, expected seconds from the start"),
+        (["-o", "{folder}/none/x.png"], 1, "none/x.png: there is no folder {folder}/none"),
         (["--port", "80"], 2, "--port: found no --web, expected it"),
         (["--web", "--port", "70000"], 2, "--port: found 70000, expected 0 to 65535"),
-        (["--save", "{folder}/x.rrd", "--blueprint", "stars"], 2, "--blueprint: found 'stars', expected star, "),
-        (["--save", "{folder}/taken"], 2, "taken: exists already, expected a new file or --overwrite"),
-        (["--save", "{folder}/none/x.rrd"], 1, "cannot write to {folder}/none/x.rrd: there is no folder {folder}/none"),
+        (["-o", "{folder}/x.rrd", "--blueprint", "stars"], 2, "--blueprint: found 'stars', expected star, "),
+        (["-o", "{folder}/taken"], 2, "taken: exists already, expected a new file or --overwrite"),
+        (["-o", "{folder}/none/x.rrd"], 1, "cannot write to {folder}/none/x.rrd: there is no folder {folder}/none"),
         ([], 1, "found no screen (neither DISPLAY nor WAYLAND_DISPLAY is set)"),
     ],
 )
@@ -109,14 +109,14 @@ def test_errors_are_one_sentence(
 def test_an_existing_file_is_replaced_where_asked_for(tmp_path: Path) -> None:
     out = tmp_path / "out.rrd"
     out.write_bytes(b"old")
-    assert main(["view", str(FIXTURES / "paper-types.mcap"), "--save", str(out), "--overwrite"]) == 0
+    assert main(["view", str(FIXTURES / "paper-types.mcap"), "-o", str(out), "--overwrite"]) == 0
     assert counts(out)["/tf"] == 2
 
 
 def test_a_recording_of_nothing_has_no_picture(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, out = tmp_path / "empty.mcap", tmp_path / "out.png"
     SessionWriter(path, {}).close({})
-    assert main(["view", str(path), "--screenshot", str(out)]) == 1
+    assert main(["view", str(path), "-o", str(out)]) == 1
     assert "empty.mcap: found no messages" in capsys.readouterr().err
     assert not out.exists()
 
@@ -135,13 +135,13 @@ def test_a_file_of_others_is_drawn_whatever_its_names_and_times_are(
             channel = writer.register_channel(topic, "cdr", schema)
             writer.add_message(channel, stamp, rosmsg.String(f"on {topic!r}").pack(), stamps[-1 - stamps.index(stamp)])
         writer.finish()  # type: ignore[no-untyped-call]
-    assert main(["view", str(path), "--save", str(out), "--json"]) == 0
+    assert main(["view", str(path), "-o", str(out), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["messages"] == len(topics)
     assert told["without_time"] == {"gateway_time": 5, "sender_time": 4}
     rows = counts(out.rename(tmp_path / "out.rrd"))
     assert sum(rows[entity] for entity in rows if entity.count("/") and not entity.startswith("/session/")) >= 10
-    assert main(["view", str(path), "--save", str(out), "--overwrite"]) == 0
+    assert main(["view", str(path), "-o", str(out), "--overwrite"]) == 0
     said = capsys.readouterr().out
     assert "? 5 entries not on the time line gateway_time: stamps before 1970 or after 2116" in said
     assert "\x1b" not in said
@@ -158,14 +158,14 @@ def test_what_comes_before_damage_is_drawn(tmp_path: Path, capsys: pytest.Captur
     whole = bytearray(path.read_bytes())
     whole[whole.index(hashlib.sha512(bytes([30])).hexdigest()[:16].encode())] ^= 1
     path.write_bytes(whole)
-    assert main(["view", str(path), "--save", str(out)]) == 1
+    assert main(["view", str(path), "-o", str(out)]) == 1
     said = capsys.readouterr()
     assert "igtl-gateway view: only the messages before the damage are drawn: " in said.err
     assert 20 <= counts(out)["/text"] < 39
 
 
 def test_a_field_that_no_cloud_has_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["view", str(FIXTURES / "ultrasound.mcap"), "--overwrite", "--save", str(tmp_path / "out.rrd")]
+    arguments = ["view", str(FIXTURES / "ultrasound.mcap"), "--overwrite", "-o", str(tmp_path / "out.rrd")]
     assert main([*arguments, "--colour-by", "noise"]) == 0
     told = capsys.readouterr().out
     assert "? --colour-by: found no cloud with a field 'noise', expected one of: " in told
@@ -208,7 +208,7 @@ def irregular(path: Path, late_s: float) -> Path:
 
 def test_the_lag_of_a_stream_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, out = irregular(tmp_path / "lag.mcap", 0.05), tmp_path / "out.rrd"
-    assert main(["view", str(path), "--save", str(out), "--sync", "/a", "/b", "--json"]) == 0
+    assert main(["view", str(path), "-o", str(out), "--sync", "/a", "/b", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)["lag"]
     assert told["lag_s"] == pytest.approx(0.05, abs=0.002)
     assert main(["sync", str(path), "/a", "/b", "--json"]) == 0
@@ -220,9 +220,9 @@ def test_the_lag_of_a_stream_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixt
         "/lag/curves/moving": 500,
         "/lag/curves/corrected": 500,
     }
-    assert main(["view", str(path), "--save", str(out), "--overwrite", "--sync", "/a", "/c"]) == 1
+    assert main(["view", str(path), "-o", str(out), "--overwrite", "--sync", "/a", "/c"]) == 1
     assert "found no stream '/c', expected one of /a, /b" in capsys.readouterr().err
-    assert main(["view", str(path), "--save", str(out), "--overwrite", "--sync", "/a", "/b"]) == 0
+    assert main(["view", str(path), "-o", str(out), "--overwrite", "--sync", "/a", "/b"]) == 0
     assert "/b behind /a: +5" in capsys.readouterr().out
 
 
@@ -231,10 +231,10 @@ def test_a_robot_of_the_user(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     urdf.write_text('<robot name="arm"><link name="base"/></robot>')
     path, out = irregular(tmp_path / "in.mcap", 0.0), tmp_path / "out.rrd"
     for word in (str(urdf), f"/PSM1={urdf}"):
-        assert main(["view", str(path), "--save", str(out), "--overwrite", "--urdf", word]) == 0
+        assert main(["view", str(path), "-o", str(out), "--overwrite", "--urdf", word]) == 0
         assert "a=b.urdf" in capsys.readouterr().out
     for word, found in (("none.urdf", "none.urdf: No such file"), (str(path), "invalid XML"), ("", "found")):
-        assert main(["view", str(path), "--save", str(out), "--overwrite", "--urdf", word]) in (1, 2)
+        assert main(["view", str(path), "-o", str(out), "--overwrite", "--urdf", word]) in (1, 2)
         assert found in capsys.readouterr().err
 
 
@@ -242,14 +242,14 @@ def test_a_robot_of_the_user(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     ("words", "code", "reason"),
     [
         (["nope.mcap"], 2, "nope.mcap: No such file"),
-        (["nope.mcap", "--screenshot", "x.png"], 2, "nope.mcap: No such file"),
+        (["nope.mcap", "-o", "x.png"], 2, "nope.mcap: No such file"),
         (
-            ["FILE", "--save", "star.png"],
+            ["FILE", "-o", "star.png"],
             2,
             "found 'star.png', the name of a picture, expected a recording of rerun: *.rrd",
         ),
-        (["FILE", "--screenshot", "star.jpg"], 2, "found 'star.jpg', the name of a picture, expected a picture: *.png"),
-        (["FILE", "--overwrite"], 2, "--overwrite: found neither --save nor --screenshot"),
+        (["FILE", "-o", "star.jpg"], 2, "found 'star.jpg', the name of a picture, expected a picture: *.png"),
+        (["FILE", "--overwrite"], 2, "--overwrite: found no -o OUT"),
     ],
 )
 def test_names_of_other_formats_and_missing_files(
@@ -268,5 +268,5 @@ def test_a_screenshot_without_a_driver_is_refused_before_the_drawing(
 ) -> None:
     monkeypatch.setenv("VK_DRIVER_FILES", str(tmp_path / "no.json"))
     monkeypatch.setattr("igtl_gateway.addons.view.stream.to_file", None)  # nothing is drawn
-    assert main(["view", str(FIXTURES / "star.mcap"), "--screenshot", str(tmp_path / "x.png")]) == 1
+    assert main(["view", str(FIXTURES / "star.mcap"), "-o", str(tmp_path / "x.png")]) == 1
     assert "found no usable Vulkan driver" in capsys.readouterr().err

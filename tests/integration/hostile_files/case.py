@@ -75,19 +75,19 @@ _SESSION_VERBS = (
     "recover F -o OUT.mcap",
     "lint F",
     "lint F --json",
-    "slice F OUT.mcap --start 0 --end 2",
+    "slice F -o OUT.mcap --start 0 --end 2",
     "diff F F",
     "diff F GOOD --json",
     "replay F --to igtl --listen 127.0.0.1:0 --wait-peers 0 --as-fast-as-possible",
     "replay F --to igtl --through-gateway --listen 127.0.0.1:0 --wait-peers 0 --as-fast-as-possible",
-    "import F --out OUT.mcap",
+    "import F -o OUT.mcap",
     *(
-        f"export F --to {target} --out OUT"
+        f"export F --to {target} -o OUT"
         for target in ("csv", "rosbag2", "igs.mha", "nrrd", "ply", "vtk", "parquet", "arrow")
     ),
     "sync F",
     "sync F --json",
-    "view F --save OUT.rrd",
+    "view F -o OUT.rrd",
     "review F",
     "review F --json",
     "deidentify F -o OUT.mcap",
@@ -96,7 +96,7 @@ _SESSION_VERBS = (
     "verify F --seal",
     "verify F --seal --trusted KEY.pub --json",
     "export F --to lerobot --write-recipe OUT.toml",
-    "export F --to lerobot --recipe RECIPE --out OUT",
+    "export F --to lerobot --recipe RECIPE -o OUT",
     "merge F SMALL -o OUT.mcap",
     "merge F --extract a -o OUT.mcap",
     "merge SMALL F -o OUT.mcap --json",
@@ -121,15 +121,15 @@ BESIDES = {
 VERBS: dict[str, tuple[str, ...]] = {
     "session": _SESSION_VERBS,
     "foreign MCAP": _SESSION_VERBS,
-    "ROS 1 bag": ("import F --out OUT.mcap", "import F --out OUT.mcap --json", "info F"),
-    "ROS 2 bag": ("import F --out OUT.mcap", "import F --out OUT.mcap --json", "info F"),
-    "sequence": ("import F --out OUT.mcap", "import F --out OUT.mcap --json", "info F"),
-    "capture": ("import F --out OUT.mcap", "import F --out OUT.mcap --json", "decode F"),
-    "stream": ("decode F", "decode F --reencode OUT.igtl", "import F --out OUT.mcap", "info F"),
-    "robot": ("view SMALL --save OUT.rrd --urdf F", "view SMALL --save OUT.rrd --json --urdf F"),
+    "ROS 1 bag": ("import F -o OUT.mcap", "import F -o OUT.mcap --json", "info F"),
+    "ROS 2 bag": ("import F -o OUT.mcap", "import F -o OUT.mcap --json", "info F"),
+    "sequence": ("import F -o OUT.mcap", "import F -o OUT.mcap --json", "info F"),
+    "capture": ("import F -o OUT.mcap", "import F -o OUT.mcap --json", "decode F"),
+    "stream": ("decode F", "decode F -o OUT.igtl", "import F -o OUT.mcap", "info F"),
+    "robot": ("view SMALL -o OUT.rrd --urdf F", "view SMALL -o OUT.rrd --json --urdf F"),
     "configuration": (
         "verify GOOD --config F",
-        "slice GOOD OUT.mcap --config F --start 0 --end 1",
+        "slice GOOD -o OUT.mcap --config F --start 0 --end 1",
         "lint GOOD --config F",
         "bridge --no-ros --listen 127.0.0.1:0 --duration 0.1 --config F",
     ),
@@ -143,8 +143,8 @@ VERBS: dict[str, tuple[str, ...]] = {
     ),
     "profile": ("deidentify SMALL -o OUT.mcap --profile F", "deidentify SMALL -o OUT.mcap --profile F --json"),
     "recipe": (
-        "export SMALL --to lerobot --recipe F --out OUT",
-        "export SMALL --to lerobot --recipe F --out OUT --json",
+        "export SMALL --to lerobot --recipe F -o OUT",
+        "export SMALL --to lerobot --recipe F -o OUT --json",
     ),
     "time stamp": (
         "seal SEALED --time-stamp F -o OUT.mcap",
@@ -173,7 +173,7 @@ VERBS: dict[str, tuple[str, ...]] = {
     ),
     "cohort": (
         *(
-            f"cohort {words} --out F --limit memory=64000000"
+            f"cohort {words} -o F --limit memory=64000000"
             for words in (
                 "query 'SELECT * FROM tasks'",
                 "query 'SELECT * FROM sessions' --json",
@@ -181,29 +181,29 @@ VERBS: dict[str, tuple[str, ...]] = {
                 "report --html OUT.html",
             )
         ),
-        "cohort info SMALL --out F --workers 1",
+        "cohort info SMALL -o F --workers 1",
     ),
     "question": tuple(
-        f"cohort query CONTENT --out COHORT{words} --limit seconds=2 --limit memory=64000000"
+        f"cohort query CONTENT -o COHORT{words} --limit seconds=2 --limit memory=64000000"
         for words in ("", " --json", " --csv OUT.csv", " --parquet OUT.parquet")
     ),
-    "sources": tuple(f"cohort {verb} F --out OUT --workers 2" for verb in ("info", "lint", "verify", "review", "sync")),
+    "sources": tuple(f"cohort {verb} F -o OUT --workers 2" for verb in ("info", "lint", "verify", "review", "sync")),
     # not decode: it reads a stream, which a FIFO or a device may be
     "place": (
         "info F",
-        "import F --out OUT.mcap",
+        "import F -o OUT.mcap",
         "verify GOOD --config F",
         "recover F -o OUT.mcap",
-        "export F --to csv --out OUT",
+        "export F --to csv -o OUT",
         "deidentify F -o OUT.mcap",
         "seal F --key KEY -o OUT.mcap",
         "verify F --seal",
         "verify SEALED --seal --trusted F",
         "deidentify SMALL -o OUT.mcap --profile F",
-        "export SMALL --to lerobot --recipe F --out OUT",
+        "export SMALL --to lerobot --recipe F -o OUT",
         "retain F --retention 1MB --dry-run",
         "upload F --to s3://bucket/prefix --patience 0",
-        "cohort query 'SELECT 1' --out F",
+        "cohort query 'SELECT 1' -o F",
         "merge SMALL F -o OUT.mcap",
         "seal SEALED --time-stamp F -o OUT.mcap",
         "verify STAMPED --seal --tsa F",

@@ -23,7 +23,7 @@ from tests.tables import table
 def test_a_recording_verifies_and_is_always_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     first, second = tmp_path / "first.mcap", tmp_path / "second.mcap"
     for path in (first, second):
-        assert main(["simulate", "acquisition", "--out", str(path), "--duration", "1.2"]) == 0
+        assert main(["simulate", "acquisition", "-o", str(path), "--duration", "1.2"]) == 0
     assert first.read_bytes() == second.read_bytes()
     assert main(["verify", str(first)]) == 0
     told = capsys.readouterr().out
@@ -32,7 +32,7 @@ def test_a_recording_verifies_and_is_always_the_same(tmp_path: Path, capsys: pyt
 
 def test_the_outcome_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "t.mcap"
-    assert main(["simulate", "test-server", "--type", "POINT", "--count", "3", "--out", str(out), "--json"]) == 0
+    assert main(["simulate", "test-server", "--type", "POINT", "--count", "3", "-o", str(out), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["good"] and told["bytes"] == out.stat().st_size
     assert told["actors"]["test_node"]["facts"]["received"] == 3
@@ -40,7 +40,7 @@ def test_the_outcome_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str])
 
 def test_scenarios_without_actors_are_written_as_ever(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "t.mcap"
-    assert main(["simulate", "paper-types", "--out", str(out), "--json"]) == 0
+    assert main(["simulate", "paper-types", "-o", str(out), "--json"]) == 0
     assert set(json.loads(capsys.readouterr().out)) == {"file", "entries", "bytes", "sha256", "good"}
 
 
@@ -57,7 +57,7 @@ def test_the_configuration_can_be_given_to_a_bridge(
 def test_an_existing_file_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "t.mcap"
     out.write_bytes(b"precious")
-    assert main(["simulate", "acquisition", "--out", str(out)]) == 2
+    assert main(["simulate", "acquisition", "-o", str(out)]) == 2
     assert "exists already" in capsys.readouterr().err
     assert out.read_bytes() == b"precious"
 
@@ -68,14 +68,14 @@ def test_half_a_story_leaves_no_file(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
     out = tmp_path / "t.mcap"
     monkeypatch.setattr(SessionWriter, "write", interrupted)
-    assert main(["simulate", "acquisition", "--out", str(out)]) == 1
+    assert main(["simulate", "acquisition", "-o", str(out)]) == 1
     assert [*tmp_path.iterdir()] == []
 
 
 def test_a_duration_that_is_refused_costs_no_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "t.mcap"
     out.write_bytes(b"precious")
-    assert main(["simulate", "lego", "--duration", "1", "--out", str(out), "--overwrite"]) == 2
+    assert main(["simulate", "lego", "--duration", "1", "-o", str(out), "--overwrite"]) == 2
     assert "duration of lego: found 1 s" in capsys.readouterr().err
     assert out.read_bytes() == b"precious"
 
@@ -83,12 +83,12 @@ def test_a_duration_that_is_refused_costs_no_file(tmp_path: Path, capsys: pytest
 @table(
     ("words", "told"),
     [
-        ("acquisition --out x --duration 0", "--duration: found 0.0, expected more than 0"),
+        ("acquisition -o x --duration 0", "--duration: found 0.0, expected more than 0"),
         ("acquisition --timeout 4000", "--timeout: found 4000.0"),
-        ("acquisition --out x --record y", "--record is for a live scenario"),
-        ("acquisition --out x --view", "--view is for a live scenario"),
+        ("acquisition -o x --record y", "--record is for a live scenario"),
+        ("acquisition -o x --view", "--view is for a live scenario"),
         ("acquisition --side igtl --view", "--view: with --side the bridge is yours"),
-        ("acquisition --out x --side ros", "--side is for a live scenario"),
+        ("acquisition -o x --side ros", "--side is for a live scenario"),
         ("acquisition --rate 5", "--rate: acquisition has no load"),
         ("paper-types", "paper-types has no actors to play live"),
         ("acquisition --connect :1", "--connect is for --side igtl"),
@@ -125,4 +125,4 @@ def test_the_live_bridge_records_what_is_for_the_recording_alone(monkeypatch: py
 def test_without_ros_it_says_what_to_do(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda _name: None)
     assert main(["simulate", "acquisition"]) == 1
-    assert capsys.readouterr().err.startswith(f"igtl-gateway simulate: {missing('rclpy')}; --out FILE")
+    assert capsys.readouterr().err.startswith(f"igtl-gateway simulate: {missing('rclpy')}; -o FILE")

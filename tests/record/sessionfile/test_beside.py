@@ -197,7 +197,7 @@ def test_a_folder_that_is_not_ours_ends_view_in_a_sentence(tmp_path: Path) -> No
     if place is None:
         pytest.skip("found no folder that takes no files (/proc, /sys)")
     fixture = ROOT / "fixtures" / "paper-types.mcap"
-    for option, name in (("--save", "out.rrd"), ("--screenshot", "out.png")):
+    for option, name in (("-o", "out.rrd"), ("-o", "out.png")):
         command = [sys.executable, "-m", "igtl_gateway", "view", str(fixture), option, str(place / name)]
         ended = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
         assert ended.returncode == 1
@@ -210,7 +210,7 @@ def test_a_disk_that_takes_no_more_ends_view_in_a_sentence(tmp_path: Path) -> No
     pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
     resource = pytest.importorskip("resource")
     fixture = ROOT / "fixtures" / "paper-types.mcap"
-    command = [sys.executable, "-m", "igtl_gateway", "view", str(fixture), "--save", str(tmp_path / "out.rrd")]
+    command = [sys.executable, "-m", "igtl_gateway", "view", str(fixture), "-o", str(tmp_path / "out.rrd")]
     ended = subprocess.run(
         command,
         capture_output=True,

@@ -73,7 +73,7 @@ def test_info_counts_and_says_nothing_of_damage(tmp_path: Path, capsys: pytest.C
 VERBS: dict[str, tuple[list[str], set[int]]] = {
     "verify": (["FILE"], {2}),
     "lint": (["FILE"], {0, 1, 2}),
-    "slice": (["FILE", "OUT"], {2}),
+    "slice": (["FILE", "-o", "OUT"], {2}),
     "diff": (["FILE", "FILE"], {0}),
     "replay": (["FILE", "--to", "igtl", "--listen", "127.0.0.1:0", "--rate", "0"], {2}),
     "import": (["FILE", "-o", "OUT", "--json"], {0}),

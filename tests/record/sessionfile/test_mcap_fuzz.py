@@ -87,7 +87,7 @@ def test_verbs_survive_mutants(tmp_path: Path, capsys: pytest.CaptureFixture[str
         write_anew(path, data)
         for words in (
             ["info", str(path)], ["info", str(path), "--json"], ["verify", str(path)], ["doctor", str(path)],
-            ["slice", str(path), out, "--overwrite"], ["diff", str(path), str(path)],
+            ["slice", str(path), "-o", out, "--overwrite"], ["diff", str(path), str(path)],
             ["recover", str(path), "--overwrite"], ["import", str(path), "-o", out, "--overwrite"],
         ):  # fmt: skip
             assert main(words) in (0, 1, 2), (name, words)
