@@ -49,7 +49,7 @@ gc.set_threshold(20_000, 20, 50)
 
 # "fast" is the same on every run, so a red test is red for everybody; "deep" looks for new examples.
 # No deadline: the time of an example depends more on the machine than on the code.
-settings.register_profile("fast", max_examples=30, derandomize=True, deadline=None)
+settings.register_profile("fast", max_examples=20, derandomize=True, deadline=None)
 settings.register_profile("deep", max_examples=2000, deadline=None)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fast"))
 

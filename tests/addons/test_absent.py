@@ -16,9 +16,9 @@ from typing import Any
 import pytest
 
 from igtl_gateway.base.addons import ADDONS
-from tests.places import ROOT
+from tests.places import FIXTURES, ROOT
 
-STAR, OTHER = ROOT / "fixtures" / "star.mcap", ROOT / "fixtures" / "brain.mcap"
+STAR, SMALL, OTHER = (FIXTURES / f"{name}.mcap" for name in ("star", "paper-types", "brain"))
 
 #: Runs verbs, given as lists of words, and imports all modules; prints code, stderr and what failed as JSON.
 PROGRAM = """\
@@ -55,12 +55,12 @@ print(json.dumps({"place": igtl_gateway.__file__, "runs": [run(words) for words 
 CORE = (
     ("--help",),
     ("--version",),
-    ("info", STAR),
-    ("verify", STAR),
-    ("diff", STAR, STAR),
-    ("slice", STAR, "-o", "OUT/slice.mcap", "--end", "1"),
-    ("recover", STAR, "-o", "OUT/recovered.mcap"),
-    ("doctor", STAR),
+    ("info", SMALL),
+    ("verify", SMALL),
+    ("diff", SMALL, SMALL),
+    ("slice", SMALL, "-o", "OUT/slice.mcap", "--end", "1"),
+    ("recover", SMALL, "-o", "OUT/recovered.mcap"),
+    ("doctor", SMALL),
     ("replay", "--help"),
     ("doctor", "--help"),
     ("bridge", "--help"),
@@ -83,20 +83,20 @@ NEEDED: dict[str, tuple[tuple[object, ...], ...]] = {
     "view": (("view", STAR),),
     "resim": (("resim", STAR, "--", "true"),),
     "review": (("review", STAR), ("cohort", "review", STAR, "-o", "OUT/cohort")),
-    "cohort": (("cohort", "info", STAR, "-o", "OUT/cohort"),),
+    "cohort": (("cohort", "info", SMALL, "-o", "OUT/cohort"),),
     "lerobot": (("export", STAR, "--to", "lerobot", "-o", "OUT/set"),),
     "zenoh": (("zenoh-router",), ("bridge", "--ros", "zenoh", "--listen", "127.0.0.1:0", "--duration", "0.1")),
 }
 #: Add-on → what other add-ons do without it.
 WITHOUT: dict[str, tuple[tuple[object, ...], ...]] = {
     "sync": (
-        ("view", STAR, "-o", "OUT/view.rrd"),
+        ("view", SMALL, "-o", "OUT/view.rrd"),
         ("merge", f"a={STAR}", f"b={OTHER}", "-o", "OUT/m.mcap", "--offset", "b=0.1"),
-        ("cohort", "info", STAR, "-o", "OUT/cohort"),
+        ("cohort", "info", SMALL, "-o", "OUT/cohort"),
     ),
-    "exchange": (("cohort", "info", STAR, "-o", "OUT/cohort"),),
-    "review": (("view", STAR, "-o", "OUT/view.rrd"), ("cohort", "info", STAR, "-o", "OUT/cohort")),
-    "lerobot": (("export", STAR, "--to", "csv", "-o", "OUT/csv"), ("export", "--help")),
+    "exchange": (("cohort", "info", SMALL, "-o", "OUT/cohort"),),
+    "review": (("view", SMALL, "-o", "OUT/view.rrd"), ("cohort", "info", SMALL, "-o", "OUT/cohort")),
+    "lerobot": (("export", SMALL, "--to", "csv", "-o", "OUT/csv"), ("export", "--help")),
 }
 EVERY = tuple(ADDONS)
 

@@ -1,4 +1,4 @@
-"""``replay`` as a process, with plain sockets as peers: the same bytes in the same order at every rate."""
+"""``replay``, much of it as a process, with plain sockets as peers: the same bytes in the same order at every rate."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -81,14 +83,22 @@ def received(*arguments: str) -> tuple[bytes, dict[str, object]]:
 
 
 def received_lines(*arguments: str) -> tuple[bytes, list[dict[str, Any]]]:
-    """What a server receives from a replay that connects to it, and all lines that the replay prints."""
-    with server() as listener, replay(*arguments, "--to", "igtl", "--connect", target(listener), "--json") as process:
+    """What a server receives from a replay that connects to it, and all lines that the replay prints.
+
+    The replay runs in this process, whose start takes longer than most of them.
+    """
+
+    def serve() -> bytes:
         peer, _ = listener.accept()
         with peer:
-            data = everything(peer)
-        out, err = process.communicate(timeout=PATIENCE_S)
-        assert process.returncode == 0, err
-        return data, [json.loads(line) for line in out.splitlines()]
+            return everything(peer)
+
+    with server() as listener, ThreadPoolExecutor(1) as pool, redirect_stdout(StringIO()) as out:
+        data = pool.submit(serve)
+        with redirect_stderr(StringIO()) as err:
+            code = main(["replay", *arguments, "--to", "igtl", "--connect", target(listener), "--json"])
+        assert code == 0, err.getvalue()
+        return data.result(), [json.loads(line) for line in out.getvalue().splitlines()]
 
 
 def recorded(path: Path, *streams: str) -> bytes:

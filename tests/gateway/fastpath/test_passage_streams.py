@@ -467,7 +467,9 @@ def test_nothing_passes_natively_under_the_settings_before_a_change(
 
 def test_a_peer_that_does_not_read_loses_what_python_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     with scene(monkeypatch) as here:
-        peer = socket.create_connection(here.bridge.addresses[0])
+        peer = socket.socket()
+        peer.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 16)  # soon full
+        peer.connect(here.bridge.addresses[0])
         wait_for(here.bridge.tcp.links)
         number = 0
         while here.bridge.tcp.counters()[1].queued_messages == 0 and number < 100_000:
