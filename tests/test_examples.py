@@ -25,6 +25,7 @@ def programs_in(page: str) -> list[str]:
     return re.findall(r"^```python\n(.*?)^```", (ROOT / "docs" / page).read_text("utf-8"), re.DOTALL | re.MULTILINE)
 
 
+@pytest.mark.slow
 def test_without_hardware() -> None:
     result = run_pytest(ROOT / "examples" / "test_without_hardware")
     assert result.returncode == 0, result.stdout + result.stderr
@@ -51,6 +52,7 @@ def test_dvrk() -> None:
     assert gateway.from_peer(Message("TRANSFORM", "PSM1/servo_cp", identity)).ros("/igtl/in/**") == []
 
 
+@pytest.mark.slow
 def test_the_first_offline_test(tmp_path: Path) -> None:
     """docs/how-to/offline-test.md, as a reader types it."""
     program, test = programs_in("how-to/offline-test.md")

@@ -60,6 +60,7 @@ def test_the_core_runs_on_every_python_with_requirements_of_the_project() -> Non
     assert all((ROOT / folder).is_dir() for folder in (*core.TESTS, *core.ROS_TESTS))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in core.NAMES if name != OWN])
 def test_every_module_compiles_without_a_warning(name: str) -> None:
     python = core.present(name)

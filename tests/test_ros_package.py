@@ -77,6 +77,7 @@ def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return workspace / "install" / "igtl_gateway"
 
 
+@pytest.mark.slow
 def test_colcon_installs_executables_shared_files_and_the_index(installed: Path) -> None:
     share = installed / "share" / "igtl_gateway"
     assert (installed / "share/ament_index/resource_index/packages/igtl_gateway").is_file()
@@ -224,6 +225,7 @@ def test_a_launch_file_configures_and_activates_a_bridge_once() -> None:
     assert [node["exec"] for node in every(active["actions"], "node")] == ["test_node"]
 
 
+@pytest.mark.slow
 @pytest.mark.ros
 def test_the_nodes_run_as_launch_starts_them(installed: Path, tmp_path: Path) -> None:
     session, file = tmp_path / "session.mcap", tmp_path / "or1.yaml"

@@ -49,6 +49,7 @@ def is_equal(found: Any, expected: Any) -> bool:
     return np.array_equal(found, expected, equal_nan=not isinstance(expected, str | list))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["star", "every-type", "lego"])
 def test_columns_are_the_fields_that_rosbags_decodes(name: str) -> None:
     compared = set()

@@ -488,6 +488,7 @@ def test_one_name_is_not_its_letters() -> None:
     assert [stream.stream for stream in only.streams] == ["/star/tool"]
 
 
+@pytest.mark.slow
 def test_results_are_one_line_in_a_console_and_escaped_in_a_notebook() -> None:
     with igtl_gateway.open(STAR) as recording:
         stream, images = recording[TOOL], recording["IMAGE/Camera"].images()
@@ -505,6 +506,7 @@ def test_results_are_one_line_in_a_console_and_escaped_in_a_notebook() -> None:
         assert "<script>" not in stream._repr_html_() and "&lt;script&gt;" in stream._repr_html_()
 
 
+@pytest.mark.slow
 def test_the_verbs_take_an_open_recording(tmp_path: Path) -> None:
     with igtl_gateway.open(STAR) as recording:
         assert igtl_gateway.review(recording).last.wrong == igtl_gateway.review(STAR).last.wrong

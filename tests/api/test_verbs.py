@@ -55,6 +55,7 @@ def test_diff(capsys: pytest.CaptureFixture[str]) -> None:
         igtl_gateway.diff(LEGO, LEGO, tolerance_mm=-1)
 
 
+@pytest.mark.slow
 def test_review() -> None:
     found = igtl_gateway.review(STAR, clouds=2)
     assert found.last.stitches

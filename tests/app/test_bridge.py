@@ -153,6 +153,7 @@ def test_what_a_peer_says_is_in_the_recording(tmp_path: Path) -> None:
     assert HELLO in [entry.data() for entry in recorded if entry.kind is Kind.IGTL_IN]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "split_s"), [("every-type", 2.0), ("crtk", 0.5)])
 def test_every_part_of_a_session_verifies_alone(name: str, split_s: float, tmp_path: Path) -> None:
     """Nothing but a part and its prologue: queries, frames, commands, robots and all."""

@@ -123,6 +123,7 @@ def test_a_recording_does_not_start_with_a_key_that_others_may_read(tmp_path: Pa
 # -- beside the parts -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_side_file_of_a_split_recording_follows_from_its_sealed_parts(split: Path) -> None:
     side = split / "metadata.yaml"
     text = side.read_text("utf-8")

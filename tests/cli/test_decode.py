@@ -136,6 +136,7 @@ def test_a_wrong_crc_and_a_body_of_no_sense(tmp_path: Path, capsys: pytest.Captu
     assert "content" not in told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("shell", "code", "said"),
     [

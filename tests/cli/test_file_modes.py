@@ -31,6 +31,7 @@ def names(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     return sound_files(tmp_path_factory.mktemp("sound"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("words", WRITERS)
 def test_outputs_are_private(
     tmp_path: Path, words: str, names: dict[str, str], monkeypatch: pytest.MonkeyPatch

@@ -206,6 +206,7 @@ def test_a_duration_that_never_ends_is_usage(duration: str, capsys: pytest.Captu
     assert "--duration" in err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [">&-", "2>&-", ">&- 2>&-", "| :"])
 def test_closed_outputs_end_nothing_with_a_traceback(how: str, tmp_path: Path) -> None:
     path = tmp_path / "out.mcap"
@@ -283,6 +284,7 @@ def test_a_name_that_no_file_can_have_is_usage(capsys: pytest.CaptureFixture[str
     assert err.endswith("File name too long\n") and err.count("\n") == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", ["info", "verify", "lint", "recover", "slice", "diff", "export", "review"])
 def test_limits_are_lowered_and_raised_for_each_verb(
     verb: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -34,6 +34,7 @@ def test_what_follows_info(facts: dict[str, object], verbs: list[str]) -> None:
     assert [shlex.split(step)[1] for step, _ in info_steps("x.mcap", **facts)] == verbs  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 def test_the_proposed_commands_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

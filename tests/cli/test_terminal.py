@@ -171,6 +171,7 @@ def test_no_argument_reaches_the_terminal_raw(arguments: list[str], capsys: pyte
     assert "\\x1b" in told.err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("environment", [{"LC_ALL": "C"}, {"PYTHONIOENCODING": "ascii"}, {"PYTHONUTF8": "0"}])
 def test_a_file_name_that_is_no_utf8(environment: dict[str, str], tmp_path: Path) -> None:
     path = os.fsencode(tmp_path) + b"/\xff\xe9\n.mcap"

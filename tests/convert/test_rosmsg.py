@@ -117,6 +117,7 @@ def test_bytes_are_those_of_rosbags(name: str) -> None:
     run()
 
 
+@pytest.mark.slow
 @table("little", [True, False], ids=["little", "big"])
 @table("name", sorted(TYPES))
 def test_reading_both_byte_orders(name: str, little: bool) -> None:

@@ -252,6 +252,7 @@ def test_a_new_size_begins_a_new_stream(codec: str, got: Collector, decoder: Vid
         assert psnr(pixels_of(picture), scene(0, *size)) > 30
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("codec", CODECS)
 @pytest.mark.parametrize(("bit_rate", "rate"), [(300_000, 30), (1_500_000, 30), (300_000, 10), (1_500_000, 60)])
 def test_bit_rate(codec: str, bit_rate: int, rate: int, got: Collector) -> None:

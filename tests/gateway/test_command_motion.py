@@ -309,6 +309,7 @@ def test_an_honest_stream_at_half_the_limit_keeps_moving_with_jitter() -> None:
 # -- worlds -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_in_random_worlds_no_window_is_faster_than_the_limit() -> None:
     """Stalls, bursts, reordering, repetition, lies of stamps and of states, several streams; 10,000 worlds pass."""
     sent = passed = pauses = 0

@@ -78,6 +78,7 @@ def declared(session: Any, node: Node, kind: Kind, number: int, topic: str) -> A
 more = pytest.mark.skipif(not ALL, reason="IGTL_GATEWAY_ALL_AS_WINDOWS=1 asks for it")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "number", [pytest.param(signal.SIGINT, id="Ctrl-C"), pytest.param(signal.SIGQUIT, id="Ctrl-Break", marks=more)]
 )
@@ -126,6 +127,7 @@ def test_a_session_over_zenoh_is_recorded_and_verifies(tmp_path: Path, number: s
     assert run_verbs(["verify", path], cwd=tmp_path)[0][0] == 0
 
 
+@pytest.mark.slow
 def test_the_verbs_work(tmp_path: Path) -> None:
     session = "every.mcap"
     shutil.copy(ROOT / "fixtures" / (STAR if ALL else SMALL), tmp_path / session)

@@ -23,6 +23,7 @@ EVENTS = "/parameter_events"
 STRINGS = 9  # rcl_interfaces/msg/ParameterType
 
 
+@pytest.mark.slow
 def test_parameters_and_settings_change_together(tmp_path: Path) -> None:
     file, out = tmp_path / "gw.yaml", tmp_path / "out.mcap"
     file.write_text('/**:\n  ros__parameters:\n    deny_in: ["SENSOR"]\n    max_age_s: 2.5\n', "utf-8")

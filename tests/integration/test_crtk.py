@@ -35,6 +35,7 @@ COMMANDS = {"/PSM1/servo_cp": POSE_TYPE, "/PSM1/state_command": TEXT_TYPE, "/PSM
 STATES = {"/PSM1/measured_cp": POSE_TYPE, "/PSM1/measured_js": JOINTS_TYPE}
 
 
+@pytest.mark.slow
 def test_one_arm_and_another_that_appears_later(tmp_path: Path) -> None:
     recording = tmp_path / "arm.mcap"
     limits = tmp_path / "limits.toml"  # none depends on how fast this machine is

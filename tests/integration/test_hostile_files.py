@@ -64,6 +64,7 @@ def test_the_judge_can_fail() -> None:
         assert judged("a", "info F", good | change).faults == (fault,)
 
 
+@pytest.mark.slow
 def test_a_worker_that_died_is_replaced(tmp_path: Path) -> None:
     worker = Worker(tmp_path)
     try:

@@ -26,6 +26,7 @@ RULES = ("/camera/pose:=/microscope/pose", "igtl/in/Raw/string:=/said", "__ns:=/
 NUMBER = 40
 
 
+@pytest.mark.slow
 def test_a_bridge_is_a_node_like_any_other(tmp_path: Path) -> None:
     path, file = tmp_path / "out.mcap", tmp_path / "gw.yaml"
     file.write_text(FILE)

@@ -117,6 +117,7 @@ def computed(entries: Sequence[Entry], config: Config, instead: Sequence[Entry])
     return log
 
 
+@pytest.mark.slow
 def test_the_log_over_zenoh_is_that_over_dds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "87")
     with SessionFile.open(GOLDEN) as file:

@@ -79,6 +79,7 @@ def world() -> Iterator[World]:
     assert bridge.events[-1]["event"] == "stopped"
 
 
+@pytest.mark.slow
 def test_ros_cannot_be_imported_there() -> None:
     tried = gateway("bridge", "--listen", "127.0.0.1:0", PYTHONPATH=WITHOUT_ROS).end(None)
     assert (tried.code, tried.out) == (1, "")

@@ -89,6 +89,7 @@ def test_a_flood_is_limited_natively(monkeypatch: pytest.MonkeyPatch, tmp_path: 
     assert "rate_limited" in codes
 
 
+@pytest.mark.slow
 def test_a_peer_that_does_not_read_leaves_the_others_native(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """What it is sent waits in its own queue, in order; before, the whole stream went through Python."""
     path = tmp_path / "session.mcap"

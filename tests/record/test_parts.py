@@ -127,6 +127,7 @@ def test_every_part_verifies_alone_and_the_folder_as_a_whole(path: Path) -> None
         assert not verify(file.entries(), Config()).good, "the prologue is what makes it verify"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [{}, {"split_s": 1e3}], ids=["one file", "parts"])
 @pytest.mark.parametrize("cut", [1, 37, 150, 151, 152, 153])
 def test_what_follows_a_file_that_was_truncated_verifies(path: Path, cut: int, options: dict[str, Any]) -> None:
@@ -189,6 +190,7 @@ def healthy(file: Path) -> bool:
     return done.returncode == 0 and re.search(r"^OK|\b0\s+errors", done.stdout) is not None
 
 
+@pytest.mark.slow
 def test_the_doctor_finds_nothing(path: Path) -> None:
     files = record(path, session(2), split_s=1.0).files
     assert all(healthy(file) for file in files if file.suffix == ".mcap")

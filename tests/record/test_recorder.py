@@ -656,6 +656,7 @@ def test_modules_are_found_where_the_process_finds_them(tmp_path: Path, monkeypa
     assert host._python_path() == [str(tmp_path), str(tmp_path / "here"), "/there"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("work", ["idle", "busy"])
 def test_after_kill_9_of_both_everything_flushed_is_there(path: Path, work: str) -> None:
     with subprocess.Popen(
@@ -724,6 +725,7 @@ def noise(seed: int) -> bytes:
     return random.Random(seed).randbytes(50_000)
 
 
+@pytest.mark.slow
 def test_when_the_disk_is_full_the_recording_ends_and_the_process_goes_on(path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-c", FULL_DISK_CHILD, str(path)],

@@ -62,6 +62,7 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "last.mcap"
 
 
+@pytest.mark.slow
 def test_a_snapshot_has_the_last_seconds_whole_and_verifies(path: Path) -> None:
     entries = session(5)
     bench = Bench(path)

@@ -99,6 +99,7 @@ RINGS: dict[str, tuple[Sizes, tuple[Step, ...]]] = {
 }
 
 
+@pytest.mark.slow
 @table("compiled", [True, False], ids=["in C", "in Python"])
 @table("name", RINGS)
 def test_every_order_of_steps_in_a_small_ring(library: ctypes.CDLL, name: str, compiled: bool) -> None:
@@ -188,6 +189,7 @@ class Ring(RuleBasedStateMachine):
         self.model.check()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compiled", [True, False], ids=["in C", "in Python"])
 @pytest.mark.parametrize(
     "sizes",

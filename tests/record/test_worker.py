@@ -160,6 +160,7 @@ def repeated(entries: list[Entry], times: int) -> list[Entry]:
     ]
 
 
+@pytest.mark.slow
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=40)
 @given(entries=samples.sessions())
 def test_files_with_rows_are_equal(tmp_path: Path, entries: list[Entry]) -> None:
@@ -167,6 +168,7 @@ def test_files_with_rows_are_equal(tmp_path: Path, entries: list[Entry]) -> None
     assert recorded(tmp_path / "a", entries, rows=True) == recorded(tmp_path / "a", entries, rows=False)
 
 
+@pytest.mark.slow
 def test_a_file_of_many_chunks_with_rows_is_equal(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     compiled = add_rows
     if compiled is None:

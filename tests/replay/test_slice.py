@@ -45,6 +45,7 @@ def content(entry: Entry) -> object:
     return (entry.stamp_ns, entry.kind, entry.channel, entry.links, entry.data())
 
 
+@pytest.mark.slow
 @table("part", PARTS)
 @table("name", NAMES)
 def test_a_slice_verifies_and_holds_what_was_recorded(name: str, part: tuple[float, float]) -> None:

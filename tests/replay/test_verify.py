@@ -117,6 +117,7 @@ def test_a_message_that_was_cut_is_a_difference_not_a_failure(entries: list[Entr
     assert report.differing == 1
 
 
+@pytest.mark.slow
 @table("bit", range(0, 58 * 8, 3))
 def test_any_bit_of_a_header_is_a_difference_not_a_failure(entries: list[Entry], bit: int) -> None:
     def flip(data: bytes) -> bytes:
@@ -276,6 +277,7 @@ def test_any_bit_of_any_output_of_every_type_is_found(every_type: list[Entry]) -
     assert [difference.stream for difference in report.differences] == [entry.channel for entry in outputs]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("offset", [0, 60, -1])
 def test_a_byte_of_any_message_of_every_type_that_came_in_is_found(every_type: list[Entry], offset: int) -> None:
     """Header version, content and last byte of each: the gateway refuses it, or gives a different output."""
@@ -293,6 +295,7 @@ def test_a_byte_of_any_message_of_every_type_that_came_in_is_found(every_type: l
         assert report.differences[0].cause == turned.seq
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("table", ["TO_ROS", "TO_IGTL"])
 def test_a_mutation_of_any_converter_is_found(
     every_type: list[Entry], table: str, monkeypatch: pytest.MonkeyPatch

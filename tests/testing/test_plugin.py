@@ -8,6 +8,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from tests.places import ROOT
 from tests.testing.outside import run_pytest
 
@@ -41,6 +43,7 @@ def test_difference(igtl_gateway, assert_session_equal):
 """
 
 
+@pytest.mark.slow
 def test_a_project_uses_the_fixtures(tmp_path: Path) -> None:
     (tmp_path / "test_it.py").write_text(TESTS)
     (tmp_path / "lab.toml").write_text('[gateway]\nros_unit = "mm"\n')

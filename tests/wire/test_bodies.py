@@ -479,6 +479,7 @@ def test_capability_without_types() -> None:
 EXACT = [*(kind.NAME for kind in LISTS), "SENSOR", "NDARRAY", "COLORT", "CAPABILITY"]
 
 
+@pytest.mark.slow
 @table("kind", EXACT)
 def test_what_is_decoded_equals_what_was_encoded(kind: str) -> None:
     @given(strategies.bodies()[kind], st.sampled_from([1, 2]))
@@ -489,6 +490,7 @@ def test_what_is_decoded_equals_what_was_encoded(kind: str) -> None:
     run()
 
 
+@pytest.mark.slow
 @table("kind", KINDS)
 def test_round_trip_of_every_body(kind: str) -> None:
     @given(strategies.bodies(strategies.finite32)[kind])
@@ -504,6 +506,7 @@ def test_round_trip_of_every_body(kind: str) -> None:
     run()
 
 
+@pytest.mark.slow
 @table("kind", KINDS)
 def test_arbitrary_content_raises_only_wire_errors(kind: str) -> None:
     @given(st.binary(max_size=150) | strategies.damaged(strategies.bodies()[kind].map(lambda b: join(b.pack())), 0))

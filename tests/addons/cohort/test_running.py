@@ -83,6 +83,7 @@ def rows(out: Path) -> dict[str, list[dict[str, Any]]]:
     }
 
 
+@pytest.mark.slow
 def test_a_cohort_is_tables_and_a_second_run_does_nothing(
     cohort: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -121,6 +122,7 @@ def test_a_cohort_is_tables_and_a_second_run_does_nothing(
     assert fourth.before == 12
 
 
+@pytest.mark.slow
 def test_killed_programs_give_the_tables_of_a_serial_run(
     cohort: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -148,6 +150,7 @@ def test_killed_programs_give_the_tables_of_a_serial_run(
     assert rows(tmp_path / "killed") == rows(here)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("times", [task.TRIES, 2 * task.TRIES])
 def test_a_killed_file_is_tried_again_alone(
     cohort: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, times: int

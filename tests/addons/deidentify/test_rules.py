@@ -119,6 +119,7 @@ def test_text_beside_the_picture(form: str) -> None:
         assert part is None or TEXT[:6] not in part, cut
 
 
+@pytest.mark.slow
 def test_a_sealed_recording_with_a_prologue_by_the_command_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

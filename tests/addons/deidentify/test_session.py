@@ -35,6 +35,7 @@ def inputs(path: Path) -> list[Any]:
         return [entry for entry in file.entries() if entry.kind.is_input]
 
 
+@pytest.mark.slow
 def test_nothing_that_was_planted_is_found(planted: Path, tmp_path: Path) -> None:
     assert found(planted)
     out = tmp_path / "clean.mcap"

@@ -103,6 +103,7 @@ def test_the_orientation_of_the_source_is_kept(
     assert (fields["UltrasoundImageOrientation"], fields["UltrasoundImageType"]) == (orientation, kind)
 
 
+@pytest.mark.slow
 @table("coordinate", [RAS, LPS])
 @table(("size", "frames"), [((5, 4, 3), 1), ((5, 4, 3), 2), ((5, 4, 1), 1), ((5, 4, 1), 2)])
 def test_itk_sees_images_where_they_were(

@@ -91,6 +91,7 @@ def test_what_rosbags_writes_is_read_alike(tmp_path: Path) -> None:
             assert sorted((one.time_ns, one.connection, one.data) for one in file.messages()) == expected
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", ["bz2", "lz4"])
 @pytest.mark.parametrize("lie", [None, 100, 2**32 - 1])
 def test_bombs_are_refused_before_they_are_unpacked(tmp_path: Path, how: str, lie: int | None) -> None:

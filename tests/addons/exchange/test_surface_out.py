@@ -52,6 +52,7 @@ ALL_CELLS = PolyData(
 )
 
 
+@pytest.mark.slow
 def test_vtk_reads_every_attribute_that_fits(tmp_path: Path) -> None:
     fitting = (
         attribute(SCALAR, "heat", 4, 1),

@@ -288,6 +288,7 @@ CASES: list[tuple[Callable[[Path, str], None], str, tuple[str, ...]]] = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("damage", "text", "version"),
     [(damage, text, version) for damage, text, versions in CASES for version in versions],

@@ -90,6 +90,7 @@ def times_of(messages: list[Sent], stream: str) -> list[int]:
     return [BEGIN_NS + round(at * 1e9) for at, name, _ in messages if name == stream]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", ["v2.1", "v3.0"])
 def test_two_arms_and_two_cameras(
     version: str, recording: Path, messages: list[Sent], tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -227,6 +228,7 @@ def test_a_recipe_of_the_recording_works_as_it_is(name: str, tmp_path: Path) -> 
     assert main(["export", path, "--to", "lerobot", "--check", str(root)]) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", ["v2.1", "v3.0"])
 def test_a_sequence_of_plus(version: str, tmp_path: Path) -> None:
     """Tracked ultrasound of PLUS: the frames are the recorded pictures and poses, and a shifted frame is found."""

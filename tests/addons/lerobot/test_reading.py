@@ -232,6 +232,7 @@ COLUMNS: list[tuple[str, pa.Array | None, str]] = [
 ]
 
 
+@pytest.mark.slow
 @table(
     ("name", "values", "text", "version"),
     [(*each, VERSIONS[number % 2]) for number, each in enumerate(COLUMNS)],

@@ -159,6 +159,7 @@ def test_two_windows_that_contradict_each_other() -> None:
     assert math.isnan(lag.low_s)
 
 
+@pytest.mark.slow
 def test_trajectories_of_an_instrument() -> None:
     """A periodic jaw, and an insertion that is not, up to 2.4 s late: 64 of 68 within one frame, none wrong."""
     found = []
@@ -172,6 +173,7 @@ def test_trajectories_of_an_instrument() -> None:
     assert sum(found) >= 0.9 * len(found) - 1
 
 
+@pytest.mark.slow
 def test_what_each_of_several_pairs_contributes() -> None:
     """Neither the jaw alone has a lag, nor both if the insertion does not move; a bed does not matter."""
     random = np.random.default_rng(2)

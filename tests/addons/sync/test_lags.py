@@ -45,6 +45,7 @@ HOSTILE: dict[str, tuple[npt.NDArray[Any], npt.NDArray[Any]]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("name", HOSTILE)
 def test_hostile_values_and_stamps_are_refused(name: str) -> None:

@@ -104,6 +104,7 @@ def test_planted_lags(recording: Path, capsys: pytest.CaptureFixture[str]) -> No
             assert found[stream]["low_s"] * 1e3 - 1 <= late_ms <= found[stream]["high_s"] * 1e3 + 1
 
 
+@pytest.mark.slow
 def test_the_line_in_pictures(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
     _, found = lags(capsys, recording, "TRANSFORM/Probe", "IMAGE/Video", "--line")
     assert found["IMAGE/Video"]["lag_s"] * 1e3 == pytest.approx(80, abs=2)
@@ -119,6 +120,7 @@ def test_all_streams_and_one_that_is_still(recording: Path, capsys: pytest.Captu
     assert "-40." in text or "-39." in text
 
 
+@pytest.mark.slow
 def test_applied(recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """The corrected session verifies, and its lag is gone; bytes and gateway times are those of before."""
     out = tmp_path / "out.mcap"
@@ -156,6 +158,7 @@ def joints_session(path: Path, signals: dict[str, Signal]) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_several_pairs_have_one_lag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A periodic jaw and an insertion: refused alone, measured and corrected together; in the API and cohorts, too."""
     case = trajectory(11, 1)
@@ -207,6 +210,7 @@ def test_the_reference_by_default_moves(tmp_path: Path, capsys: pytest.CaptureFi
     assert (found["/bed"]["verdict"], found["/count"]["verdict"]) == ("still", "one_way")
 
 
+@pytest.mark.slow
 def test_plot(recording: Path, tmp_path: Path) -> None:
     path = tmp_path / "lag.svg"
     words = ["sync", str(recording), "TRANSFORM/Probe", "SENSOR/Force", "TRANSFORM/Bed", "--plot", str(path)]

@@ -221,6 +221,7 @@ def test_retention_keeps_what_the_store_has_not_confirmed(store: Store, folder: 
     )
 
 
+@pytest.mark.slow
 def test_a_killed_process_is_started_again_and_continues(store: Store, folder: Path) -> None:
     notes: list[Note] = []
     uploads = BridgeUploads(folder / "long.mcap", PLACE, 20_000.0, notes.append)
@@ -273,6 +274,7 @@ def test_keys_in_the_place_are_refused_and_not_repeated() -> None:
             upload_place(text)
 
 
+@pytest.mark.slow
 def test_the_verb_finishes_what_is_left(store: Store, folder: Path) -> None:
     words = [sys.executable, "-m", "igtl_gateway", "upload", str(folder), "--to", str(PLACE), "--json"]
     done = subprocess.run(words, check=False, capture_output=True, text=True)

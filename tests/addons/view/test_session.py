@@ -91,6 +91,7 @@ def mutant(data: bytes, chance: np.random.Generator) -> bytes:
     return bytes(out if chance.random() < 0.9 else out[: int(chance.integers(4, len(out)))])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("strict", ["1", "0"])
 @pytest.mark.filterwarnings("error")
 def test_no_bytes_whatever_end_the_drawing(strict: str, draw: Draw, monkeypatch: pytest.MonkeyPatch) -> None:

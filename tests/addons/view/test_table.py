@@ -24,6 +24,7 @@ def test_a_row_stands_under_the_name_of_its_message() -> None:
     assert all(row.message.TYPE == name for name, row in PICTURES.items())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fixture", ["every-type", "paper-types", "star"])
 def test_a_recording_read_back_holds_every_message(fixture: str, draw: Draw) -> None:
     with SessionFile.open(FIXTURES / f"{fixture}.mcap") as file:

@@ -44,6 +44,7 @@ def counts(path: Path) -> dict[str, int]:
     return rows
 
 
+@pytest.mark.slow
 def test_a_suturing_session_is_saved_with_its_review(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "star.rrd"
     assert main(["view", str(FIXTURES / "star.mcap"), "-o", str(out), "--json"]) == 0

@@ -96,6 +96,7 @@ def test_two_sites(routers: tuple[int, int], monkeypatch: pytest.MonkeyPatch) ->
         planning.wait_code("site_lost")
 
 
+@pytest.mark.slow
 def test_a_dead_line_keeps_neither_the_caller_nor_the_stop(monkeypatch: pytest.MonkeyPatch) -> None:
     """The router is stopped (SIGSTOP): it reads no more, and no connection ends."""
     monkeypatch.setenv("ROS_DOMAIN_ID", "11")

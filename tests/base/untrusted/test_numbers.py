@@ -125,6 +125,7 @@ def _modules() -> list[tuple[str, ast.Module]]:
     ]
 
 
+@pytest.mark.slow
 def test_only_one_module_checks_digits() -> None:
     found = {
         name

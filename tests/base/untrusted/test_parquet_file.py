@@ -126,6 +126,7 @@ BOMBS: list[Callable[[Path], None]] = [
 ]  # fmt: skip
 
 
+@pytest.mark.slow
 @table("bomb", BOMBS, ids=lambda each: each.__name__)
 def test_a_bomb_ends_at_a_limit_and_takes_no_memory(bomb: Callable[[Path], None], tmp_path: Path) -> None:
     path = tmp_path / "bomb.parquet"

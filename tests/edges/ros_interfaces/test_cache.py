@@ -29,6 +29,7 @@ print(tf2_msgs.msg.__file__)
 """
 
 
+@pytest.mark.slow
 @WHEELS
 def test_two_first_imports_at_once_compile_once(tmp_path: Path) -> None:
     left_over = tmp_path / "tf2_msgs.work" / "tf2_msgs"  # from a process that was killed

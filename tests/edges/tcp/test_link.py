@@ -344,6 +344,7 @@ def test_a_blocked_sender_is_released(world: World, how: str) -> None:
     assert (total.dropped, total.ignored) == ({"a": 3}, {"a": 1})
 
 
+@pytest.mark.slow
 def test_threads_never_interleave_and_keep_their_order(world: World) -> None:
     edge, _, port = world.server(limits=PeerLimits(queue_messages=100_000))
     peers = [world.peer(port, 8192), world.peer(port)]

@@ -94,6 +94,7 @@ def test_broken_framing_costs_the_pair(world: World) -> None:
     assert seen.of("too_large", 1)
 
 
+@pytest.mark.slow
 def test_a_slow_reader_slows_its_partner_down_and_loses_nothing(world: World) -> None:
     server = world.listener()
     edge, seen, port = between(world, server.getsockname()[1], limits=PeerLimits(queue_bytes=4 * BIG))

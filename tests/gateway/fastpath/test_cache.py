@@ -339,6 +339,7 @@ def _plain(entry: Entry) -> tuple[Any, ...]:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("functions", ["plain", "in use"])
 @given(
     st.lists(igtl_messages() | igtl_messages() | ros_messages() | ros_messages() | others(), max_size=25),
@@ -546,6 +547,7 @@ def _large_contents() -> list[tuple[str, Any]]:
     return contents
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("vectors")
 @pytest.mark.parametrize("version", [1, 2])
 def test_large_contents_are_converted_as_on_the_full_path(version: int) -> None:

@@ -260,6 +260,7 @@ CONFIG = Config(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
 def test_random_sessions_are_what_the_full_path_gives(
     seed: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
@@ -356,6 +357,7 @@ def _odd_message(rng: random.Random, step: int) -> bytes:
 XYZ = tuple(rosmsg.PointField(name, 4 * place, 7, 1) for place, name in enumerate("xyz"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["text", "point", "cloud"])
 def test_texts_points_and_small_clouds_pass_natively(
     kind: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
@@ -399,6 +401,7 @@ steps = st.lists(
 )
 
 
+@pytest.mark.slow
 @settings(
     max_examples=int(os.environ.get("PASSAGE_SESSIONS", "8")), deadline=None, derandomize=True, phases=[Phase.generate]
 )
@@ -465,6 +468,7 @@ def test_nothing_passes_natively_under_the_settings_before_a_change(
 # -- its borders -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_peer_that_does_not_read_loses_what_python_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     with scene(monkeypatch) as here:
         peer = socket.socket()
@@ -624,6 +628,7 @@ def picture(number: int, side: int = 160) -> bytes:
     return join(encode(Message("IMAGE", "Camera", content, ns_to_ticks(time.time_ns()))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [1_000, 70_000, 1 << 20])
 def test_poses_pass_while_python_handles_pictures(size: int, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     path = tmp_path / "session.mcap"
@@ -874,6 +879,7 @@ def _servo(x: float, stamp_ns: int) -> bytes:
     return join(encode(Message("TRANSFORM", "PSM1/servo_cp", content, ns_to_ticks(stamp_ns))))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("native", [True, False])
 def test_a_burst_of_commands_beside_native_streams_moves_the_robot_at_its_limit(
     native: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path

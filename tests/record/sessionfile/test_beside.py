@@ -190,6 +190,7 @@ def test_what_is_no_ordinary_file_is_not_replaced(tmp_path: Path) -> None:
                 check_target(path, overwrite=overwrite)
 
 
+@pytest.mark.slow
 def test_a_folder_that_is_not_ours_ends_view_in_a_sentence(tmp_path: Path) -> None:
     """As the outside test did it: a real command, a place that cannot be written, no traceback."""
     pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
@@ -206,6 +207,7 @@ def test_a_folder_that_is_not_ours_ends_view_in_a_sentence(tmp_path: Path) -> No
         assert ended.stderr.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_a_disk_that_takes_no_more_ends_view_in_a_sentence(tmp_path: Path) -> None:
     pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
     resource = pytest.importorskip("resource")

@@ -133,6 +133,7 @@ def test_a_record_that_reaches_beyond_the_data_is_damage() -> None:
         index_of(build.finish(bytes(data), []))
 
 
+@pytest.mark.slow
 @table("compression", ["lz4", "zstd"])
 @table("size", [None, 10, 1 << 31, 2**64 - 1])
 def test_a_bomb_is_refused_without_an_index_too(compression: str, size: int | None) -> None:

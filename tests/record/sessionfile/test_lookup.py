@@ -115,6 +115,7 @@ def sessions(draw: st.DrawFn) -> list[Entry]:
     return entries
 
 
+@pytest.mark.slow
 @given(
     entries=sessions(),
     chunk_bytes=st.sampled_from([1, 200, 700, 5_000]),
@@ -189,6 +190,7 @@ def test_what_is_between_is_not_read(tmp_path: Path) -> None:
             scanned(file, start_ns)
 
 
+@pytest.mark.slow
 def test_a_damaged_index_makes_no_difference(tmp_path: Path) -> None:
     entries = [
         entry

@@ -67,6 +67,7 @@ def test_the_sequence_of_mutants_depends_on_the_seed_only() -> None:
     assert first == again != other
 
 
+@pytest.mark.slow
 def test_readers_survive_mutants(tmp_path: Path) -> None:
     outcomes: Counter[str] = Counter()
     for name, data in islice(mcap_mutations.cases(14), CASES):
@@ -81,6 +82,7 @@ def test_readers_survive_mutants(tmp_path: Path) -> None:
     assert min(outcomes["read"], outcomes["DamagedRecording"]) > CASES // 2  # neither all refused nor all harmless
 
 
+@pytest.mark.slow
 def test_verbs_survive_mutants(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, out = tmp_path / "a.mcap", str(tmp_path / "out.mcap")
     for name, data in islice(mcap_mutations.cases(15), THROUGH_VERBS):

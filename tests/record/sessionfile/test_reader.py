@@ -232,6 +232,7 @@ def test_a_file_cut_anywhere_is_refused_with_the_way_to_mend_it(
         assert "run: igtl-gateway recover" in str(refused)
 
 
+@pytest.mark.slow
 def test_a_damaged_byte_is_refused_or_does_not_matter(tmp_path: Path, sound: tuple[bytes, list[Entry]]) -> None:
     data, entries = sound
     chance = random.Random(4)

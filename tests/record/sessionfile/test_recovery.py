@@ -74,6 +74,7 @@ def _check_every_reader(out: Path, found: recovery.Recovery) -> None:
             assert sum(1 for _ in bag.messages()) == found.report.messages
 
 
+@pytest.mark.slow
 @table("numbers", [(20,), (5, 6, 7), (1,), tuple(range(30, 40))])
 @table("by_ns", [10**15, -(10**15), 1 << 62])
 def test_times_out_of_order_cost_only_these_entries(tmp_path: Path, numbers: tuple[int, ...], by_ns: int) -> None:
@@ -91,6 +92,7 @@ def test_times_out_of_order_cost_only_these_entries(tmp_path: Path, numbers: tup
     assert not again.report.lost and again.facts["earlier"] == found.facts
 
 
+@pytest.mark.slow
 @table(
     ("key", "text"),
     [

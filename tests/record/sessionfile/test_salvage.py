@@ -111,6 +111,7 @@ def test_a_sound_file_is_whole(tmp_path: Path, sound: Sound) -> None:
     assert (found.report.start_ns, found.report.end_ns) == (sound.entries[0].stamp_ns, sound.entries[-1].stamp_ns)
 
 
+@pytest.mark.slow
 def test_a_cut_loses_nothing_before_its_last_whole_chunk(tmp_path: Path, sound: Sound) -> None:
     check_cuts(tmp_path / "a", sound, 83)
 
@@ -141,6 +142,7 @@ def check_cuts(path: Path, sound: Sound, step: int) -> None:
             assert loss.start_ns == found.report.end_ns
 
 
+@pytest.mark.slow
 def test_a_flipped_bit_costs_one_chunk_at_most_and_never_gives_anything_wrong(tmp_path: Path, sound: Sound) -> None:
     check_flips(tmp_path / "a", sound, 83)
 
@@ -173,6 +175,7 @@ def check_flips(path: Path, sound: Sound, step: int) -> None:
     assert cost
 
 
+@pytest.mark.slow
 def test_a_flipped_bit_in_a_file_that_was_cut_costs_one_chunk_at_most(tmp_path: Path, sound: Sound) -> None:
     check_flips_of_a_cut_file(tmp_path / "a", sound, 83)
 
@@ -196,6 +199,7 @@ def check_flips_of_a_cut_file(path: Path, sound: Sound, step: int) -> None:
         assert not found.report.whole
 
 
+@pytest.mark.slow
 def test_a_damaged_run_of_bytes_costs_the_chunks_it_touches(tmp_path: Path, sound: Sound) -> None:
     chance = random.Random(7)
     size = 200

@@ -97,6 +97,7 @@ def test_mcap_ros2_support_decodes_every_message(recording: Path) -> None:
             assert fields.kind == entry.kind.value
 
 
+@pytest.mark.slow
 def test_pymcap_doctor_finds_no_errors(recording: Path) -> None:
     done = subprocess.run(
         [BIN / "pymcap-cli", "doctor", recording],
