@@ -32,18 +32,22 @@ if TYPE_CHECKING:
         MissingAddon,
         OutputError,
         RecordingError,
+        RosError,
         Unavailable,
+        UnknownTypeError,
         UnsupportedRecording,
         ViewerError,
         WireError,
+        first_line,
     )
     from igtl_gateway.base.extras import in_use, missing
     from igtl_gateway.base.globs import matches
-    from igtl_gateway.base.qos import Qos
+    from igtl_gateway.base.qos import Endpoint, Qos
     from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ros, ros_to_ns
     from igtl_gateway.base.untrusted import files, limits
     from igtl_gateway.base.untrusted.files import is_same, open_file, read_bytes
-    from igtl_gateway.base.untrusted.text import parse_json, printable
+    from igtl_gateway.base.untrusted.numbers import whole_number
+    from igtl_gateway.base.untrusted.text import check_nesting, parse_json, printable
     from igtl_gateway.base.version import __version__
     from igtl_gateway.cli.common import count_text, load_config, size_text, stop_event, utc_text
     from igtl_gateway.cli.next_steps import command, print_next
@@ -110,10 +114,13 @@ HOMES: dict[str, tuple[str, ...]] = {
         "MissingAddon",
         "OutputError",
         "RecordingError",
+        "RosError",
         "Unavailable",
+        "UnknownTypeError",
         "UnsupportedRecording",
         "ViewerError",
         "WireError",
+        "first_line",
     ),
     # Recordings, for a writer of add-ons who does not need entries: those of the Python API
     "api.recording": ("Recording", "open_recording", "of_session"),
@@ -125,7 +132,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     "record.sessionfile": ("layout",),
     "gateway.log.entry": ("Entry", "Kind"),
     "gateway.log.note": ("Level", "Note"),
-    "base.qos": ("Qos",),
+    "base.qos": ("Endpoint", "Qos"),
     "convert.structs": ("Pose",),
     "base.buffers": ("Buffer", "join"),
     "config.configuration": ("Config", "read_toml"),
@@ -144,7 +151,8 @@ HOMES: dict[str, tuple[str, ...]] = {
     # Untrusted files and text, with their limits
     "base.untrusted": ("files", "limits"),
     "base.untrusted.files": ("is_same", "open_file", "read_bytes"),
-    "base.untrusted.text": ("parse_json", "printable"),
+    "base.untrusted.text": ("check_nesting", "parse_json", "printable"),
+    "base.untrusted.numbers": ("whole_number",),
     # Time: integer UTC nanoseconds
     "base.stamp": ("NS_PER_MS", "NS_PER_S", "ns_to_ros", "ros_to_ns"),
     "base.clock": ("Clock", "SystemClock"),
@@ -209,6 +217,7 @@ __all__ = [
     "ConfigError",
     "ConversionError",
     "DamagedRecording",
+    "Endpoint",
     "Entry",
     "GatewayError",
     "Kind",
@@ -223,12 +232,14 @@ __all__ = [
     "RangeFile",
     "Recording",
     "RecordingError",
+    "RosError",
     "SessionFile",
     "SessionWriter",
     "Setting",
     "Stream",
     "SystemClock",
     "Unavailable",
+    "UnknownTypeError",
     "UnsupportedRecording",
     "Verb",
     "ViewerError",
@@ -244,6 +255,7 @@ __all__ = [
     "add_streams",
     "aligned",
     "cell",
+    "check_nesting",
     "check_present",
     "check_target",
     "clear_live_line",
@@ -255,6 +267,7 @@ __all__ = [
     "extras",
     "file_name",
     "files",
+    "first_line",
     "in_use",
     "is_present",
     "is_same",
@@ -294,6 +307,7 @@ __all__ = [
     "values_with_effect",
     "verify_recording",
     "verify_session",
+    "whole_number",
     "width",
     "write_bytes",
     "write_error",

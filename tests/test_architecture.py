@@ -79,7 +79,7 @@ MOST_OF_CORE = {
     "sync": 6,
     "upload": 9,
     "view": 25,
-    "zenoh": 19,
+    "zenoh": 9,
 }
 
 #: Programs that play foreign software: of our modules they may use only their own, of outside libraries any.

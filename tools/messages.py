@@ -82,6 +82,7 @@ COMMON = (
     ),
     Row("sensor_msgs/msg/CompressedImage", "one picture, or one frame of a video."),
     Row("foxglove_msgs/msg/CompressedVideo"),
+    Row("rcl_interfaces/msg/Log", "the log messages of nodes on /rosout.", "file"),
     Row("std_msgs/msg/MultiArrayDimension", "stride counts elements from this dimension inwards."),
     Row("std_msgs/msg/MultiArrayLayout", "outermost dimension first.", "dim"),
     Row("diagnostic_msgs/msg/DiagnosticArray", "the type of /diagnostics."),
@@ -104,7 +105,6 @@ COMMON = (
 VIEWED = (
     Row("nav_msgs/msg/Path", "poses one after the other."),
     Row("std_msgs/msg/Float64", "one number."),
-    Row("rcl_interfaces/msg/Log", "the log messages of nodes on /rosout.", "file"),
 )
 
 

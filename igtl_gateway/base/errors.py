@@ -127,6 +127,10 @@ class RosError(GatewayError):
     """ROS 2 is not installed, or rejects a type or a name."""
 
 
+class UnknownTypeError(RosError):
+    """The definition of a message type, or its Python package, is not installed here."""
+
+
 class ViewerError(GatewayError):
     """rerun or its viewer is not installed, has no display, or does not reply."""
 
@@ -176,3 +180,8 @@ def failure_text(error: Exception) -> str:
     if isinstance(error, GatewayError | ValueError) and str(error):
         return str(error)
     return f"cannot be decoded: {type(error).__name__}: {error}"
+
+
+def first_line(error: BaseException) -> str:
+    """Return the first line of an error's text: that of rclpy might have several paragraphs."""
+    return (str(error).strip() or type(error).__name__).splitlines()[0]

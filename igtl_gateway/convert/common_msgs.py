@@ -141,6 +141,25 @@ class CompressedVideo(Struct):
 
 
 @dataclass(frozen=True, slots=True)
+class Log(Struct):
+    """rcl_interfaces/msg/Log: the log messages of nodes on /rosout."""
+
+    TYPE: ClassVar[str] = "rcl_interfaces/msg/Log"
+    DEBUG: ClassVar[int] = 10
+    INFO: ClassVar[int] = 20
+    WARN: ClassVar[int] = 30
+    ERROR: ClassVar[int] = 40
+    FATAL: ClassVar[int] = 50
+    stamp_ns: Annotated[int, TIME]
+    level: Annotated[int, UINT8]
+    name: Annotated[str, STRING]
+    msg: Annotated[str, STRING]
+    file: Annotated[str, STRING] = ""
+    function: Annotated[str, STRING] = ""
+    line: Annotated[int, UINT32] = 0
+
+
+@dataclass(frozen=True, slots=True)
 class MultiArrayDimension(Struct):
     """std_msgs/msg/MultiArrayDimension: stride counts elements from this dimension inwards."""
 

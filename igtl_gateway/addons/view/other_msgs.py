@@ -11,7 +11,7 @@ from typing import Annotated, ClassVar
 
 from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.convert.structs import FLOAT64, HEADER, STRING, TIME, UINT8, UINT32, Struct, sequence_of
+from igtl_gateway.convert.structs import FLOAT64, HEADER, Struct, sequence_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,22 +29,3 @@ class Float64(Struct):
 
     TYPE: ClassVar[str] = "std_msgs/msg/Float64"
     data: Annotated[float, FLOAT64]
-
-
-@dataclass(frozen=True, slots=True)
-class Log(Struct):
-    """rcl_interfaces/msg/Log: the log messages of nodes on /rosout."""
-
-    TYPE: ClassVar[str] = "rcl_interfaces/msg/Log"
-    DEBUG: ClassVar[int] = 10
-    INFO: ClassVar[int] = 20
-    WARN: ClassVar[int] = 30
-    ERROR: ClassVar[int] = 40
-    FATAL: ClassVar[int] = 50
-    stamp_ns: Annotated[int, TIME]
-    level: Annotated[int, UINT8]
-    name: Annotated[str, STRING]
-    msg: Annotated[str, STRING]
-    file: Annotated[str, STRING] = ""
-    function: Annotated[str, STRING] = ""
-    line: Annotated[int, UINT32] = 0

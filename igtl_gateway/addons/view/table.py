@@ -79,7 +79,7 @@ _ROWS = (
     *(Picture(message, EntityKind.PLOT, numbers.draw_multi_array) for message in MULTI_ARRAYS.values()),
     Picture(rosmsg.String, EntityKind.TEXT, words.draw_string),
     Picture(rosmsg.DiagnosticStatus, EntityKind.TEXT, words.draw_status),
-    Picture(other_msgs.Log, EntityKind.TEXT, words.draw_log),
+    Picture(common_msgs.Log, EntityKind.TEXT, words.draw_log),
     Picture(igtl_msgs.Command, EntityKind.TEXT, words.draw_command),
     Picture(igtl_msgs.CommandReply, EntityKind.TEXT, words.draw_reply),
     Picture(igtl_msgs.Query, EntityKind.TEXT, words.draw_query),

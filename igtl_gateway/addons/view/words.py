@@ -9,9 +9,8 @@ import rerun as rr
 from igtl_gateway.addon import ConversionError, RecordingError
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.colours import ERROR, WARN
-from igtl_gateway.addons.view.other_msgs import Log
 from igtl_gateway.convert import igtl_msgs
-from igtl_gateway.convert.common_msgs import Empty, OperatingState, StringStamped
+from igtl_gateway.convert.common_msgs import Empty, Log, OperatingState, StringStamped
 from igtl_gateway.convert.rosmsg import DiagnosticStatus, String
 
 #: Last part of the topic of a URDF (robot_state_publisher).

@@ -12,10 +12,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import ConfigError, GatewayError, files, limits
+from igtl_gateway.addon import ConfigError, GatewayError, check_nesting, files, limits, whole_number
 from igtl_gateway.addons.zenoh.library import first_line, import_zenoh
-from igtl_gateway.base.untrusted.numbers import whole_number
-from igtl_gateway.base.untrusted.text import check_nesting
 from igtl_gateway.config.notations import ZENOH_ENDPOINT
 
 SESSION_FILE, OVERRIDE, DOMAIN = "ZENOH_SESSION_CONFIG_URI", "ZENOH_CONFIG_OVERRIDE", "ROS_DOMAIN_ID"

@@ -19,38 +19,26 @@ from __future__ import annotations
 import atexit
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Any
 
-from igtl_gateway.addon import NS_PER_S, ConfigError, Level, Qos, SystemClock
+from igtl_gateway.addon import NS_PER_S, ConfigError, Endpoint, Level, Qos, RosError, SystemClock, UnknownTypeError
 from igtl_gateway.addons.zenoh.config import domain_of
 from igtl_gateway.addons.zenoh.connection import RETRY_NS, Connection
 from igtl_gateway.addons.zenoh.graph import Graph
 from igtl_gateway.addons.zenoh.inbox import Inbox
 from igtl_gateway.addons.zenoh.library import import_zenoh
 from igtl_gateway.addons.zenoh.names import Entity, Kind, Node, checked_node, checked_topic, data_key
-from igtl_gateway.addons.zenoh.publishing import Publishing
+from igtl_gateway.addons.zenoh.publishing import ROSOUT, Publishing
 from igtl_gateway.addons.zenoh.services import MESSAGES, SERVICES, Calls
 from igtl_gateway.addons.zenoh.site import Sites
 from igtl_gateway.addons.zenoh.subscribing import Subscribing
 from igtl_gateway.addons.zenoh.traffic import Traffic
 from igtl_gateway.addons.zenoh.types import TypeHashes
-from igtl_gateway.base.errors import RosError
-from igtl_gateway.base.qos import Endpoint
-from igtl_gateway.config.setting import Value
-from igtl_gateway.convert.structs import STRING, TIME, UINT8, UINT32, Struct
-from igtl_gateway.edges.ros.graph import Publication
-from igtl_gateway.edges.ros.middleware import UnknownTypeError
-from igtl_gateway.edges.ros.parameters import Change
-from igtl_gateway.edges.ros.reports import OnNote, Reports
-from igtl_gateway.edges.ros.streams import TopicCounts
-from igtl_gateway.edges.ros.subscribing import OnMessage, Wants
-from igtl_gateway.native.passage import Publisher as NativePublisher
-from igtl_gateway.native.passage import Subscription as NativeSubscription
+from igtl_gateway.convert.common_msgs import Log
+from igtl_gateway.edges.interface import OnMessage, OnNote, PlainSide, Publication, Reports, Wants
 
-_ROSOUT = "/rosout"
 _ROSOUT_QOS = Qos(1000, latched=True)
 _SERVICE_QOS = Qos(10)
 _LOSSES_NS = 1_000_000_000
@@ -61,21 +49,7 @@ _GATHER_S = 0.01
 _LISTENED = 10_000
 
 
-@dataclass(frozen=True, slots=True)
-class _Log(Struct):
-    """rcl_interfaces/msg/Log."""
-
-    TYPE: ClassVar[str] = "rcl_interfaces/msg/Log"
-    stamp: Annotated[int, TIME]
-    level: Annotated[int, UINT8]
-    name: Annotated[str, STRING]
-    msg: Annotated[str, STRING]
-    file: Annotated[str, STRING] = ""
-    function: Annotated[str, STRING] = ""
-    line: Annotated[int, UINT32] = 0
-
-
-class ZenohEdge:
+class ZenohEdge(PlainSide):
     """The gateway's node in the ROS graph, over Zenoh.  It needs no ROS.
 
     Args:
@@ -193,7 +167,7 @@ class ZenohEdge:
         if self._sites:
             sites = self._sites
             self._connection.declare(lambda session: sites.declare(self._connection.zenoh, session))
-        self._publishing.advertise(_ROSOUT, _Log.TYPE, _ROSOUT_QOS, TopicCounts())
+        self._publishing.advertise(ROSOUT, Log.TYPE, _ROSOUT_QOS)
         # A process with open sessions would not end.
         atexit.register(self.stop)
         self._connection.try_open()
@@ -217,22 +191,16 @@ class ZenohEdge:
         self._subscribing.note_losses()
         self._publishing.note_dropped()
 
-    def follow(self, change: Change | None) -> None:
-        """There are no parameters that could change."""
-
     @property
     def changing(self) -> AbstractContextManager[object]:
         """A lock for those who change settings."""
         return self._changing
 
-    def show(self, values: Mapping[str, Value]) -> None:
-        """There are no parameters that could show the values."""
-
     def log(self, level: Level, text: str, stamp_ns: int) -> None:
         """Publish a line on ``/rosout``, with the time in UTC ns."""
-        publisher = self._publishing.publisher(_ROSOUT)
+        publisher = self._publishing.publisher(ROSOUT)
         if publisher is not None and not self._stopping.is_set():
-            publisher.send(_Log(stamp_ns, int(level), self._name, text).pack())
+            publisher.send(Log(stamp_ns, int(level), self._name, text).pack())
 
     def serve(self, name: str, type_name: str, answer: Callable[[Any, Any], Any]) -> bool:
         """Offer a service; see ``RosEdge.serve``.  Only the types of ``services.SERVICES`` are known."""
@@ -300,14 +268,6 @@ class ZenohEdge:
     def wait_acked(self, topic: str, timeout_s: float) -> bool:
         """True: Zenoh has no acknowledgements."""
         return True
-
-    def native_subscription(self, topic: str, type_name: str) -> NativeSubscription | None:
-        """None: all messages are Python's."""
-        return None
-
-    def native_publisher(self, topic: str, type_name: str) -> NativePublisher | None:
-        """None: Python publishes."""
-        return None
 
     def sync(self) -> None:
         """Take over what was counted in other threads."""

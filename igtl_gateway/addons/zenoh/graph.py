@@ -9,11 +9,9 @@ import threading
 from collections.abc import Callable
 from typing import Any
 
-from igtl_gateway.addon import Level
+from igtl_gateway.addon import Endpoint, Level
 from igtl_gateway.addons.zenoh.names import SPACE, Entity, Kind, gid, read_token
-from igtl_gateway.base.qos import Endpoint
-from igtl_gateway.edges.ros.graph import Publication
-from igtl_gateway.edges.ros.reports import Reports
+from igtl_gateway.edges.interface import Publication, Reports
 
 #: Most entities of the graph.
 _MOST = 65_536

@@ -6,8 +6,8 @@ import importlib
 import re
 from typing import Any
 
-from igtl_gateway.addon import missing
-from igtl_gateway.base.errors import RosError
+from igtl_gateway.addon import RosError, missing
+from igtl_gateway.addon import first_line as whole_first_line
 
 #: Zenoh ends its errors with the place in its source.
 _PLACE = re.compile(r"!?\s+at \S+\.rs:\d+\.?")
@@ -34,4 +34,4 @@ def import_xxhash() -> Any:
 
 def first_line(error: BaseException) -> str:
     """Return the first line of an error's text, without places in the source of Zenoh."""
-    return _PLACE.sub("", (str(error).strip() or type(error).__name__).splitlines()[0])
+    return _PLACE.sub("", whole_first_line(error))

@@ -19,14 +19,13 @@ from igtl_gateway.addons.zenoh.names import Kind, Node, attachment, data_key, gi
 from igtl_gateway.addons.zenoh.traffic import Traffic, how_to_send
 from igtl_gateway.addons.zenoh.types import TypeHashes
 from igtl_gateway.addons.zenoh.waiting import Commands
-from igtl_gateway.base.errors import RosError
-from igtl_gateway.edges.ros.reports import Reports
-from igtl_gateway.edges.ros.streams import TopicCounts
+from igtl_gateway.edges.interface import Publishers, Reports, TopicCounts
 
 #: From the declaration on until Zenoh knows the subscribers, a publisher counts as one with a subscriber.
 _SETTLE_NS = 500_000_000
 _HEARTBEAT_S = 0.5
-_CDR_HEADER = 4
+#: The log of the node, which is no stream of the gateway: it is not counted.
+ROSOUT = "/rosout"
 
 
 class TopicPublisher:
@@ -61,7 +60,7 @@ class TopicPublisher:
             self._class = replace(self._class, debt_s=None)
         self._commands = commands if self._class and self._class.blocks else None
         self._clock = clock
-        self._lock = threading.Lock()
+        self.lock = threading.Lock()
         self._looking = threading.Lock()  # guards matched
         self._made_ns = clock.monotonic_ns()
         self._sequence = 0
@@ -94,7 +93,7 @@ class TopicPublisher:
             if came:
                 matched()
 
-        with self._lock:
+        with self.lock:
             self._gid = gid(token)
             self._made_ns = self._clock.monotonic_ns()
             self._watch = session.declare_publisher(self.key, **how)
@@ -131,7 +130,7 @@ class TopicPublisher:
         ):
             self.counts.over_budget += 1
             return ""
-        with self._lock:
+        with self.lock:
             if self._publisher is None:  # without a session there is no subscriber
                 if self.qos.latched:
                     if len(self._early) == self._early.maxlen:
@@ -167,7 +166,7 @@ class TopicPublisher:
 
     def close(self) -> None:
         """At stop: further messages are not sent."""
-        with self._lock:
+        with self.lock:
             self.counts.unheard += len(self._early)
             self.counts.held -= len(self._early)
             self._early.clear()
@@ -177,8 +176,8 @@ class TopicPublisher:
             self.matched = False
 
 
-class Publishing:
-    """The publishers of a node; see ``RosEdge`` for what each public method does."""
+class Publishing(Publishers[TopicPublisher]):
+    """The publishers of a node over Zenoh; see ``RosEdge`` for what each public method does."""
 
     def __init__(
         self,
@@ -191,68 +190,22 @@ class Publishing:
         matched: Callable[[str], None],
         traffic: Traffic | None,
     ) -> None:
+        super().__init__(connection.lock, reports, {})
         self._connection = connection
         self._next = node
         self._hashes = hashes
         self._domain = domain
-        self._reports = reports
         self._clock = clock
         self._matched = matched
         self._traffic = traffic
         self._commands = Commands(reports, clock)
-        self._publishers: dict[str, TopicPublisher] = {}
         self._closed = False
 
-    def publish(self, topic: str, type_name: str, cdr: bytes, qos: Qos) -> str:
-        """Send CDR bytes (with encapsulation), from any thread; return why that failed, or ``""``."""
-        publisher = self._publishers.get(topic)
-        if publisher is None or publisher.type_name != type_name:
-            publisher = self.advertise(topic, type_name, qos)
-            if publisher is None:
-                self._reports.counts(topic).failed += 1
-                return self._reports.refusal("publish", topic, type_name) or "the node is not running"
-        failure = ""
+    def _send(self, publisher: TopicPublisher, cdr: bytes) -> str:
         if self._closed:
             publisher.counts.failed += 1
-            failure = "the node has stopped"
-        elif len(cdr) < _CDR_HEADER:
-            publisher.counts.failed += 1
-            failure = f"{len(cdr)} bytes, expected CDR with {_CDR_HEADER} bytes of encapsulation"
-        failure = failure or publisher.send(cdr)
-        self._reports.publish_failed(publisher.topic, failure)
-        return failure
-
-    def has_subscriber(self, topic: str) -> bool:
-        """Whether a message published now might reach a subscriber."""
-        publisher = self._publishers.get(topic)
-        return publisher is None or publisher.has_subscriber
-
-    def count_if_unsubscribed(self, topic: str) -> bool:
-        """Whether a message of a topic need not be published for want of a subscriber, which is counted then."""
-        publisher = self._publishers.get(topic)
-        if publisher is None or publisher.qos.latched or publisher.has_subscriber:
-            return False
-        publisher.counts.unheard += 1
-        return True
-
-    def advertise(
-        self, topic: str, type_name: str, qos: Qos, counts: TopicCounts | None = None
-    ) -> TopicPublisher | None:
-        """The publisher of the topic, made if there is none; None (and a note) if that is impossible."""
-        if self._reports.refusal("publish", topic, type_name):
-            return None
-        try:
-            with self._connection.lock:
-                publisher = self._publishers.get(topic)
-                if publisher is None:
-                    publisher = self._make(topic, type_name, qos, counts or self._reports.counts(topic))
-                    self._publishers[topic] = publisher
-                if publisher.type_name != type_name:
-                    raise RosError(f"the topic has the type {publisher.type_name}")
-                return publisher
-        except Exception as error:  # zenoh's class is one for all causes
-            self._reports.refuse("publish", topic, type_name, error)
-            return None
+            return "the node has stopped"
+        return publisher.send(cdr)
 
     def publisher(self, topic: str) -> TopicPublisher | None:
         """Return the publisher of a topic, if there is one."""
@@ -261,9 +214,7 @@ class Publishing:
     def note_dropped(self) -> None:
         """Note the messages that were dropped since the last call: they exceed the budget, or the line took none."""
         self._commands.note_dropped()
-        with self._connection.lock:
-            publishers = list(self._publishers.values())
-        for one in publishers:
+        for one in self.all():
             dropped = one.counts.over_budget - one.noted_over_budget
             if dropped:
                 one.noted_over_budget += dropped
@@ -278,14 +229,14 @@ class Publishing:
             for publisher in self._publishers.values():
                 publisher.close()
 
-    def _make(self, topic: str, type_name: str, qos: Qos, counts: TopicCounts) -> TopicPublisher:
+    def _new(self, topic: str, type_name: str, qos: Qos) -> TopicPublisher:
         type_hash = self._hashes.of(type_name)
         made = TopicPublisher(
             topic,
             type_name,
             data_key(self._domain, topic, type_name, type_hash),
             qos,
-            counts,
+            TopicCounts() if topic == ROSOUT else self._reports.counts(topic),
             self._clock,
             self._traffic,
             self._commands,

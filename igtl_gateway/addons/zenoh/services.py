@@ -17,7 +17,7 @@ from igtl_gateway.addons.zenoh.names import attachment, read_attachment
 from igtl_gateway.convert.igtl_msgs import MetadataItem
 from igtl_gateway.convert.interfaces import definition_folder
 from igtl_gateway.convert.structs import BOOL, FLOAT64, STRING, UINT8, UINT32, Struct, sequence_of
-from igtl_gateway.edges.ros.reports import Reports
+from igtl_gateway.edges.interface import Reports
 
 #: Calls that run at once, and calls that wait or run; further ones are refused.
 _CALLS_AT_ONCE = 8

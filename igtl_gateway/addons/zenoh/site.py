@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from igtl_gateway.addon import NS_PER_S, Clock, Level
-from igtl_gateway.edges.ros.reports import Reports
+from igtl_gateway.edges.interface import Reports
 
 #: Between questions.
 ASK_NS = 2 * NS_PER_S

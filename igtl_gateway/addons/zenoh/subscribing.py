@@ -5,19 +5,15 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict, deque
 from collections.abc import Callable
-from dataclasses import asdict
 from typing import Any
 
-from igtl_gateway.addon import Clock, Level, Qos
+from igtl_gateway.addon import Clock, Level, Qos, RosError
 from igtl_gateway.addons.zenoh.connection import Connection
 from igtl_gateway.addons.zenoh.graph import Graph
 from igtl_gateway.addons.zenoh.inbox import Inbox, Waiting
 from igtl_gateway.addons.zenoh.names import Kind, Node, data_key, read_attachment
 from igtl_gateway.addons.zenoh.types import TypeHashes
-from igtl_gateway.base.errors import RosError
-from igtl_gateway.edges.ros.reports import Reports
-from igtl_gateway.edges.ros.streams import TopicCounts
-from igtl_gateway.edges.ros.subscribing import OnMessage, Wants, describe
+from igtl_gateway.edges.interface import Deliver, OnMessage, Reports, Subscriptions, TopicCounts, Wants, guarded
 
 #: Publishers of one topic whose sequence numbers are followed.
 _SENDERS = 1024
@@ -36,7 +32,9 @@ class TopicSubscription:
     The sequence numbers of each publisher show every loss on the way; what gives way in our inbox adds to it.
     """
 
-    def __init__(self, topic: str, type_name: str, qos: Qos, counts: TopicCounts, inbox: Inbox) -> None:
+    def __init__(
+        self, topic: str, type_name: str, qos: Qos, counts: TopicCounts, inbox: Inbox, deliver: Deliver
+    ) -> None:
         self.topic = topic
         self.type_name = type_name
         self.qos = qos
@@ -45,11 +43,10 @@ class TopicSubscription:
         self.type_hash = ""
         self.bad = ""  # why the first message was refused that has not been noted
         self.waiting = Waiting(self._deliver, qos.depth)
-        self.on_message: OnMessage | None = None
-        self.reports: Reports | None = None
         self.ages: deque[tuple[bytes, int]] = deque(maxlen=_AGES)  # for the latency of sites
         self.clock: Clock | None = None
         self._inbox = inbox
+        self._deliver_bytes = deliver
         self._lock = threading.Lock()
         self._last: OrderedDict[bytes, int] = OrderedDict()
         self._missing = 0
@@ -124,17 +121,11 @@ class TopicSubscription:
     def _deliver(self, payload: Any, stamp_ns: int) -> None:
         """Called by the inbox, in our thread."""
         self.counts.received += 1
-        try:
-            if self.on_message:
-                self.on_message(self.topic, self.type_name, payload.to_bytes(), stamp_ns)
-        except Exception as error:  # a defect of our own costs this message, not the thread
-            self.counts.failed += 1
-            if self.reports:
-                self.reports.callback_failed(f"{self.topic}: {type(error).__name__}", error, self.topic)
+        self._deliver_bytes(payload.to_bytes(), stamp_ns)
 
 
-class Subscribing:
-    """The subscriptions of a node."""
+class Subscribing(Subscriptions[TopicSubscription]):
+    """The subscriptions of a node over Zenoh."""
 
     def __init__(
         self,
@@ -149,32 +140,15 @@ class Subscribing:
         *,
         clock: Clock | None = None,
     ) -> None:
+        super().__init__(connection.lock, reports, graph.publications, {})
         self._clock = clock
         self._connection = connection
         self._next = node
         self._hashes = hashes
         self._domain = domain
         self._graph = graph
-        self._reports = reports
         self._inbox = inbox
         self._on_message = on_message
-        self._subscriptions: dict[str, TopicSubscription] = {}
-
-    def subscribe(self, topic: str, type_name: str, qos: Qos) -> bool:
-        """Subscribe now; see ``RosEdge.subscribe``."""
-        try:
-            with self._connection.lock:
-                if topic not in self._subscriptions:
-                    self._make(topic, type_name, qos)
-        except Exception as error:  # zenoh's class is one for all causes
-            self._reports.refuse("subscribe", topic, type_name, error)
-            return False
-        return True
-
-    def topics(self) -> list[tuple[str, str]]:
-        """Topic and type of everything that we receive."""
-        with self._connection.lock:
-            return sorted((one.topic, one.type_name) for one in self._subscriptions.values())
 
     def ages(self) -> list[tuple[str, list[tuple[bytes, int]]]]:
         """Return topic → publisher and age of the messages since the last call."""
@@ -183,43 +157,16 @@ class Subscribing:
     def discover(self, wants: Wants) -> None:
         """Subscribe to what is new in the graph and wanted."""
         self._note_hashes()
-        for publication in self._graph.publications():
-            topic, type_name = publication.topic, publication.type
-            if topic in self._subscriptions or self._reports.refusal("subscribe", topic, type_name):
-                continue
-            qos = wants(topic, type_name)
-            if qos is None:
-                continue
-            try:
-                with self._connection.lock:
-                    offered = self._make(topic, type_name, self._offered(topic, type_name, qos))
-            except Exception as error:  # zenoh's class is one for all causes
-                self._reports.refuse("subscribe", topic, type_name, error)
-            else:
-                facts = {"type": type_name, **asdict(offered)}
-                text = f"subscribed to {topic} ({type_name}), {describe(offered)}"
-                self._reports.note(Level.INFO, "ros_subscribed", text, topic, facts)
+        super().discover(wants)
 
     def note_losses(self) -> None:
         """Note the messages that were lost or refused since the last call."""
-        with self._connection.lock:
-            subscriptions = list(self._subscriptions.values())
-        for one in subscriptions:
-            one.sync()
-            lost = one.counts.lost - one.noted_lost
-            if lost:
-                one.noted_lost += lost
-                text = f"{one.topic}: {lost} messages lost before we took them (queue too short, or the network)"
-                self._reports.note(Level.WARN, "ros_lost", text, one.topic, {"lost": lost})
+        super().note_losses()
+        for one in self.all():
             if one.bad:
                 bad, one.bad = one.bad, ""
                 text = f"{one.topic}: not a message of ROS, it is refused: {bad}"
                 self._reports.note_once(Level.WARN, "ros_bad_attachment", text, one.topic)
-
-    def sync(self) -> None:
-        """Take over what was counted in other threads."""
-        for one in list(self._subscriptions.values()):
-            one.sync()
 
     def _offered(self, topic: str, type_name: str, wanted: Qos) -> Qos:
         """The QoS that suits the present publishers."""
@@ -243,14 +190,14 @@ class Subscribing:
             self._reports.note_once(Level.WARN, "ros_type_hash", text, each.topic)
 
     def _make(self, topic: str, type_name: str, qos: Qos) -> Qos:
-        """Subscribe (with the lock held); returns the QoS."""
         if len(self._subscriptions) >= _MOST:
             raise RosError(f"found {_MOST} subscriptions, expected fewer")
         type_hash = self._hashes.of(type_name)
         key = data_key(self._domain, topic, type_name, type_hash)
-        made = TopicSubscription(topic, type_name, qos, self._reports.counts(topic), self._inbox)
+        counts = self._reports.counts(topic)
+        deliver = guarded(topic, type_name, counts, self._on_message, self._reports)
+        made = TopicSubscription(topic, type_name, qos, counts, self._inbox, deliver)
         made.type_hash = type_hash
-        made.on_message, made.reports = self._on_message, self._reports
         made.clock = self._clock
 
         def declare(session: Any) -> None:

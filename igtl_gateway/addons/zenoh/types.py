@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from igtl_gateway.addon import UnknownTypeError
 from igtl_gateway.addons.zenoh.services import SERVICES
-from igtl_gateway.edges.ros.middleware import UnknownTypeError
 from igtl_gateway.record.sessionfile.schemas import RosTypes
 
 

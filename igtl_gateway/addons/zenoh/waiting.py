@@ -11,8 +11,7 @@ from collections import Counter, deque
 from collections.abc import Callable
 
 from igtl_gateway.addon import NS_PER_S, Clock, Level
-from igtl_gateway.edges.ros.reports import Reports
-from igtl_gateway.edges.ros.streams import TopicCounts
+from igtl_gateway.edges.interface import Reports, TopicCounts
 
 #: A command that has waited longer is not sent: what it asks for may be wrong by then.
 LATE_NS = 2 * NS_PER_S

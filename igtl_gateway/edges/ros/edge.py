@@ -23,20 +23,20 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from typing import Any
 
+from igtl_gateway.base.errors import first_line
 from igtl_gateway.base.qos import Endpoint, Qos
 from igtl_gateway.config.setting import Value
+from igtl_gateway.edges.interface import Change, OnMessage, OnNote, Publication, Reports, Wants
 from igtl_gateway.edges.ros.direct import Rcl
-from igtl_gateway.edges.ros.graph import Graph, Publication
+from igtl_gateway.edges.ros.graph import Graph
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.ros.keeper import Keeper
-from igtl_gateway.edges.ros.middleware import first_line, import_rclpy, interface_class
+from igtl_gateway.edges.ros.middleware import import_rclpy, interface_class
 from igtl_gateway.edges.ros.node import RosNode
-from igtl_gateway.edges.ros.parameters import Change
 from igtl_gateway.edges.ros.publishing import Publishing
 from igtl_gateway.edges.ros.receiver import DirectReceiver, ExecutorReceiver, NativeReceiver, Receiver
-from igtl_gateway.edges.ros.reports import OnNote, Reports
 from igtl_gateway.edges.ros.streams import Topics, TopicSubscription
-from igtl_gateway.edges.ros.subscribing import Callback, OnMessage, Subscribing, Wants, message_callback
+from igtl_gateway.edges.ros.subscribing import Callback, Subscribing, message_callback
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.native.passage import Passage
 from igtl_gateway.native.passage import Publisher as NativePublisher

@@ -3,28 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
 from typing import Any
 
 from igtl_gateway.base.qos import Endpoint, Qos
+from igtl_gateway.edges.interface import Publication
 from igtl_gateway.edges.ros.middleware import qos_of
 from igtl_gateway.edges.ros.node import RosNode
 from igtl_gateway.edges.ros.streams import Topics
-
-
-@dataclass(frozen=True, slots=True)
-class Publication:
-    """A topic that other nodes publish.
-
-    Attributes:
-        topic: full name in the gateway.
-        type: ``"pkg/msg/Name"``.
-        publishers: the number of publishers beside our own.
-    """
-
-    topic: str
-    type: str
-    publishers: int
 
 
 class Graph:

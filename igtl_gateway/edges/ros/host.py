@@ -12,12 +12,13 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
-from igtl_gateway.base.errors import ConfigError, RosError
+from igtl_gateway.base.errors import ConfigError, RosError, first_line
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.config.setting import Value
-from igtl_gateway.edges.ros.middleware import first_line, import_lifecycle, import_rclpy, interface_class, profile_of
-from igtl_gateway.edges.ros.parameters import Change, changeable, checking_node, declare, overrides, show
+from igtl_gateway.edges.interface import Change
+from igtl_gateway.edges.ros.middleware import import_lifecycle, import_rclpy, interface_class, profile_of
+from igtl_gateway.edges.ros.parameters import changeable, checking_node, declare, overrides, show
 from igtl_gateway.gateway.log.note import Level
 
 _CALLS_AT_ONCE = 8  # of services; a call may wait for a peer

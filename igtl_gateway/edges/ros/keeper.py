@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import threading
 
+from igtl_gateway.edges.interface import Reports, Wants
 from igtl_gateway.edges.ros.node import RosNode
 from igtl_gateway.edges.ros.publishing import Publishing
-from igtl_gateway.edges.ros.reports import Reports
-from igtl_gateway.edges.ros.subscribing import Subscribing, Wants
+from igtl_gateway.edges.ros.subscribing import Subscribing
 
 #: From a change of the graph to the look at it: what changes together comes within this time.
 _GATHER_NS = 10_000_000

@@ -9,7 +9,7 @@ import subprocess
 import sys
 from typing import Any
 
-from igtl_gateway.base.errors import RosError
+from igtl_gateway.base.errors import RosError, UnknownTypeError, first_line
 from igtl_gateway.base.extras import missing
 from igtl_gateway.base.qos import Qos
 
@@ -27,10 +27,6 @@ _SUBMODULES = (
     "subscription",
     "impl.implementation_singleton",
 )
-
-
-class UnknownTypeError(RosError):
-    """The Python package of a message type is not installed here."""
 
 
 def import_rclpy() -> Any:
@@ -104,8 +100,3 @@ def qos_of(rclpy: Any, profile: Any) -> Qos:
         profile.reliability == policies.ReliabilityPolicy.RELIABLE,
         profile.durability == policies.DurabilityPolicy.TRANSIENT_LOCAL,
     )
-
-
-def first_line(error: BaseException) -> str:
-    """Return the first line of an error's text: that of rclpy might have several paragraphs."""
-    return (str(error).strip() or type(error).__name__).splitlines()[0]

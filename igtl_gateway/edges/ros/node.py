@@ -8,11 +8,11 @@ from typing import Any
 
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import RosError
+from igtl_gateway.edges.interface import Reports
 from igtl_gateway.edges.ros.graph_watch import BlindWatch, GraphWatch, watch_graph
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.ros.middleware import interface_class
 from igtl_gateway.edges.ros.names import GraphNames
-from igtl_gateway.edges.ros.reports import Reports
 
 _CALLS_WAITING = 100  # of each service; one that is pushed out of the queue of DDS never gets an answer
 

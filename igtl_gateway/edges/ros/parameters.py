@@ -8,17 +8,15 @@ setting.  What rclpy adds is the answer that a parameter is read-only.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.config.setting import ROWS, Setting, Value, unknown
 from igtl_gateway.config.settings import SETTINGS, parameters
+from igtl_gateway.edges.interface import Change
 from igtl_gateway.edges.ros.middleware import interface_class
-
-#: Changes settings while the bridge runs.  Raises ConfigError.
-Change = Callable[[Mapping[str, object]], object]
 
 _FLAGS = {row.flag: row.name for row in SETTINGS if row.flag}
 #: Beginning of the parameters that rclpy declares for topics.

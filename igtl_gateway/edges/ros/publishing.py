@@ -13,15 +13,16 @@ from collections.abc import Callable
 from queue import SimpleQueue
 from typing import Any
 
-from igtl_gateway.base.errors import RosError
+from igtl_gateway.base.errors import first_line
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.edges.interface import Publishers, Reports
 from igtl_gateway.edges.ros.direct import direct_publisher
 from igtl_gateway.edges.ros.graph import Graph
-from igtl_gateway.edges.ros.middleware import first_line, interface_class, profile_of
+from igtl_gateway.edges.ros.middleware import interface_class, profile_of
 from igtl_gateway.edges.ros.node import RosNode
-from igtl_gateway.edges.ros.reports import Reports
-from igtl_gateway.edges.ros.streams import HOLD_MESSAGES, TopicPublisher, Topics
+from igtl_gateway.edges.ros.streams import HOLD_BYTES, HOLD_MESSAGES, TopicPublisher, Topics
+from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.native.passage import Publisher as NativePublisher
 
 #: Subscriptions that the graph knows are matched well within this time, or never (incompatible QoS).
@@ -30,12 +31,11 @@ HOLD_NS = 2_000_000_000
 DISCOVERY_NS = 3_000_000_000
 
 _LINGER_NS = 500_000_000  # for acknowledgements at the end; a subscriber that hangs must not delay us
-_CDR_HEADER = 4
 _MATCHES_MAX = 10_000  # matches not reported yet: at most those of one turn of the keeper
 
 
-class Publishing:
-    """The publishers of a node; see ``RosEdge`` for what each public method does."""
+class Publishing(Publishers[TopicPublisher]):
+    """The publishers of a node over DDS; see ``RosEdge`` for what each public method does."""
 
     def __init__(
         self,
@@ -45,78 +45,34 @@ class Publishing:
         reports: Reports,
         on_listener: Callable[[str], None] | None,
     ) -> None:
+        super().__init__(threading.Lock(), reports, topics.publishers)  # not that of the node: for moments only
         self._node = node
         self._clock = node.clock
         self._topics = topics
-        self._publishers = topics.publishers
         self._graph = graph
-        self._reports = reports
         self._on_first_subscriber = on_listener
         self._listened: deque[str] = deque(maxlen=_MATCHES_MAX)  # topics with a new subscriber, not reported yet
-        self._announcing = threading.Lock()  # guards additions to the table, for moments only
         self._to_make: SimpleQueue[tuple[str, TopicPublisher] | None] = SimpleQueue()
         self._maker = threading.Thread(target=self._make_announced, name="igtl-ros-maker", daemon=True)
 
     # ── for any thread ────────────────────────────────────────────────────────────────────────────────────────
 
-    def publish(self, topic: str, type_name: str, cdr: bytes, qos: Qos) -> str:
-        """Send CDR bytes (with encapsulation); from any thread.
-
-        The publisher is created after the first use, and ``qos`` counts then.  Never raises for a bad topic or type,
-        nor before start or after stop: a note reports that once, and the message counts as failed.
-
-        Returns:
-            Why the message is not published, or ``""``.  One that is held for its publisher or its subscribers might
-            still fail later, which `counters` show.
-        """
-        publisher = self._publishers.get(topic)
-        if publisher is None or publisher.type_name != type_name:
-            publisher = self._announce(topic, type_name, qos)
-            if publisher is None:
-                self._reports.counts(topic).failed += 1
-                return self._reports.refusal("publish", topic, type_name) or "the node is not running"
-        if len(cdr) < _CDR_HEADER:
-            # DDS would carry it, and each subscriber would fail over it
-            with publisher.lock:
-                publisher.counts.failed += 1
-            found = f"{len(cdr)} bytes, expected CDR with {_CDR_HEADER} bytes of encapsulation"
-            self._reports.publish_failed(publisher.topic, found)
-            return found
-        overflown, failure = False, ""
+    def _send(self, publisher: TopicPublisher, cdr: bytes) -> str:
+        failure = ""
         with publisher.lock:
             if publisher.ready:
-                failure = publisher.send(cdr, self._clock)
-            else:
-                publisher.hold(cdr)
-                # not dropped: the subscribers that are matched by now get it
-                while publisher.overflows:
-                    overflown, failure = True, publisher.send_oldest(self._clock)
-        if failure:
+                return publisher.send(cdr, self._clock)
+            publisher.hold(cdr)
+            overflown = publisher.overflows
+            # not dropped: the subscribers that are matched by now get it
+            while publisher.overflows:
+                failure = publisher.send_oldest(self._clock)
+        if overflown:  # the failure is of an older message, and counted
             self._reports.publish_failed(publisher.topic, failure)
-        if overflown:
-            self._reports.hold_overflowed(publisher.topic)
-            return ""  # the failure is of an older message, and counted
-        return failure
-
-    def has_subscriber(self, topic: str) -> bool:
-        """Whether a message published now might reach a subscriber: cheap, and exact once discovery is complete.
-
-        True, too, while a publisher waits for subscribers.  ``on_listener`` reports those that come later.
-        """
-        publisher = self._publishers.get(topic)
-        return publisher is None or publisher.has_subscriber
-
-    def count_if_unsubscribed(self, topic: str) -> bool:
-        """Whether a message of a topic need not be published for want of a subscriber, which is counted then.
-
-        A message that is neither latched nor subscribed to goes nowhere in DDS either, only more slowly (6 µs, after a
-        pause 100).
-        """
-        publisher = self._publishers.get(topic)
-        if publisher is None or publisher.qos.latched or publisher.has_subscriber:
-            return False
-        publisher.counts.unheard += 1
-        return True
+            limit = f"{HOLD_MESSAGES} messages or {HOLD_BYTES >> 20} MiB"
+            text = f"more than {limit} before all subscribers were matched; the matched ones got the oldest"
+            self._reports.note_once(Level.INFO, "ros_hold_overflow", f"{publisher.topic}: {text}", publisher.topic)
+        return ""
 
     def native(self, topic: str, type_name: str) -> NativePublisher | None:
         """Return a publisher for the native passage; None: Python publishes, such as while messages are held."""
@@ -129,40 +85,30 @@ class Publishing:
 
     def sync(self) -> None:
         """Take over what the native passage has counted."""
-        for publisher in self._all():
+        for publisher in self.all():
             self._reports.publish_failed(publisher.topic, publisher.sync())
 
     def advertise(self, topic: str, type_name: str, qos: Qos) -> TopicPublisher | None:
         """The publisher of the topic, made if there is none; None (and a note) if that is impossible."""
-        publisher = self._announce(topic, type_name, qos, later=False)
+        publisher = super().advertise(topic, type_name, qos)
         return publisher if publisher and self._complete(topic, publisher) else None
 
-    def _announce(self, topic: str, type_name: str, qos: Qos, *, later: bool = True) -> TopicPublisher | None:
-        """The publisher of the topic; a new one holds its messages, and is made ``later``, by another thread.
+    def _first(self, topic: str, type_name: str, qos: Qos) -> TopicPublisher | None:
+        """A new publisher holds its messages, and another thread makes it."""
+        publisher = super().advertise(topic, type_name, qos)
+        if publisher and not publisher.is_made:
+            with self._lock:
+                if self._maker.ident is None:
+                    self._maker.start()
+            self._to_make.put((topic, publisher))
+        return publisher
 
-        None (and a note) if that is impossible.
-        """
-        if self._reports.refusal("publish", topic, type_name):
-            return None
-        try:
-            _ = self._node.handle  # raises if the node does not run
-            with self._announcing:
-                full = self._node.names.full(topic)
-                publisher = self._publishers.get(full)
-                is_new = publisher is None
-                if publisher is None:
-                    publisher = TopicPublisher(full, type_name, qos, self._reports.counts(full))
-                if publisher.type_name != type_name:
-                    raise RosError(f"the topic has the type {publisher.type_name}")
-                self._publishers[topic] = self._publishers[full] = publisher
-                if is_new and later:
-                    if self._maker.ident is None:
-                        self._maker.start()
-                    self._to_make.put((topic, publisher))
-                return publisher
-        except Exception as error:  # rclpy raises a dozen unrelated classes here
-            self._reports.refuse("publish", topic, type_name, error)
-            return None
+    def _full(self, topic: str) -> str:
+        _ = self._node.handle  # raises if the node does not run
+        return self._node.names.full(topic)
+
+    def _new(self, topic: str, type_name: str, qos: Qos) -> TopicPublisher:
+        return TopicPublisher(topic, type_name, qos, self._reports.counts(topic))
 
     def _make_announced(self) -> None:
         """Make the publishers that messages wait for, one after the other, until the stop."""
@@ -179,7 +125,7 @@ class Publishing:
                     self._make(publisher, message_class)
         except Exception as error:  # rclpy raises a dozen unrelated classes here
             self._reports.refuse("publish", topic, publisher.type_name, error)
-            with self._announcing:
+            with self._lock:
                 for name in [name for name, each in self._publishers.items() if each is publisher]:
                     del self._publishers[name]
             publisher.refuse(first_line(error))
@@ -219,14 +165,14 @@ class Publishing:
 
     def is_holding(self) -> bool:
         """Whether any publisher holds messages for subscribers that are not matched yet."""
-        return any(not publisher.ready for publisher in self._all())
+        return any(not publisher.ready for publisher in self.all())
 
     # ── for the keeper's thread ───────────────────────────────────────────────────────────────────────────────
 
     def send_held(self) -> bool:
         """Send a burst of the held messages whose subscribers are matched; returns whether there were any."""
         bursting = False
-        for publisher in self._all():
+        for publisher in self.all():
             if publisher.ready or not self._can_send(publisher):
                 continue
             # Each burst is longer than the last, so that we catch up with any publisher in the end.
@@ -249,7 +195,7 @@ class Publishing:
     def close(self) -> None:
         """At stop: send what is held, wait a moment for the acknowledgements, and refuse all further messages."""
         deadline_ns = self._clock.monotonic_ns() + _LINGER_NS
-        publishers = self._all()
+        publishers = self.all()
         for publisher in publishers:
             self._reports.publish_failed(publisher.topic, publisher.release(self._clock, HOLD_MESSAGES + 1))
         for publisher in publishers:
@@ -258,10 +204,6 @@ class Publishing:
                 publisher.publisher.wait_for_all_acked(self._node.rclpy.duration.Duration(nanoseconds=left_ns))
         for publisher in publishers:
             publisher.close()
-
-    def _all(self) -> list[TopicPublisher]:
-        with self._announcing:
-            return list({id(publisher): publisher for publisher in self._publishers.values()}.values())
 
     def _can_send(self, publisher: TopicPublisher) -> bool:
         if not self._node.is_running or self._clock.monotonic_ns() >= publisher.deadline_ns:

@@ -13,9 +13,10 @@ from typing import Any
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.errors import first_line
 from igtl_gateway.base.qos import Qos
+from igtl_gateway.edges.interface import TopicCounts
 from igtl_gateway.edges.ros.direct import RclPublisher, refusing_publisher
-from igtl_gateway.edges.ros.middleware import first_line
 from igtl_gateway.native.passage import Publisher as NativePublisher
 from igtl_gateway.native.passage import Subscription as NativeSubscription
 
@@ -29,30 +30,6 @@ _ECHO_MEMORY = 4096  # own messages remembered per topic: more than a reader has
 _ECHO_PREFIX = 256  # enough to hold the header with its stamp; whole images need not be kept
 _CAME_BACK = (0, b"")
 _DDS_STAMP_NS = 1  # DDS stamps are 32.32 fixed point: a nanosecond is lost at most
-
-
-@dataclass(slots=True)
-class TopicCounts:
-    """Of one topic, in messages.
-
-    Attributes:
-        received: passed to the gateway.
-        published: passed to the middleware.  The counts ``published``, ``held``, ``unheard``, ``over_budget`` and
-            ``failed`` add up to all messages that were to be published.
-        held: waiting for subscribers now.
-        lost: sent by others but never received.
-        failed: refused by the middleware, or by a defect of our own.
-        `unheard`: not passed to the middleware, because there was no subscriber, and a later one would not get them.
-        over_budget: dropped, because the budget of the site is exceeded.
-    """
-
-    received: int = 0
-    published: int = 0
-    held: int = 0
-    lost: int = 0
-    failed: int = 0
-    unheard: int = 0
-    over_budget: int = 0
 
 
 class EchoFilter:

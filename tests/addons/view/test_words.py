@@ -6,8 +6,8 @@ import pytest
 
 pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 
-from igtl_gateway.addons.view.other_msgs import Log
 from igtl_gateway.convert import igtl_msgs
+from igtl_gateway.convert.common_msgs import Log
 from igtl_gateway.convert.rosmsg import DiagnosticStatus, Header, String
 
 from .conftest import Draw, without_time

@@ -8,8 +8,9 @@ import pytest
 
 from igtl_gateway.base.clock import ManualClock
 from igtl_gateway.base.qos import Qos
+from igtl_gateway.edges.interface import TopicCounts
 from igtl_gateway.edges.ros import streams
-from igtl_gateway.edges.ros.streams import EchoFilter, TopicCounts, TopicPublisher, TopicSubscription
+from igtl_gateway.edges.ros.streams import EchoFilter, TopicPublisher, TopicSubscription
 
 QUICK_NS = 1000  # what a call of publish takes here
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 from igtl_gateway.base.qos import Endpoint, Qos
@@ -11,9 +12,31 @@ from igtl_gateway.config.setting import Value
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.native.passage import Publisher, Subscription
 
+#: Called with topic, type, CDR bytes and source stamp of a message.
+OnMessage = Callable[[str, str, bytes, int], None]
+#: Returns the QoS to subscribe to a topic and type with, or None.
+Wants = Callable[[str, str], Qos | None]
+#: Changes settings while the bridge runs.  Raises ConfigError.
+Change = Callable[[Mapping[str, object]], object]
+
+
+@dataclass(frozen=True, slots=True)
+class Publication:
+    """A topic that other nodes publish.
+
+    Attributes:
+        topic: full name in the gateway.
+        type: ``"pkg/msg/Name"``.
+        publishers: the number of publishers beside our own.
+    """
+
+    topic: str
+    type: str
+    publishers: int
+
 
 class RosSide(Protocol):
-    """The interface of ``edges.ros.edge.RosEdge`` and ``edges.zenoh.edge.ZenohEdge``; the former describes it."""
+    """The interface of ``edges.ros.edge.RosEdge``, which describes it, and of a side over another middleware."""
 
     @property
     def publish(self) -> Callable[[str, str, bytes, Qos], str]: ...
@@ -36,7 +59,7 @@ class RosSide(Protocol):
 
     def stop(self) -> None: ...
 
-    def follow(self, change: Callable[[Mapping[str, object]], object] | None, /) -> None: ...
+    def follow(self, change: Change | None, /) -> None: ...
 
     def show(self, values: Mapping[str, Value], /) -> None: ...
 
@@ -55,3 +78,21 @@ class RosSide(Protocol):
     def sync(self) -> None: ...
 
     def counters(self) -> dict[str, dict[str, int]]: ...
+
+
+class PlainSide:
+    """What a side without parameters and without the native passage answers."""
+
+    def follow(self, change: Change | None) -> None:
+        """There are no parameters that could change."""
+
+    def show(self, values: Mapping[str, Value]) -> None:
+        """There are no parameters that could show the values."""
+
+    def native_subscription(self, topic: str, type_name: str) -> Subscription | None:
+        """None: all messages are Python's."""
+        return None
+
+    def native_publisher(self, topic: str, type_name: str) -> Publisher | None:
+        """None: Python publishes."""
+        return None

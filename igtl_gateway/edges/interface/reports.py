@@ -1,18 +1,41 @@
-"""What the ROS edge reports: notes, causes of refusals, and counts of each topic."""
+"""What a ROS side reports: notes, causes of refusals, and counts of each topic."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import Any
 
+from igtl_gateway.base.errors import UnknownTypeError, first_line
 from igtl_gateway.base.once import Once
-from igtl_gateway.edges.ros.middleware import UnknownTypeError, first_line
-from igtl_gateway.edges.ros.streams import HOLD_BYTES, HOLD_MESSAGES, TopicCounts
 from igtl_gateway.gateway.log.note import Level, Note
 
 OnNote = Callable[[Note], None]
+
+
+@dataclass(slots=True)
+class TopicCounts:
+    """Of one topic, in messages.
+
+    Attributes:
+        received: passed to the gateway.
+        published: passed to the middleware.  The counts ``published``, ``held``, `unheard`, ``over_budget`` and
+            ``failed`` add up to all messages that were to be published.
+        held: waiting for subscribers now.
+        lost: sent by others but never received.
+        failed: refused by the middleware, or by a defect of our own.
+        unheard: not passed to the middleware, because there was no subscriber, and a later one would not get them.
+        over_budget: dropped, because the budget of the site is exceeded.
+    """
+
+    received: int = 0
+    published: int = 0
+    held: int = 0
+    lost: int = 0
+    failed: int = 0
+    unheard: int = 0
+    over_budget: int = 0
 
 
 class Reports:
@@ -66,12 +89,6 @@ class Reports:
     def callback_failed(self, what: str, error: Exception, topic: str = "") -> None:
         """Note, once for each topic, that a callback raised."""
         self.note_once(Level.ERROR, "ros_callback_failed", f"{what}: {first_line(error)}", topic)
-
-    def hold_overflowed(self, topic: str) -> None:
-        """Note, once for each topic, that more messages were held than there may be."""
-        limit = f"{HOLD_MESSAGES} messages or {HOLD_BYTES >> 20} MiB"
-        text = f"{topic}: more than {limit} before all subscribers were matched; the matched ones got the oldest"
-        self.note_once(Level.INFO, "ros_hold_overflow", text, topic)
 
     def incompatible_qos(self, topic: str, peer: str, policy: str) -> None:
         """Note that nothing passes between us and a publisher or subscriber."""

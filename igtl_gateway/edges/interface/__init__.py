@@ -1,0 +1,28 @@
+"""What the application needs of a ROS side, and what a side of any middleware is made with.
+
+``side`` is the interface.  ``publishers`` and ``subscriptions`` are the halves that the sides over DDS (`edges.ros`)
+and over Zenoh (an add-on) have in common: topics by name, refusals, discovery, losses.  ``reports`` has notes and
+counts.
+"""
+
+from igtl_gateway.edges.interface.publishers import Publishers
+from igtl_gateway.edges.interface.reports import OnNote, Reports, TopicCounts
+from igtl_gateway.edges.interface.side import Change, OnMessage, PlainSide, Publication, RosSide, Wants
+from igtl_gateway.edges.interface.subscriptions import Deliver, Subscriptions, describe, guarded
+
+__all__ = [
+    "Change",
+    "Deliver",
+    "OnMessage",
+    "OnNote",
+    "PlainSide",
+    "Publication",
+    "Publishers",
+    "Reports",
+    "RosSide",
+    "Subscriptions",
+    "TopicCounts",
+    "Wants",
+    "describe",
+    "guarded",
+]

@@ -1,0 +1,144 @@
+"""The publishers of a node, whichever middleware carries the messages."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from contextlib import AbstractContextManager
+from typing import Generic, Protocol, TypeVar
+
+from igtl_gateway.base.errors import RosError
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.edges.interface.reports import Reports, TopicCounts
+
+_CDR_HEADER = 4
+
+
+class TopicPublisher(Protocol):
+    """What is needed of one publisher.
+
+    Attributes:
+        lock: guards its counts.
+        has_subscriber: whether a message might reach a subscriber.
+    """
+
+    @property
+    def topic(self) -> str: ...
+
+    @property
+    def type_name(self) -> str: ...
+
+    @property
+    def qos(self) -> Qos: ...
+
+    @property
+    def counts(self) -> TopicCounts: ...
+
+    @property
+    def lock(self) -> AbstractContextManager[object]: ...
+
+    @property
+    def has_subscriber(self) -> bool: ...
+
+
+P = TypeVar("P", bound=TopicPublisher)
+
+
+class Publishers(ABC, Generic[P]):
+    """Publishers are made at, or after, their first use.
+
+    Args:
+        lock: guards ``publishers``; only the first message of a topic takes it.
+        reports: takes the notes.
+        publishers: by the name as given, and by the full name.
+    """
+
+    def __init__(self, lock: AbstractContextManager[object], reports: Reports, publishers: dict[str, P]) -> None:
+        self._lock = lock
+        self._reports = reports
+        self._publishers = publishers
+
+    @abstractmethod
+    def _new(self, topic: str, type_name: str, qos: Qos) -> P:
+        """Return a new publisher, by its full name; the caller has the lock.  May raise anything."""
+
+    @abstractmethod
+    def _send(self, publisher: P, cdr: bytes) -> str:
+        """Send a message, and count it; return why that failed, or ``""``."""
+
+    def _full(self, topic: str) -> str:
+        """Return the full name of a topic.  May raise anything."""
+        return topic
+
+    def _first(self, topic: str, type_name: str, qos: Qos) -> P | None:
+        """Return the publisher for the first message of a topic, as ``advertise``."""
+        return self.advertise(topic, type_name, qos)
+
+    def publish(self, topic: str, type_name: str, cdr: bytes, qos: Qos) -> str:
+        """Send CDR bytes (with encapsulation); from any thread.
+
+        The publisher is created after the first use, and ``qos`` counts then.  Never raises for a bad topic or type,
+        nor before start or after stop: a note reports that once, and the message counts as failed.
+
+        Returns:
+            Why the message is not published, or ``""``.  One that is held for its publisher or its subscribers might
+            still fail later, which `counters` show.
+        """
+        publisher = self._publishers.get(topic)
+        if publisher is None or publisher.type_name != type_name:
+            publisher = self._first(topic, type_name, qos)
+            if publisher is None:
+                self._reports.counts(topic).failed += 1
+                return self._reports.refusal("publish", topic, type_name) or "the node is not running"
+        if len(cdr) < _CDR_HEADER:
+            # the middleware would carry it, and each subscriber would fail over it
+            with publisher.lock:
+                publisher.counts.failed += 1
+            failure = f"{len(cdr)} bytes, expected CDR with {_CDR_HEADER} bytes of encapsulation"
+        else:
+            failure = self._send(publisher, cdr)
+        if failure:
+            self._reports.publish_failed(publisher.topic, failure)
+        return failure
+
+    def has_subscriber(self, topic: str) -> bool:
+        """Whether a message published now might reach a subscriber: cheap, and exact once discovery is complete.
+
+        True, too, while a publisher waits for subscribers.  ``on_listener`` reports those that come later.
+        """
+        publisher = self._publishers.get(topic)
+        return publisher is None or publisher.has_subscriber
+
+    def count_if_unsubscribed(self, topic: str) -> bool:
+        """Whether a message of a topic need not be published for want of a subscriber, which is counted then.
+
+        A message that is neither latched nor subscribed to goes nowhere in DDS either, only more slowly (6 µs, after a
+        pause 100).
+        """
+        publisher = self._publishers.get(topic)
+        if publisher is None or publisher.qos.latched or publisher.has_subscriber:
+            return False
+        publisher.counts.unheard += 1
+        return True
+
+    def advertise(self, topic: str, type_name: str, qos: Qos) -> P | None:
+        """The publisher of the topic, made if there is none; None (and a note) if that is impossible."""
+        if self._reports.refusal("publish", topic, type_name):
+            return None
+        try:
+            with self._lock:
+                full = self._full(topic)
+                publisher = self._publishers.get(full)
+                if publisher is None:
+                    publisher = self._new(full, type_name, qos)
+                if publisher.type_name != type_name:
+                    raise RosError(f"the topic has the type {publisher.type_name}")
+                self._publishers[topic] = self._publishers[full] = publisher
+                return publisher
+        except Exception as error:  # rclpy raises a dozen unrelated classes here, and Zenoh one for all causes
+            self._reports.refuse("publish", topic, type_name, error)
+            return None
+
+    def all(self) -> list[P]:
+        """Return each publisher once."""
+        with self._lock:
+            return list({id(publisher): publisher for publisher in self._publishers.values()}.values())
