@@ -10,6 +10,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -325,6 +326,10 @@ def test_messages_that_a_short_queue_loses_are_counted(peer: Peer, edge: RosEdge
         other.stop()
 
 
+def has_failed(edge: RosEdge, topic: str, count: int) -> bool:
+    return edge.counters()[topic]["failed"] == count
+
+
 def test_what_cannot_be_published_is_noted_once_and_counted(edge: RosEdge, heard: Heard) -> None:
     edge.publish("/types", STRING, string_cdr("good"), Qos())
     cases = {
@@ -337,7 +342,7 @@ def test_what_cannot_be_published_is_noted_once_and_counted(edge: RosEdge, heard
     for (topic, type_name), code in cases.items():
         for _ in range(3):
             edge.publish(topic, type_name, string_cdr("x"), Qos())
-        assert heard.until(lambda topic=topic: edge.counters()[topic]["failed"] == 3)
+        assert heard.until(partial(has_failed, edge, topic, 3))
         assert heard.codes(topic).count(code) == 1
     edge.publish("/types", STRING, b"\0\1", Qos())
     assert edge.counters()["/types"]["failed"] == 4
