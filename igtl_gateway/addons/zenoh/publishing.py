@@ -24,7 +24,7 @@ from igtl_gateway.edges.interface import Publishers, Reports, TopicCounts
 #: From the declaration on until Zenoh knows the subscribers, a publisher counts as one with a subscriber.
 _SETTLE_NS = 500_000_000
 _HEARTBEAT_S = 0.5
-#: The log of the node, which is no stream of the gateway: it is not counted.
+#: The log of the node; its messages are not counted as a stream of the gateway.
 ROSOUT = "/rosout"
 
 

@@ -25,7 +25,7 @@ class TopicCounts:
         held: waiting for subscribers now.
         lost: sent by others but never received.
         failed: refused by the middleware, or by a defect of our own.
-        unheard: not passed to the middleware, because there was no subscriber, and a later one would not get them.
+        `unheard`: not passed to the middleware, because there was no subscriber, and a later one would not get them.
         over_budget: dropped, because the budget of the site is exceeded.
     """
 
