@@ -43,7 +43,7 @@
 #define MAX_LARGE_STREAMS 64
 #define MAX_LARGE_WAITING 3 /* messages; then TCP makes the peer wait */
 #define LOCK_NS 2000000 /* the longest wait of a thread of the middleware */
-#define BATCH_NS 500000 /* messages of ROS that wait pass with one taking of the sequence lock, for this time */
+#define BATCH_NS 3000000 /* messages of ROS that wait pass with one taking of the sequence lock, for this time at most */
 #define PART 8 /* of its time that a turn costs which leaves nothing */
 #define QUANTUM_NS 100000 /* a turn of a link ends after the message with which it has lasted this long */
 
