@@ -104,8 +104,15 @@ def test_a_file_of_the_second_tier_has_no_fast_test(tier: str, code: int) -> Non
 
 
 def test_the_gate_begins_with_the_checks() -> None:
-    gate, checks = recipe("test"), recipe("static")
-    assert gate[: len(checks)] == recipe("check")[: len(checks)] == checks
+    """Those that end in seconds; mypy runs beside the tests, and its exit code counts, too."""
+    gate, quick, (types,) = recipe("test"), recipe("quick"), recipe("types")
+    assert gate[: len(quick)] == quick
+    beside = next(command for command in gate if "pytest" in command)
+    assert beside[: len(types) + 2] == ["nice", *types, "&"]
+    assert beside[-5:] == ["wait", "$types", "&&", "exit", "$tests"]
+    checks = recipe("static")
+    assert recipe("check")[: len(checks)] == checks
+    assert [command for command in checks if command not in (*quick, types)] == checks[:1]  # what starts the others
     assert (ROOT / ".ci" / "run").read_text("utf-8").count("make --no-print-directory test <") == 1
 
 
