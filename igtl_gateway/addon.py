@@ -82,8 +82,8 @@ if TYPE_CHECKING:
     )
     from igtl_gateway.cli.verbs import Verb
     from igtl_gateway.config.configuration import Config, read_toml
-    from igtl_gateway.config.notations import STREAM
-    from igtl_gateway.config.setting import Setting
+    from igtl_gateway.config.notations import DDS, STREAM
+    from igtl_gateway.config.setting import HOST, RECORD, ROS_GRAPH, Setting, grouped
     from igtl_gateway.convert.structs import Pose
     from igtl_gateway.gateway.log.entry import Entry, Kind
     from igtl_gateway.gateway.log.note import Level, Note
@@ -178,8 +178,8 @@ HOMES: dict[str, tuple[str, ...]] = {
         "parser_of",
     ),
     "cli.settings": ("add_settings", "values_with_effect"),
-    "config.notations": ("STREAM",),
-    "config.setting": ("Setting",),
+    "config.notations": ("DDS", "STREAM"),
+    "config.setting": ("HOST", "RECORD", "ROS_GRAPH", "Setting", "grouped"),
     "cli.terminal": (
         "aligned",
         "cell",
@@ -205,11 +205,15 @@ _MODULE_OF = {name: module for module, names in HOMES.items() for name in names}
 
 __all__ = [
     "ADDONS",
+    "DDS",
+    "HOST",
     "IMPORTED",
     "NS_PER_MS",
     "NS_PER_S",
+    "RECORD",
     "RECORDING",
     "RECORDING_OR_BAG",
+    "ROS_GRAPH",
     "STREAM",
     "Buffer",
     "Clock",
@@ -268,6 +272,7 @@ __all__ = [
     "file_name",
     "files",
     "first_line",
+    "grouped",
     "in_use",
     "is_present",
     "is_same",

@@ -77,9 +77,9 @@ MOST_OF_CORE = {
     "resim": 7,
     "review": 11,
     "sync": 6,
-    "upload": 9,
+    "upload": 8,
     "view": 25,
-    "zenoh": 9,
+    "zenoh": 8,
 }
 
 #: Programs that play foreign software: of our modules they may use only their own, of outside libraries any.

@@ -40,7 +40,7 @@ from igtl_gateway.cli.verbs import Verb, available
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.faults import FAULTS
 from igtl_gateway.config.setting import ROWS, Setting
-from igtl_gateway.config.settings import SETTINGS, of_table
+from igtl_gateway.config.settings import all_settings, of_table
 from igtl_gateway.convert import crtk
 from igtl_gateway.convert.commands import ERROR_MESSAGE, STATUS
 from igtl_gateway.convert.names import MAX_TOKEN, frames_of, short_device_name, topic_token
@@ -1081,8 +1081,8 @@ ros2 param set /or1/gw deny_in "['COMMAND']" """
         ),
         "## While the bridge runs",
         prose(
-            f"""{code(row.name for row in SETTINGS if row.changes)} can change. A change is an input of the session,
-            so the recording verifies ([lifecycle.md](../how-to/lifecycle.md)). All other parameters are
+            f"""{code(row.name for row in all_settings() if row.changes)} can change. A change is an input of the
+            session, so the recording verifies ([lifecycle.md](../how-to/lifecycle.md)). All other parameters are
             read-only. Pause, resume and snapshot of a recording are services: `~/pause_recording`,
             `~/resume_recording`, `~/snapshot`."""
         ),
@@ -1145,7 +1145,7 @@ ros2 param set /or1/gw deny_in "['COMMAND']" """
                     {ROWS: f"`[[{row.name}]]`", "": ""}.get(row.table, f"`[{row.table}]`"),
                     "yes" if row.changes else "",
                 )
-                for row in SETTINGS
+                for row in all_settings()
                 if row.parameter
             ],
         ),

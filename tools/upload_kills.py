@@ -15,7 +15,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from igtl_gateway.config.notations import UploadPlace, upload_place
+from igtl_gateway.addons.upload.place import UploadPlace, upload_place
 from tests.record import samples
 from tests.record.test_parts import record
 

@@ -12,13 +12,13 @@ from typing import Any, Self
 
 from igtl_gateway.api.keywords import checked, of_a_bridge, ros_arguments
 from igtl_gateway.app.bridge import Bridge as RunningBridge
-from igtl_gateway.app.bridge_options import bridge_options
+from igtl_gateway.app.bridge_options import bridge_options, zenoh_endpoint
 from igtl_gateway.app.entry_watch import EntryWatch
 from igtl_gateway.app.recording import pause, resume, snapshot
 from igtl_gateway.app.settings import declared, settled
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import NoReply, RecordingError
-from igtl_gateway.config.notations import ros_middleware
+from igtl_gateway.config.settings import all_settings
 from igtl_gateway.edges.ros.env import prepare_environment
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.tcp import LinkInfo
@@ -106,7 +106,7 @@ class Bridge:
         on_note: Callable[[Note], None] | None = None,
         **settings: Any,
     ) -> None:
-        self._ours = checked(settings | ({"ros": ros} if isinstance(ros, str) else {}))
+        self._ours = checked(settings | ({"ros": ros} if isinstance(ros, str) else {}), all_settings())
         if config is not None:
             self._ours["config"] = fspath(config)
         self._node_name = node_name
@@ -117,7 +117,7 @@ class Bridge:
         with of_a_bridge():
             values = settled(self._ours, {})
             self._ros = bool(ros) and not values["relay"]
-            has_node = self._ros and ros_middleware(values["ros"]) is None
+            has_node = self._ros and zenoh_endpoint(values) is None
             without = f"ros={values['ros']!r}" if self._ros else "relay=True" if ros else "ros=False"
             arguments = ros_arguments(ros_args, ros=has_node, without=without)
             if has_node:

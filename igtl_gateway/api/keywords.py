@@ -11,9 +11,10 @@ from typing import Any, TypeVar
 
 from igtl_gateway.app.replay_options import REPLAY
 from igtl_gateway.app.rows import rows_of
+from igtl_gateway.base.addons import check_setting
 from igtl_gateway.base.errors import ConfigError, RecordingError, Unavailable
 from igtl_gateway.config.setting import ROWS, Setting, unknown
-from igtl_gateway.config.settings import SETTINGS
+from igtl_gateway.config.settings import all_settings
 from igtl_gateway.edges.tcp import TlsFiles
 
 F = TypeVar("F", bound=Callable[..., object])
@@ -22,7 +23,6 @@ BEGIN = "--ros-args"
 #: Keywords that are a number of seconds, or a date and time.
 _MOMENTS = ("start", "end")
 
-_OF_A_BRIDGE = {row.flag: row.name for row in SETTINGS if row.flag} | {BEGIN: "ros_args", "--no-ros": "ros=False"}
 _OF_A_REPLAY = {row.flag: row.name for row in REPLAY} | {
     BEGIN: "ros_args",
     "--tls-cert": "tls.cert",
@@ -36,7 +36,9 @@ _CHOICE = re.compile(r"(?<![\w-])--(to|restamp) (igtl|ros|both|keep|now|shift)\b
 @contextmanager
 def of_a_bridge() -> Iterator[None]:
     """Errors of the settings of a bridge name them as ``Bridge`` does."""
-    with _spelled(_OF_A_BRIDGE):
+    with _spelled(
+        {row.flag: row.name for row in all_settings() if row.flag} | {BEGIN: "ros_args", "--no-ros": "ros=False"}
+    ):
         yield
 
 
@@ -104,13 +106,14 @@ def keywords(rows: Iterable[Setting]) -> dict[str, Setting]:
     return {row.name: row for row in rows if row.keyword}
 
 
-def checked(settings: Mapping[str, Any], rows: Iterable[Setting] = SETTINGS) -> dict[str, Any]:
+def checked(settings: Mapping[str, Any], rows: Iterable[Setting]) -> dict[str, Any]:
     """Return settings as the types of a table.  Raises ConfigError with the name of the setting."""
     known = keywords(rows)
     values: dict[str, Any] = {}
     for name, value in settings.items():
         row = known.get(name)
         if row is None:
+            check_setting(name)
             raise ConfigError(f"{name}: {unknown(name, known)}")
         try:
             values[name] = _rows(row, value) if row.table == ROWS else row.check(_plain(row, value))

@@ -8,23 +8,22 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.app.settings import config_of
+from igtl_gateway.base.addons import part_of
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.realtime import RealtimeOptions
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.notations import (
+    DDS,
     DEFAULT_HOST,
     DEFAULT_PORT,
-    UploadPlace,
     cpus,
     file_mode,
     key_value,
     peer_address,
     retention,
-    ros_middleware,
     size_by_type,
-    upload_place,
 )
-from igtl_gateway.config.settings import SETTINGS, check_needs
+from igtl_gateway.config.settings import all_settings, check_needs
 from igtl_gateway.edges.reserved import ReservedPorts
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from igtl_gateway.edges.video import VideoOptions
@@ -68,7 +67,7 @@ class BridgeOptions:
         tls_listen, tls_connect: the addresses of ``listen`` and ``connect`` that use TLS.
         node_name: name of the ROS node.
         recording: options of the recorder.
-        upload: where closed recordings are copied to; None: nowhere.
+        upload: where closed recordings are copied to; "": nowhere.
         upload_rate: bytes per second of it; 0: no limit.
         video: options of the codec from ROS images to VIDEO and back; None: neither encode nor decode.
         diagnostics: publish the state of the bridge on /diagnostics once a second.
@@ -90,7 +89,7 @@ class BridgeOptions:
     tls_connect: frozenset[Address] = frozenset()
     node_name: str = "igtl_gateway"
     recording: RecordOptions = field(default_factory=RecordOptions)
-    upload: UploadPlace | None = None
+    upload: str = ""
     upload_rate: float = 0.0
     video: VideoOptions | None = None
     diagnostics: bool = False
@@ -133,7 +132,7 @@ def bridge_options(
         listen,
         connect,
         ros=ros,
-        zenoh=ros_middleware(values["ros"]) if ros else None,
+        zenoh=zenoh_endpoint(values) if ros else None,
         site=_site(values),
         record=Path(values["record"]) if values["record"] else None,
         record_topics=("**",) if values["record_all"] else tuple(values["record_topics"]),
@@ -144,8 +143,8 @@ def bridge_options(
         tls_connect=tls_connect,
         node_name=node_name,
         recording=how,
-        upload=upload_place(values["upload"]) if values["upload"] else None,
-        upload_rate=values["upload_rate"] * 1e6,
+        upload=values.get("upload", ""),
+        upload_rate=values.get("upload_rate", 0.0) * 1e6,
         video=_video(values, ros=ros),
         diagnostics=ros and values["diagnostics"],
         reserved=reserved,
@@ -157,9 +156,18 @@ def bridge_options(
     )
 
 
+def zenoh_endpoint(values: Mapping[str, Any]) -> str | None:
+    """Return the endpoint of the router, "" for that of Zenoh's configuration, None for DDS."""
+    way = values.get("ros", DDS)
+    endpoint: str | None = None if way == DDS else part_of("zenoh", "notation:ros_middleware")(way)
+    return endpoint
+
+
 def _site(values: Mapping[str, Any]) -> SiteOptions:
     """Return the options of the site.  Raises ConfigError."""
-    if values["site"] and ros_middleware(values["ros"]) is None:
+    if "site" not in values:  # without the add-on
+        return SiteOptions()
+    if values["site"] and zenoh_endpoint(values) is None:
         raise ConfigError(f"--site {values['site']}: found --ros {values['ros']}, expected --ros zenoh")
     return SiteOptions(values["site"], values["site_budget"] << 10, tuple(values["site_classes"]))
 
@@ -217,7 +225,7 @@ def _with_tls(places: Iterable[tuple[str, int]], usual: bool) -> frozenset[tuple
 
 def _of_a_recording(values: Mapping[str, Any]) -> list[str]:
     """Return the changed settings of a recording, also those of a file: a lost recording is no detail."""
-    return [row.name for row in SETTINGS if "record" in row.needs and values[row.name] != row.default]
+    return [row.name for row in all_settings() if "record" in row.needs and values[row.name] != row.default]
 
 
 def record_options(values: Mapping[str, Any]) -> RecordOptions:
@@ -238,7 +246,7 @@ def record_options(values: Mapping[str, Any]) -> RecordOptions:
         file_mode=file_mode(values["file_mode"]),
         seal=Path(values["seal"]) if values["seal"] else None,
         retention=retention(values["retention"]) if values["retention"] else None,
-        uploaded=bool(values["upload"]),
+        uploaded=bool(values.get("upload")),
     )
 
 

@@ -115,8 +115,9 @@ class BridgeRecording:
         if self._passage:
             self._passage.record_into(self.recorder)
         if self._options.upload:
+            place = part_of("upload", "place:upload_place")(self._options.upload)
             self.uploads = part_of("upload", "live:BridgeUploads")(
-                self._path, self._options.upload, self._options.upload_rate, self._on_note
+                self._path, place, self._options.upload_rate, self._on_note
             )
 
     def stop(self) -> None:

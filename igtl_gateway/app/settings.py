@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.app.rows import rows_of
+from igtl_gateway.base.addons import check_setting
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.config.configuration import LIVE, Config, read_toml
 from igtl_gateway.config.setting import GATEWAY, HOST, IGTL, RECORD, ROWS, Value, unknown
-from igtl_gateway.config.settings import SETTINGS, check_values, of_table, parameters
+from igtl_gateway.config.settings import all_settings, check_values, of_table, parameters
 
 _FILES = ("tls_cert", "tls_key", "tls_ca")
 
@@ -25,6 +26,7 @@ def of_parameters(overrides: Mapping[str, Any]) -> dict[str, Any]:
     known, values = parameters(), {}
     for name, found in overrides.items():
         if name not in known:
+            check_setting(name)
             raise ConfigError(f"parameter {name}: {unknown(name, known)}")
         row = known[name]
         try:
@@ -84,7 +86,7 @@ def settled(ours: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, 
     path = ours.get("config") or parameter.get("config")
     file = of_file(Path(path)) if path else {}
     values: dict[str, Any] = {}
-    for row in SETTINGS:
+    for row in all_settings():
         found = [layer[row.name] for layer in (ours, parameter, file) if row.name in layer]
         if row.adds and row.name in ours and len(found) > 1:
             values[row.name] = (*found[0], *found[1])

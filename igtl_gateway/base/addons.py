@@ -29,6 +29,14 @@ ADDONS: dict[str, tuple[str, ...]] = {
     "zenoh": ("zenoh-router",),
 }
 
+#: Add-on → its settings of `bridge`, so that one of an absent add-on is known: name → option.  ``settings.py`` of its
+#: folder has the rows.
+ADDON_SETTINGS: dict[str, dict[str, str]] = {
+    "zenoh": {"ros": "--ros", "site": "--site", "site_budget": "--site-budget", "site_classes": "--site-class"},
+    "upload": {"upload": "--upload", "upload_rate": "--upload-rate"},
+    "view": {"view": "--view"},
+}
+
 
 def is_present(addon: str) -> bool:
     """Return whether this installation has an add-on."""
@@ -39,6 +47,13 @@ def check_present(addon: str) -> None:
     """Raise MissingAddon if this installation lacks an add-on."""
     if not addon or not is_present(addon):
         raise MissingAddon(f"found no add-on {addon!r}, which this needs: the folder {FOLDER}.{addon} is not installed")
+
+
+def check_setting(name: str) -> None:
+    """Raise MissingAddon if a setting is one of an add-on that this installation lacks."""
+    for addon, settings in ADDON_SETTINGS.items():
+        if name in settings:
+            check_present(addon)
 
 
 def part_of(addon: str, place: str) -> Any:

@@ -109,7 +109,10 @@ def _run(given: Sequence[str], asked: str, ready: Callable[[], None] | None, **e
             except GatewayError as error:  # of an add-on that it needs, or of a library
                 return _print_error(asked, error, FAILURE)
             added.set_defaults(**extra)
-    options, rest = parser.parse_known_args(given)
+    try:
+        options, rest = parser.parse_known_args(given)
+    except GatewayError as error:  # an option of an add-on that is not there
+        return _print_error(asked, error, FAILURE)
     if rest:
         at = verbs.choices.get(asked, parser)
         at.error(at.unrecognized(rest[0]))

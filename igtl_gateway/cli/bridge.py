@@ -10,7 +10,7 @@ from dataclasses import replace
 from importlib.util import find_spec
 from typing import Any
 
-from igtl_gateway.app.bridge_options import bridge_options
+from igtl_gateway.app.bridge_options import bridge_options, zenoh_endpoint
 from igtl_gateway.app.interpreter import tune_interpreter
 from igtl_gateway.app.managed import ManagedBridge
 from igtl_gateway.app.settings import declared
@@ -24,13 +24,13 @@ from igtl_gateway.cli.bridge_output import BridgeOutput, JsonOutput, TextOutput
 from igtl_gateway.cli.bridge_session import BridgeSession, LiveWindow, PlainRunner, options_of_session
 from igtl_gateway.cli.common import stop_event
 from igtl_gateway.cli.ros_arguments import add_ros_arguments
-from igtl_gateway.cli.settings import add_settings, common_options, faults_text, given, settled
+from igtl_gateway.cli.settings import add_absent, add_settings, common_options, faults_text, given, settled
 from igtl_gateway.cli.terminal import is_terminal, print_line
 from igtl_gateway.cli.type_tables import types
 from igtl_gateway.config.configuration import Config
-from igtl_gateway.config.notations import DDS, address, ros_middleware
+from igtl_gateway.config.notations import DDS, address
 from igtl_gateway.config.setting import Setting, grouped
-from igtl_gateway.config.settings import SETTINGS
+from igtl_gateway.config.settings import all_settings
 from igtl_gateway.edges.ros.env import prepare_environment, tune_malloc
 from igtl_gateway.edges.ros.host import NodeHost
 
@@ -106,7 +106,6 @@ OPTIONS = (
     ),
     *grouped(
         "diagnostics",
-        Setting("view", False, "show all messages live in the window of rerun", common=True),
         Setting(
             "log_format",
             "text",
@@ -118,7 +117,7 @@ OPTIONS = (
 )
 
 #: Options that the short help shows.
-COMMON = common_options((*SETTINGS, *OPTIONS), "--ros-args")
+COMMON = common_options((*all_settings(), *OPTIONS), "--ros-args")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -126,7 +125,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "With --relay only.  in:NAME=VALUE applies to messages of clients to the",
         "server, out:NAME=VALUE to messages of the server to clients.",
     )
-    add_settings(parser, (*SETTINGS, *OPTIONS), fault_injection=more)
+    add_settings(parser, (*all_settings(), *OPTIONS), fault_injection=more)
+    add_absent(parser)
     add_ros_arguments(parser.add_argument_group("arguments of ROS"), "parameters, remapping, namespace, log level")
 
 
@@ -213,8 +213,8 @@ class _Plan:
         self._options = options
         values = settled(options, {})
         self.ros = not (options.no_ros or values["relay"])
-        over_zenoh = ros_middleware(values["ros"]) is not None
-        if options.ros and over_zenoh and not self.ros:  # of a file, it is not used
+        over_zenoh = zenoh_endpoint(values) is not None
+        if over_zenoh and "ros" in given(options, all_settings()) and not self.ros:  # of a file, it is not used
             raise ConfigError(
                 f"--ros {values['ros']}: found --no-ros or --relay, expected neither: they run without ROS"
             )
@@ -240,7 +240,7 @@ class _Plan:
             values,
             ros=self.ros,
             node_name=options.node_name or _NODE_NAME,
-            given=given(options),
+            given=given(options, all_settings()),
             reserved=options.reserved,
         )
         self._values = values
@@ -258,7 +258,7 @@ class _Plan:
 
     def open_window(self) -> LiveWindow | None:
         """Return the window of ``--view``.  Raises ViewerError without rerun."""
-        if self._options.view and self.window is None:
+        if self._values.get("view") and self.window is None:
             self.window = _window(self._config)
             print_line(_READABLE, error=True)
         return self.window

@@ -9,10 +9,11 @@ from typing import Any
 
 from igtl_gateway.app import settings as app_settings
 from igtl_gateway.app.rows import rows_of
+from igtl_gateway.base.addons import ADDON_SETTINGS, check_setting, is_present
 from igtl_gateway.cli.options import Options, StoredOption, default, definitions, keep_spellings, parser_of
 from igtl_gateway.config.faults import FAULTS
 from igtl_gateway.config.setting import ROWS, Setting, by_name, changed, check_effect
-from igtl_gateway.config.settings import SETTINGS
+from igtl_gateway.config.settings import all_settings
 
 
 class Usual(tuple[str | int, ...]):
@@ -68,6 +69,19 @@ def _add(group: Options, row: Setting) -> None:
     keep_spellings(group, action, *row.old)
 
 
+def add_absent(parser: argparse.ArgumentParser, *addons: str) -> None:
+    """Add the options of add-ons that are not there, so that one of them is reported as that; without any: of all."""
+    for addon in addons or ADDON_SETTINGS:
+        if not is_present(addon):
+            for name, flag in ADDON_SETTINGS[addon].items():
+                parser.add_argument(flag, dest=f"absent_{name}", nargs="?", action=_Absent, help=argparse.SUPPRESS)
+
+
+class _Absent(argparse.Action):
+    def __call__(self, *_: Any) -> None:
+        check_setting(self.dest.removeprefix("absent_"))
+
+
 def common_options(rows: Iterable[Setting], *others: str) -> frozenset[str]:
     """Return the options that the short help shows: those of common settings, and ``others``."""
     return frozenset(row.flag for row in rows if row.common and row.flag).union(others)
@@ -91,7 +105,7 @@ def _help(row: Setting, text: str) -> str:
     return f"{text} {default(shown)}" if shown else text
 
 
-def given(options: argparse.Namespace, rows: Iterable[Setting] = SETTINGS) -> dict[str, Any]:
+def given(options: argparse.Namespace, rows: Iterable[Setting]) -> dict[str, Any]:
     """Return the settings that the command line has.  Raises ConfigError for rows of messages."""
     values: dict[str, Any] = {}
     for row in rows:
@@ -137,4 +151,4 @@ def values_with_effect(
 
 def settled(options: argparse.Namespace, overrides: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of all settings of a bridge, see ``app.settings``.  Raises ConfigError."""
-    return app_settings.settled(given(options), overrides)
+    return app_settings.settled(given(options, all_settings()), overrides)

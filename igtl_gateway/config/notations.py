@@ -16,25 +16,14 @@ DEFAULT_HOST, DEFAULT_PORT = "127.0.0.1", 18944
 #: How globs of streams are written.
 STREAM = "by TYPE/device, device or topic; * matches one level, ** any number"
 
-#: The ways to the ROS graph, and where a router of Zenoh usually listens.
-DDS, ZENOH = "dds", "zenoh"
-#: Classes of streams between sites.
-SITE_CLASSES = ("commands", "poses", "data", "pictures")
-ZENOH_ENDPOINT = "tcp/localhost:7447"
-ZENOH_LISTEN = "tcp/127.0.0.1:7447"
-
-#: Protocol and place; options of the protocol may follow.
-_ENDPOINT = re.compile(
-    r"([a-z][a-z0-9_-]*/)?(?:[^/\s:#?;\[\]]+|\[[0-9a-fA-F:.%]+\]):[0-9]{1,5}(?:[#?;]\S*)?|(unixsock-stream|unixpipe)/\S+",
-    re.ASCII,
-)
+#: The usual way to the ROS graph: by an installed ROS.
+DDS = "dds"
 
 #: Units of an age in seconds, and of a size in bytes.
 _AGES = {"h": 3600, "d": 86_400, "w": 7 * 86_400}
 _SIZES = {"MB": 10**6, "GB": 10**9, "TB": 10**12, "MiB": 1 << 20, "GiB": 1 << 30, "TiB": 1 << 40}
 #: Longest age, a hundred years, and largest size, an exabyte.
 _MOST_AGE_S, _MOST_BYTES = 36_525 * 86_400, 10**18
-_BUCKET = re.compile(r"[a-z0-9][a-z0-9.-]{1,61}[a-z0-9]")
 _QUANTITY = re.compile(r"([0-9]{1,15}(?:\.[0-9]{1,9})?) ?([A-Za-z]+)")
 
 _LAST_CPU = 8191  # of any Linux
@@ -80,17 +69,6 @@ class RetentionRule:
     size: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class UploadPlace:
-    """A bucket of an object store, and what keys in it begin with: no slash at either end, perhaps empty."""
-
-    bucket: str
-    prefix: str = ""
-
-    def __str__(self) -> str:
-        return f"s3://{self.bucket}/{self.prefix}".rstrip("/")
-
-
 def address(text: str) -> tuple[str, int]:
     """Parse ``HOST:PORT``, ``:PORT``, ``PORT`` or ``HOST``; IPv6 hosts in brackets."""
     host, colon, port = text.rpartition(":")
@@ -130,47 +108,6 @@ def named(text: str, *suffixes: str) -> str:
         return text
     expected = " or ".join(suffixes)
     raise ConfigError(f"found {text!r}, the name of {_FORMATS[found]}, expected {_FORMATS[suffixes[0]]}: *{expected}")
-
-
-def ros_middleware(text: str) -> str | None:
-    """Parse ``dds`` or ``zenoh[:ENDPOINT]``; return the endpoint of the router, None for DDS.
-
-    "": no endpoint is given; Zenoh's configuration has it, or the usual one counts.
-
-    ``zenoh:HOST:PORT`` stands for ``zenoh:tcp/HOST:PORT``.
-    """
-    name, colon, endpoint = text.partition(":")
-    if text == DDS:
-        return None
-    try:
-        if name == ZENOH:
-            return zenoh_endpoint(endpoint) if colon else ""
-    except ConfigError:
-        pass
-    raise ConfigError(f"found {text!r}, expected {DDS}, {ZENOH} or {ZENOH}:ENDPOINT such as {ZENOH}:{ZENOH_ENDPOINT}")
-
-
-def zenoh_endpoint(text: str) -> str:
-    """Return an endpoint such as ``tls/host:7447``; ``HOST:PORT`` stands for ``tcp/HOST:PORT``."""
-    found = _ENDPOINT.fullmatch(text)
-    if not found:
-        raise ConfigError(f"found {text!r}, expected PROTOCOL/HOST:PORT such as {ZENOH_ENDPOINT}")
-    return text if found[1] or found[2] else f"tcp/{text}"
-
-
-def site_name(text: str) -> str:
-    """Return the name of a site: letters, digits, ``_`` and ``-``."""
-    if text and not re.fullmatch(r"[A-Za-z0-9_-]{1,64}", text):
-        raise ConfigError(f"found {text!r}, expected up to 64 letters, digits, _ and -")
-    return text
-
-
-def site_class(text: str) -> tuple[str, str]:
-    """Parse ``GLOB=CLASS``."""
-    glob, _, name = text.rpartition("=")
-    if not glob or name not in SITE_CLASSES:
-        raise ConfigError(f"found {text!r}, expected GLOB=CLASS with one of {', '.join(SITE_CLASSES)}")
-    return glob, name
 
 
 def network(text: str) -> str:
@@ -258,21 +195,6 @@ def retention(text: str) -> RetentionRule:
                 f"({', '.join(_SIZES)}){second}, such as 30 d, 200 GB"
             )
     return RetentionRule(text, age_s, size)
-
-
-def upload_place(text: str) -> UploadPlace:
-    """Parse ``s3://BUCKET/PREFIX``.  The error does not repeat what may have a key in it."""
-    expected = "expected s3://BUCKET or s3://BUCKET/PREFIX; keys come from the environment or from ~/.aws"
-    scheme, colon, rest = text.partition("://")
-    if any(sign in text for sign in "@?#%\\") or not text.isprintable():
-        raise ConfigError(f"found a URL with @, ?, #, % or a control character, {expected}")
-    bucket, _, prefix = rest.partition("/")
-    prefix = prefix.strip("/")
-    if scheme != "s3" or not colon or not _BUCKET.fullmatch(bucket):
-        raise ConfigError(f"found {text!r}, {expected}")
-    if any(part in ("", ".", "..") for part in prefix.split("/") if prefix) or len(prefix.encode()) > 700:
-        raise ConfigError(f"found the prefix {prefix[:80]!r}, expected names with / between them, up to 700 bytes")
-    return UploadPlace(bucket, prefix)
 
 
 def _quantity(part: str, number: str, unit: int, most: int, most_text: str) -> int:

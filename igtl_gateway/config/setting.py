@@ -24,6 +24,9 @@ NONE = ""
 #: The setting is a table of a file itself: one row of messages for each ``[[to_igtl]]``.
 ROWS = "rows"
 
+#: What a setting may need beside other settings: a graph of ROS, and a port for clients.
+ROS_GRAPH, CLIENTS = "ROS", "clients"
+
 Value = bool | int | float | str | tuple[str, ...] | None
 
 TYPE_NAMES: dict[type, str] = {

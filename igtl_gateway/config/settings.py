@@ -1,6 +1,8 @@
 """The table of settings: options of ``bridge``, keys of the configuration file and parameters of the ROS node.
 
-Each setting is one row of ``SETTINGS`` (``config.setting``), whose name is also the key and the parameter.
+Each setting is one row (``config.setting``), whose name is also the key and the parameter.  ``SETTINGS`` are those of
+the core; ``all_settings`` also has those of the add-ons, of ``settings.py`` in their folders.  What a recording has
+is of the core: recordings outlive add-ons.
 
 Rows of messages (``to_igtl``, ``to_ros``, ``tf_out``, ``peers``) are tables in a file.  As a parameter they are a list
 of strings; ``app.rows`` has their form.
@@ -9,14 +11,18 @@ of strings; ``app.rows`` has their form.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from functools import cache
 
+from igtl_gateway.base.addons import ADDON_SETTINGS, check_setting, is_present, part_of
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.config import notations
 from igtl_gateway.config.setting import (
+    CLIENTS,
     GATEWAY,
     HOST,
     IGTL,
     RECORD,
+    ROS_GRAPH,
     ROWS,
     Setting,
     Value,
@@ -30,8 +36,6 @@ from igtl_gateway.convert.profiles import AUTO, BY_NAME
 from igtl_gateway.convert.table import TO_ROS
 from igtl_gateway.convert.units import UNITS
 
-#: What a setting may need beside other settings: a graph of ROS, and a port for clients.
-ROS_GRAPH, CLIENTS = "ROS", "clients"
 #: Such a need → what to report if it is not there.
 _ABSENT = {
     ROS_GRAPH: "found --no-ros or --relay, expected neither",
@@ -56,11 +60,12 @@ _MANY = 1_000_000_000
 
 
 def check_values(place: str, table: str, values: Mapping[str, object]) -> dict[str, Value]:
-    """Return the values of a table of a file.  Raises ConfigError with the path of the setting."""
+    """Return the values of a table of a file.  Raises ConfigError with the path of the setting, MissingAddon."""
     known = of_table(table)
     checked = {}
     for name, value in values.items():
         if name not in known:
+            check_setting(name)
             raise ConfigError(f"{place}.{name}: {unknown(name, known)}")
         try:
             checked[name] = known[name].check(value)
@@ -78,17 +83,30 @@ def check_needs(values: Mapping[str, object], names: Iterable[str], *, ros: bool
         ros: whether there is a ROS graph.
     """
     met = {ROS_GRAPH: ros, CLIENTS: bool(values["listen"] or values["relay"]) or not values["connect"]}
-    check_effect(BY_SETTING, values, names, met, _ABSENT)
+    check_effect(by_name(all_settings()), values, names, met, _ABSENT)
+
+
+@cache
+def all_settings() -> tuple[Setting, ...]:
+    """Return the settings of the core and of the add-ons that are there, in the order of the documents."""
+    rows = list(SETTINGS)
+    for addon in ADDON_SETTINGS:
+        if is_present(addon):
+            rows += part_of(addon, "settings:SETTINGS")
+    groups = list(dict.fromkeys(row.group for row in rows))
+    return tuple(sorted(rows, key=lambda row: groups.index(row.group)))
 
 
 def of_table(table: str) -> dict[str, Setting]:
     """Return the settings of a table of a file, by name."""
-    return {row.name: row for row in SETTINGS if row.table == table}
+    # what a recording has does not wait for add-ons
+    rows = SETTINGS if table in (GATEWAY, IGTL, ROWS) else all_settings()
+    return {row.name: row for row in rows if row.table == table}
 
 
 def parameters() -> dict[str, Setting]:
     """Return the settings that the ROS node has as parameters, by name."""
-    return {row.name: row for row in SETTINGS if row.parameter}
+    return {row.name: row for row in all_settings() if row.parameter}
 
 
 _UNITS = tuple(UNITS)
@@ -369,55 +387,6 @@ _PEERS_AND_MESSAGES = (
     ),
 )
 _ROS = (
-    Setting(
-        "ros",
-        notations.DDS,
-        "the way to the ROS graph: dds by an installed ROS; zenoh without ROS, as nodes with rmw_zenoh, through the "
-        f"router at ENDPOINT, such as {notations.ZENOH_ENDPOINT}",
-        HOST,
-        metavar=f"{notations.DDS}|{notations.ZENOH}[:ENDPOINT]",
-        reads=notations.ros_middleware,
-        parameter=False,
-        common=True,
-    ),
-    Setting(
-        "site",
-        "",
-        "name of this site, with --ros zenoh: streams have priorities (commands, poses, data, pictures), and the "
-        "clocks of the gateways of other sites and the latency of their streams are measured",
-        HOST,
-        metavar="NAME",
-        reads=notations.site_name,
-        parameter=False,
-        needs=(ROS_GRAPH,),
-    ),
-    Setting(
-        "site_budget",
-        0,
-        "send no more than this over Zenoh, with --site: pictures are dropped first, then data; poses and commands "
-        "never",
-        HOST,
-        metavar="KIB/S",
-        unit="KiB/s",
-        least=0,
-        most=10_000_000,
-        shown="0, no limit",
-        parameter=False,
-        needs=("site",),
-    ),
-    Setting(
-        "site_classes",
-        (),
-        "class of the topics that match, with --site: commands, poses, data or pictures (repeatable)",
-        HOST,
-        "--site-class",
-        metavar="GLOB=CLASS",
-        reads=notations.site_class,
-        shown="by type",
-        parameter=False,
-        adds=True,
-        needs=("site",),
-    ),
     Setting("publish_tf", True, "publish poses on /tf", GATEWAY, "--no-tf"),
     Setting("base_frame", "igtl", "frame of messages that do not name a frame", GATEWAY, ""),
     Setting("ros_unit", "m", "length unit of ROS messages", GATEWAY, "", choices=_UNITS),
@@ -578,28 +547,6 @@ _RECORDING = (
         metavar="RULE",
         reads=notations.retention,
         needs=("record",),
-    ),
-    Setting(
-        "upload",
-        "",
-        "copy closed recordings and parts to this object store (S3) in the background; keys come from the environment "
-        "or from ~/.aws",
-        RECORD,
-        metavar="s3://BUCKET[/PREFIX]",
-        reads=notations.upload_place,
-        needs=("record",),
-    ),
-    Setting(
-        "upload_rate",
-        0.0,
-        "with --upload: maximum rate; 0: no limit",
-        RECORD,
-        metavar="MB/S",
-        unit="MB/s",
-        least=0,
-        most=100_000,
-        shown="0",
-        needs=("upload",),
     ),
     Setting(
         "on_record_failure",

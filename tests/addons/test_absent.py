@@ -64,6 +64,7 @@ CORE = (
     ("replay", "--help"),
     ("doctor", "--help"),
     ("bridge", "--help"),
+    ("bridge", "--no-ros", "--listen", "127.0.0.1:0", "--duration", "0.1"),
     ("decode", "OUT/bytes.igtl"),
     ("completion", "bash"),
 )  # fmt: skip
@@ -79,13 +80,20 @@ NEEDED: dict[str, tuple[tuple[object, ...], ...]] = {
     "merge": (("merge", STAR, STAR, "-o", "OUT/m.mcap"),),
     "deidentify": (("deidentify", STAR, "-o", "OUT/d.mcap"),),
     "exchange": (("import", STAR, "-o", "OUT/i.mcap"), ("export", STAR, "--to", "csv", "-o", "OUT/csv")),
-    "upload": (("upload", "OUT", "--to", "s3://bucket"),),
-    "view": (("view", STAR),),
+    "upload": (
+        ("upload", "OUT", "--to", "s3://bucket"),
+        ("bridge", "--no-ros", "--record", "OUT/up.mcap", "--upload", "s3://bucket"),
+    ),
+    "view": (("view", STAR), ("bridge", "--no-ros", "--view")),
     "resim": (("resim", STAR, "--", "true"),),
     "review": (("review", STAR), ("cohort", "review", STAR, "-o", "OUT/cohort")),
     "cohort": (("cohort", "info", SMALL, "-o", "OUT/cohort"),),
     "lerobot": (("export", STAR, "--to", "lerobot", "-o", "OUT/set"),),
-    "zenoh": (("zenoh-router",), ("bridge", "--ros", "zenoh", "--listen", "127.0.0.1:0", "--duration", "0.1")),
+    "zenoh": (
+        ("zenoh-router",),
+        ("bridge", "--site=or1"),
+        ("bridge", "--ros", "zenoh", "--listen", "127.0.0.1:0", "--duration", "0.1"),
+    ),
 }
 #: Add-on → what other add-ons do without it.
 WITHOUT: dict[str, tuple[tuple[object, ...], ...]] = {

@@ -16,7 +16,7 @@ from igtl_gateway.base.clock import ManualClock
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.cli import recording
 from igtl_gateway.cli.settings import add_settings, given, settled
-from igtl_gateway.config.settings import SETTINGS
+from igtl_gateway.config.settings import all_settings
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
@@ -31,9 +31,11 @@ DEADLINE_S = 30.0
 
 def parsed(*arguments: str) -> RecordOptions:
     parser = argparse.ArgumentParser()
-    add_settings(parser, SETTINGS)
+    add_settings(parser, all_settings())
     options = parser.parse_args(arguments)
-    return bridge_options(settled(options, {}), ros=True, node_name="gateway", given=given(options))[1].recording
+    return bridge_options(settled(options, {}), ros=True, node_name="gateway", given=given(options, all_settings()))[
+        1
+    ].recording
 
 
 def test_without_options_it_is_as_everywhere() -> None:

@@ -17,7 +17,7 @@ from igtl_gateway.cli import bridge, main
 from igtl_gateway.cli.settings import settled
 from igtl_gateway.config.configuration import Config, PeerRow, TfOutRow, ToIgtlRow, ToRosRow
 from igtl_gateway.config.setting import GATEWAY, HOST, IGTL, NONE, RECORD, ROWS, Setting
-from igtl_gateway.config.settings import SETTINGS, parameters
+from igtl_gateway.config.settings import all_settings, parameters
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from tests.integration.bridge import Bridge, RawPeer, string
 from tests.places import ROOT
@@ -48,7 +48,9 @@ def test_every_option_that_is_a_setting_is_a_row_and_the_other_way_round() -> No
     parser = argparse.ArgumentParser()
     bridge.add_arguments(parser)
     options = {action.dest: max(action.option_strings, key=len) for action in parser._actions}
-    assert {flag for dest, flag in options.items() if dest not in NO_SETTINGS} == {r.flag for r in SETTINGS if r.flag}
+    assert {flag for dest, flag in options.items() if dest not in NO_SETTINGS} == {
+        r.flag for r in all_settings() if r.flag
+    }
 
 
 #: Command lines in which a setting has no effect, for each row that needs something.
@@ -89,12 +91,12 @@ WITHOUT_EFFECT = {
 
 
 def test_the_table_of_settings_without_effect_is_complete() -> None:
-    assert set(WITHOUT_EFFECT) == {row.name for row in SETTINGS if row.needs and row.flag}
+    assert set(WITHOUT_EFFECT) == {row.name for row in all_settings() if row.needs and row.flag}
 
 
 @table("name", WITHOUT_EFFECT)
 def test_a_setting_without_effect_is_refused(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    flag = next(row.flag for row in SETTINGS if row.name == name)
+    flag = next(row.flag for row in all_settings() if row.name == name)
     assert main(["bridge", *WITHOUT_EFFECT[name].split()]) == 2
     error = capsys.readouterr().err
     assert flag in error and "has no effect here" in error and error.count("\n") == 1
@@ -114,7 +116,7 @@ def test_a_changed_setting_of_a_recording_is_refused_wherever_it_is(path: Path) 
 
 
 def test_without_anything_it_is_the_default() -> None:
-    assert values() == {row.name: row.default for row in SETTINGS}
+    assert values() == {row.name: row.default for row in all_settings()}
     assert config_of(values()) == Config(watch=True, cautious=True)
     assert bridge_options.limits(values()) == PeerLimits()
 
@@ -214,7 +216,7 @@ def told(row: Setting, value: object) -> str:
     return str(error.value)
 
 
-CASES = [(row, value) for row in SETTINGS for value in mistakes(row)]
+CASES = [(row, value) for row in all_settings() for value in mistakes(row)]
 
 
 @table(("row", "value"), CASES, ids=[f"{row.name}={value}" for row, value in CASES])
@@ -248,9 +250,9 @@ def test_the_keys_of_a_file_are_those_of_the_table(path: Path) -> None:
         place, _, names = str(error.value).partition(": unknown setting, expected one of ")
         assert place == f"{path}: {each}.no_such_key"
         named = set(names.split(", "))
-        rows = {row.name for row in SETTINGS if row.table == each or (each == GATEWAY and row.table == ROWS)}
+        rows = {row.name for row in all_settings() if row.table == each or (each == GATEWAY and row.table == ROWS)}
         assert named == rows
-    assert {row.table for row in SETTINGS} == {GATEWAY, IGTL, HOST, RECORD, ROWS, NONE}
+    assert {row.table for row in all_settings()} == {GATEWAY, IGTL, HOST, RECORD, ROWS, NONE}
 
 
 @pytest.mark.parametrize(

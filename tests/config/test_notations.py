@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import pytest
 
+from igtl_gateway.addons.zenoh import notation
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.realtime import cpus_text
 from igtl_gateway.config import notations
@@ -28,12 +29,12 @@ def test_addresses() -> None:
         (notations.size_by_type, "GET_*=0.5", ("GET_*", 1 << 19)),
         (notations.type_glob, "GET_*", "GET_*"),
         (notations.key_value, "operator=A=B", ("operator", "A=B")),
-        (notations.ros_middleware, "dds", None),
-        (notations.ros_middleware, "zenoh", ""),
-        (notations.ros_middleware, "zenoh:robot:7447", "tcp/robot:7447"),
-        (notations.ros_middleware, "zenoh:tls/[::1]:7447", "tls/[::1]:7447"),
-        (notations.zenoh_endpoint, "tcp/0.0.0.0:7447#iface=eth0", "tcp/0.0.0.0:7447#iface=eth0"),
-        (notations.zenoh_endpoint, "unixsock-stream//run/zenoh", "unixsock-stream//run/zenoh"),
+        (notation.ros_middleware, "dds", None),
+        (notation.ros_middleware, "zenoh", ""),
+        (notation.ros_middleware, "zenoh:robot:7447", "tcp/robot:7447"),
+        (notation.ros_middleware, "zenoh:tls/[::1]:7447", "tls/[::1]:7447"),
+        (notation.zenoh_endpoint, "tcp/0.0.0.0:7447#iface=eth0", "tcp/0.0.0.0:7447#iface=eth0"),
+        (notation.zenoh_endpoint, "unixsock-stream//run/zenoh", "unixsock-stream//run/zenoh"),
         (notations.cpus, "2,4-6", frozenset({2, 4, 5, 6})),
         (notations.cpus, " 3 , 1-1", frozenset({1, 3})),
         (notations.cpus, "0-2,2", frozenset({0, 1, 2})),
@@ -53,11 +54,11 @@ def test_what_is_read(read: Callable[[str], object], text: str, value: object) -
         (notations.type_glob, ("", "A B", "É", "A/B"), "a type or a glob such as COMMAND, GET_*"),
         (notations.key_value, ("a", "=b"), "KEY=VALUE"),
         (
-            notations.ros_middleware,
+            notation.ros_middleware,
             ("", "rmw", "zenoh:", "zenoh:x", "zenoh:tcp/", "dds:x", "zenoh:/a:1"),
             "dds, zenoh or zenoh:",
         ),
-        (notations.zenoh_endpoint, ("", "host", "tcp/host", "tcp/:7447", "host:x", "tcp/a b:1"), "PROTOCOL/HOST:PORT"),
+        (notation.zenoh_endpoint, ("", "host", "tcp/host", "tcp/:7447", "host:x", "tcp/a b:1"), "PROTOCOL/HOST:PORT"),
         (notations.cpus, ("all", "", "1,,2", "-1", "1-", "a-b", "²"), "CPUs such as 2,4-6"),
         (notations.cpus, ("9000", "5-2", "0-99999"), "CPUs in ascending order, up to 8191"),
     ],

@@ -4,29 +4,35 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import subprocess
+import sys
 
 import pytest
 
-from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base import addons
+from igtl_gateway.base.addons import ADDON_SETTINGS, part_of
+from igtl_gateway.base.errors import ConfigError, MissingAddon
 from igtl_gateway.base.realtime import PRIORITIES
 from igtl_gateway.config.configuration import LIVE, Config
-from igtl_gateway.config.setting import GATEWAY, ROWS, Setting
-from igtl_gateway.config.settings import BY_SETTING, SETTINGS, VIDEO_CODECS, of_table, parameters
+from igtl_gateway.config.setting import GATEWAY, HOST, NONE, RECORD, ROWS, Setting
+from igtl_gateway.config.settings import SETTINGS, VIDEO_CODECS, all_settings, check_values, of_table, parameters
 from igtl_gateway.edges.tcp import PeerLimits
 from igtl_gateway.edges.video import CODECS, VideoOptions
 from igtl_gateway.record.options import RecordOptions
 from tests.tables import table
+
+_ROWS = {row.name: row for row in all_settings()}
 
 
 def test_the_table_has_the_fields_of_the_configuration_with_their_defaults() -> None:
     fields = {field.name: field.default for field in dataclasses.fields(Config)}
     assert {*of_table(GATEWAY), *of_table(ROWS)} == set(fields)
     assert [fields.pop(name) for name in LIVE] == [None, None]  # of sessions that are not live
-    assert {name: BY_SETTING[name].default for name in fields} == fields
+    assert {name: _ROWS[name].default for name in fields} == fields
 
 
 def test_the_defaults_are_those_of_the_parts() -> None:
-    value = {row.name: row.default for row in SETTINGS}
+    value = {row.name: row.default for row in all_settings()}
     limits, video, recording = PeerLimits(), VideoOptions(), RecordOptions()
     assert (value["max_clients"], value["queue_messages"]) == (limits.max_clients, limits.queue_messages)
     assert (value["queue_mib"], value["max_body_mib"]) == (limits.queue_bytes >> 20, limits.max_body >> 20)
@@ -36,12 +42,12 @@ def test_the_defaults_are_those_of_the_parts() -> None:
     assert (value["video_bit_rate"], value["video_key_interval"]) == (video.bit_rate // 1000, video.key_frame_interval)
     assert (value["compression"], value["flush_interval"]) == (recording.compression, recording.flush_s)
     assert value["fsync"] == recording.fsync
-    assert BY_SETTING["realtime_priority"].most == PRIORITIES[-1]
+    assert _ROWS["realtime_priority"].most == PRIORITIES[-1]
 
 
-@table("row", SETTINGS, ids=lambda row: str(row.name))
+@table("row", all_settings(), ids=lambda row: str(row.name))
 def test_every_row_is_whole(row: Setting) -> None:
-    assert BY_SETTING[row.name] is row  # no name is there twice
+    assert _ROWS[row.name] is row  # no name is there twice
     assert row.check(row.default) == row.default
     assert row.about and not row.about.endswith(".")
     if isinstance(row.default, int | float) and not isinstance(row.default, bool) and row.parameter:
@@ -54,7 +60,7 @@ def test_every_row_is_whole(row: Setting) -> None:
 
 
 def test_numbers() -> None:
-    stall, clients = BY_SETTING["stall_s"], BY_SETTING["max_clients"]
+    stall, clients = _ROWS["stall_s"], _ROWS["max_clients"]
     assert stall.check(5) == 5.0 and isinstance(stall.check(5), float)
     assert clients.parse("7") == 7
     for text, words in {
@@ -71,20 +77,45 @@ def test_numbers() -> None:
     with pytest.raises(ConfigError, match="found True, expected an integer"):
         clients.check(True)
     with pytest.raises(ConfigError, match="found 0, expected more than 0 and less than 86400"):
-        BY_SETTING["command_timeout_s"].check(0)
+        _ROWS["command_timeout_s"].check(0)
 
 
 def test_texts_and_lists() -> None:
-    assert BY_SETTING["deny_in"].check(["GET_*"]) == ("GET_*",)
-    assert BY_SETTING["video_codec"].check("") == ""
+    assert _ROWS["deny_in"].check(["GET_*"]) == ("GET_*",)
+    assert _ROWS["video_codec"].check("") == ""
     with pytest.raises(ConfigError, match="found 'zip', expected one of none, lz4, zstd"):
-        BY_SETTING["compression"].check("zip")
+        _ROWS["compression"].check("zip")
     with pytest.raises(ConfigError, match="found 'A B', expected a type or a glob"):
-        BY_SETTING["deny_in"].check(["GET_*", "A B"])
+        _ROWS["deny_in"].check(["GET_*", "A B"])
 
 
 def test_the_settings_of_a_relay_are_no_parameters() -> None:
     # and the middleware, which has to be known before there is a node
-    assert {row.name for row in SETTINGS} - set(parameters()) == {
-        "relay", "faults", "fault_seed", "ros", "site", "site_budget", "site_classes",
+    assert {row.name for row in all_settings()} - set(parameters()) == {
+        "relay", "faults", "fault_seed", "ros", "site", "site_budget", "site_classes", "view",
     }  # fmt: skip
+
+
+def test_settings_of_addons_are_those_that_the_core_knows_them_by() -> None:
+    for addon, names in ADDON_SETTINGS.items():
+        rows = part_of(addon, "settings:SETTINGS")
+        assert {row.name: row.flag for row in rows} == names
+        assert {row.table for row in rows} <= {HOST, RECORD, NONE}, "a recording does not need an add-on"
+    assert {row.group for row in all_settings()} == {row.group for row in SETTINGS}
+
+
+def test_settings_of_addons_load_nothing_else() -> None:
+    program = (
+        "import sys; from igtl_gateway.config import settings; before = set(sys.modules); settings.all_settings(); "
+        "print(*sorted(set(sys.modules) - before))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    own = {f"igtl_gateway.addons.{addon}" for addon in ADDON_SETTINGS}
+    parts = {f"{addon}.{part}" for addon in own for part in ("settings", "notation", "place")}
+    assert set(done.stdout.split()) <= {"igtl_gateway.addon", "igtl_gateway.addons", *own, *parts}
+
+
+def test_a_setting_of_an_absent_addon_is_reported_as_that(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(addons, "is_present", lambda _addon: False)
+    with pytest.raises(MissingAddon, match="found no add-on 'view'"):
+        check_values("record", RECORD, {"view": True})

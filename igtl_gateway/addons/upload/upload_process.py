@@ -17,10 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.addon import NS_PER_S, ConfigError, Level, Note, SystemClock
+from igtl_gateway.addons.upload.place import upload_place
 from igtl_gateway.addons.upload.uploading import WAITS, Uploader
 from igtl_gateway.base.systems.processes import lower_priority
 from igtl_gateway.base.systems.signals import ignore_endings
-from igtl_gateway.config.notations import upload_place
 
 #: Time between two looks at the folder, seconds.
 _LOOK_S = 1.0

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import IO
 
 from igtl_gateway.addon import NS_PER_S, Clock, Level, Note, os_error_text
+from igtl_gateway.addons.upload.place import UploadPlace
 from igtl_gateway.addons.upload.s3 import RateLimit, S3Store, StoredObject, StoreError
-from igtl_gateway.config.notations import UploadPlace
 from igtl_gateway.record.retention.stored import RecordingFolder, StoredRecording, identity_of, open_unlinked
 from igtl_gateway.record.retention.upload_state import FileState, UploadState, UploadStates, base_of, belongs
 

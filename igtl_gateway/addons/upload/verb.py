@@ -20,8 +20,8 @@ from igtl_gateway.addon import (
     size_text,
     stop_event,
 )
+from igtl_gateway.addons.upload.place import upload_place
 from igtl_gateway.addons.upload.uploading import CONFIRMED, Uploader
-from igtl_gateway.config.notations import upload_place
 
 EXAMPLES = """\
   # upload all recordings of a directory, or what a bridge has left of them

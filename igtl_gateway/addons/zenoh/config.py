@@ -14,7 +14,7 @@ from typing import Any
 
 from igtl_gateway.addon import ConfigError, GatewayError, check_nesting, files, limits, whole_number
 from igtl_gateway.addons.zenoh.library import first_line, import_zenoh
-from igtl_gateway.config.notations import ZENOH_ENDPOINT
+from igtl_gateway.addons.zenoh.notation import ZENOH_ENDPOINT
 
 SESSION_FILE, OVERRIDE, DOMAIN = "ZENOH_SESSION_CONFIG_URI", "ZENOH_CONFIG_OVERRIDE", "ROS_DOMAIN_ID"
 _MAX_DOMAIN = 232

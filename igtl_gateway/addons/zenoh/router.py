@@ -15,7 +15,7 @@ from typing import Any
 from igtl_gateway.addon import ConfigError, Unavailable
 from igtl_gateway.addons.zenoh.config import made, value_of
 from igtl_gateway.addons.zenoh.library import first_line, import_zenoh
-from igtl_gateway.config.notations import ZENOH_LISTEN
+from igtl_gateway.addons.zenoh.notation import ZENOH_LISTEN
 
 ROUTER_FILE = "ZENOH_ROUTER_CONFIG_URI"
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from igtl_gateway.addon import NS_PER_S, matches
-from igtl_gateway.config.notations import site_class
+from igtl_gateway.addons.zenoh.notation import site_class
 
 #: Seconds of the budget that may be owed before data of other classes give way, too.
 _DATA_DEBT_S = 0.5

@@ -6,8 +6,8 @@ import argparse
 import threading
 
 from igtl_gateway.addon import default, parser_of, print_line, stop_event
+from igtl_gateway.addons.zenoh.notation import ZENOH_LISTEN, zenoh_endpoint
 from igtl_gateway.addons.zenoh.router import Router
-from igtl_gateway.config.notations import ZENOH_LISTEN, zenoh_endpoint
 
 EXAMPLES = """\
   # for ROS nodes with rmw_zenoh and bridges on this machine

@@ -14,11 +14,10 @@ from typing import Any
 
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.config.setting import ROWS, Setting, Value, unknown
-from igtl_gateway.config.settings import SETTINGS, parameters
+from igtl_gateway.config.settings import all_settings, parameters
 from igtl_gateway.edges.interface import Change
 from igtl_gateway.edges.ros.middleware import interface_class
 
-_FLAGS = {row.flag: row.name for row in SETTINGS if row.flag}
 #: Beginning of the parameters that rclpy declares for topics.
 _QOS = "qos_overrides."
 
@@ -115,7 +114,8 @@ def listed(row: Setting, value: Any) -> Any:
 
 def description(row: Setting) -> str:
     """Return what a setting does, with the names of parameters instead of options."""
-    return re.sub(r"--[a-z][a-z-]*", lambda found: _FLAGS.get(found[0], found[0]), row.about)
+    names = {each.flag: each.name for each in all_settings()}
+    return re.sub(r"--[a-z][a-z-]*", lambda found: names.get(found[0], found[0]), row.about)
 
 
 def constraints(row: Setting) -> str:

@@ -15,10 +15,11 @@ import pytest
 
 from igtl_gateway.addons.upload import s3, uploading
 from igtl_gateway.addons.upload.live import BridgeUploads
+from igtl_gateway.addons.upload.place import UploadPlace, upload_place
 from igtl_gateway.addons.upload.uploading import Uploader
 from igtl_gateway.base.clock import ManualClock, SystemClock
 from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.config.notations import UploadPlace, retention, upload_place
+from igtl_gateway.config.notations import retention
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.retention.retention import Retention
 from igtl_gateway.record.retention.upload_state import UploadProtection, UploadState, belongs

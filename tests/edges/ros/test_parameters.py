@@ -10,7 +10,7 @@ import pytest
 from igtl_gateway.app.settings import config_of, declared, settled
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.config.setting import Setting
-from igtl_gateway.config.settings import SETTINGS, parameters
+from igtl_gateway.config.settings import all_settings, parameters
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.ros.middleware import import_rclpy, interface_class
 from igtl_gateway.edges.ros.parameters import description, overrides
@@ -137,7 +137,7 @@ def test_all_settings_are_declared_with_their_descriptors(other: Other) -> None:
 
 
 def test_descriptions_name_parameters_and_no_options() -> None:
-    assert "--" not in " ".join(description(row) for row in SETTINGS if row.parameter)
+    assert "--" not in " ".join(description(row) for row in all_settings() if row.parameter)
 
 
 def test_an_empty_list_is_a_list_of_strings(other: Other) -> None:
@@ -145,7 +145,7 @@ def test_an_empty_list_is_a_list_of_strings(other: Other) -> None:
     assert (value.type_.value, value.value) == (9, [])
 
 
-CASES = [(row, value) for row in SETTINGS if row.parameter for value in mistakes(row)]
+CASES = [(row, value) for row in all_settings() if row.parameter for value in mistakes(row)]
 
 
 @table(("row", "value"), CASES, ids=[f"{row.name}={value}" for row, value in CASES])
