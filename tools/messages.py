@@ -49,7 +49,7 @@ class Row:
 
     @property
     def python(self) -> str:
-        return self.name or self.type.rpartition("/")[2]
+        return self.name or self.type.rpartition("/")[2].replace("_", "")
 
 
 #: Rows of our own types that have more than their definition.
@@ -58,6 +58,10 @@ OWN = (
     Row("igtl_msgs/msg/LabeledPoint", base="PointMethods"),
     Row("igtl_msgs/msg/PolyData", optional="vertices"),
     Row("igtl_msgs/msg/Query", optional="device_name"),
+)
+SERVICES = (
+    Row("igtl_msgs/srv/SendCommand_Request"),
+    Row("igtl_msgs/srv/SendCommand_Response", "the answer.", "status"),
 )
 #: Written by hand in sessionfile/layout.
 NOT_HERE = ("igtl_msgs/msg/Note",)
@@ -124,7 +128,7 @@ class Module:
 def _own() -> tuple[Row, ...]:
     special = {row.type: row for row in OWN}
     names = [f"igtl_msgs/msg/{path.stem}" for path in interface_files("igtl_msgs") if path.suffix == ".msg"]
-    return tuple(special.get(name, Row(name)) for name in names if name not in NOT_HERE)
+    return (*(special.get(name, Row(name)) for name in names if name not in NOT_HERE), *SERVICES)
 
 
 MODULES = (
@@ -181,16 +185,19 @@ _STORE = get_typestore(Stores.ROS2_JAZZY)
 
 
 def text_of(name: str) -> str:
-    """Return the ``.msg`` file of a type; empty for a type of ROS itself."""
-    package, _, stem = name.partition("/msg/")
-    files = (share / package / "msg" / f"{stem}.msg" for share in SHARES)
-    return next((path.read_text("utf-8") for path in files if path.is_file()), "")
+    """Return the ``.msg`` file of a type, or its part of a ``.srv`` file; empty for a type of ROS itself."""
+    package, kind, stem = name.split("/")
+    stem, _, part = stem.partition("_")
+    files = (share / package / kind / f"{stem}.{kind}" for share in SHARES)
+    text = next((path.read_text("utf-8") for path in files if path.is_file()), "")
+    return text.split("---\n")[part == "Response"] if part else text
 
 
 def definition(name: str) -> tuple[list[tuple[str, str, object]], list[tuple[str, tuple[Nodetype, object]]]]:
     """Return the constants (name, type, value) and the fields (name, description of rosbags) of a type."""
     text = text_of(name)
-    found = get_types_from_msg(text, name)[name] if text else _STORE.fielddefs[name]
+    parsed = name.replace("/srv/", "/msg/")  # rosbags knows no services
+    found = get_types_from_msg(text, parsed)[parsed] if text else _STORE.fielddefs[name]
     return found  # type: ignore[return-value]
 
 

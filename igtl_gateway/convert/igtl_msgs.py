@@ -476,3 +476,28 @@ class Volume(Struct):
     origin: Annotated[Point, POINT]  # centre of the first voxel, metres
     data: Annotated[Buffer, OCTETS]  # i fastest, then j, then k
     metadata: Annotated[tuple[MetadataItem, ...], sequence_of(MetadataItem)] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class SendCommandRequest(Struct):
+    """igtl_msgs/srv/SendCommand_Request: Send an OpenIGTLink COMMAND and wait for its reply."""
+
+    TYPE: ClassVar[str] = "igtl_msgs/srv/SendCommand_Request"
+    device_name: Annotated[str, STRING]
+    name: Annotated[str, STRING]
+    content: Annotated[str, STRING]
+    metadata: Annotated[tuple[MetadataItem, ...], sequence_of(MetadataItem)] = ()
+    link: Annotated[int, UINT32] = 0  # 0 = all peers; the first reply counts
+    timeout: Annotated[float, FLOAT64] = 0.0  # seconds, 0 = the gateway's setting
+
+
+@dataclass(frozen=True, slots=True)
+class SendCommandResponse(Struct):
+    """igtl_msgs/srv/SendCommand_Response: the answer."""
+
+    TYPE: ClassVar[str] = "igtl_msgs/srv/SendCommand_Response"
+    status: Annotated[int, UINT8] = 0  # as in CommandReply
+    error_message: Annotated[str, STRING] = ""
+    content: Annotated[str, STRING] = ""
+    metadata: Annotated[tuple[MetadataItem, ...], sequence_of(MetadataItem)] = ()
+    link: Annotated[int, UINT32] = 0

@@ -36,14 +36,22 @@ def store() -> Typestore:
     for package in ("igtl_msgs", "foxglove_msgs", "crtk_msgs"):
         for path in sorted(definition_folder(package).glob("msg/*.msg")):
             known.register(get_types_from_msg(path.read_text("utf-8"), f"{package}/msg/{path.stem}"))
+    for row in messages.SERVICES:
+        known.register(get_types_from_msg(messages.text_of(row.type), row.type.replace("/srv/", "/msg/")))
     return known
+
+
+def theirs_of(kind: type[Struct], *, little_endian: bool = True) -> bytes:
+    """A message of the type as rosbags, which knows no services, serialises it."""
+    name = kind.TYPE.replace("/srv/", "/msg/")
+    return bytes(STORE.serialize_cdr(sample(name), name, little_endian=little_endian))
 
 
 STORE = store()
 
 
 def test_every_definition_has_its_class() -> None:
-    ours = {name for name in CLASSES if name.startswith("igtl_msgs/")}
+    ours = {name for name in CLASSES if name.startswith("igtl_msgs/msg/")}
     assert {f"igtl_msgs/msg/{path.stem}" for path in DEFINITIONS.glob("*.msg")} == ours | BY_HAND
 
 
@@ -96,15 +104,15 @@ def sample(name: str, depth: int = 0) -> Any:
 
 @table("kind", CLASSES.values(), ids=lambda kind: kind.__name__)
 def test_read_and_written_byte_for_byte(kind: type[Struct]) -> None:
-    theirs = bytes(STORE.serialize_cdr(sample(kind.TYPE), kind.TYPE))
+    theirs = theirs_of(kind)
     assert kind.unpack(theirs).pack() == theirs
-    foreign = bytes(STORE.serialize_cdr(sample(kind.TYPE), kind.TYPE, little_endian=False))
+    foreign = theirs_of(kind, little_endian=False)
     assert kind.unpack(foreign).pack() == theirs
 
 
 @table("kind", CLASSES.values(), ids=lambda kind: kind.__name__)
 def test_cut_off_is_refused(kind: type[Struct]) -> None:
-    whole = bytes(STORE.serialize_cdr(sample(kind.TYPE), kind.TYPE))
+    whole = theirs_of(kind)
     for size in range(len(whole) - 1):
         with pytest.raises(ConversionError):
             kind.unpack(whole[:size])

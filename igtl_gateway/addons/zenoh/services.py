@@ -14,9 +14,9 @@ from typing import Annotated, Any, ClassVar
 
 from igtl_gateway.addon import Clock, Level, files
 from igtl_gateway.addons.zenoh.names import attachment, read_attachment
-from igtl_gateway.convert.igtl_msgs import MetadataItem
+from igtl_gateway.convert.igtl_msgs import MetadataItem, SendCommandRequest, SendCommandResponse
 from igtl_gateway.convert.interfaces import definition_folder
-from igtl_gateway.convert.structs import BOOL, FLOAT64, STRING, UINT8, UINT32, Struct, sequence_of
+from igtl_gateway.convert.structs import BOOL, STRING, UINT8, Struct
 from igtl_gateway.edges.interface import Reports
 
 #: Calls that run at once, and calls that wait or run; further ones are refused.
@@ -24,8 +24,6 @@ _CALLS_AT_ONCE = 8
 _CALLS_WAITING = 100
 #: Largest request.
 _REQUEST_BYTES = 16 << 20
-
-Items = tuple[MetadataItem, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,31 +41,6 @@ class TriggerResponse(Struct):
     TYPE: ClassVar[str] = "std_srvs/srv/Trigger_Response"
     success: Annotated[bool, BOOL] = False
     message: Annotated[str, STRING] = ""
-
-
-@dataclass(frozen=True, slots=True)
-class SendCommandRequest(Struct):
-    """igtl_msgs/srv/SendCommand, the call; timeout in seconds."""
-
-    TYPE: ClassVar[str] = "igtl_msgs/srv/SendCommand_Request"
-    device_name: Annotated[str, STRING]
-    name: Annotated[str, STRING]
-    content: Annotated[str, STRING]
-    metadata: Annotated[Items, sequence_of(MetadataItem)] = ()
-    link: Annotated[int, UINT32] = 0
-    timeout: Annotated[float, FLOAT64] = 0.0
-
-
-@dataclass(frozen=True, slots=True)
-class SendCommandResponse(Struct):
-    """igtl_msgs/srv/SendCommand, the answer."""
-
-    TYPE: ClassVar[str] = "igtl_msgs/srv/SendCommand_Response"
-    status: Annotated[int, UINT8] = 0
-    error_message: Annotated[str, STRING] = ""
-    content: Annotated[str, STRING] = ""
-    metadata: Annotated[Items, sequence_of(MetadataItem)] = ()
-    link: Annotated[int, UINT32] = 0
 
 
 @dataclass(frozen=True, slots=True)
