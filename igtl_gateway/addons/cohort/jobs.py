@@ -15,6 +15,7 @@ from igtl_gateway.addon import (
     IMPORTED,
     NS_PER_MS,
     NS_PER_S,
+    BeingRecorded,
     ConfigError,
     DamagedRecording,
     GatewayError,
@@ -41,7 +42,6 @@ from igtl_gateway.addons.cohort.ends import (
 from igtl_gateway.addons.cohort.objects import ObjectFile, Unreachable, is_url
 from igtl_gateway.app.content_summary import ContentSummary
 from igtl_gateway.app.linting import observe
-from igtl_gateway.base.errors import BeingRecorded
 from igtl_gateway.doctor.report import DoctorReport
 from igtl_gateway.doctor.rules import RULES
 from igtl_gateway.gateway.log.ledger import gaps

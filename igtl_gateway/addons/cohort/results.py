@@ -28,12 +28,13 @@ from igtl_gateway.addon import (
     open_new,
     open_text,
     parse_json,
+    read_parquet,
+    read_parquet_schema,
 )
 from igtl_gateway.addons.cohort.columns import SCHEMA_VERSION, TABLES, Row
 from igtl_gateway.addons.cohort.parts import MANIFEST, PARTS, Parts, files_of, parts_of, unreadable
 from igtl_gateway.addons.cohort.tables import PROVENANCE, arrow_table, joined, schema
 from igtl_gateway.base.systems.files import lock
-from igtl_gateway.base.untrusted.parquet_file import read_parquet, read_parquet_schema
 
 _LOCK = ".lock"
 

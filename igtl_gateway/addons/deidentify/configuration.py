@@ -10,11 +10,11 @@ import re
 from collections.abc import Callable, Collection, Iterable
 
 from igtl_gateway.addon import Config, matches
+from igtl_gateway.addon.igtl import BODIES
 from igtl_gateway.addons.deidentify.context import Context
 from igtl_gateway.addons.deidentify.notes import known_kinds, known_types
 from igtl_gateway.config.configuration import PeerRow, TfOutRow, ToRosRow
 from igtl_gateway.convert.profiles import AUTO
-from igtl_gateway.wire.registry import BODIES
 
 _WILD = re.compile(r"[*?]")
 _BRACES = re.compile(r"(\{[^{}]*\})")

@@ -7,24 +7,40 @@ from dataclasses import replace
 from typing import Any
 
 from igtl_gateway.addon import Buffer, WireError, join
+from igtl_gateway.addon.igtl import (
+    BODIES,
+    Bind,
+    BindChild,
+    Body,
+    Capability,
+    Command,
+    Elements,
+    EmptyQuery,
+    GetBind,
+    Image,
+    Item,
+    Message,
+    NdArray,
+    PolyData,
+    Raw,
+    StartBind,
+    StartTracking,
+    StartVideo,
+    Status,
+    String,
+    Video,
+    cut_text,
+    decode,
+    decode_text,
+    encode,
+    read_content,
+    sorted_items,
+    visible,
+)
+from igtl_gateway.addon.igtl import COMMAND_NAME_WIDTH as NAME_WIDTH
 from igtl_gateway.addons.deidentify.context import Context, Removed
 from igtl_gateway.convert.names import short_device_name
 from igtl_gateway.gateway.metadata import CHILD_FRAME_ID, FRAME_ID, FULL_NAME, OURS, STAMP, restore_metadata
-from igtl_gateway.wire import Item, Message, decode, encode
-from igtl_gateway.wire.bind import Bind, BindChild
-from igtl_gateway.wire.body import Body, Raw
-from igtl_gateway.wire.capability import Capability
-from igtl_gateway.wire.command import NAME_WIDTH, Command
-from igtl_gateway.wire.elements import Elements
-from igtl_gateway.wire.fields import cut_text, decode_text, visible
-from igtl_gateway.wire.image import Image
-from igtl_gateway.wire.message import sorted_items
-from igtl_gateway.wire.ndarray import NdArray
-from igtl_gateway.wire.polydata import PolyData
-from igtl_gateway.wire.query import EmptyQuery, GetBind, StartBind, StartTracking, StartVideo
-from igtl_gateway.wire.registry import BODIES, read_content
-from igtl_gateway.wire.text import Status, String
-from igtl_gateway.wire.video import Video
 
 #: Modalities of DICOM that stay in IMGMETA.
 _MODALITIES = frozenset("CT MR US XA RF CR DX MG NM PT OT ES OP OCT SM XC SEG IVUS RTIMAGE".split())

@@ -4,14 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from igtl_gateway.addon import Note
+from igtl_gateway.addon import CLOCK_STEP, LISTENED, PARTNER, SETTING, SETTINGS, TICK, Note
+from igtl_gateway.addon.igtl import BODIES
 from igtl_gateway.addons.deidentify.context import Context
-from igtl_gateway.gateway import TICK
-from igtl_gateway.gateway.core import LISTENED
-from igtl_gateway.gateway.log.changes import SETTING, SETTINGS
-from igtl_gateway.gateway.log.clocksteps import CLOCK_STEP
-from igtl_gateway.gateway.relay import PARTNER
-from igtl_gateway.wire.registry import BODIES
 
 #: Codes of inputs; a note with another code becomes ``OTHER``.
 CODES = frozenset({

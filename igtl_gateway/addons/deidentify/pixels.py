@@ -13,12 +13,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import Unavailable
+from igtl_gateway.addon import Unavailable, is_key_frame
 from igtl_gateway.addons.deidentify.masks import Mask, hidden, masked
 from igtl_gateway.addons.deidentify.profile import Profile
 from igtl_gateway.addons.deidentify.report import Report
 from igtl_gateway.addons.deidentify.transcoding import MaskedVideo, masked_picture
-from igtl_gateway.convert.bitstream import is_key_frame
 
 #: Codecs of VIDEO → names of CompressedImage.
 FOUR_LETTERS = {"H264": "h264", "X265": "h265", "O265": "h265", "VP90": "vp9", "AV10": "av1"}

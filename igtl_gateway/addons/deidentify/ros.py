@@ -15,18 +15,22 @@ from rosbags.serde import SerdeError
 from rosbags.typesys import Stores
 from rosbags.typesys.base import normalize_fieldname
 
-from igtl_gateway.addon import ConversionError, GatewayError, ns_to_ros, ros_to_ns
+from igtl_gateway.addon import (
+    ConversionError,
+    ElementCounter,
+    GatewayError,
+    Types,
+    new_store,
+    ns_to_ros,
+    pixel_layout,
+    register_types,
+    ros_to_ns,
+)
+from igtl_gateway.addon import ros_definitions as definitions
+from igtl_gateway.addon.igtl import BODIES, SCALARS, parse_unit
 from igtl_gateway.addons.deidentify.context import Context, Removed
 from igtl_gateway.addons.deidentify.messages import MessageCleaner
-from igtl_gateway.base.untrusted import definitions
-from igtl_gateway.base.untrusted.decoding import new_store, register_types
-from igtl_gateway.base.untrusted.definition_checks import Types
-from igtl_gateway.base.untrusted.elements import ElementCounter
-from igtl_gateway.convert.images import pixel_layout
 from igtl_gateway.convert.interfaces import PACKAGES, interface_files
-from igtl_gateway.wire.image import SCALARS
-from igtl_gateway.wire.registry import BODIES
-from igtl_gateway.wire.sensor import parse_unit
 
 TIME = "builtin_interfaces/msg/Time"
 _EIGHT_BITS = frozenset({"uint8", "int8", "byte", "char", "octet"})

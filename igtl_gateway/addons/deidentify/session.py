@@ -19,6 +19,7 @@ from igtl_gateway.addon import (
     Level,
     Note,
     Qos,
+    Session,
     SessionFile,
     SessionWriter,
     Unavailable,
@@ -26,10 +27,13 @@ from igtl_gateway.addon import (
     WireError,
     __version__,
     config_to_run,
+    header_names,
     layout,
+    make_core,
     verify_recording,
     written,
 )
+from igtl_gateway.addon.igtl import BODIES, Bind, decode, visible
 from igtl_gateway.addons.deidentify import patterns
 from igtl_gateway.addons.deidentify.configuration import SeenNames, clean_config
 from igtl_gateway.addons.deidentify.context import Context, Removed
@@ -40,14 +44,8 @@ from igtl_gateway.addons.deidentify.report import Report
 from igtl_gateway.addons.deidentify.ros import RosCleaner
 from igtl_gateway.app.sealing import SealVerification, verify_seal
 from igtl_gateway.convert.names import short_device_name
-from igtl_gateway.gateway import Session, make_core
 from igtl_gateway.gateway.metadata import FULL_NAME, restore_metadata
-from igtl_gateway.gateway.session import header_names
 from igtl_gateway.record.sessionfile.seal_check import UNSEALED
-from igtl_gateway.wire import decode
-from igtl_gateway.wire.bind import Bind
-from igtl_gateway.wire.fields import visible
-from igtl_gateway.wire.registry import BODIES
 
 #: Code of the note at the end of the result, and key of its metadata.
 DEIDENTIFIED = "deidentified"

@@ -13,13 +13,11 @@ from typing import BinaryIO, Protocol
 
 import pyarrow as pa
 
-from igtl_gateway.addon import Entry, Kind
+from igtl_gateway.addon import Entry, Kind, MessageDecoder, block_of
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
 from igtl_gateway.addons.exchange.folder import FileNames, Folder, new_folder
 from igtl_gateway.addons.exchange.recording import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
 from igtl_gateway.api.arrow_tables import TableMaker, fitted, unified
-from igtl_gateway.base.untrusted.decoding import MessageDecoder
-from igtl_gateway.record.sessionfile.bulk import block_of
 
 #: Files that are open at the same time; a usual session has a few dozen streams.
 _MAX_FILES = 500

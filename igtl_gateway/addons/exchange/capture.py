@@ -11,7 +11,8 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from igtl_gateway.addon import NS_PER_MS, Buffer, DamagedRecording, UnsupportedRecording, files
+from igtl_gateway.addon import NS_PER_MS, Buffer, DamagedRecording, MessageTooLarge, UnsupportedRecording, files
+from igtl_gateway.addon.igtl import DEVICE_NAME_AT, HEADER_SIZE, HEADER_VERSIONS, Framer, Header
 from igtl_gateway.addons.exchange.sequence import DEFAULT_EPOCH_NS
 from igtl_gateway.addons.exchange.source import (
     BYTES,
@@ -23,9 +24,6 @@ from igtl_gateway.addons.exchange.source import (
     link_up_item,
     peer_item,
 )
-from igtl_gateway.base.errors import MessageTooLarge
-from igtl_gateway.wire.framer import Framer
-from igtl_gateway.wire.header import DEVICE_NAME_AT, HEADER_SIZE, HEADER_VERSIONS, Header
 
 #: Number of streams with a row of their own.
 MAX_STREAMS = 10_000

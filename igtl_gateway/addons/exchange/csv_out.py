@@ -19,7 +19,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from igtl_gateway.addon import Entry, Kind, open_text
+from igtl_gateway.addon import Entry, Kind, MessageDecoder, failure_text, open_text
+from igtl_gateway.addon.igtl import decode, describe_content
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.folder import FileNames, Folder, new_folder
 from igtl_gateway.addons.exchange.recording import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
@@ -32,10 +33,6 @@ from igtl_gateway.api.columns import (
     name_ros_fields,
     table_rows,
 )
-from igtl_gateway.base.errors import failure_text
-from igtl_gateway.base.untrusted.decoding import MessageDecoder
-from igtl_gateway.wire import decode
-from igtl_gateway.wire.registry import describe_content
 
 #: Files that are open at the same time; a usual session has a few dozen streams.
 _MAX_FILES = 500

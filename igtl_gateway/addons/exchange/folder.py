@@ -9,11 +9,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO, TypeVar
 
-from igtl_gateway.addon import Buffer, Entry, Kind, open_new
+from igtl_gateway.addon import Buffer, Entry, Kind, failure_text, open_new, written_folder
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.recording import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
-from igtl_gateway.base.errors import failure_text
-from igtl_gateway.record.sessionfile.beside import written_folder
 
 #: Characters of a stream's name that a file name can contain.
 _MAX_NAME = 100

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from igtl_gateway.addon import UnsupportedRecording, files
+from igtl_gateway.addon import NoSuchRecording, UnsupportedRecording, files
 from igtl_gateway.addons.exchange.capture import Capture, looks_like_igtl
 from igtl_gateway.addons.exchange.nifti import looks_like_nifti, read_nifti
 from igtl_gateway.addons.exchange.pcap import Pcap
@@ -16,7 +16,6 @@ from igtl_gateway.addons.exchange.rosbag2 import Rosbag2
 from igtl_gateway.addons.exchange.rosbag2_metadata import METADATA
 from igtl_gateway.addons.exchange.sequence import Sequence
 from igtl_gateway.addons.exchange.source import Source, library_errors_as_damage
-from igtl_gateway.base.errors import NoSuchRecording
 
 #: This number of bytes at the start of a file shows its format.
 START = 512

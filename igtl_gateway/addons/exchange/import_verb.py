@@ -24,6 +24,7 @@ from igtl_gateway.addon import (
     count_text,
     default,
     is_same,
+    layout,
     new_recording,
     print_json,
     print_line,
@@ -33,7 +34,6 @@ from igtl_gateway.addon import (
 )
 from igtl_gateway.addons.exchange.formats import open_source
 from igtl_gateway.addons.exchange.source import ImportedStream, Source, numbered
-from igtl_gateway.record.sessionfile.layout import LayoutError
 
 EXAMPLES = """\
   # ROS 1 bag; its messages are converted to ROS 2
@@ -99,7 +99,7 @@ def run(options: argparse.Namespace) -> int:
         try:
             for entry in numbered(source.items()):
                 writer.write(entry)
-        except (DamagedRecording, WireError, LayoutError) as error:
+        except (DamagedRecording, WireError, layout.LayoutError) as error:
             failure = str(error)
         writer.close({"import": {"rows": [_row_facts(row) for row in source.rows], "failure": failure}})
         size = place.stat().st_size

@@ -22,7 +22,8 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
-from igtl_gateway.addon import Buffer
+from igtl_gateway.addon import Buffer, MessageTooLarge
+from igtl_gateway.addon.igtl import HEADER_SIZE, Framer
 from igtl_gateway.addons.exchange.capture import count_message, looks_like_igtl
 from igtl_gateway.addons.exchange.pcap_file import PacketFile
 from igtl_gateway.addons.exchange.pcap_segments import ACK, FIN, LINKS, RST, SYN, Address, Segment, Segments
@@ -35,9 +36,6 @@ from igtl_gateway.addons.exchange.source import (
     link_up_item,
     peer_item,
 )
-from igtl_gateway.base.errors import MessageTooLarge
-from igtl_gateway.wire import HEADER_SIZE
-from igtl_gateway.wire.framer import Framer
 
 #: Bytes that may wait for missing segments: more than the largest TCP window of a usual host.
 MAX_WAITING = 32 << 20

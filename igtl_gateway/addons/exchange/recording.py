@@ -7,9 +7,8 @@ from hashlib import blake2b
 from typing import Protocol
 
 from igtl_gateway.addon import Entry, Kind, Qos, WireError, matches
+from igtl_gateway.addon.igtl import HEADER_SIZE, ExtendedHeader, Header
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
-from igtl_gateway.wire.header import HEADER_SIZE, Header
-from igtl_gateway.wire.message import ExtendedHeader
 
 IGTL_KINDS = (Kind.IGTL_IN, Kind.IGTL_OUT)
 ROS_KINDS = (Kind.ROS_IN, Kind.ROS_OUT)

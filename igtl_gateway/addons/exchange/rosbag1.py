@@ -22,13 +22,11 @@ from rosbags.typesys import Stores
 from rosbags.typesys.base import TypesysError
 from rosbags.typesys.store import Typestore
 
-from igtl_gateway.addon import DamagedRecording, Kind, Qos, limits
+from igtl_gateway.addon import DamagedRecording, ElementCounter, Kind, Qos, Types, limits, new_store, register_types
+from igtl_gateway.addon import ros_definitions as definitions
 from igtl_gateway.addons.exchange.rosbag1_file import BagConnection, BagFile
 from igtl_gateway.addons.exchange.source import ImportedItem, ImportedStream, NonRosSource
-from igtl_gateway.base.untrusted import definitions
-from igtl_gateway.base.untrusted.decoding import new_store, register_types
-from igtl_gateway.base.untrusted.definition_checks import Types, weight
-from igtl_gateway.base.untrusted.elements import ElementCounter
+from igtl_gateway.base.untrusted.definition_checks import weight
 
 #: Type → its different name in ROS 2.
 RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}

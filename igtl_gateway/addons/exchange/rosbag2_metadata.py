@@ -10,8 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from igtl_gateway.addon import DamagedRecording, UnsupportedRecording, files, limits
-from igtl_gateway.base.untrusted.yaml_text import parse_yaml
+from igtl_gateway.addon import DamagedRecording, UnsupportedRecording, files, limits, parse_yaml
 
 METADATA = "metadata.yaml"
 _NEWEST = 9

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 from rosbags.typesys.base import TypesysError
 
-from igtl_gateway.base.untrusted import definitions
-from igtl_gateway.base.untrusted.decoding import new_store
+from igtl_gateway.addon import new_store
+from igtl_gateway.addon import ros_definitions as definitions
 
 
 def definition(ros_type: str, text: str, encoding: str) -> tuple[str, str] | None:

@@ -20,7 +20,18 @@ from decimal import Decimal, InvalidOperation
 from pathlib import Path
 from typing import BinaryIO
 
-from igtl_gateway.addon import NS_PER_S, Buffer, DamagedRecording, files, join, limits
+from igtl_gateway.addon import NS_PER_S, Buffer, DamagedRecording, files, join, limits, whole_number
+from igtl_gateway.addon.igtl import (
+    BIG_ENDIAN,
+    LITTLE_ENDIAN,
+    SCALARS,
+    Image,
+    Message,
+    Transform,
+    cut_text,
+    encode,
+    ns_to_ticks,
+)
 from igtl_gateway.addons.exchange import pixels
 from igtl_gateway.addons.exchange.header import ImageFile
 from igtl_gateway.addons.exchange.metaimage import read_metaimage
@@ -37,12 +48,6 @@ from igtl_gateway.addons.exchange.source import (
     peer_item,
 )
 from igtl_gateway.api.placement import COORDINATE
-from igtl_gateway.base.stamp import ns_to_ticks
-from igtl_gateway.base.untrusted.numbers import whole_number
-from igtl_gateway.wire import Message, encode
-from igtl_gateway.wire.fields import cut_text
-from igtl_gateway.wire.image import BIG_ENDIAN, LITTLE_ENDIAN, SCALARS, Image
-from igtl_gateway.wire.transform import Transform
 
 #: Default epoch of the times in a file: 2000-01-01T00:00:00Z.
 DEFAULT_EPOCH_NS = 946_684_800 * NS_PER_S

@@ -12,14 +12,11 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-from igtl_gateway.addon import NS_PER_S, Buffer, ConfigError, Entry, Kind, Note, UnsupportedRecording
+from igtl_gateway.addon import NS_PER_S, Buffer, ConfigError, Entry, Kind, Note, UnsupportedRecording, failure_text
+from igtl_gateway.addon.igtl import Image, Transform, decode
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
 from igtl_gateway.addons.exchange.recording import Recording, chosen_entries, matches_stream, message_time_ns
 from igtl_gateway.addons.exchange.sequence import TRANSFORM_STATUS
-from igtl_gateway.base.errors import failure_text
-from igtl_gateway.wire import decode
-from igtl_gateway.wire.image import Image
-from igtl_gateway.wire.transform import Transform
 
 #: Largest age of a valid transform at the time of the image.
 MAX_AGE_NS = NS_PER_S

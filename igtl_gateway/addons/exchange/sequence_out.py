@@ -13,15 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
-from igtl_gateway.addon import NS_PER_S, Buffer, UnsupportedRecording, open_new, written
+from igtl_gateway.addon import NS_PER_S, Buffer, UnsupportedRecording, open_new, whole_number, written
+from igtl_gateway.addon.igtl import BIG_ENDIAN, SCALARS, Image
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.metaimage_out import SIZE_KEY, SIZE_WIDTH, metaimage_header
 from igtl_gateway.addons.exchange.recording import Recording
 from igtl_gateway.addons.exchange.sequence import EPOCH_FIELD
 from igtl_gateway.addons.exchange.sequence_frames import IDENTITY, SequenceFrame, SequenceFrames
 from igtl_gateway.api.placement import ImagePlacement
-from igtl_gateway.base.untrusted.numbers import whole_number
-from igtl_gateway.wire.image import BIG_ENDIAN, SCALARS, Image
 
 #: Name of the transform from pixels to RAS millimetres, used if images move.
 _IMAGE_PLACE = "ImageToRas"

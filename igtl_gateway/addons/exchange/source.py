@@ -13,8 +13,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
-from igtl_gateway.addon import Buffer, DamagedRecording, Entry, GatewayError, Kind, Level, Note, Qos
-from igtl_gateway.gateway import LINK_DOWN, LINK_UP, header_names
+from igtl_gateway.addon import (
+    LINK_DOWN,
+    LINK_UP,
+    Buffer,
+    DamagedRecording,
+    Entry,
+    GatewayError,
+    Kind,
+    Level,
+    Note,
+    Qos,
+    header_names,
+)
 
 MESSAGES, BYTES = "messages", "bytes"
 

@@ -17,25 +17,30 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import ConversionError, Entry
+from igtl_gateway.addon import (
+    ConversionError,
+    ConvertedMessage,
+    Entry,
+    ToIgtlContext,
+    cloud_to_polydata,
+    marker_to_igtl,
+    mesh_to_igtl,
+    polydata_to_igtl,
+    ros,
+)
+from igtl_gateway.addon.igtl import CELL, NORMAL, Attribute, PolyData, decode
+from igtl_gateway.addon.ros import Marker, Mesh, PointCloud2
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.folder import export_one_file_each
 from igtl_gateway.addons.exchange.recording import Recording
-from igtl_gateway.convert import igtl_msgs
-from igtl_gateway.convert.clouds import cloud_to_polydata, colour_bytes, colour_field
-from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext
-from igtl_gateway.convert.polydata import polydata_to_igtl
-from igtl_gateway.convert.rosmsg import Marker, Mesh, PointCloud2
-from igtl_gateway.convert.surfaces import marker_to_igtl, mesh_to_igtl
-from igtl_gateway.wire import decode
-from igtl_gateway.wire.polydata import CELL, NORMAL, Attribute, PolyData
+from igtl_gateway.convert.clouds import colour_bytes, colour_field
 
 Array = npt.NDArray[Any]
 
 _TO_POLYDATA: dict[str, Callable[[bytes, ToIgtlContext], ConvertedMessage]] = {
     Mesh.TYPE: lambda data, to: mesh_to_igtl(Mesh.unpack(data), to),
     Marker.TYPE: lambda data, to: marker_to_igtl(Marker.unpack(data), to),
-    igtl_msgs.PolyData.TYPE: lambda data, to: polydata_to_igtl(igtl_msgs.PolyData.unpack(data), to),
+    ros.PolyData.TYPE: lambda data, to: polydata_to_igtl(ros.PolyData.unpack(data), to),
 }
 _READ = frozenset({"POLYDATA", PointCloud2.TYPE, *_TO_POLYDATA})
 _SECTIONS = ("vertex cells", "lines", "polygons", "triangle strips")

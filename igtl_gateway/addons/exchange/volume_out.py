@@ -17,18 +17,14 @@ from pathlib import Path
 
 import numpy as np
 
-from igtl_gateway.addon import ConversionError, Entry
+from igtl_gateway.addon import ConversionError, ConvertedMessage, Entry, ToIgtlContext, image_to_igtl, volume_to_image
+from igtl_gateway.addon.igtl import BIG_ENDIAN, LPS, SCALARS, Image, decode
+from igtl_gateway.addon.ros import Image as RosImage
+from igtl_gateway.addon.ros import Volume
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.folder import export_one_file_each
 from igtl_gateway.addons.exchange.recording import Recording
 from igtl_gateway.api.placement import ImagePlacement, Vector, has_own_normal
-from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext
-from igtl_gateway.convert.igtl_msgs import Volume
-from igtl_gateway.convert.images import image_to_igtl
-from igtl_gateway.convert.rosmsg import Image as RosImage
-from igtl_gateway.convert.volumes import volume_to_image
-from igtl_gateway.wire import decode
-from igtl_gateway.wire.image import BIG_ENDIAN, LPS, SCALARS, Image
 
 _TO_IMAGE: dict[str, Callable[[bytes, ToIgtlContext], ConvertedMessage]] = {
     Volume.TYPE: lambda data, to: volume_to_image(Volume.unpack(data), to),

@@ -7,8 +7,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
-from igtl_gateway.addon import GatewayError, open_file, printable, read_bytes, write_text
-from igtl_gateway.base.untrusted.limits import check_limit
+from igtl_gateway.addon import GatewayError, check_limit, open_file, printable, read_bytes, write_text
 
 CHECKSUMS = "SHA256SUMS"
 _LINE = re.compile(r"([0-9a-f]{64})  (\S.*)")

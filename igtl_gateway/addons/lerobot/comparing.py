@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import GatewayError
+from igtl_gateway.addon import GatewayError, open_recording
 from igtl_gateway.addons.lerobot.checking import check_rules
 from igtl_gateway.addons.lerobot.checking_stats import numbers_of
 from igtl_gateway.addons.lerobot.columns import Tables, is_numeric, matrix_of
@@ -19,7 +19,6 @@ from igtl_gateway.addons.lerobot.reading import FoundDataSet, read_table, read_t
 from igtl_gateway.addons.lerobot.recipe_file import read_recipe
 from igtl_gateway.addons.lerobot.stats import QUANTILES, Stats, number_stats
 from igtl_gateway.addons.lerobot.writing import PROVENANCE, RECIPE, facts_of, own_columns, trace_of
-from igtl_gateway.api import recording as recordings
 
 Array = npt.NDArray[Any]
 
@@ -39,7 +38,7 @@ def check(root: Path, path: Path) -> tuple[FoundDataSet | None, list[str]]:
     found, findings = check_rules(root)
     if found is None:
         return None, findings
-    with recordings.open(path) as recording:
+    with open_recording(path) as recording:
         try:
             plan = build(recording, read_recipe(root / "meta" / RECIPE))
         except GatewayError as error:

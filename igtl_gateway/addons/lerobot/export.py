@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from igtl_gateway.addon import open_recording
 from igtl_gateway.addons.lerobot.frames import Plan, build
 from igtl_gateway.addons.lerobot.recipe_file import read_recipe
 from igtl_gateway.addons.lerobot.streams import Facts, stream_facts
 from igtl_gateway.addons.lerobot.writing import check_out, write_data_set
-from igtl_gateway.api import recording as recordings
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ def export_lerobot(path: Path, recipe_path: Path, out: Path) -> Exported:
     """
     recipe = read_recipe(recipe_path)
     check_out(out)
-    with recordings.open(path) as recording:
+    with open_recording(path) as recording:
         plan = build(recording, recipe)
         streams = stream_facts(recording, plan)
         files = write_data_set(plan, out, recipe_path, streams)

@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import ConfigError, GatewayError, Recording
+from igtl_gateway.addon import ConfigError, GatewayError, Recording, check_limit
 from igtl_gateway.addons.lerobot.episodes import Span, longest, parts_of, spans_of
 from igtl_gateway.addons.lerobot.recipe import Feature, Recipe
 from igtl_gateway.addons.lerobot.resampling import Picks, common, coverage, frame_count, moments, pick
 from igtl_gateway.addons.lerobot.samples import Samples, clock_of, read_samples, stream_of
 from igtl_gateway.addons.lerobot.splits import splits_of
-from igtl_gateway.base.untrusted.limits import check_limit
 
 Array = npt.NDArray[Any]
 Times = npt.NDArray[np.int64]

@@ -8,17 +8,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import ConfigError, GatewayError, Stream
+from igtl_gateway.addon import (
+    MAX_PIXELS,
+    ConfigError,
+    GatewayError,
+    MessageBlock,
+    Stream,
+    import_av,
+    is_key_frame,
+    pixel_layout,
+)
+from igtl_gateway.addon.igtl import Video, decode
+from igtl_gateway.addon.ros import CompressedImage, CompressedVideo, Volume
+from igtl_gateway.addon.ros import Image as RosImage
 from igtl_gateway.api.images import Images, find_row
-from igtl_gateway.convert.bitstream import is_key_frame
-from igtl_gateway.convert.common_msgs import CompressedImage, CompressedVideo
-from igtl_gateway.convert.igtl_msgs import Volume
-from igtl_gateway.convert.images import pixel_layout
-from igtl_gateway.convert.rosmsg import Image as RosImage
-from igtl_gateway.edges.video.worker import MAX_PIXELS, import_av
-from igtl_gateway.record.sessionfile.bulk import MessageBlock
-from igtl_gateway.wire import decode
-from igtl_gateway.wire.video import Video
 
 Pixels = npt.NDArray[np.uint8]
 Array = npt.NDArray[Any]

@@ -11,14 +11,11 @@ from typing import Any
 
 import pyarrow as pa
 
-from igtl_gateway.addon import DamagedRecording, parse_json, read_bytes
+from igtl_gateway.addon import MAX_PIXELS, DamagedRecording, check_limit, parse_json, read_bytes, read_parquet
 from igtl_gateway.addons.lerobot.frames import MAX_FRAMES
 from igtl_gateway.addons.lerobot.layout import CHUNK, PATHS
 from igtl_gateway.addons.lerobot.recipe_file import MAX_FPS
 from igtl_gateway.base.untrusted import shape
-from igtl_gateway.base.untrusted.limits import check_limit
-from igtl_gateway.base.untrusted.parquet_file import read_parquet
-from igtl_gateway.edges.video.worker import MAX_PIXELS
 
 #: Numbers of a feature in a frame: none of a robot has more.
 _MAX_NUMBERS = 1 << 20

@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import NS_PER_S, ConfigError, GatewayError, Recording, Stream
+from igtl_gateway.addon import NS_PER_S, ConfigError, GatewayError, Recording, Stream, quaternions_of
 from igtl_gateway.addons.lerobot.pictures import Pictures, has_pictures
 from igtl_gateway.addons.lerobot.recipe import Feature
 from igtl_gateway.addons.sync.correction import StampCorrection
 from igtl_gateway.addons.sync.lag import Lag, Verdict, measure_lag
 from igtl_gateway.addons.sync.lags import POSES_BY_NAME, movement, picture_components
 from igtl_gateway.addons.sync.signal import Signal
-from igtl_gateway.api.igtl_columns import quaternions_of
 from igtl_gateway.api.poses import between_poses
 
 Array = npt.NDArray[Any]

@@ -12,11 +12,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import DamagedRecording, Unavailable, make_folder, open_file
+from igtl_gateway.addon import (
+    MAX_PIXELS,
+    DamagedRecording,
+    Deadline,
+    Unavailable,
+    empty_file,
+    import_av,
+    make_folder,
+    open_file,
+)
+from igtl_gateway.addon import VIDEO_THREADS as THREADS
 from igtl_gateway.addons.lerobot.mp4_samples import check_samples
-from igtl_gateway.base.untrusted.limits import Deadline
-from igtl_gateway.edges.video.worker import MAX_PIXELS, THREADS, import_av
-from igtl_gateway.record.sessionfile.new_file import empty_file
 
 Pixels = npt.NDArray[np.uint8]
 

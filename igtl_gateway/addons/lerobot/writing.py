@@ -9,7 +9,15 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
 
-from igtl_gateway.addon import UnsupportedRecording, make_folder, open_new, read_bytes, write_bytes
+from igtl_gateway.addon import (
+    UnsupportedRecording,
+    check_folder,
+    make_folder,
+    open_new,
+    read_bytes,
+    write_bytes,
+    written_folder,
+)
 from igtl_gateway.addons.lerobot.card import write_card
 from igtl_gateway.addons.lerobot.checksums import write_checksums
 from igtl_gateway.addons.lerobot.frames import Episode, Plan
@@ -17,7 +25,6 @@ from igtl_gateway.addons.lerobot.layout import Facts, Layout, layout_of
 from igtl_gateway.addons.lerobot.stats import PictureStats, Stats, number_stats, sampled
 from igtl_gateway.addons.lerobot.streams import Facts as StreamFacts
 from igtl_gateway.addons.lerobot.video import video_info
-from igtl_gateway.record.sessionfile.beside import check_folder, written_folder
 
 PROVENANCE, RECIPE = "provenance.parquet", "recipe.toml"
 

@@ -25,6 +25,7 @@ from igtl_gateway.addon import (
     is_same,
     written,
 )
+from igtl_gateway.addon.igtl import HEADER_SIZE
 from igtl_gateway.addons.merge.clock_graph import Clock, clocks_of, latency_facts
 from igtl_gateway.addons.merge.crossings import Crossing, Passed, find_crossings, pooled, without_coincidences
 from igtl_gateway.addons.merge.offsets import ClockOffset, Contradiction, Piece, measure_offset
@@ -32,7 +33,6 @@ from igtl_gateway.addons.merge.writer import MergedPart, write_merged
 from igtl_gateway.convert.names import topic_token
 from igtl_gateway.record.sessionfile.merged import Method
 from igtl_gateway.record.sessionfile.seals import stated_seals
-from igtl_gateway.wire.header import HEADER_SIZE
 
 _OUTPUTS = {Kind.IGTL_OUT: b"igtl", Kind.ROS_OUT: b"ros"}
 _INPUTS = {Kind.IGTL_IN: b"igtl", Kind.ROS_IN: b"ros"}

@@ -12,12 +12,19 @@ from typing import Any
 
 from mcap.records import Channel, Schema
 
-from igtl_gateway.addon import GatewayError, RecordingError, SessionFile, __version__, layout, os_error_text
+from igtl_gateway.addon import (
+    GatewayError,
+    RecordingError,
+    SessionFile,
+    __version__,
+    create_file,
+    layout,
+    os_error_text,
+)
 from igtl_gateway.record.sessionfile import merged
 from igtl_gateway.record.sessionfile.channels import SEQUENCES
 from igtl_gateway.record.sessionfile.chunks import Row
 from igtl_gateway.record.sessionfile.merged import ChannelNumbers, ChannelWriter, Digest
-from igtl_gateway.record.sessionfile.new_file import create_file
 from igtl_gateway.record.sessionfile.stream import McapStream
 
 _MOST_NS = 1 << 63

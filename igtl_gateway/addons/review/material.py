@@ -17,11 +17,11 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.addon import NS_PER_S, ConfigError, ConversionError, Entry, GatewayError, Kind
+from igtl_gateway.addon.ros import PointCloud2
 from igtl_gateway.addons.review.frames import FramePoses
 from igtl_gateway.addons.review.messages import PLANS, POSES, DrawnPlan, cloud_of, is_large_cloud, plan_of, poses_of
 from igtl_gateway.addons.review.scene import DepthCloud, DepthScene
 from igtl_gateway.convert.frames import frame_id
-from igtl_gateway.convert.rosmsg import PointCloud2
 
 Array = npt.NDArray[Any]
 

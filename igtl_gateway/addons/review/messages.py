@@ -10,13 +10,20 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import Buffer, ConversionError, Entry, Pose
+from igtl_gateway.addon import Buffer, ConversionError, Entry, Pose, rotation_matrix, unit_quaternion
+from igtl_gateway.addon.igtl import ENTRY_AND_TARGET
+from igtl_gateway.addon.ros import (
+    POINT_FIELD_DTYPES,
+    Marker,
+    PointCloud2,
+    PointList,
+    PolyData,
+    PoseStamped,
+    TFMessage,
+    TrajectoryList,
+    TransformStamped,
+)
 from igtl_gateway.addons.review.scene import DepthCloud
-from igtl_gateway.convert.common_msgs import PoseStamped, TFMessage
-from igtl_gateway.convert.igtl_msgs import PointList, PolyData, TrajectoryList
-from igtl_gateway.convert.poses import rotation_matrix, unit_quaternion
-from igtl_gateway.convert.rosmsg import POINT_FIELD_DTYPES, Marker, PointCloud2, TransformStamped
-from igtl_gateway.wire.trajectory import ENTRY_AND_TARGET
 
 Array = npt.NDArray[Any]
 

@@ -7,11 +7,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from igtl_gateway.addon import ConfigError, GatewayError, SessionFile, config_to_run
+from igtl_gateway.addon import UNITS, ConfigError, GatewayError, SessionFile, config_to_run
 from igtl_gateway.addons.review import Material, Review, Thresholds, review_of
 from igtl_gateway.addons.review.material import CLOUDS
 from igtl_gateway.addons.review.options import option
-from igtl_gateway.convert.units import UNITS
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,15 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.addon import ConfigError, GatewayError, Kind, Stream
+from igtl_gateway.addon.ros import Image as RosImage
+from igtl_gateway.addon.ros import Marker, PointCloud2, PointList, PointStamped, TFMessage, Volume
 from igtl_gateway.addons.sync.defaults import CUT_OFF_HZ
 from igtl_gateway.addons.sync.lag import Lag, measure_lag, measure_together
 from igtl_gateway.addons.sync.plus import line_height
 from igtl_gateway.addons.sync.probe import LEAST_SAMPLES
 from igtl_gateway.addons.sync.signal import LARGEST, Signal, moves
-from igtl_gateway.convert.common_msgs import TFMessage
-from igtl_gateway.convert.igtl_msgs import PointList, Volume
-from igtl_gateway.convert.rosmsg import Image as RosImage
-from igtl_gateway.convert.rosmsg import Marker, PointCloud2, PointStamped
 
 Array = npt.NDArray[Any]
 

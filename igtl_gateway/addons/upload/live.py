@@ -11,11 +11,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import Level, Note
+from igtl_gateway.addon import Child, Level, Note
 from igtl_gateway.addons.upload.place import UploadPlace
 from igtl_gateway.addons.upload.upload_process import END_S
 from igtl_gateway.addons.upload.uploading import WAITS
-from igtl_gateway.base.child import Child
 
 _COMMAND = [sys.executable, "-P", "-m", "igtl_gateway.addons.upload.upload_process"]
 #: Time until a process that ended is started again, seconds, and how often that happens.

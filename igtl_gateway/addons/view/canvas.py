@@ -12,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
+from igtl_gateway.addon import Once
 from igtl_gateway.addons.view.colours import SERIES
 from igtl_gateway.addons.view.contents import FRAMES, LOG, EntityKind, SessionContents, ShownTopic, escape_path_part
 from igtl_gateway.addons.view.pen import Pen, Pose, Xyz
-from igtl_gateway.base.once import Once
 
 NS_PER_MS = 1_000_000
 

@@ -9,12 +9,11 @@ import numpy.typing as npt
 import rerun as rr
 
 from igtl_gateway.addon import ConversionError
+from igtl_gateway.addon.ros import POINT_FIELD_DTYPES, PointCloud2, PointList, PointStamped
 from igtl_gateway.addons.view import colours
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.contents import EntityKind
 from igtl_gateway.addons.view.legend import scale_bar, scale_text
-from igtl_gateway.convert.igtl_msgs import PointList
-from igtl_gateway.convert.rosmsg import POINT_FIELD_DTYPES, PointCloud2, PointStamped
 
 Array = npt.NDArray[Any]
 

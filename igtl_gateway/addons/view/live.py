@@ -12,12 +12,11 @@ from dataclasses import replace
 
 import rerun as rr
 
-from igtl_gateway.addon import Config, Entry, Kind
+from igtl_gateway.addon import Config, Entry, Kind, Session, make_core
 from igtl_gateway.addons.view.canvas import Options
 from igtl_gateway.addons.view.session import SessionView
 from igtl_gateway.addons.view.stream import arrange, to_viewer
 from igtl_gateway.addons.view.viewer import Viewer
-from igtl_gateway.gateway import Session, make_core
 
 MAX_ENTRIES, MAX_BYTES = 20_000, 256 << 20
 _FLUSH_S = 0.1

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from igtl_gateway.addon import Buffer
+from igtl_gateway.addon.ros import Marker
 from igtl_gateway.convert.cdr import CdrReader
-from igtl_gateway.convert.rosmsg import Marker
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,14 +11,13 @@ import numpy.typing as npt
 import rerun as rr
 
 from igtl_gateway.addon import ConversionError
+from igtl_gateway.addon.igtl import NDARRAY_SCALARS
+from igtl_gateway.addon.ros import JointState, Joy, NdArray, Sensor, TwistStamped, WrenchStamped
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.colours import SERIES
 from igtl_gateway.addons.view.contents import EntityKind
 from igtl_gateway.addons.view.other_msgs import Float64
-from igtl_gateway.convert.common_msgs import JointState, Joy, TwistStamped, WrenchStamped
-from igtl_gateway.convert.igtl_msgs import NdArray, Sensor
 from igtl_gateway.convert.multi_arrays import MultiArray
-from igtl_gateway.wire.ndarray import NDARRAY_SCALARS
 
 #: Up to this many numbers are curves; more numbers are a bar chart.
 _CURVES = 16

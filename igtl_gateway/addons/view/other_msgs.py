@@ -9,8 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-from igtl_gateway.convert.common_msgs import PoseStamped
-from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.addon.ros import Header, PoseStamped
 from igtl_gateway.convert.structs import FLOAT64, HEADER, Struct, sequence_of
 
 

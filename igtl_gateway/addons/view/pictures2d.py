@@ -9,15 +9,12 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
-from igtl_gateway.addon import Buffer, ConversionError
+from igtl_gateway.addon import Buffer, ConversionError, is_key_frame
+from igtl_gateway.addon.ros import CameraInfo, ColorTable, CompressedImage, CompressedVideo, Image, VideoFrame
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.colours import span
 from igtl_gateway.addons.view.contents import PLACES
-from igtl_gateway.convert.bitstream import is_key_frame
-from igtl_gateway.convert.common_msgs import CameraInfo, CompressedImage, CompressedVideo
 from igtl_gateway.convert.framesize import frame_size
-from igtl_gateway.convert.igtl_msgs import ColorTable, VideoFrame
-from igtl_gateway.convert.rosmsg import Image
 from igtl_gateway.convert.videos import FORMATS
 
 Array = npt.NDArray[Any]

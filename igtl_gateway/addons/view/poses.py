@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from igtl_gateway.addon.ros import PoseArray, PoseStamped, TFMessage, TrackingData, TransformStamped
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.contents import escape_path_part
-from igtl_gateway.convert.common_msgs import PoseArray, PoseStamped, TFMessage
-from igtl_gateway.convert.igtl_msgs import TrackingData
-from igtl_gateway.convert.rosmsg import TransformStamped
 
 _HUGE = 1e18  #: its square fits into float32
 

@@ -9,7 +9,15 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
-from igtl_gateway.addon import ConversionError
+from igtl_gateway.addon import (
+    ConversionError,
+    LengthUnits,
+    ToIgtlContext,
+    ToRosContext,
+    polydata_to_igtl,
+    rotation_matrix,
+)
+from igtl_gateway.addon.ros import Marker, Mesh, PolyData, TrajectoryList
 from igtl_gateway.addons.view import colours
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.clouds import POINT_M
@@ -17,12 +25,6 @@ from igtl_gateway.addons.view.contents import EntityKind, escape_path_part
 from igtl_gateway.addons.view.markers import MarkerArray
 from igtl_gateway.addons.view.other_msgs import Path
 from igtl_gateway.convert import surfaces
-from igtl_gateway.convert.context import ToIgtlContext, ToRosContext
-from igtl_gateway.convert.igtl_msgs import PolyData, TrajectoryList
-from igtl_gateway.convert.polydata import polydata_to_igtl
-from igtl_gateway.convert.poses import rotation_matrix
-from igtl_gateway.convert.rosmsg import Marker, Mesh
-from igtl_gateway.convert.units import LengthUnits
 
 Array = npt.NDArray[Any]
 

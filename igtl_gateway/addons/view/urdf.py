@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
-from igtl_gateway.addon import DamagedRecording, limits
+from igtl_gateway.addon import DamagedRecording, Element, limits, parse_xml
 from igtl_gateway.addons.view.robot_model import (
     MOVING,
     Joint,
@@ -18,7 +18,6 @@ from igtl_gateway.addons.view.robot_model import (
     multiply,
     scaled,
 )
-from igtl_gateway.base.untrusted.xml_text import Element, parse_xml
 
 #: Links, and bodies of links, of one robot; a humanoid with hands has about 100.
 MAX_LINKS, MAX_VISUALS = 1000, 2000

@@ -9,13 +9,13 @@ import numpy.typing as npt
 import rerun as rr
 
 from igtl_gateway.addon import ConversionError
+from igtl_gateway.addon.igtl import SCALARS
+from igtl_gateway.addon.ros import Volume
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.colours import span
 from igtl_gateway.addons.view.contents import EntityKind
 from igtl_gateway.addons.view.legend import box_sides, picture_sides
 from igtl_gateway.addons.view.pictures2d import grey, image_of_pixels
-from igtl_gateway.convert.igtl_msgs import Volume
-from igtl_gateway.wire.image import SCALARS
 
 Array = npt.NDArray[Any]
 

@@ -6,12 +6,10 @@ from collections.abc import Sequence
 
 import rerun as rr
 
-from igtl_gateway.addon import ConversionError, RecordingError
+from igtl_gateway.addon import ConversionError, RecordingError, ros
+from igtl_gateway.addon.ros import DiagnosticStatus, Empty, Log, OperatingState, String, StringStamped
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.colours import ERROR, WARN
-from igtl_gateway.convert import igtl_msgs
-from igtl_gateway.convert.common_msgs import Empty, Log, OperatingState, StringStamped
-from igtl_gateway.convert.rosmsg import DiagnosticStatus, String
 
 #: Last part of the topic of a URDF (robot_state_publisher).
 ROBOT_DESCRIPTION = "robot_description"
@@ -65,12 +63,12 @@ def draw_log(message: Log, canvas: Canvas) -> None:
     _log_text(canvas, f"{message.name}: {message.msg}", level, colour)
 
 
-def draw_command(message: igtl_msgs.Command, canvas: Canvas) -> None:
+def draw_command(message: ros.Command, canvas: Canvas) -> None:
     """igtl_msgs/Command."""
     _log_text(canvas, f"command {message.id} {message.name!r}: {message.content}")
 
 
-def draw_reply(message: igtl_msgs.CommandReply, canvas: Canvas) -> None:
+def draw_reply(message: ros.CommandReply, canvas: Canvas) -> None:
     """igtl_msgs/CommandReply."""
     good = message.status == message.SUCCESS
     outcome = _REPLIES.get(message.status, str(message.status))
@@ -78,24 +76,24 @@ def draw_reply(message: igtl_msgs.CommandReply, canvas: Canvas) -> None:
     _log_text(canvas, text, *(_LEVELS[0] if good else _LEVELS[1]))
 
 
-def draw_query(message: igtl_msgs.Query, canvas: Canvas) -> None:
+def draw_query(message: ros.Query, canvas: Canvas) -> None:
     """igtl_msgs/Query."""
     kind = _QUERIES.get(message.kind, str(message.kind))
     _log_text(canvas, f"{kind} {message.type} {message.device_name}".strip())
 
 
-def draw_metadata(message: igtl_msgs.Metadata, canvas: Canvas) -> None:
+def draw_metadata(message: ros.Metadata, canvas: Canvas) -> None:
     """igtl_msgs/Metadata."""
     items = [f"{item.key} = {item.value}" for item in message.items]
     _list(canvas, f"metadata of {message.type} {message.device_name}", items)
 
 
-def draw_capability(message: igtl_msgs.Capability, canvas: Canvas) -> None:
+def draw_capability(message: ros.Capability, canvas: Canvas) -> None:
     """igtl_msgs/Capability."""
     _list(canvas, "reads", message.types)
 
 
-def draw_links(message: igtl_msgs.LinkStatusList, canvas: Canvas) -> None:
+def draw_links(message: ros.LinkStatusList, canvas: Canvas) -> None:
     """igtl_msgs/LinkStatusList."""
     rows = [
         f"{link.link}: {link.peer} {'connected' if link.connected else 'gone'}, {link.profile}, "
@@ -105,27 +103,27 @@ def draw_links(message: igtl_msgs.LinkStatusList, canvas: Canvas) -> None:
     _list(canvas, "peers", rows)
 
 
-def draw_bind(message: igtl_msgs.Bind, canvas: Canvas) -> None:
+def draw_bind(message: ros.Bind, canvas: Canvas) -> None:
     """igtl_msgs/Bind."""
     _list(canvas, "bundle", [f"{child.type} {child.name}" for child in message.children])
 
 
-def draw_images(message: igtl_msgs.ImageMetaList, canvas: Canvas) -> None:
+def draw_images(message: ros.ImageMetaList, canvas: Canvas) -> None:
     """igtl_msgs/ImageMetaList: names and sizes, without patient data."""
     _list(canvas, "images", [f"{each.name} ({each.device_name}) {_size(each.size)}" for each in message.images])
 
 
-def draw_labels(message: igtl_msgs.LabelMetaList, canvas: Canvas) -> None:
+def draw_labels(message: ros.LabelMetaList, canvas: Canvas) -> None:
     """igtl_msgs/LabelMetaList."""
     _list(canvas, "labels", [f"{each.label} {each.name} {_size(each.size)}" for each in message.labels])
 
 
-def draw_videos(message: igtl_msgs.VideoMetaList, canvas: Canvas) -> None:
+def draw_videos(message: ros.VideoMetaList, canvas: Canvas) -> None:
     """igtl_msgs/VideoMetaList."""
     _list(canvas, "videos", [f"{each.name} ({each.device_name}) {_size(each.size)}" for each in message.videos])
 
 
-def draw_raw(message: igtl_msgs.RawMessage, canvas: Canvas) -> None:
+def draw_raw(message: ros.RawMessage, canvas: Canvas) -> None:
     """igtl_msgs/RawMessage: bytes of a type without a conversion."""
     _log_text(canvas, f"{message.type} {message.device_name}: {memoryview(message.data).nbytes} bytes")
 
