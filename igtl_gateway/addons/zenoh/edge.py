@@ -29,13 +29,13 @@ from igtl_gateway.addons.zenoh.connection import RETRY_NS, Connection
 from igtl_gateway.addons.zenoh.graph import Graph
 from igtl_gateway.addons.zenoh.inbox import Inbox
 from igtl_gateway.addons.zenoh.library import import_zenoh
-from igtl_gateway.addons.zenoh.names import Entity, Kind, Node, checked_node, checked_topic, data_key
+from igtl_gateway.addons.zenoh.names import Entity, Kind, checked_node, checked_topic
+from igtl_gateway.addons.zenoh.own_node import OwnNode
 from igtl_gateway.addons.zenoh.publishing import ROSOUT, Publishing
 from igtl_gateway.addons.zenoh.services import MESSAGES, SERVICES, Calls
 from igtl_gateway.addons.zenoh.site import Sites
 from igtl_gateway.addons.zenoh.subscribing import Subscribing
 from igtl_gateway.addons.zenoh.traffic import Traffic
-from igtl_gateway.addons.zenoh.types import TypeHashes
 from igtl_gateway.convert.common_msgs import Log
 from igtl_gateway.edges.interface import OnMessage, OnNote, PlainSide, Publication, Reports, Wants
 
@@ -87,8 +87,6 @@ class ZenohEdge(PlainSide):
         self._clock = SystemClock()
         self._domain = domain_of()
         self._changing = threading.RLock()
-        self._entities = 0
-        self._own: Node | None = None
         self._tokens: list[Any] = []
         self._changed = threading.Event()
         self._stopping = threading.Event()
@@ -96,24 +94,18 @@ class ZenohEdge(PlainSide):
         self._listened: deque[str] = deque(maxlen=_LISTENED)
         self._reports = Reports(on_note)
         self._connection = Connection(endpoint, self._reports, self._changed.set)
-        self._hashes = TypeHashes()
+        self._node = OwnNode(self._connection, self._domain, self._name, self._namespace)
         self._inbox = self._make_inbox()
         self._graph = Graph(self._reports, self._on_graph)
         self._publishing = Publishing(
-            self._connection,
-            self._next,
-            self._hashes,
-            self._domain,
+            self._node,
             self._reports,
             self._clock,
             self._on_subscriber,
             traffic,
         )
         self._subscribing = Subscribing(
-            self._connection,
-            self._next,
-            self._hashes,
-            self._domain,
+            self._node,
             self._graph,
             self._reports,
             self._inbox,
@@ -208,12 +200,11 @@ class ZenohEdge(PlainSide):
         try:
             if type_name not in SERVICES:
                 raise UnknownTypeError(f"unknown type, expected one of {', '.join(SERVICES)}")
-            type_hash = self._hashes.of(type_name)
-            key = data_key(self._domain, full, type_name, type_hash)
+            key, type_hash = self._node.key(full, type_name)
             handler = self._calls.handler(full, SERVICES[type_name], answer)
 
             def declare(session: Any) -> None:
-                node, number = self._next(session)
+                node, number = self._node.next(session)
                 token = node.entity_token(number, Kind.SERVER, full, type_name, type_hash, _SERVICE_QOS)
                 self._tokens.append(session.declare_queryable(key, handler, complete=True))
                 self._tokens.append(session.liveliness().declare_token(token))
@@ -281,16 +272,8 @@ class ZenohEdge(PlainSide):
     def _make_inbox(self) -> Inbox:
         return Inbox()
 
-    def _next(self, session: Any) -> tuple[Node, int]:
-        """The node, and the number of a new entity; the caller has the lock of the connection."""
-        self._own = self._own or Node(self._domain, str(session.info.zid()), 0, self._name, self._namespace)
-        self._entities += 1
-        return self._own, self._entities
-
     def _declare_node(self, session: Any) -> None:
-        node = Node(self._domain, str(session.info.zid()), 0, self._name, self._namespace)
-        self._own = node
-        self._tokens.append(session.liveliness().declare_token(node.token()))
+        self._tokens.append(session.liveliness().declare_token(self._node.joined(session).token()))
         self._graph.declare(session, self._domain, self._connection.zenoh.SampleKind.PUT)
 
     def _on_graph(self, entity: Entity | None) -> None:

@@ -13,11 +13,10 @@ from dataclasses import replace
 from typing import Any
 
 from igtl_gateway.addon import Clock, Level, Qos
-from igtl_gateway.addons.zenoh.connection import Connection
 from igtl_gateway.addons.zenoh.library import first_line
-from igtl_gateway.addons.zenoh.names import Kind, Node, attachment, data_key, gid
+from igtl_gateway.addons.zenoh.names import Kind, Node, attachment, gid
+from igtl_gateway.addons.zenoh.own_node import OwnNode
 from igtl_gateway.addons.zenoh.traffic import Traffic, how_to_send
-from igtl_gateway.addons.zenoh.types import TypeHashes
 from igtl_gateway.addons.zenoh.waiting import Commands
 from igtl_gateway.edges.interface import Publishers, Reports, TopicCounts
 
@@ -181,20 +180,14 @@ class Publishing(Publishers[TopicPublisher]):
 
     def __init__(
         self,
-        connection: Connection,
-        node: Callable[[Any], tuple[Node, int]],
-        hashes: TypeHashes,
-        domain: int,
+        node: OwnNode,
         reports: Reports,
         clock: Clock,
         matched: Callable[[str], None],
         traffic: Traffic | None,
     ) -> None:
-        super().__init__(connection.lock, reports, {})
-        self._connection = connection
-        self._next = node
-        self._hashes = hashes
-        self._domain = domain
+        super().__init__(node.connection.lock, reports, {})
+        self._node = node
         self._clock = clock
         self._matched = matched
         self._traffic = traffic
@@ -225,16 +218,15 @@ class Publishing(Publishers[TopicPublisher]):
         """At stop: refuse all further messages; send the commands that wait, for 2 s at most."""
         self._closed = True
         self._commands.stop()
-        with self._connection.lock:
-            for publisher in self._publishers.values():
-                publisher.close()
+        for publisher in self.all():
+            publisher.close()
 
     def _new(self, topic: str, type_name: str, qos: Qos) -> TopicPublisher:
-        type_hash = self._hashes.of(type_name)
+        key, type_hash = self._node.key(topic, type_name)
         made = TopicPublisher(
             topic,
             type_name,
-            data_key(self._domain, topic, type_name, type_hash),
+            key,
             qos,
             TopicCounts() if topic == ROSOUT else self._reports.counts(topic),
             self._clock,
@@ -243,9 +235,9 @@ class Publishing(Publishers[TopicPublisher]):
         )
 
         def declare(session: Any) -> None:
-            node, number = self._next(session)
-            zenoh = self._connection.zenoh
+            node, number = self._node.next(session)
+            zenoh = self._node.connection.zenoh
             made.declare(zenoh, session, node, number, type_hash, lambda: self._matched(topic))
 
-        self._connection.declare(declare)
+        self._node.connection.declare(declare)
         return made

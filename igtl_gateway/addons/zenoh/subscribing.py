@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict, deque
-from collections.abc import Callable
 from typing import Any
 
 from igtl_gateway.addon import Clock, Level, Qos, RosError
-from igtl_gateway.addons.zenoh.connection import Connection
 from igtl_gateway.addons.zenoh.graph import Graph
 from igtl_gateway.addons.zenoh.inbox import Inbox, Waiting
-from igtl_gateway.addons.zenoh.names import Kind, Node, data_key, read_attachment
-from igtl_gateway.addons.zenoh.types import TypeHashes
+from igtl_gateway.addons.zenoh.names import Kind, Node, read_attachment
+from igtl_gateway.addons.zenoh.own_node import OwnNode
 from igtl_gateway.edges.interface import Deliver, OnMessage, Reports, Subscriptions, TopicCounts, Wants, guarded
 
 #: Publishers of one topic whose sequence numbers are followed.
@@ -129,10 +127,7 @@ class Subscribing(Subscriptions[TopicSubscription]):
 
     def __init__(
         self,
-        connection: Connection,
-        node: Callable[[Any], tuple[Node, int]],
-        hashes: TypeHashes,
-        domain: int,
+        node: OwnNode,
         graph: Graph,
         reports: Reports,
         inbox: Inbox,
@@ -140,12 +135,9 @@ class Subscribing(Subscriptions[TopicSubscription]):
         *,
         clock: Clock | None = None,
     ) -> None:
-        super().__init__(connection.lock, reports, graph.publications, {})
+        super().__init__(node.connection.lock, reports, graph.publications, {})
         self._clock = clock
-        self._connection = connection
-        self._next = node
-        self._hashes = hashes
-        self._domain = domain
+        self._node = node
         self._graph = graph
         self._inbox = inbox
         self._on_message = on_message
@@ -170,7 +162,7 @@ class Subscribing(Subscriptions[TopicSubscription]):
 
     def _offered(self, topic: str, type_name: str, wanted: Qos) -> Qos:
         """The QoS that suits the present publishers."""
-        ours = self._hashes.of(type_name)
+        ours = self._node.hashes.of(type_name)
         place = topic, type_name, ours
         offered = [each.qos for each in self._graph.publishers() if (each.topic, each.type, each.type_hash) == place]
         return Qos(
@@ -192,8 +184,7 @@ class Subscribing(Subscriptions[TopicSubscription]):
     def _make(self, topic: str, type_name: str, qos: Qos) -> Qos:
         if len(self._subscriptions) >= _MOST:
             raise RosError(f"found {_MOST} subscriptions, expected fewer")
-        type_hash = self._hashes.of(type_name)
-        key = data_key(self._domain, topic, type_name, type_hash)
+        key, type_hash = self._node.key(topic, type_name)
         counts = self._reports.counts(topic)
         deliver = guarded(topic, type_name, counts, self._on_message, self._reports)
         made = TopicSubscription(topic, type_name, qos, counts, self._inbox, deliver)
@@ -201,8 +192,8 @@ class Subscribing(Subscriptions[TopicSubscription]):
         made.clock = self._clock
 
         def declare(session: Any) -> None:
-            made.declare(self._connection.zenoh, session, *self._next(session), key, type_hash)
+            made.declare(self._node.connection.zenoh, session, *self._node.next(session), key, type_hash)
 
-        self._connection.declare(declare)
+        self._node.connection.declare(declare)
         self._subscriptions[topic] = made
         return qos
