@@ -21,6 +21,7 @@ from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.rosmsg import String
 from igtl_gateway.gateway.log.note import Note
 from tests.addons.zenoh.routers import client, free_port, router
+from tests.processes import TIMEOUT_S
 
 HASH = TypeHashes().of(String.TYPE)
 GID = bytes(range(16))
@@ -53,7 +54,7 @@ class Side:
             to.append(item)
             self.changed.notify_all()
 
-    def wait(self, condition: Callable[[], bool], timeout_s: float = 10) -> None:
+    def wait(self, condition: Callable[[], bool], timeout_s: float = TIMEOUT_S) -> None:
         with self.changed:
             assert self.changed.wait_for(condition, timeout_s), (self.messages, self.notes, self.edge.counters())
 
@@ -84,7 +85,7 @@ def started(sides: ExitStack, *args: Any, **more: Any) -> Side:
     return side
 
 
-def until(condition: Callable[[], bool], timeout_s: float = 10) -> None:
+def until(condition: Callable[[], bool], timeout_s: float = TIMEOUT_S) -> None:
     """Wait for what nothing notifies of."""
     ends, clock = threading.Event(), SystemClock()
     started_ns = clock.monotonic_ns()

@@ -26,7 +26,7 @@ def ask(session: Any, name: str, ros_type: str, payload: bytes | None, attachmen
     """The replies to a call; of an error its text."""
     key = names.data_key(DOMAIN, name, ros_type, HASHES.of(ros_type))
     replies = session.get(
-        key, payload=payload, attachment=attachment, target=zenoh.QueryTarget.ALL_COMPLETE, timeout=10.0
+        key, payload=payload, attachment=attachment, target=zenoh.QueryTarget.ALL_COMPLETE, timeout=30.0
     )
     return [reply.ok or reply.err.payload.to_string() for reply in replies]
 
