@@ -84,7 +84,7 @@ def _pass_session(python: str, folder: Path) -> None:
         ("verify", "--seal", folder / "sealed.mcap", "--trust", folder / "own.key.pub"),
         ("export", path, "--to", "csv", "-o", folder / "tables"),
         ("recover", path, "-o", folder / "again.mcap"),
-        ("retain", folder, "--retention", "1 d"),
+        ("keep", folder, "--retention", "1 d"),
     ):
         command = [python, "-m", "igtl_gateway", *map(str, words)]
         ran = subprocess.run(command, cwd=folder, capture_output=True, check=False, timeout=DEADLINE_S)

@@ -57,7 +57,7 @@ def _round(place: UploadPlace, chance: random.Random, python: str) -> int:
         for number in range(3):
             entries = [samples.igtl(seq, body=chance.randbytes(1_000_000)) for seq in range(1, 21)]
             record(Path(name) / f"session{number}.mcap", entries, compression="none")
-        words = [sys.executable, "-m", "igtl_gateway", "upload", name, "--to", str(place), "--rate", "20"]
+        words = [sys.executable, "-m", "igtl_gateway", "keep", name, "--upload", str(place), "--upload-rate", "20"]
         killed = 0
         while True:
             with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:

@@ -37,7 +37,6 @@ from igtl_gateway.cli.verbs import (
     LABORATORY,
     OTHER_WORDS,
     RARE,
-    VERBS,
     WITHOUT_LABORATORY,
     Verb,
     available,
@@ -70,7 +69,7 @@ def main(argv: Sequence[str] | None = None, ready: Callable[[], None] | None = N
     if is_joined := bool(verb) and given[2:3] != [] and given[2] in following:
         given[:2] = [verb]
     asked = next((word for word in given if not word.startswith("-")), "")
-    if not is_joined and (own := VERBS.get(asked)) and own.now:
+    if not is_joined and (own := own_verb(asked)) and own.now:
         print_line(f"igtl-gateway {asked}: the new spelling is `igtl-gateway {own.now}`", error=True)
     if asked not in ("bridge", "replay"):
         return _run(given, asked, ready)
@@ -235,6 +234,6 @@ def complete(parser: argparse.ArgumentParser, verb: Verb) -> None:
 
 
 def _print_error(verb: str, error: object, code: int) -> int:
-    verb = VERBS[verb].now or verb if verb in VERBS else verb
-    print_line(f"igtl-gateway {verb}: {error}", error=True)
+    own = own_verb(verb)
+    print_line(f"igtl-gateway {own.now or verb if own else verb}: {error}", error=True)
     return code

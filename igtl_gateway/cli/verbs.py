@@ -73,7 +73,10 @@ VERBS = {
         place=3,
         now="seal keys",
     ),
-    "retain": _own("retain", "delete recordings of a directory by age and by size", KEEP, 3),
+    "keep": _own("keep", "copy the recordings of a directory to a store, delete old ones", KEEP, 2),
+    "retain": Verb(
+        "delete recordings of a directory by age and by size", "igtl_gateway.cli.keep", group=RARE, place=5, now="keep"
+    ),
     "info": _own("info", "show the contents of a recording", INSPECT, 1),
     "doctor": _own("doctor", "diagnose a connection, a recording or this machine", START, 3),
     "lint": Verb(

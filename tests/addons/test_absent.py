@@ -61,6 +61,7 @@ CORE = (
     ("slice", SMALL, "-o", "OUT/slice.mcap", "--end", "1"),
     ("recover", SMALL, "-o", "OUT/recovered.mcap"),
     ("doctor", SMALL),
+    ("keep", "OUT", "--retention", "1 h"),
     ("replay", "--help"),
     ("doctor", "--help"),
     ("bridge", "--help"),
@@ -82,6 +83,7 @@ NEEDED: dict[str, tuple[tuple[object, ...], ...]] = {
     "exchange": (("import", STAR, "-o", "OUT/i.mcap"), ("export", STAR, "--to", "csv", "-o", "OUT/csv")),
     "upload": (
         ("upload", "OUT", "--to", "s3://bucket"),
+        ("keep", "OUT", "--upload", "s3://bucket"),
         ("bridge", "--no-ros", "--record", "OUT/up.mcap", "--upload", "s3://bucket"),
     ),
     "view": (("view", STAR), ("bridge", "--no-ros", "--view")),

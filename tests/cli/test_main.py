@@ -69,7 +69,7 @@ def test_help_has_the_verbs_in_groups_with_a_line_each(
     code, out, _ = outcome(capsys, "--help-all")
     every = [verb for group in listed(out).values() for verb in group]
     assert code == 0 and sorted(every) == sorted(verbs.available())
-    assert set(every) - set(shown) == {"completion", "zenoh-router", "keys", "lint"}
+    assert set(every) - set(shown) == {"completion", "zenoh-router", "keys", "lint", "retain", "upload"}
 
 
 @table(
@@ -77,6 +77,8 @@ def test_help_has_the_verbs_in_groups_with_a_line_each(
     [
         (["lint", str(FIXTURE)], ["doctor", str(FIXTURE)]),
         (["lint", "absent.mcap"], ["doctor", "absent.mcap"]),
+        (["retain", "absent", "--retention", "1 d"], ["keep", "absent", "--retention", "1 d"]),
+        (["upload", "absent", "--upload", "s3://bucket"], ["keep", "absent", "--upload", "s3://bucket"]),
         (["keys", "show", "absent.key"], ["seal", "keys", "show", "absent.key"]),
     ],
 )

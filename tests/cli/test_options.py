@@ -113,6 +113,8 @@ def test_version_names_formats_and_libraries(capsys: pytest.CaptureFixture[str])
         (["view", "absent.mcap", "--screenshot=OUT.png"], "--screenshot: the new spelling is -o/--output"),
         (["review", "absent.mcap", "--csv", "OUT.csv"], "--csv: the new spelling is -o/--output"),
         (["cohort", "info", "absent", "--out", "OUT"], "--out: the new spelling is -o/--output"),
+        (["keep", "absent", "--to", "s3://bucket"], "--to: the new spelling is --upload"),
+        (["keep", "absent", "--upload", "s3://bucket", "--rate", "2"], "--rate: the new spelling is --upload-rate"),
         (["simulate", "star", "--out", "OUT.mcap", "--seed", "x"], "--out: the new spelling is -o/--output"),
     ],
 )

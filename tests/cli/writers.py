@@ -47,7 +47,7 @@ WRITERS = (
     "seal SMALL --key KEY -o OUT.mcap",
     "sync MOVING --plot OUT.svg --max-lag 0.1",
     "view SMALL -o OUT.rrd",
-    "retain HERE --retention 1h",
+    "keep HERE --retention 1h",
     "upload HERE --to s3://bucket --patience 0",
     "simulate TINY -o OUT.mcap",
     "cohort query SQL -o COHORT --csv OUT.csv",

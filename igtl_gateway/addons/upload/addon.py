@@ -3,8 +3,14 @@
 from __future__ import annotations
 
 from igtl_gateway.addon import Verb
-from igtl_gateway.cli.verbs import KEEP
+from igtl_gateway.cli.verbs import RARE
 
 VERBS = {
-    "upload": Verb("copy the recordings of a directory to an object store", f"{__package__}.verb", group=KEEP, place=4),
+    "upload": Verb(
+        "copy the recordings of a directory to an object store",
+        "igtl_gateway.cli.keep",
+        group=RARE,
+        place=6,
+        now="keep",
+    ),
 }

@@ -75,7 +75,7 @@ class BridgeUploads:
         done = f"upload: {found['confirmed']:,} files confirmed"
         if not found["waiting"]:
             return done
-        command = f"igtl-gateway upload {shlex.quote(str(self._folder))} --to {shlex.quote(str(self._place))}"
+        command = f"igtl-gateway keep {shlex.quote(str(self._folder))} --upload {shlex.quote(str(self._place))}"
         why = f" ({found['problem']})" if found["problem"] else ""
         return f"{done}, {found['waiting']:,} LEFT{why}: {command} finishes it"
 

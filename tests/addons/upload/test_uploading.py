@@ -277,7 +277,7 @@ def test_keys_in_the_place_are_refused_and_not_repeated() -> None:
 
 @pytest.mark.slow
 def test_the_verb_finishes_what_is_left(store: Store, folder: Path) -> None:
-    words = [sys.executable, "-m", "igtl_gateway", "upload", str(folder), "--to", str(PLACE), "--json"]
+    words = [sys.executable, "-m", "igtl_gateway", "keep", str(folder), "--upload", str(PLACE), "--json"]
     done = subprocess.run(words, check=False, capture_output=True, text=True)
     assert done.returncode == 0 and is_complete(store, folder) and '"left": []' in done.stdout
     environment = os.environ | {"AWS_ENDPOINT_URL": "http://store.example"}

@@ -101,9 +101,9 @@ _SESSION_VERBS = (
     "merge F --extract a -o OUT.mcap",
     "merge SMALL F -o OUT.mcap --json",
     "merge a=SMALL b=F -o OUT.mcap --offset b=0.5",
-    "retain FOLDER --retention 1MB --dry-run",
-    "retain FOLDER --retention 1h,1MB --only-sealed --json",
-    "upload FOLDER --to s3://bucket/prefix --patience 0",
+    "keep FOLDER --retention 1MB --dry-run",
+    "keep FOLDER --retention 1h,1MB --only-sealed --json",
+    "keep FOLDER --upload s3://bucket/prefix --patience 0",
 )
 
 #: Files that verbs get besides the hostile one, all of them sound: name in ``VERBS`` → content.
@@ -157,15 +157,15 @@ VERBS: dict[str, tuple[str, ...]] = {
         "verify SEALED --seal --trusted F",
     ),
     "folder": (
-        "retain F --retention 1MB --only-uploaded --dry-run",
-        "retain F --retention 1h,1MB --only-uploaded --json",
-        "upload F --to s3://bucket/prefix --patience 0",
-        "upload F --to s3://bucket/prefix --patience 0 --json",
-        "retain F --retention 1MB",
+        "keep F --retention 1MB --only-uploaded --dry-run",
+        "keep F --retention 1h,1MB --only-uploaded --json",
+        "keep F --upload s3://bucket/prefix --patience 0",
+        "keep F --upload s3://bucket/prefix --patience 0 --json",
+        "keep F --retention 1MB",
     ),
     "AWS file": (
-        "AWS_ACCESS_KEY_ID= AWS_SHARED_CREDENTIALS_FILE=F upload GOODS --to s3://bucket/prefix --patience 0",
-        "AWS_CONFIG_FILE=F upload GOODS --to s3://bucket/prefix --patience 0",
+        "AWS_ACCESS_KEY_ID= AWS_SHARED_CREDENTIALS_FILE=F keep GOODS --upload s3://bucket/prefix --patience 0",
+        "AWS_CONFIG_FILE=F keep GOODS --upload s3://bucket/prefix --patience 0",
     ),
     "Zenoh configuration": (
         "ZENOH_ROUTER_CONFIG_URI=F zenoh-router",
@@ -201,8 +201,8 @@ VERBS: dict[str, tuple[str, ...]] = {
         "verify SEALED --seal --trusted F",
         "deidentify SMALL -o OUT.mcap --profile F",
         "export SMALL --to lerobot --recipe F -o OUT",
-        "retain F --retention 1MB --dry-run",
-        "upload F --to s3://bucket/prefix --patience 0",
+        "keep F --retention 1MB --dry-run",
+        "keep F --upload s3://bucket/prefix --patience 0",
         "cohort query 'SELECT 1' -o F",
         "merge SMALL F -o OUT.mcap",
         "seal SEALED --time-stamp F -o OUT.mcap",

@@ -248,7 +248,7 @@ def test_the_recorder_deletes_its_own_parts_by_size_and_never_the_open_one(tmp_p
 def test_the_verb_shows_and_deletes(folder: Path) -> None:
     def retain(*words: str) -> tuple[int, str]:
         done = subprocess.run(
-            [sys.executable, "-m", "igtl_gateway", "retain", str(folder), *words],
+            [sys.executable, "-m", "igtl_gateway", "keep", str(folder), *words],
             check=False,
             capture_output=True,
             text=True,
