@@ -4,7 +4,7 @@ What these parts do, Python does with the same results, only slower.  ``IGTL_GAT
 wheel of machines that the compiled wheels do not fit.
 
 ``IGTL_GATEWAY_AHEAD=FOLDER`` adds the ROS packages that were compiled ahead to a wheel with C parts
-(:mod:`igtl_gateway.edges.ros_interfaces.ahead`).
+(:mod:`igtl_gateway.edges.ros_interfaces.cache`).
 
 The result does not depend on the folder of the build: an editable installation has it beside the source; a wheel
 is made from a temporary folder, so that it never contains the result for another Python.

@@ -10,9 +10,8 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
+from typing import Protocol, Self
 
-from igtl_gateway.app.sequence import PythonSequence
-from igtl_gateway.app.sequence import Sequence as InputSequence
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.once import Once
@@ -35,6 +34,41 @@ _AT_ONCE_NS = LEAST_NS // 10
 
 #: Kind, payload, channel, type, links and source stamp of an input.
 _Input = tuple[Kind, Buffer, str, str, tuple[int, ...], int]
+
+
+class InputSequence(Protocol):
+    """The sequence lock as a context, and what it guards.
+
+    Attributes:
+        seq: number of the last entry.
+        stamp_ns: gateway time of the last entry (UTC ns).
+        last_ns: gateway time of the last input (UTC ns).
+        ahead_ns: gateway time less the time of the host's clock (ns).
+    """
+
+    seq: int
+    stamp_ns: int
+    last_ns: int
+    ahead_ns: int
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *error: object) -> None: ...
+
+
+class PythonSequence:
+    """The sequence where there is no native passage."""
+
+    def __init__(self) -> None:
+        self.seq = self.stamp_ns = self.last_ns = self.ahead_ns = 0
+        self._lock = threading.Lock()
+
+    def __enter__(self) -> Self:
+        self._lock.acquire()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._lock.release()
 
 
 class Hub:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from igtl_gateway.base.clock import Clock, SystemClock
@@ -10,7 +11,6 @@ from igtl_gateway.edges.tcp import TcpEdge
 from igtl_gateway.gateway import Gateway
 from igtl_gateway.gateway.core import is_kept
 from igtl_gateway.gateway.fastpath.passage_streams import OnPassed, PassageStreams
-from igtl_gateway.gateway.fastpath.passage_times import times_of
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.session import Core
 from igtl_gateway.native.passage import Link, Lock, Passage, Publisher, Subscription, is_compiled
@@ -20,6 +20,41 @@ if TYPE_CHECKING:
 
 #: A publisher for bridges without ROS.
 _NOWHERE = 0
+
+
+#: Where the time of messages goes.  ``middleware``: from the source stamp of a ROS message until the passage has it, so
+#: DDS and the scheduler.  ``sequence``: until it has the sequence lock.  ``conversion``: until it has its number, with
+#: the recorder's lock and the guard.  ``output``: until it is sent or published.  ``recording``: until it is in the
+#: recorder's memory.
+PHASES = ("middleware", "sequence", "conversion", "output", "recording")
+DIRECTIONS = ("igtl_to_ros", "ros_to_igtl")
+
+_SHARES = {"p50_us": 0.5, "p99_us": 0.99, "p999_us": 0.999, "max_us": 1.0}
+
+
+def percentiles(counts: Sequence[tuple[int, int]]) -> dict[str, float]:
+    """Return percentiles (microseconds, at most a fifth too high) of (upper bound in ns, messages) in rising order."""
+    total = sum(number for _, number in counts)
+    found = {}
+    for name, share in _SHARES.items():
+        below = 0
+        for above_ns, number in counts:
+            below += number
+            if below >= share * total:
+                found[name] = above_ns / 1_000
+                break
+    return found
+
+
+def times_of(passage: Passage) -> dict[str, dict[str, dict[str, float]]]:
+    """Return direction → phase → percentiles, for phases that messages had; the caller has the sequence lock."""
+    rows = passage.times()
+    found: dict[str, dict[str, dict[str, float]]] = {}
+    for number, row in enumerate(rows):
+        if row:
+            direction, phase = DIRECTIONS[number // len(PHASES)], PHASES[number % len(PHASES)]
+            found.setdefault(direction, {})[phase] = percentiles(row)
+    return found
 
 
 def make_passage(clock: Clock) -> Passage | None:

@@ -15,7 +15,7 @@ from igtl_gateway.app.replay_account import ReplayAccount
 from igtl_gateway.app.replay_options import ReplayOptions
 from igtl_gateway.app.replay_plan import check_streams, plan_replay, planned_entries
 from igtl_gateway.app.replay_sides import ReplaySides, open_sides
-from igtl_gateway.app.sends import with_sends
+from igtl_gateway.app.rows import with_sends
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import ConfigError, GatewayError
 from igtl_gateway.base.stamp import NS_PER_S

@@ -3,15 +3,30 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
-from igtl_gateway.app.sends import send_row
 from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.setting import Setting
 from igtl_gateway.config.settings import PROFILE_NAMES
 from igtl_gateway.convert.frames import TfRequest
 from igtl_gateway.convert.table import TO_ROS
+
+
+def with_sends(config: Config, sends: Sequence[str]) -> Config:
+    """Return ``config`` with a first row for each ``TOPIC[=DEVICE[:TYPE]]``.  Raises ConfigError."""
+    values = config.to_dict()
+    return Config.from_dict(values | {"to_igtl": [*map(send_row, sends), *values["to_igtl"]]})
+
+
+def send_row(text: str) -> dict[str, str]:
+    """Return the row of ``[[to_igtl]]`` for ``TOPIC[=DEVICE[:TYPE]]``.  Raises ConfigError."""
+    topic, _, rest = text.partition("=")
+    device, _, igtl_type = rest.partition(":")
+    if not topic.startswith("/"):
+        raise ConfigError(f"--send: found {text!r}, expected /topic, /topic=Device or /topic=Device:TYPE")
+    return {"topic": topic, "device": device, "type": igtl_type}
 
 
 def rows_of(setting: Setting, texts: Iterable[str]) -> tuple[dict[str, Any], ...]:

@@ -13,11 +13,14 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.base.buffers import Buffer, join
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.globs import matches
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.version import __version__
 from igtl_gateway.config.configuration import Config
+from igtl_gateway.convert.igtl_msgs import LinkStatusList, Metadata, RawMessage
 from igtl_gateway.convert.rosmsg import RosMessage
+from igtl_gateway.convert.table import TO_IGTL, TO_ROS
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP, TICK, Session, make_core
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
@@ -25,7 +28,6 @@ from igtl_gateway.record.sessionfile.beside import written
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.replay.source import select_entries
-from igtl_gateway.testing.rostypes import unpack
 from igtl_gateway.wire import Message, decode, encode
 
 #: Default time at which a session begins: 2026-01-01T00:00:00Z.
@@ -36,6 +38,25 @@ _TICK_NS = 50_000_000
 
 _MESSAGES_IN = frozenset({Kind.IGTL_IN, Kind.ROS_IN})
 _INPUTS = frozenset(kind for kind in Kind if kind.is_input)
+
+
+_ALL: list[type[RosMessage]] = [
+    *(row.message for row in TO_ROS),
+    *(row.message for row in TO_IGTL),
+    LinkStatusList,
+    Metadata,
+    RawMessage,
+]
+#: The classes of all ROS types that the gateway receives or publishes, by the name of the type.
+CLASSES = {kind.TYPE: kind for kind in _ALL}
+
+
+def unpack(ros_type: str, cdr: Buffer) -> RosMessage:
+    """Decode ``cdr``.  Raises ConfigError for a type that the gateway does not know."""
+    kind = CLASSES.get(ros_type)
+    if kind is None:
+        raise ConfigError(f"found a message of type {ros_type}, expected one of {', '.join(sorted(CLASSES))}")
+    return kind.unpack(cdr)
 
 
 @dataclass(frozen=True, slots=True)

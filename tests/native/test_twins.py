@@ -23,7 +23,7 @@ from igtl_gateway.convert.rosmsg import Header, TransformStamped
 from igtl_gateway.gateway.guarded_stream import STILL_LOOKS, GuardedStream, Place, Remark
 from igtl_gateway.wire import HEADER_SIZE, Message, encode
 from igtl_gateway.wire.header import crc64
-from igtl_gateway.wire.transform import Transform
+from igtl_gateway.wire.transform import Position, Transform
 from tests.wire import handmade
 
 passage = pytest.importorskip("igtl_gateway.native._passage", reason="installed without the C part")
@@ -271,3 +271,22 @@ def test_the_matrix_of_a_quaternion() -> None:
         assert np.isnan(columns).all() if expected is None else columns == expected, quaternion
         refused += expected is None
     assert refused >= 2
+
+
+def test_the_sign_of_a_quaternion() -> None:
+    """Also where only x is not 0, which no matrix gives."""
+    sample = join(encode(Message("POSITION", "Probe", Position((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0)), 0)))
+    for quaternion in [*quaternions(), (-2.0, 0.0, 0.0, 0.0), (0.0, -1.0, 0.0, -0.0)]:
+        if not all(abs(value) < 1e38 for value in quaternion):
+            continue
+        data = sample[: HEADER_SIZE + 12] + struct.pack(">4f", *quaternion)
+        received = struct.unpack(">4f", data[HEADER_SIZE + 12 :])
+        try:
+            expected = struct.pack("<4d", *poses.canonical_quaternion(poses.unit_quaternion(received)))
+        except ConversionError:
+            expected = None
+        for function in (compiled.pose_to_ros, express.PLAIN[0]):
+            made = function(
+                data, sample, HEADER_SIZE, express.QUATERNION, False, True, T0_NS, (1.0, 1000.0), ((TEMPLATE, 4),)
+            )
+            assert (made[2][-32:] if made else None) == expected, quaternion

@@ -14,7 +14,7 @@ from igtl_gateway.convert.rosmsg import Header, String, TransformStamped
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.verify import verify
-from igtl_gateway.testing.gateway import START_NS, ManualGateway
+from igtl_gateway.testing.gateway import START_NS, ManualGateway, unpack
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.text import String as IgtlString
@@ -125,3 +125,9 @@ def test_a_recording_with_a_prologue_starts_with_its_state(tmp_path: Path) -> No
         outputs = again.play(tmp_path / "whole.mcap")
     assert [sent.stream for sent in outputs.igtl()] == ["TRANSFORM/ToolToBase"]
     assert not [entry for entry in again.log if entry.kind is Kind.LINK]
+
+
+def test_a_type_is_decoded_and_an_unknown_one_is_an_error() -> None:
+    assert unpack("std_msgs/msg/String", String("hello").pack()) == String("hello")
+    with pytest.raises(ConfigError, match="found a message of type my_msgs/msg/Own"):
+        unpack("my_msgs/msg/Own", b"")

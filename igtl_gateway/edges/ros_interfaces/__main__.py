@@ -13,8 +13,15 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from igtl_gateway.convert.interfaces import PACKAGES
-from igtl_gateway.edges.ros_interfaces.ahead import LIBRARIES, VERSIONS, ros_versions
-from igtl_gateway.edges.ros_interfaces.cache import compile_package, package_path, prefix_of, wheels_folder
+from igtl_gateway.edges.ros_interfaces.cache import (
+    LIBRARIES,
+    VERSIONS,
+    compile_package,
+    package_path,
+    prefix_of,
+    ros_versions,
+    wheels_folder,
+)
 
 _STAND_INS = Path(__file__).parent / "python"
 

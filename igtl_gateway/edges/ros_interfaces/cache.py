@@ -14,6 +14,7 @@ is killed.
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import shutil
 import subprocess
@@ -26,7 +27,6 @@ from pathlib import Path
 
 from igtl_gateway.base.extras import missing
 from igtl_gateway.convert.interfaces import definition_folder, interface_files
-from igtl_gateway.edges.ros_interfaces.ahead import compiled_ahead
 
 _BUILD = Path(__file__).with_name("build.py")
 _SOURCES = (_BUILD, _BUILD.with_name("dispatch.h"))
@@ -34,6 +34,44 @@ _SOURCES = (_BUILD, _BUILD.with_name("dispatch.h"))
 _WHEEL_MODULE = "ros_wheels_bootstrapper"
 #: One of the code generators, to find the folder of the wheels.
 _GENERATOR = "rosidl_generator_py"
+
+
+#: Packages that are compiled ahead, in a compiled wheel: their users need no compiler, and do not wait for one.
+#: ``python -m igtl_gateway.edges.ros_interfaces --ahead FOLDER`` writes them.  They are used if they fit to the ROS
+#: wheels of the environment: ROS 2 keeps binary interfaces within a distribution, so the first two numbers of each
+#: version must be the same; and the wheels must be in the environment of this package, because the extensions look for
+#: the libraries there.  Otherwise they are ignored, and a package is compiled at its first import.
+COMPILED = Path(__file__).with_name("compiled")
+VERSIONS = "versions.json"
+#: From ``PREFIX/lib/python3.11/site-packages/igtl_gateway/edges/ros_interfaces/compiled/PACKAGE`` to
+#: ``PREFIX/lib``.
+LIBRARIES = "/".join([".."] * 7)
+
+
+def compiled_ahead(package: str, wheels: Path, prefix: Path, folder: Path = COMPILED) -> Path | None:
+    """Return the folder of the compiled ``package``; None if there is none that fits.
+
+    Args:
+        package: name of the package.
+        wheels: folder with the Python packages of the ROS wheels.
+        prefix: folder with ``share``, ``include`` and ``lib`` of the wheels.
+        folder: with the packages that were compiled ahead.
+    """
+    found = folder / package
+    if not found.is_dir() or (found / LIBRARIES).resolve() != (prefix / "lib").resolve():
+        return None
+    expected = json.loads((folder / VERSIONS).read_text("utf-8"))
+    installed = ros_versions(wheels)
+    return found if all(installed.get(name) in {None, version} for name, version in expected.items()) else None
+
+
+def ros_versions(wheels: Path) -> dict[str, str]:
+    """Return name → first two numbers of the version, for all ROS wheels in a folder with Python packages."""
+    versions = {}
+    for path in sorted(wheels.glob("ros_*.dist-info")):
+        name, _, version = path.name.removesuffix(".dist-info").rpartition("-")
+        versions[name] = ".".join(version.split(".")[:2])
+    return versions
 
 
 def package_path(package: str) -> list[str]:

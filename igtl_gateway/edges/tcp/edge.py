@@ -15,11 +15,10 @@ from igtl_gateway.edges.reserved import ReservedPorts
 from igtl_gateway.edges.tcp.addresses import Addresses
 from igtl_gateway.edges.tcp.link import FLUSH_S
 from igtl_gateway.edges.tcp.link_info import LinkCounters, LinkInfo, PeerLimits
-from igtl_gateway.edges.tcp.link_parts import LinkContext
+from igtl_gateway.edges.tcp.link_parts import LinkContext, Refusals
 from igtl_gateway.edges.tcp.loop import Loop
 from igtl_gateway.edges.tcp.native_reader import NativeReader
 from igtl_gateway.edges.tcp.outbox import Part
-from igtl_gateway.edges.tcp.refusals import Refusals
 from igtl_gateway.edges.tcp.registry import LinkRegistry
 from igtl_gateway.edges.tcp.reporter import Reporter
 from igtl_gateway.edges.tcp.sockets import AllowList

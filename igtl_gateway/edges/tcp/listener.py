@@ -5,8 +5,8 @@ from __future__ import annotations
 import socket
 from collections.abc import Callable
 
+from igtl_gateway.edges.tcp.link_parts import Refusals
 from igtl_gateway.edges.tcp.loop import READ, Loop
-from igtl_gateway.edges.tcp.refusals import Refusals
 from igtl_gateway.edges.tcp.reporter import NOTE_EVERY_S, Reporter
 from igtl_gateway.edges.tcp.sockets import AllowList, address_text
 from igtl_gateway.gateway.log.note import Level, Note

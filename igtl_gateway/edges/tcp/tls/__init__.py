@@ -10,9 +10,8 @@ A server with a CA asks every client for a certificate of it; a client checks th
 Versions below TLS 1.2 are not accepted.
 """
 
-from igtl_gateway.edges.tcp.tls.errors import PLAIN_TO_TLS, TLS_TO_PLAIN, TlsError
 from igtl_gateway.edges.tcp.tls.files import Context, TlsFiles
 from igtl_gateway.edges.tcp.tls.handshake import Handshake
-from igtl_gateway.edges.tcp.tls.secure_socket import TlsSocket
+from igtl_gateway.edges.tcp.tls.secure_socket import PLAIN_TO_TLS, TLS_TO_PLAIN, TlsError, TlsSocket
 
 __all__ = ["PLAIN_TO_TLS", "TLS_TO_PLAIN", "Context", "Handshake", "TlsError", "TlsFiles", "TlsSocket"]

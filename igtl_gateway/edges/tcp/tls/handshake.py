@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from igtl_gateway.edges.tcp.loop import READ, WRITE, Loop
-from igtl_gateway.edges.tcp.tls.errors import TlsError
-from igtl_gateway.edges.tcp.tls.secure_socket import TlsSocket
+from igtl_gateway.edges.tcp.tls.secure_socket import TlsError, TlsSocket
 
 _VERDICT_S = 0.25  # the longest time for a server without tickets to refuse us: several round trips across a continent
 

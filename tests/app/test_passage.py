@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from igtl_gateway.gateway.fastpath.passage_times import PHASES, percentiles
+from igtl_gateway.app.passage import PHASES, percentiles
 from igtl_gateway.native.passage import is_compiled
 from tests.gateway.fastpath.test_passage_streams import pose, scene, transform, wait_for
 
