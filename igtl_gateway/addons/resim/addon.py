@@ -7,7 +7,7 @@ from igtl_gateway.cli.verbs import INSPECT
 
 VERBS = {
     "resim": Verb(
-        "run ROS 2 programs on a recording again, in its time, and compare their outputs",
+        "run ROS 2 programs on a recording again, and compare outputs",
         f"{__package__}.verb",
         writes_files=True,
         group=INSPECT,

@@ -34,7 +34,8 @@ EXAMPLES = """\
   igtl-gateway resim session.mcap -- python planner.py
   # keep the outputs, and compare later versions with them
   igtl-gateway resim session.mcap --record good.mcap -- python planner.py
-  igtl-gateway resim session.mcap --baseline good.mcap --tolerance 0.05mm,0.05deg \\
+  igtl-gateway resim session.mcap --baseline good.mcap \\
+      --tolerance 0.05mm,0.05deg \\
       -- python planner.py
   # two programs: what one publishes, the other one receives
   igtl-gateway resim session.mcap -- python planner.py -- python controller.py
