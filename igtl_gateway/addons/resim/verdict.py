@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import islice
+from math import inf, isfinite, isnan
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,8 @@ from igtl_gateway.replay.diff import DiffInput, StreamDiff, diff
 
 #: Key of the session metadata of a run's outputs.
 _RESIM_KEY = "resim_of"
+#: Names of the numbers of a position, of a rotation, and of a pose with both.
+_PARTS = {3: ("x", "y", "z"), 4: ("x", "y", "z", "w"), 7: ("x", "y", "z", "qx", "qy", "qz", "qw")}
 #: Messages that are looked at for a late one.
 _AHEAD = 16
 
@@ -58,8 +61,10 @@ class Difference:
                 return f"{place}: one more"
             case "late" | "early":
                 return f"{place}: {abs(self.late_ns) / 1e6:.3f} ms {self.what}"
-        measure = f" ({self.delta.measure})" if self.delta.measure else ""
-        return f"{place}: {self.delta.field} is {_short(self.delta.one)} and {_short(self.delta.other)}{measure}"
+        delta = self.delta
+        is_measured = delta.measure and isfinite(delta.mm) and isfinite(delta.deg)  # not those of a NaN
+        path, one, other = _first_part(delta.field, delta.one, delta.other)
+        return f"{place}: {path} is {_short(one)} and {_short(other)}" + f" ({delta.measure})" * bool(is_measured)
 
 
 @dataclass(slots=True)
@@ -220,9 +225,16 @@ class _Side:
         self.ahead.extend(islice(self._coming, _AHEAD - len(self.ahead)))
         return bool(self.ahead)
 
-    def pop(self) -> Entry:
+    def take(self, index: int = 0) -> Entry:
+        """Remove one of the messages ahead."""
         self.taken += 1
-        return self.ahead.popleft()
+        found = self.ahead[index]
+        del self.ahead[index]
+        return found
+
+    def count(self, message: Entry) -> int:
+        """How many of the messages ahead have the time and the bytes of this one."""
+        return sum(each.stamp_ns == message.stamp_ns and each.data() == message.data() for each in self.ahead)
 
     def leaves(self, entry: Entry) -> Iterator[tuple[str, Any]]:
         return self._decoder.leaves(entry)
@@ -255,40 +267,48 @@ def _compare_stream(name: str, one: _Side, other: _Side, tolerance: Tolerance) -
         if left and right and left.stamp_ns == right.stamp_ns:
             _compare_pair(verdict, one, other, tolerance)
         elif left and (right is None or left.stamp_ns < right.stamp_ns):
-            at = _late(left, other, one)
+            at = _elsewhere(left, other, one)
             if at is None:
                 verdict.missing += 1
                 verdict.note(Difference(name, one.taken + 1, left.stamp_ns, "missing"))
             else:
                 verdict.late += 1
-                verdict.note(Difference(name, one.taken + 1, left.stamp_ns, "late", at - left.stamp_ns))
-                other.pop()
-            one.pop()
+                late_ns = other.take(at).stamp_ns - left.stamp_ns
+                verdict.note(Difference(name, one.taken + 1, left.stamp_ns, "late", late_ns))
+            one.take()
         elif right:
-            at = _late(right, one, other)
+            at = _elsewhere(right, one, other)
             if at is None:
                 verdict.extra += 1
                 verdict.note(Difference(name, one.taken + 1, right.stamp_ns, "extra"))
             else:
                 verdict.late += 1
-                verdict.note(Difference(name, one.taken + 1, at, "early", right.stamp_ns - at))
-                one.pop()
-            other.pop()
+                number = one.taken + 1 + at
+                time_ns = one.take(at).stamp_ns
+                verdict.note(Difference(name, number, time_ns, "early", right.stamp_ns - time_ns))
+            other.take()
     verdict.messages, verdict.other_messages = one.taken, other.taken
     return verdict
 
 
-def _late(message: Entry, there: _Side, here: _Side) -> int | None:
-    """The time at which the other side has the same message as its next one; None if that is another message."""
-    if not there.ahead or there.ahead[0].data() != message.data():
-        return None
-    time_ns = there.ahead[0].stamp_ns
-    return None if any(each.stamp_ns == time_ns for each in here.ahead) else time_ns
+def _elsewhere(message: Entry, there: _Side, here: _Side) -> int | None:
+    """Where among its next messages the other side has the same one at another time; None if it has it nowhere.
+
+    A message that this side has at that time, too, is not the one.
+    """
+    data = message.data()
+    is_end = len(here.ahead) < _AHEAD
+    for index, each in enumerate(there.ahead):
+        if not is_end and each.stamp_ns > here.ahead[-1].stamp_ns:
+            break
+        if each.data() == data and there.count(each) > here.count(each):
+            return index
+    return None
 
 
 def _compare_pair(verdict: StreamVerdict, one: _Side, other: _Side, tolerance: Tolerance) -> None:
     """Compare two messages of one time."""
-    left, right = one.pop(), other.pop()
+    left, right = one.take(), other.take()
     if left.data() == right.data():
         return
     try:
@@ -327,10 +347,20 @@ def _of_diff(file: SessionFile, name: str, stream: StreamDiff) -> StreamVerdict:
         at = next(islice(_messages(file, name), stream.first.index - 1, None))
         verdict.first = Difference(name, stream.first.index, at.stamp_ns, "differs", 0, stream.first.delta)
     elif stream.missing or stream.extra:
-        at = next(_messages(file, name), None)
+        begin = next(_messages(file, name), None)
         what = "missing" if stream.missing else "extra"
-        verdict.first = Difference(name, stream.messages, at.stamp_ns if at else file.end_ns, what)
+        verdict.first = Difference(name, stream.messages, begin.stamp_ns if begin else file.end_ns, what)
     return verdict
+
+
+def _first_part(path: str, one: Any, other: Any) -> tuple[str, Any, Any]:
+    """Of two lists of numbers, such as a pose, the number that differs most: its path and its values."""
+    if not (isinstance(one, list) and isinstance(other, list) and 0 < len(one) == len(other)):
+        return path, one, other
+    by = [abs(left - right) for left, right in zip(one, other, strict=True)]
+    at = max(range(len(by)), key=lambda index: inf if isnan(by[index]) else by[index])
+    names = _PARTS.get(len(one))
+    return (f"{path}.{names[at]}" if names else f"{path}[{at}]"), one[at], other[at]
 
 
 def _short(value: Any) -> str:
