@@ -13,6 +13,7 @@ TYPE_CHECKING = False  # as typing has it, whose import takes longer than all el
 if TYPE_CHECKING:
     from typing import Any
 
+    from igtl_gateway.addons.resim.api import resim
     from igtl_gateway.addons.review.api import review
     from igtl_gateway.addons.sync.lags import lag
     from igtl_gateway.api import aio
@@ -39,6 +40,7 @@ __all__ = [
     "lag",
     "open",
     "replay_recording",
+    "resim",
     "review",
     "serve",
     "verify",
@@ -59,6 +61,7 @@ _HOMES: dict[str, str] = {
     "lag": "addons.sync.lags",
     "open": "api.recording",
     "replay_recording": "api.verbs",
+    "resim": "addons.resim.api",
     "review": "addons.review.api",
     "serve": "api.peer",
     "verify": "api.verbs",

@@ -1,4 +1,4 @@
-"""The pytest plugin: three fixtures.  pytest loads it at the start of each run, so imports are in the fixtures."""
+"""The pytest plugin: four fixtures.  pytest loads it at the start of each run, so imports are in the fixtures."""
 
 from __future__ import annotations
 
@@ -57,6 +57,34 @@ def _assert_session_equal(request: pytest.FixtureRequest) -> Callable[..., None]
 
     def check(expected: Session, found: Session, **settings: Any) -> None:
         assert_session_equal(_resolve(request, expected), _resolve(request, found), **settings)
+
+    return check
+
+
+@pytest.fixture(name="igtl_resim")
+def _igtl_resim(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Any]:
+    """``igtl_resim("lab.mcap", "python planner.py", baseline="good.mcap")``: fails unless the outputs are as before.
+
+    Runs ROS 2 programs on a recording, several times, in session time; returns the ``Resimulation``.  Its ``outputs``
+    are kept as long as ``tmp_path``.  The arguments are those of ``igtl_gateway.resim``; programs run in the folder of
+    the test.  Needs the add-on resim.
+    """
+    from igtl_gateway.base.addons import part_of
+
+    def check(recording: Path | str, *programs: Any, baseline: Path | str | None = None, **settings: Any) -> Any:
+        __tracebackhide__ = True
+        resim = part_of("resim", "api:resim")
+        path, before = _resolve(request, recording), _resolve(request, baseline)
+        if before is not None and not Path(before).exists():
+            raise AssertionError(
+                f"found no baseline {before}, expected the outputs of a good run: "
+                f"igtl-gateway resim {recording} --record {baseline} -- PROGRAM"
+            )
+        settings = {"cwd": request.path.parent, "folder": tmp_path_factory.mktemp("resim"), **settings}
+        found = resim(path, *programs, baseline=before, **settings)
+        if not found.is_equal:
+            raise AssertionError(str(found))
+        return found
 
     return check
 

@@ -8,6 +8,7 @@ import tempfile
 from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from igtl_gateway.addon import (
     RECORDING_OR_BAG,
@@ -20,14 +21,19 @@ from igtl_gateway.addon import (
     count_text,
     default,
     new_recording,
+    output_file,
     print_json,
     print_line,
     written,
 )
+from igtl_gateway.addons.resim.bisect import Step, bisect, bisection_facts
 from igtl_gateway.addons.resim.coordinator import Roles
 from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, Run, RunResult
 from igtl_gateway.addons.resim.engine import run as run_programs
-from igtl_gateway.addons.resim.verdict import Tolerance, Verdict, compare, is_judged
+from igtl_gateway.addons.resim.recipe import read_recipe
+from igtl_gateway.addons.resim.report import junit_xml
+from igtl_gateway.addons.resim.verdict import Verdict, compare, is_judged
+from igtl_gateway.replay.compare import Tolerance
 
 EXAMPLES = """\
   # three runs, compared with each other and with what the recording has
@@ -39,6 +45,9 @@ EXAMPLES = """\
       -- python planner.py
   # two programs: what one publishes, the other one receives
   igtl-gateway resim session.mcap -- python planner.py -- python controller.py
+  # which commit changed the outputs?
+  igtl-gateway resim session.mcap --bisect v1.0..HEAD --build "colcon build" \\
+      -- python planner.py
 
 Exit code 0: all runs are equal, and equal to the recording or the baseline;
 1: they differ, and the first difference is named; 2: a program ended, hung or
@@ -49,9 +58,13 @@ _CLOCKS = {"--libc-clock": Clocks.LIBC, "--real-clock": Clocks.REAL}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_file(parser, RECORDING_OR_BAG)
-    parser.add_argument(
+    programs = parser.add_argument(
         "programs", metavar="-- PROGRAM", nargs=argparse.PARSER, help="the program and its arguments; -- between two"
     )
+    parser.add_argument(
+        "--recipe", action=_Recipe, programs=programs, type=Path, metavar="FILE",
+        help="the programs, with names, environment and folders (TOML), instead of those behind --",
+    )  # fmt: skip
     parser.add_argument("--runs", type=int, default=3, metavar="N", help="how often to run " + default(3))
     parser.add_argument("--record", type=new_recording, metavar="FILE", help="write the outputs of the first run")
     parser.add_argument(
@@ -83,20 +96,46 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--cpu-limit", type=float, default=60.0, metavar="S",
         help="CPU time in which a program has to come to rest " + default(60),
     )  # fmt: skip
-    add_overwrite(parser, "the outputs")
+    parser.add_argument(
+        "--bisect", metavar="GOOD..BAD",
+        help="find the commit of the git repository here that changed the outputs, in a temporary clone",
+    )  # fmt: skip
+    parser.add_argument(
+        "--build", default="", metavar="CMD", help="with --bisect: the shell command that builds a commit"
+    )
+    parser.add_argument(
+        "--junit", type=output_file(".xml"), metavar="FILE", help="write the verdict in the format of JUnit"
+    )
+    add_overwrite(parser, "the outputs and the report")
     add_json(parser)
 
 
+class _Recipe(argparse.Action):
+    """``--recipe``: with it, there need not be a program behind ``--``.  ``programs`` is that argument."""
+
+    def __init__(self, *, programs: argparse.Action, **settings: Any) -> None:
+        super().__init__(**settings)
+        self._programs = programs
+
+    def __call__(
+        self, parser: Any, namespace: argparse.Namespace, values: Any, option_string: str | None = None
+    ) -> None:
+        self._programs.required = False
+        namespace.recipe = values
+
+
 def run(options: argparse.Namespace) -> int:
-    programs = _programs(options.programs)
+    if options.recipe and options.programs:
+        raise ConfigError("found --recipe and a program behind --, expected one of them")
+    programs = read_recipe(options.recipe) if options.recipe else _programs(options.programs)
     tolerance = _tolerance(options.tolerance)
     if not 0 <= options.latency < math.inf:
         raise ConfigError(f"--latency: found {options.latency:g}, expected 0 or more")
     for name in ("wall_limit", "cpu_limit"):
         if not 0 < getattr(options, name) < math.inf:
             raise ConfigError(f"--{name.replace('_', '-')}: found {getattr(options, name):g}, expected more than 0")
-    if options.record:
-        check_target(options.record, overwrite=options.overwrite)
+    for target in filter(None, (options.record, options.junit)):
+        check_target(target, overwrite=options.overwrite)
     clocks = Clocks.LIBC if options.libc_clock else Clocks.REAL if options.real_clock else Clocks.WAITS
     settings = ResimOptions(
         runs=options.runs,
@@ -107,6 +146,10 @@ def run(options: argparse.Namespace) -> int:
         wall_s=options.wall_limit,
         cpu_s=options.cpu_limit,
     )
+    if options.build and not options.bisect:
+        raise ConfigError("--build: has no effect without --bisect")
+    if options.bisect:
+        return _run_bisect(options, programs, settings, tolerance)
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="igtl-resim-")))
         is_text = not options.json
@@ -123,11 +166,40 @@ def run(options: argparse.Namespace) -> int:
         if options.record and result.runs and result.runs[0].outputs.is_file():
             with written(options.record, overwrite=options.overwrite) as place:
                 place.write_bytes(result.runs[0].outputs.read_bytes())
+        if options.junit:
+            with written(options.junit, overwrite=options.overwrite) as place:
+                place.write_bytes(junit_xml(result, verdict, settings.outputs))
     if options.json:
         print_json(facts_of(result, verdict))
     else:
         _print_verdict(result, verdict)
     return verdict.exit_code
+
+
+def _run_bisect(
+    options: argparse.Namespace, programs: list[Program], settings: ResimOptions, tolerance: Tolerance
+) -> int:
+    for name in ("record", "junit", "baseline"):
+        if getattr(options, name):
+            raise ConfigError(f"--{name}: cannot be combined with --bisect, whose baseline are the outputs of GOOD")
+
+    def tell(step: Step) -> None:
+        print_line(f"{step.mark:4}  {step.commit.short}  {step.commit.subject}: {step.text}")
+
+    result = bisect(
+        options.bisect,
+        options.build,
+        options.file,
+        programs,
+        settings,
+        tolerance=tolerance,
+        on_step=tell if not options.json else lambda step: None,
+    )
+    if options.json:
+        print_json(bisection_facts(result))
+    else:
+        print_line(*result.lines())
+    return result.exit_code
 
 
 def _programs(words: list[str]) -> list[Program]:

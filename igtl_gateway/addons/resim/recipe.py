@@ -1,0 +1,81 @@
+"""The programs of a re-simulation from a TOML file: each error has place, value found and value expected.
+
+::
+
+    [[program]]
+    name = "planner"                     # optional, for messages
+    command = ["python", "planner.py"]   # or a string, as in a shell
+    env = { SEED = "1" }                 # optional, added to the environment
+    folder = "planner"                   # optional, from the folder of the file; default: where resim runs
+"""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway.addon import ConfigError, read_toml
+from igtl_gateway.addons.resim.engine import Program
+
+_KEYS = ("name", "command", "env", "folder")
+
+
+def read_recipe(path: Path) -> list[Program]:
+    """Read the programs.  Raises ConfigError with file, place, value found and value expected."""
+    document = read_toml(path)
+    try:
+        for key in document:
+            if key != "program":
+                raise ConfigError(f"{key}: unknown table, expected [[program]]")
+        tables = document.get("program", [])
+        if not isinstance(tables, list) or not all(isinstance(each, dict) for each in tables):
+            raise ConfigError("program: found another value, expected tables [[program]]")
+        if not tables:
+            raise ConfigError("found no program, expected [[program]] with a command")
+        programs = [_program(f"program[{index}]", each, path.parent) for index, each in enumerate(tables)]
+        names = [program.title for program in programs]
+        if double := next((name for name in names if names.count(name) > 1), None):
+            raise ConfigError(f"program: found {double!r} twice, expected a name of its own for each")
+        return programs
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
+
+
+def _program(place: str, table: dict[str, Any], beside: Path) -> Program:
+    for key in table:
+        if key not in _KEYS:
+            raise ConfigError(f"{place}.{key}: unknown key, expected one of {', '.join(_KEYS)}")
+    if "command" not in table:
+        raise ConfigError(f"{place}: found no command, expected a string or a list of strings")
+    folder = beside / _text(place, table, "folder") if "folder" in table else None
+    if folder and not folder.is_dir():
+        raise ConfigError(f"{place}.folder: found no folder {folder}, expected one")
+    env = table.get("env", {})
+    if not isinstance(env, dict) or not all(isinstance(value, str) and "\0" not in value for value in env.values()):
+        raise ConfigError(f"{place}.env: found {env!r}, expected a table of strings")
+    if wrong := next((name for name in env if not name or "=" in name or "\0" in name), None):
+        raise ConfigError(f"{place}.env: found {wrong!r}, expected names of variables")
+    return Program(command_of(f"{place}.command", table["command"]), _text(place, table, "name"), env, folder)
+
+
+def command_of(place: str, found: Any) -> tuple[str, ...]:
+    """Return the words of a command: a string as in a shell, or a list.  Raises ConfigError, which names ``place``."""
+    words: list[Any] = []
+    if isinstance(found, str):
+        try:
+            words = list(shlex.split(found))
+        except ValueError as error:
+            raise ConfigError(f"{place}: found {found!r}, expected words of a shell: {error}") from None
+    elif isinstance(found, list):
+        words = found
+    if not words or not all(isinstance(word, str) and "\0" not in word for word in words) or not words[0]:
+        raise ConfigError(f"{place}: found {found!r}, expected a string or a list of strings")
+    return tuple(words)
+
+
+def _text(place: str, table: dict[str, Any], key: str) -> str:
+    found = table.get(key, "")
+    if not isinstance(found, str) or not found.isprintable() or (key in table and not found):
+        raise ConfigError(f"{place}.{key}: found {found!r}, expected a string of printable characters")
+    return found

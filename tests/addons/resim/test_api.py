@@ -1,0 +1,110 @@
+"""``igtl_gateway.resim`` and the fixture ``igtl_resim``."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import igtl_gateway
+from igtl_gateway.addon import SessionFile
+from igtl_gateway.base.errors import ConfigError
+from tests.addons.resim import sessions
+from tests.addons.resim.runs import PROGRAMS
+from tests.testing.outside import run_pytest
+
+ros = [pytest.mark.ros, pytest.mark.skipif(not find_spec("rclpy"), reason="needs ROS 2")]
+
+TESTS = """
+import shutil
+import sys
+
+PLANNER = [sys.executable, "planner.py"]
+
+def test_as_before(igtl_resim):
+    found = igtl_resim("in.mcap", [*PLANNER, "none"], runs=2, baseline="good.mcap")
+    assert found.is_deterministic and found.outputs.is_file()
+    shutil.copy(found.outputs, "kept.mcap")
+
+def test_a_regression(igtl_resim):
+    igtl_resim("in.mcap", [*PLANNER, "deg"], runs=1, baseline="good.mcap", tolerance_mm=1)
+
+def test_within_the_tolerance(igtl_resim):
+    igtl_resim("in.mcap", [*PLANNER, "deg"], runs=1, baseline="good.mcap", tolerance_deg=1.1)
+
+def test_a_crash(igtl_resim):
+    igtl_resim("in.mcap", PLANNER, runs=1)
+
+def test_no_baseline(igtl_resim):
+    igtl_resim("in.mcap", PLANNER, baseline="none.mcap")
+"""
+
+
+def _folder(tmp_path: Path) -> Path:
+    """A folder with the planner, a recording of 600 poses, and the outputs of a good run."""
+    recording = sessions.write(tmp_path / "in.mcap", sessions.poses(600))
+    (tmp_path / "planner.py").write_bytes((PROGRAMS / "planner.py").read_bytes())
+    (tmp_path / "runs").mkdir()
+    found = igtl_gateway.resim(
+        recording, [sys.executable, "planner.py", "none"], runs=1, cwd=tmp_path, folder=tmp_path / "runs"
+    )
+    assert str(found) == "1 run\n  inputs: /pose (600)\n  outputs: /plan"
+    found.outputs.rename(tmp_path / "good.mcap")
+    with SessionFile.open(tmp_path / "good.mcap") as file:
+        assert {channel.topic: channel.count for channel in file.channels}["/plan"] == 600
+    return tmp_path
+
+
+class TestTheFixture:
+    pytestmark = ros
+
+    def test_in_a_project(self, tmp_path: Path) -> None:
+        folder = _folder(tmp_path)
+        (folder / "test_it.py").write_text(TESTS, "utf-8")
+        result = run_pytest(folder)
+        assert "3 failed, 2 passed" in result.stdout, result.stdout + result.stderr
+        assert (
+            "AssertionError: DIFFERENT from good.mcap in 1 of 1 streams (1 run): "
+            "/plan, message 500 at 4.990000 s: transform.qw is" in result.stdout
+        )
+        assert "/plan: 600 messages: 101 differ; at most 1°" in result.stdout
+        assert "AssertionError: CANNOT BE JUDGED: planner.py: ended with exit code 1" in result.stdout
+        assert "IndexError: list index out of range" in result.stdout
+        assert "expected the outputs of a good run: igtl-gateway resim in.mcap --record none.mcap" in result.stdout
+        assert "igtl_gateway/" not in result.stdout  # no frames of ours
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        ({"runs": 0}, "runs: found 0, expected 1 or more"),
+        ({"tolerance_mm": -1.0}, "tolerance_mm: found -1.0, expected 0 or more"),
+        ({"latency_ms": float("nan")}, "latency_ms: found nan, expected 0 or more"),
+        ({"cpu_limit_s": 0.0}, "cpu_limit_s: found 0.0, expected more than 0"),
+    ],
+)
+def test_arguments_out_of_range(arguments: dict[str, Any], line: str) -> None:
+    with pytest.raises(ConfigError, match=line):
+        igtl_gateway.resim("none.mcap", "true", **arguments)
+
+
+def test_programs_that_are_none() -> None:
+    with pytest.raises(ConfigError, match="found no program, expected one behind --"):
+        igtl_gateway.resim("none.mcap")
+    with pytest.raises(ConfigError, match="programs: found '', expected a string or a list of strings"):
+        igtl_gateway.resim("none.mcap", "")
+
+
+def test_without_the_add_on() -> None:
+    code = (
+        "import igtl_gateway, igtl_gateway.base.addons as addons\n"
+        "addons.is_present = lambda name: False\n"
+        "try: igtl_gateway.resim\n"
+        "except igtl_gateway.base.errors.MissingAddon as error: print(error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.startswith("found no add-on 'resim', which this needs") and done.stdout.count("\n") == 1

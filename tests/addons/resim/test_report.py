@@ -1,0 +1,111 @@
+"""JUnit XML and the lines of a verdict.
+
+The rules of the report are those of Jenkins' schema (junit-10.xsd) for the elements and attributes that we write; a
+report was also validated by that schema and read by junitparser.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+from igtl_gateway.addon import Qos
+from igtl_gateway.addons.resim.coordinator import Roles
+from igtl_gateway.addons.resim.engine import Run, RunResult
+from igtl_gateway.addons.resim.outputs import OutputStream
+from igtl_gateway.addons.resim.report import junit_xml, report_lines
+from igtl_gateway.addons.resim.verdict import Difference, StreamVerdict, Verdict
+from igtl_gateway.replay.compare import Delta
+
+#: Element → the attributes that it must have, those that it may have, and its children.
+RULES: dict[str, tuple[set[str], set[str], set[str]]] = {
+    "testsuites": (set(), {"name", "time", "tests", "failures", "disabled", "errors"}, {"testsuite"}),
+    "testsuite": ({"name", "tests"}, {"failures", "errors", "time", "skipped"}, {"testcase", "properties"}),
+    "testcase": ({"name"}, {"classname", "time"}, {"skipped", "error", "failure"}),
+    "failure": (set(), {"message", "type"}, set()),
+    "error": (set(), {"message", "type"}, set()),
+    "skipped": (set(), {"message", "type"}, set()),
+}
+
+
+def parsed(result: RunResult, verdict: Verdict) -> dict[str, tuple[str, str]]:
+    """Name of a test case → its outcome and message; the report keeps the rules."""
+    root = ElementTree.fromstring(junit_xml(result, verdict))
+    assert root.tag == "testsuites"
+    for each in root.iter():
+        must, may, children = RULES[each.tag]
+        assert must <= set(each.attrib) <= must | may, each.tag
+        assert {child.tag for child in each} <= children, each.tag
+    (suite,) = root
+    for parent in (root, suite):
+        counts = {tag: len(list(suite.iter(tag))) for tag in ("testcase", "failure", "error")}
+        assert [int(parent.attrib[name]) for name in ("tests", "failures", "errors")] == list(counts.values())
+        assert float(parent.attrib["time"]) >= 0
+    assert int(suite.attrib["skipped"]) == len(list(suite.iter("skipped")))
+    return {
+        case.attrib["name"]: (case[0].tag, case[0].attrib["message"]) if len(case) else ("passed", "") for case in suite
+    }
+
+
+def result_of(*names: str) -> RunResult:
+    """Two runs with these streams."""
+    streams = {name: OutputStream(name, "std_msgs/msg/String", Qos(), 3) for name in names}
+    roles = Roles({"/in": 1200}, list(names), [], ["/map"], [], [], {}, [])
+    return RunResult(Path("lab.mcap"), roles, [Run(n, Path("none"), streams, seconds=1.5) for n in (1, 2)])
+
+
+def differing(name: str, number: int = 4) -> StreamVerdict:
+    delta = Delta("pose.x", 1.0, 1.001, mm=1.0)
+    return StreamVerdict(name, 9, 9, 5, 1, mm=2.5, first=Difference(name, number, 7_000_000, "differs", 0, delta))
+
+
+def test_all_equal() -> None:
+    verdict = Verdict(2, 0, reference=Path("good.mcap"), streams=[StreamVerdict("/out", 3, 3)])
+    assert parsed(result_of("/out", "/rosout"), verdict) == {
+        "deterministic: 2 runs": ("passed", ""),
+        "/out": ("passed", ""),
+    }
+    assert report_lines(result_of("/out", "/rosout"), verdict) == [
+        "deterministic: 2 of 2 runs equal; equal to good.mcap",
+        "  inputs: /in (1,200)",
+        "  outputs: /out",
+        "  asked for, but not recorded: /map",
+    ]
+
+
+def test_a_difference_from_the_baseline() -> None:
+    verdict = Verdict(2, 0, reference=Path("good.mcap"), streams=[StreamVerdict("/a", 3, 3), differing("/b")])
+    text = "/b, message 4 at 0.007000 s: pose.x is 1.0 and 1.001 (1 mm)"
+    assert parsed(result_of("/a", "/b", "/c"), verdict) == {
+        "deterministic: 2 runs": ("passed", ""),
+        "/a": ("passed", ""),
+        "/b": ("failure", text),
+        "/c": ("skipped", "not compared: not in good.mcap"),
+    }
+    assert report_lines(result_of("/a", "/b", "/c"), verdict)[:3] == [
+        f"DIFFERENT from good.mcap in 1 of 2 streams (deterministic: 2 of 2 runs equal): {text}",
+        "  /b: 9 messages: 5 differ, 1 missing; at most 2.5 mm",
+        f"    first: {text}",
+    ]
+
+
+def test_runs_that_differ() -> None:
+    verdict = Verdict(2, 0, unequal_run=2, between_runs=[differing("/b")], reference=Path("good.mcap"))
+    found = parsed(result_of("/a", "/b"), verdict)
+    assert [outcome for outcome, _ in found.values()] == ["failure", "skipped", "failure"]
+    assert "NOT DETERMINISTIC: run 2 differs from run 1: /b, message 4" in found["deterministic: 2 runs"][1]
+
+
+def test_a_program_that_ends() -> None:
+    verdict = Verdict(0, 0, fault="planner: ended with exit code 1: \x1b[31mKeyError\x00: 'ü'", reference=Path("x"))
+    found = parsed(result_of("/a"), verdict)
+    assert [outcome for outcome, _ in found.values()] == ["error", "skipped"]
+    message = found["deterministic: 2 runs"][1]
+    assert message == "CANNOT BE JUDGED: planner: ended with exit code 1: \ufffd[31mKeyError\ufffd: 'ü'"
+    assert all(line.isprintable() for line in report_lines(result_of("/a"), verdict))
+
+
+def test_most_streams_are_counted_only() -> None:
+    verdict = Verdict(2, 0, reference=Path("good.mcap"), streams=[differing(f"/s{n}") for n in range(30)])
+    lines = report_lines(result_of(), verdict)
+    assert sum("first:" in line for line in lines) == 20 and "  … and 10 streams more" in lines
