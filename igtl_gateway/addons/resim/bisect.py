@@ -60,7 +60,7 @@ class Bisection:
 
     Attributes:
         steps: the commits that were tried, in order: GOOD and BAD first.
-        found: the first commit whose outputs differ; None if it could not be told, or if BAD is equal.
+        found: the first commit whose outputs differ; None if several are possible, or if BAD is equal.
         possible: if commits that do not build stand before it: all that it could be.
     """
 
@@ -70,7 +70,7 @@ class Bisection:
 
     @property
     def exit_code(self) -> int:
-        """0: BAD is equal to GOOD; 1: the commit is found; 2: it cannot be told."""
+        """0: BAD is equal to GOOD; 1: the commit is found; 2: it is one of several."""
         return 1 if self.found else 2 if self.possible else 0
 
     def lines(self) -> list[str]:
@@ -85,7 +85,7 @@ class Bisection:
             commits = [
                 f"  {commit.short}  {commit.subject} ({commit.author}, {commit.day})" for commit in self.possible
             ]
-            return [f"CANNOT BE TOLD: the first of these {len(commits)} commits that changed the outputs", *commits]
+            return [f"NOT UNIQUE: one of these {len(commits)} commits changed the outputs first", *commits]
         ends = " and ".join(step.commit.short for step in self.steps)
         return [f"equal: {ends} have the same outputs, or the programs are not those of the checkout"]
 

@@ -105,5 +105,5 @@ def _outcome(case: ElementTree.Element, tag: str, type_: str, message: str, text
 
 
 def _xml(text: str) -> str:
-    """A text without the characters that XML cannot have."""
+    """Text without the characters that XML cannot have."""
     return _NOT_XML.sub("\N{REPLACEMENT CHARACTER}", text)

@@ -75,7 +75,7 @@ class TestTheFixture:
         assert "AssertionError: CANNOT BE JUDGED: planner.py: ended with exit code 1" in result.stdout
         assert "IndexError: list index out of range" in result.stdout
         assert "expected the outputs of a good run: igtl-gateway resim in.mcap --record none.mcap" in result.stdout
-        assert "igtl_gateway/" not in result.stdout  # no frames of ours
+        assert "igtl_gateway/" not in result.stdout  # no internal frames
 
 
 @pytest.mark.parametrize(

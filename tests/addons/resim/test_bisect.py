@@ -109,7 +109,7 @@ class TestWithRos:
         assert cli.main(words(place, "HEAD~7..HEAD", "--json", "--build", build)) == 2
         found = json.loads(capsys.readouterr().out)
         assert sorted(each["subject"] for each in found["possible"]) == ["change 5", "change 6", "change 7"]
-        assert found["found"] is None and found["verdict"].startswith("CANNOT BE TOLD: the first of these 3 commits")
+        assert found["found"] is None and found["verdict"].startswith("NOT UNIQUE: one of these 3 commits")
 
     def test_equal_ends(self, place: Path, capsys: pytest.CaptureFixture[str]) -> None:
         assert cli.main(words(place, "HEAD~2..HEAD", "--build", "cd .. && sh build.sh")) == 0
