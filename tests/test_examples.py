@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import re
 import shutil
+import subprocess
+import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +16,7 @@ import igtl_gateway
 from igtl_gateway import cli
 from igtl_gateway.convert.common_msgs import JointState, PoseStamped
 from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.testing.compare import assert_session_equal
 from igtl_gateway.testing.gateway import ManualGateway
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.transform import Transform
@@ -32,6 +36,23 @@ def test_without_hardware() -> None:
     outcome = re.search(r"(\d+) passed(?:, 1 skipped)?[ ,]", result.stdout)  # without ROS one is skipped
     assert outcome, result.stdout
     assert int(outcome[1]) >= 4
+
+
+@pytest.mark.ros
+@pytest.mark.skipif(not find_spec("rclpy"), reason="needs ROS 2")
+def test_a_planner_on_its_recording() -> None:
+    result = run_pytest(ROOT / "examples" / "resim")
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert "2 passed" in result.stdout
+
+
+def test_the_recording_of_the_planner(tmp_path: Path) -> None:
+    """Its script writes it again; with the baseline it is small enough for any repository."""
+    folder = ROOT / "examples" / "resim"
+    script, kept = folder / "make_recording.py", folder / "test" / "session.mcap"
+    subprocess.run([sys.executable, str(script), str(tmp_path / "again.mcap")], check=True)
+    assert_session_equal(kept, tmp_path / "again.mcap")
+    assert sum(path.stat().st_size for path in kept.parent.glob("*.mcap")) < 200_000
 
 
 def test_dvrk() -> None:
