@@ -54,9 +54,11 @@ def run(options: argparse.Namespace) -> int:
 def counts_of(file: Path, stream: str) -> list[int]:
     """Return the number of messages in each second since the first one, by the clock of the gateway."""
     with open_recording(file) as recording:
-        if stream not in recording:
-            raise GatewayError(f"{file}: found no stream {stream!r}, expected one of {', '.join(recording)}")
-        times_ns = recording[stream].times
+        print_line(*recording.warnings, error=True)  # it was cut off
+        try:
+            times_ns = recording[stream].times
+        except KeyError as error:
+            raise GatewayError(error.args[0]) from None
     if not len(times_ns):
         return []
     seconds = (times_ns - times_ns[0]) // NS_PER_S
