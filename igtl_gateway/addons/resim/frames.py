@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
-from typing import Final
+from typing import Any, Final
 
 #: Of the interface between both sides; the library states it in its hello.
 ABI_VERSION = 1
@@ -126,18 +126,19 @@ def parse(frame: bytes) -> FromProgram:
             return Idle(*_IDLE.unpack_from(frame, 1))
         case b"E":
             kind, made, number, reliable, latched, keeps_all, depth = _ENTITY.unpack_from(frame, 1)
-            texts, at = [], 1 + _ENTITY.size
+            fields: list[Any] = [kind.decode(), bool(made), number]
+            fields += bool(reliable), bool(latched), bool(keeps_all), depth
+            at = 1 + _ENTITY.size
             for _ in range(3):
                 (size,) = _SIZE.unpack_from(frame, at)
-                texts.append(frame[at + 2 : at + 2 + size].decode("utf-8", "replace"))
+                fields.append(frame[at + 2 : at + 2 + size].decode("utf-8", "replace"))
                 at += 2 + size
-            definition = frame[at:].decode("utf-8", "replace").replace("\0", "")
-            flags = (bool(reliable), bool(latched), bool(keeps_all), depth)
-            return EntityFrame(kind.decode(), bool(made), number, *flags, *texts, definition)
+            fields.append(frame[at:].decode("utf-8", "replace").replace("\0", ""))
+            return EntityFrame(*fields)
         case b"Q":
-            return Request(*_REQUEST.unpack_from(frame, 1), frame[1 + _REQUEST.size :])
+            return Request(*(*_REQUEST.unpack_from(frame, 1), frame[1 + _REQUEST.size :]))
         case b"A":
-            return Response(*_RESPONSE.unpack_from(frame, 1), frame[1 + _RESPONSE.size :])
+            return Response(*(*_RESPONSE.unpack_from(frame, 1), frame[1 + _RESPONSE.size :]))
         case b"X":
             return Remark(frame[1:2].decode("ascii", "replace"), frame[4:].decode("utf-8", "replace"))
         case b"H":
