@@ -248,6 +248,7 @@ UNMIRRORED = (
     "native/test_twins.py",  # rules that stand in Python and in C
     "addons/resim/test_abi.py",  # native/_resim_abi.h
     "addons/resim/test_programs.py",  # programs of every kind, 5 runs each
+    "addons/resim/test_page.py",  # docs/how-to/resim.md
     "addons/resim/test_regressions.py",  # planted in a planner
     "addons/resim/test_faults.py",  # programs that do what they should not
     "addons/exchange/test_import_memory.py",  # any importer

@@ -86,10 +86,12 @@ REFERENCE = {
         "api.verbs.replay_recording",
         "api.verbs.verify",
         "addons.review.api.review",
+        "addons.resim.api.resim",
         "api.verbs.diff",
         "app.replaying.ReplayResult",
         "app.verification.Verification",
         "app.comparison.RecordingDiff",
+        "addons.resim.api.Resimulation",
     ),
     "Lags": (
         "addons.sync.lags.lag",

@@ -1,0 +1,41 @@
+"""docs/how-to/resim.md: what it names is there, and its recipe is one."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from pathlib import Path
+
+from igtl_gateway.addons.resim import verb
+from igtl_gateway.addons.resim.recipe import read_recipe
+from tests.addons.resim.runs import PROGRAMS
+from tests.places import ROOT
+
+PAGE = (ROOT / "docs" / "how-to" / "resim.md").read_text("utf-8")
+
+
+def test_the_checked_programs_are_there() -> None:
+    table = PAGE[PAGE.index("## Checked") :]
+    programs = re.findall(r"`(\w+\.(?:py|c))`", table)
+    tests = re.findall(r"`pytest (\S+)(?: -k (\w+))?`", table)
+    assert programs and tests
+    assert [name for name in programs if not (PROGRAMS / name).is_file()] == []
+    for path, chosen in tests:
+        assert f"def test_{chosen}" in (ROOT / path).read_text("utf-8"), path
+
+
+def test_the_options_exist() -> None:
+    parser = argparse.ArgumentParser()
+    verb.add_arguments(parser)
+    named = set(re.findall(r"`(--[a-z-]+)", PAGE))
+    assert len(named) > 8
+    assert named <= set(re.findall(r"--[a-z-]+", parser.format_help()))
+
+
+def test_the_recipe(tmp_path: Path) -> None:
+    (text,) = re.findall(r"^```toml\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
+    (tmp_path / "nodes").mkdir()
+    path = tmp_path / "programs.toml"
+    path.write_text(text, "utf-8")
+    (program,) = read_recipe(path)
+    assert program.name == "planner" and program.env == {"SEED": "1"} and program.folder == tmp_path / "nodes"
