@@ -157,29 +157,80 @@ def test_a_layout() -> None:
     ]
 
 
-def codes_in(source: str) -> set[str]:
-    """The codes of notes in a module: behind a level, and of the classes of errors."""
-    found = set()
+Constants = dict[str, str]
+
+
+def constants_of(tree: ast.Module) -> Constants:
+    """The strings that a module gives names to: ``A = "a"`` and ``A, B = "a", "b"``."""
+    found: Constants = {}
+    for node in tree.body:
+        match node:
+            case ast.Assign(targets=[ast.Name(name)], value=ast.Constant(str(value))):
+                found[name] = value
+            case ast.Assign(targets=[ast.Tuple(elts=names)], value=ast.Tuple(elts=values)):
+                pairs = zip(names, values, strict=False)
+                found |= {n.id: v.value for n, v in pairs if isinstance(n, ast.Name) and isinstance(v, ast.Constant)}
+    return found
+
+
+def codes_in(source: str, modules: dict[str, Constants] | None = None) -> set[str]:
+    """The codes of notes in a module: behind a level, as an argument ``code``, of warnings, and of classes of errors.
+
+    Args:
+        source: the module.
+        modules: name of a module that it might import names from → its constants.
+    """
     tree = ast.parse(source)
+    known = constants_of(tree)
+    places: dict[str, int] = {}  # function or class → where it takes a code
+    for node in ast.walk(tree):
+        match node:
+            case ast.ImportFrom(module=str(module), names=names):
+                known |= {k: v for k, v in (modules or {}).get(module, {}).items() if k in {n.name for n in names}}
+            case ast.FunctionDef(name=name, args=ast.arguments(args=args)) if {"code", "text"} <= {a.arg for a in args}:
+                own = [a.arg for a in args]
+                places[name] = own.index("code") - (own[0] == "self")
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ClassDef):
+            inits = (each for each in node.body if isinstance(each, ast.FunctionDef) and each.name == "__init__")
+            for init in inits:
+                names = [each.arg for each in init.args.args]
+                places |= {node.name: names.index("code") - 1} if "code" in names else {}
+    places.pop("__init__", None)
+    codes: list[ast.expr] = []
     for node in ast.walk(tree):
         match node:
             case ast.Call(args=parts) | ast.Tuple(elts=parts):
-                for level, code in pairwise(parts):
-                    if isinstance(level, ast.Attribute) and ast.unparse(level.value) == "Level":
-                        found |= {part.value for part in ast.walk(code) if isinstance(part, ast.Constant)}
-            case ast.Assign(targets=[ast.Name("code")], value=ast.Constant(value)):
-                found.add(value)
-    return {code for code in found if isinstance(code, str) and re.fullmatch(r"[a-z_]+", code)}
+                codes += [code for level, code in pairwise(parts) if ast.unparse(level).startswith("Level.")]
+            case ast.Assign(targets=[ast.Name("code")], value=ast.Constant() as value):
+                codes.append(value)
+        match node:
+            case ast.Call(func=ast.Name(name) | ast.Attribute(attr=name), args=args) if len(args) > places.get(
+                name, 99
+            ):
+                codes.append(args[places[name]])
+            case ast.Call(func=ast.Attribute(ast.Attribute(attr="warnings"), "append"), args=args):
+                codes += [each.elts[0] for each in args if isinstance(each, ast.Tuple)]
+            case ast.AugAssign(target=ast.Attribute(attr="warnings"), value=value):
+                codes += [each.elts[0] for each in ast.walk(value) if isinstance(each, ast.Tuple)]
+    parts = [part for code in codes for part in ast.walk(code)]
+    found = {part.value for part in parts if isinstance(part, ast.Constant)}
+    found |= {known[part.id] for part in parts if isinstance(part, ast.Name) and part.id in known}
+    return {code for code in found if isinstance(code, str) and re.fullmatch(r"[a-z_0-9]+", code)}
 
 
 def test_every_code_of_a_note_is_there() -> None:
     root = docs.ROOT / "igtl_gateway"
     sources = {path.relative_to(root): path.read_text("utf-8") for path in root.rglob("*.py")}
+    modules = {
+        ".".join(("igtl_gateway", *path.with_suffix("").parts)): constants_of(ast.parse(source))
+        for path, source in sources.items()
+    }
     written = {
         code
         for path, source in sources.items()
-        if path.parts[0] not in ("doctor", "review")
-        for code in codes_in(source)
+        if path.parts[0] != "doctor" and path.parts[:2] != ("addons", "review")  # their levels are not those of notes
+        for code in codes_in(source, modules)
     }
     listed = [code for codes in NOTES.values() for code in codes]
     assert written and written - set(listed) == set()
@@ -188,8 +239,23 @@ def test_every_code_of_a_note_is_there() -> None:
     assert [code for code in listed if f'"{code}"' not in everything] == []
 
 
-def test_codes_are_found_behind_a_level() -> None:
-    source = (
-        'Note(Level.WARN, "a", text)\n(Level.INFO, "b" if x else "c")\nclass E:\n    code = "d"\nNote(level, "e")\n'
-    )
-    assert codes_in(source) == {"a", "b", "c", "d"}
+def test_codes_are_found_wherever_they_are_written() -> None:
+    source = """
+from other import F, H
+G, K = "g", "k"
+Note(Level.WARN, "a", text)
+(Level.INFO, "b" if x else "c")
+class E:
+    code = "d"
+Note(level, "no")
+Note(Level.INFO, F, text)
+Note(Level.INFO, G, text)
+def warn(entry, code, text): ...
+warn(entry, "h", text)
+class Refused(Exception):
+    def __init__(self, code, text): ...
+raise Refused("i", "text")
+to.warnings.append(("j", text))
+sent.warnings += [("l", warning)] if warning else []
+"""
+    assert codes_in(source, {"other": {"F": "f", "H": "no"}}) == set("abcdfghijl")

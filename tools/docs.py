@@ -56,6 +56,7 @@ from igtl_gateway.gateway.command_guard import CODES as CODES_OF_COMMANDS
 from igtl_gateway.gateway.diagnostics import DIAGNOSTICS_TOPIC
 from igtl_gateway.gateway.dialogue import answers
 from igtl_gateway.gateway.dialogue.links import LINKS_TOPIC
+from igtl_gateway.gateway.log.fates import DROPPED, KEPT
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.elements import Elements
 from igtl_gateway.wire.header import Header
@@ -966,6 +967,14 @@ def notes() -> str:
             `igtl-gateway info FILE` shows the notes that are problems."""
         ),
         *groups,
+        "## Fates of messages",
+        prose(
+            """The loss ledger counts each received message with one of these words; `info` shows those of messages
+            that were dropped.  The refused commands to robots have the codes above.  `not_for_` is followed by a
+            profile: outputs that a peer of this profile does not get."""
+        ),
+        table(("fate", "of a message that was not dropped"), ((f"`{fate}`", text) for fate, text in KEPT.items())),
+        table(("reason", "of a message that was dropped"), ((f"`{why}`", text) for why, text in DROPPED.items())),
     )
 
 

@@ -6,7 +6,9 @@ from typing import Any
 
 from igtl_gateway.cli.common import count_text
 from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.log.fates import DROPPED, NOT_FOR
 from igtl_gateway.gateway.log.ledger import PEERS, gaps
+from igtl_gateway.gateway.robot_command import CODES
 from igtl_gateway.record.sessionfile import layout
 
 #: What the log calls it → what people call it.
@@ -17,18 +19,8 @@ DIRECTIONS = {
     Kind.ROS_OUT: "ROS out",
 }
 
-#: What the ledger calls it → what people call it; the codes of refused messages stand for themselves.
-_REASONS = {
-    "no_peer": "no peer was connected",
-    "no_conversion": "no conversion to ROS",
-    "empty": "empty body, not published",
-    "too_many_streams": "more streams than allowed",
-    "conversion": "could not be converted",
-    "denied": "denied by the configuration",
-    "inactive": "the gateway was not active",
-    "not_finite": "NaN or infinity",
-    "stale": "older than max_age_s",
-}
+#: Reason of a loss → its text for people.
+_REASONS = DROPPED | {code: f"command refused: {text}" for code, text in CODES.items()}
 
 #: The code of the note → what people call it; others stand for themselves.
 _LINK_FAULTS = {
@@ -45,6 +37,13 @@ _LINK_FAULTS = {
 
 def _side(direction: str) -> str:
     return DIRECTIONS[Kind(direction)] if direction in {kind.value for kind in DIRECTIONS} else direction
+
+
+def reason_text(reason: str) -> str:
+    """Return the text of a reason of a loss; a word of another version stands for itself."""
+    if reason.startswith(NOT_FOR) and reason not in _REASONS:
+        return f"not sent to a peer of profile {reason.removeprefix(NOT_FOR)}"
+    return _REASONS.get(reason, reason)
 
 
 def losses(ledger: dict[str, Any] | None) -> list[str]:
@@ -69,7 +68,7 @@ def losses(ledger: dict[str, Any] | None) -> list[str]:
     for direction, streams in ledger.get("streams", {}).items():
         for stream, fates in streams.items() if direction != PEERS else ():  # shown with their links
             for reason, number in fates.get("dropped", {}).items():
-                lines.append(f"{number:>7,}  {_side(direction)} {stream}: {_REASONS.get(reason, reason)}")
+                lines.append(f"{number:>7,}  {_side(direction)} {stream}: {reason_text(reason)}")
     for link, fates in ledger.get("links", {}).items():
         peer = "closed links" if link == "0" else f"link {link}"
         for fate, reason in (("dropped", "send queue full, or link closed"), ("ignored", "link was closed already")):

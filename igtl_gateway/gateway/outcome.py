@@ -14,6 +14,7 @@ from typing import Any
 from igtl_gateway.base.once import Once
 from igtl_gateway.base.values import value
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.fates import KEPT
 from igtl_gateway.gateway.log.ledger import Ledger
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.output import Output, note_output
@@ -22,10 +23,6 @@ from igtl_gateway.gateway.peers import Peers
 #: Maximum number of once-only findings of each link: a peer that invents names must fill neither memory nor log, and
 #: must not suppress the findings of others.
 MAX_NOTED = 2_000
-
-#: Fates of messages that were not dropped.
-CONVERTED, UNSUBSCRIBED, RECORDED_ONLY, PROBED = "converted", "unheard", "recorded_only", "probed"
-_GOOD = frozenset({CONVERTED, UNSUBSCRIBED, RECORDED_ONLY, PROBED})
 
 _MESSAGES = frozenset({Kind.IGTL_IN, Kind.ROS_IN})
 _IGTL_OUT = Kind.IGTL_OUT.value
@@ -88,7 +85,7 @@ class Outcome:
     @property
     def is_good(self) -> bool:
         """Whether the message was not dropped."""
-        return self.fate in _GOOD
+        return self.fate in KEPT
 
 
 class Bookkeeper:

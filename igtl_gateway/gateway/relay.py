@@ -30,6 +30,7 @@ from igtl_gateway.gateway.live_settings import LiveSettings
 from igtl_gateway.gateway.log.changes import SETTING, is_change
 from igtl_gateway.gateway.log.clocksteps import CLOCK_STEP, ClockStep
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.fates import RELAYED
 from igtl_gateway.gateway.log.ledger import Ledger
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.output import Output, note_output
@@ -151,7 +152,7 @@ class RelayGateway:
 
     def _sent(self, entry: Entry, payload: Sequence[Buffer], partner: int) -> list[Output]:
         """Forward a message to the partner of its link."""
-        self.ledger.count(_IN, entry.channel, "relayed")
+        self.ledger.count(_IN, entry.channel, RELAYED)
         self.ledger.count(_OUT, entry.channel, "sent")
         sent = Output(Kind.IGTL_OUT, entry.channel, entry.type, payload, (partner,), entry.source_ns)
         try:

@@ -21,6 +21,7 @@ from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.stamp import ns_to_ticks
 from igtl_gateway.cli import main
 from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.log.ledger import gaps
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import String
@@ -382,6 +383,8 @@ def test_a_bridge_is_recognised_and_not_disturbed(tmp_path: Path, capsys: pytest
     assert [finding["id"] for finding in told["findings"]] == ["IGTL-I117"]
     with SessionFile.open(tmp_path / "session.mcap") as file:
         kinds = [(entry.kind, entry.channel) for entry in file.entries() if entry.channel]
+        ledger = file.ledger
+    assert ledger and ledger["streams"]["igtl_in"]["STATUS/igtl_doctor"]["probed"] > 0 and gaps(ledger) == []
     assert (Kind.IGTL_IN, "STATUS/igtl_doctor") in kinds  # recorded, as every message
     assert not any(kind is Kind.ROS_OUT and "doctor" in channel for kind, channel in kinds)
     assert main(["verify", str(tmp_path / "session.mcap")]) == 0

@@ -10,8 +10,8 @@ from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.convert.express import FillTemplate
 from igtl_gateway.gateway.guarded_stream import GuardedStream
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.fates import CONVERTED
 from igtl_gateway.gateway.log.ledger import Ledger
-from igtl_gateway.gateway.outcome import CONVERTED
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peer
 

@@ -13,8 +13,8 @@ from igtl_gateway.convert.assembly import Form, VolumeAssembler
 from igtl_gateway.convert.express import FillTemplate
 from igtl_gateway.gateway.guarded_stream import GuardedStream
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.fates import CONVERTED, UNSUBSCRIBED
 from igtl_gateway.gateway.log.ledger import Ledger
-from igtl_gateway.gateway.outcome import CONVERTED, UNSUBSCRIBED
 from igtl_gateway.gateway.to_ros.subscribers import HasSubscriber
 
 #: The assembler with the latest image of a device, and form and dtype of the images of a stream.

@@ -15,7 +15,7 @@ from igtl_gateway.gateway.fastpath.compiled_to_igtl import CompiledToIgtl
 from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos
 from igtl_gateway.gateway.guarded_stream import GuardedStream
 from igtl_gateway.gateway.log.entry import Entry, Kind
-from igtl_gateway.gateway.outcome import CONVERTED, UNSUBSCRIBED
+from igtl_gateway.gateway.log.fates import CONVERTED, UNSUBSCRIBED
 from igtl_gateway.native.passage import Guard, Link, Passage, Publisher, Stream, Subscription
 from igtl_gateway.wire.header import HEADER_SIZE
 

@@ -1,7 +1,6 @@
 """The loss ledger: the fate of every message, by stream and by peer.
 
-* Each stream that comes in: ``received = converted + unheard + recorded_only + relayed + the sum of dropped``.
-  (``unheard``: no subscriber in ROS, and no recording; rejected messages are dropped, with a reason.)
+* Each stream that comes in: ``received = the sum of the fates in fates.KEPT + the sum of dropped``.
 * Each peer that has disconnected: ``sent = delivered to its socket + the sum of dropped``.
 * All peers together: what the gateway sent is what their links delivered, dropped, ignored and still have queued, and
   what the links received is what the gateway received.
@@ -14,8 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-#: Fates of a received message, except dropped.
-_FATES = ("converted", "unheard", "recorded_only", "relayed")
+from igtl_gateway.gateway.log.fates import KEPT
 
 #: What a link must have counted for the sums over all of them.
 _LINK_COUNTS = frozenset({"sent_messages", "received_messages", "dropped", "ignored"})
@@ -41,7 +39,7 @@ class Ledger:
         self._streams: dict[str, set[str]] = {}  # of each direction: a stream is the same in both books
 
     def count(self, direction: str, stream: str, fate: str, number: int = 1) -> None:
-        """Add to ``received``, ``converted``, ``recorded_only``, ``unheard``, ``sent`` or ``published``."""
+        """Add to ``received``, ``decoded``, ``sent``, ``published`` or a fate of ``fates.KEPT``."""
         self._add(self._counts, direction, stream, fate, number)
 
     def drop(self, direction: str, stream: str, reason: str, number: int = 1) -> None:
@@ -92,7 +90,7 @@ def gaps(recorded: Mapping[str, Any]) -> list[str]:
     for direction in ("igtl_in", "ros_in"):
         for stream, fates in streams.get(direction, {}).items():
             received = fates.get("received", 0)
-            known = sum(fates.get(fate, 0) for fate in _FATES) + _dropped(fates)
+            known = sum(fates.get(fate, 0) for fate in KEPT) + _dropped(fates)
             if received != known:
                 found.append(f"{direction} {stream}: received {received:,}, accounted for {known:,}")
     for peer, fates in streams.get(PEERS, {}).items():

@@ -11,6 +11,7 @@ from igtl_gateway.convert.profiles import UNRECOGNISED
 from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.fates import NOT_FOR
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.outcome import Finding, Item, warning_findings
 from igtl_gateway.gateway.peers import Peer
@@ -123,5 +124,5 @@ def held_back(entry: Entry, peer: Peer, igtl_type: str) -> Finding:
         entry.links,
         subject=igtl_type,
         by=peer.link,
-        loss=(igtl_type, f"not_for_{profile}"),
+        loss=(igtl_type, f"{NOT_FOR}{profile}"),
     )

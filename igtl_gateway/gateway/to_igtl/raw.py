@@ -11,8 +11,9 @@ from igtl_gateway.convert.raw import message_of
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.guard import STALE, Guard, check_stamp
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.fates import CONVERTED
 from igtl_gateway.gateway.log.note import Level
-from igtl_gateway.gateway.outcome import CONVERTED, Finding, Item, Outcome, conversion_failure
+from igtl_gateway.gateway.outcome import Finding, Item, Outcome, conversion_failure
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peers
 from igtl_gateway.gateway.streams import Streams

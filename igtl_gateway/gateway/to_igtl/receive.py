@@ -12,16 +12,9 @@ from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.commanding import Commands
 from igtl_gateway.gateway.guard import STALE, Guard, GuardedStream, check_stamp, translation_of
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.fates import CONVERTED, RECORDED_ONLY
 from igtl_gateway.gateway.log.note import Level
-from igtl_gateway.gateway.outcome import (
-    CONVERTED,
-    RECORDED_ONLY,
-    Finding,
-    Item,
-    Outcome,
-    conversion_failure,
-    warning_findings,
-)
+from igtl_gateway.gateway.outcome import Finding, Item, Outcome, conversion_failure, warning_findings
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peer, Peers
 from igtl_gateway.gateway.streams import Streams, ToIgtlStream

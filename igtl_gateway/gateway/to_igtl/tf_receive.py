@@ -7,8 +7,9 @@ from igtl_gateway.config.configuration import TfOutRow
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.gateway.guard import Guard, findings_of
 from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.fates import CONVERTED
 from igtl_gateway.gateway.log.note import Level
-from igtl_gateway.gateway.outcome import CONVERTED, Finding, Item, Outcome, conversion_failure
+from igtl_gateway.gateway.outcome import Finding, Item, Outcome, conversion_failure
 from igtl_gateway.gateway.peers import Peer, Peers
 from igtl_gateway.gateway.to_igtl.delivery import Delivery
 from igtl_gateway.gateway.to_igtl.tf_out import TF_TOPICS, TfOut

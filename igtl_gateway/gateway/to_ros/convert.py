@@ -15,16 +15,9 @@ from igtl_gateway.convert.rosmsg import Header as RosHeader
 from igtl_gateway.convert.rosmsg import RosMessage
 from igtl_gateway.convert.table import ConversionToRos, Role
 from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.fates import CONVERTED, UNSUBSCRIBED
 from igtl_gateway.gateway.log.note import Level
-from igtl_gateway.gateway.outcome import (
-    CONVERTED,
-    UNSUBSCRIBED,
-    Finding,
-    Item,
-    Outcome,
-    conversion_failure,
-    warning_findings,
-)
+from igtl_gateway.gateway.outcome import Finding, Item, Outcome, conversion_failure, warning_findings
 from igtl_gateway.gateway.output import ros_output
 from igtl_gateway.gateway.streams import Streams, ToRosStream
 from igtl_gateway.gateway.to_igtl.tf_receive import TfReceiver

@@ -12,9 +12,10 @@ from igtl_gateway.gateway.dialogue.links import Links
 from igtl_gateway.gateway.dialogue.probing import is_probe
 from igtl_gateway.gateway.dialogue.querying import Queries
 from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.fates import PROBED
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.metadata import restore_metadata
-from igtl_gateway.gateway.outcome import PROBED, Finding, Item, Outcome, conversion_failure
+from igtl_gateway.gateway.outcome import Finding, Item, Outcome, conversion_failure
 from igtl_gateway.gateway.peers import Peer, Peers
 from igtl_gateway.gateway.to_ros.route import Router
 from igtl_gateway.wire import Message, decode

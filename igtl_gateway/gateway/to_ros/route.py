@@ -13,9 +13,10 @@ from igtl_gateway.convert.names import short_device_name
 from igtl_gateway.gateway.command_guard import CommandGuard, Refused
 from igtl_gateway.gateway.guard import STALE, Guard, GuardedStream, check_stamp, translation_of
 from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.fates import CONVERTED
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.metadata import RestoredMetadata
-from igtl_gateway.gateway.outcome import CONVERTED, Finding, Item, Outcome, conversion_failure
+from igtl_gateway.gateway.outcome import Finding, Item, Outcome, conversion_failure
 from igtl_gateway.gateway.streams import Streams, ToRosStream
 from igtl_gateway.gateway.to_ros.convert import Converter
 from igtl_gateway.gateway.to_ros.volumes import Volumes

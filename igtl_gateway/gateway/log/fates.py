@@ -1,0 +1,49 @@
+"""The fates of a received message: the one list of the words that the loss ledger counts, with their meaning."""
+
+from __future__ import annotations
+
+CONVERTED, UNSUBSCRIBED, RECORDED_ONLY = "converted", "unheard", "recorded_only"
+PROBED, RELAYED = "probed", "relayed"
+
+#: Fate of a message that was not dropped → its text for people.  Every other word is the reason of a loss.
+KEPT = {
+    CONVERTED: "converted for the other side",
+    UNSUBSCRIBED: "not converted: no subscriber in ROS, and no recording",
+    RECORDED_ONLY: "of a topic that is recorded and not bridged",
+    PROBED: "the test message of `igtl-gateway doctor`",
+    RELAYED: "forwarded by a relay",
+}
+
+#: Reason why a message was dropped → its text for people, besides the codes of ``robot_command`` and NOT_FOR.
+DROPPED = {
+    "no_peer": "no peer was connected",
+    "not_wanted": "no connected peer takes it: type, pace or frame",
+    "not_for_peer": "the profile of every peer excludes this type",
+    "not_chosen": "the configuration publishes no topic of it",
+    "part_of_volume": "part of a volume that was not complete yet",
+    "no_conversion": "no conversion to ROS",
+    "empty": "empty body, not published",
+    "too_many_streams": "more streams than allowed",
+    "conversion": "could not be converted",
+    "denied": "denied by the configuration",
+    "inactive": "the gateway was not active",
+    "not_finite": "NaN or infinity",
+    "not_valid": "marked as not valid by the robot",
+    "stale": "older than max_age_s",
+    "truncated": "shorter than its fields declare",
+    "bad_crc": "wrong CRC",
+    "malformed": "not allowed by the format",
+    "too_large": "above the size limit",
+    "wire_error": "invalid OpenIGTLink",
+    "internal_error": "dropped by a defect of the gateway",
+    "command_refused": "a command that cannot be passed on",
+    "no_partner": "the other side of the relay was disconnected",
+    "fault_loss": "lost by fault injection",
+    "fault_disconnect": "its link was closed by fault injection",
+    "link_down": "its link was closed while fault injection delayed it",
+    "queue": "the send queue of the peer was full",
+    "link_closed": "the link was closing",
+}
+
+#: Reason of an output that a peer does not get: this, and the name of its profile.
+NOT_FOR = "not_for_"
