@@ -10,7 +10,7 @@
  * uint16 and its bytes.  addons/resim/frames.py has the same table.
  *
  *   from the program                                            to the program
- *   H pid abi                                hello              W start_ns latency_ns program clocks      welcome
+ *   H pid abi                                hello              W start_ns latency_ns wall_ns program clocks  welcome
  *   E kind made id reliable latched all depth name type node d  M number t source subscription class name data  message
  *   O id t data                              published          q t service program client number data    request
  *   Q id number t data                       request            a t client number data                    response
@@ -772,9 +772,10 @@ static void join_session(void)
             give_up("the coordinator sent no welcome");
         int64_t start_ns = GET(int64_t);
         S.latency_ns = GET(int64_t);
+        int64_t wall_offset_ns = GET(int64_t);
         S.program = GET(uint32_t);
         S.limit_ns = INT64_MIN;
-        if (!start_time(start_ns, GET(uint8_t)))
+        if (!start_time(start_ns, wall_offset_ns, GET(uint8_t)))
             give_up("cannot start session time");
         pthread_atfork(NULL, in_parent, in_child);
         S.stop = true;

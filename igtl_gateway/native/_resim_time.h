@@ -11,13 +11,13 @@
 #ifndef IGTL_GATEWAY_RESIM_TIME_H
 #define IGTL_GATEWAY_RESIM_TIME_H
 
-enum { CLOCKS_WAITS = 0, CLOCKS_LIBC = 1, CLOCKS_REAL = 2 }; /* which clocks of libc have session time */
+enum { CLOCKS_SESSION = 0, CLOCKS_REAL = 1 }; /* whether the clocks and waits of libc have session time */
 enum wait_kind { WAIT_ROS, WAIT_SLEEP, WAIT_SIGNAL, WAIT_CONDITION };
 
 #define NEVER INT64_MAX
 #define NS_PER_S 1000000000LL
-/* Session time of steady clocks starts here, above all uptimes, so that the step from the real one goes forward. */
-#define STEADY_START_NS 1000000000000000000LL
+/* Session time of steady clocks starts here, three years, above uptimes: the step from the real one goes forward. */
+#define STEADY_START_NS 100000000000000000LL
 /* Ends a semaphore's wait or a poll at its session time; programs do not use the last real-time signals but two. */
 #define WAKE_SIGNAL (SIGRTMAX - 2)
 
@@ -47,7 +47,9 @@ static struct {
     _Atomic int entering; /* threads inside this library that do not wait yet */
     _Atomic int watch;    /* futex: the watching thread has to look whether all are quiet */
     _Atomic int64_t now_ns;
+    _Atomic int real_waits; /* threads in a sleep or timed wait of real time: they are not quiet */
     int64_t start_ns;
+    int64_t wall_offset_ns; /* the wall clock of libc is later than session time by this */
     int clocks;
     struct waiter *waiters;
     pid_t watcher;
@@ -201,7 +203,7 @@ static bool list_tasks(void)
 static bool is_quiet(int entering)
 {
     struct stat folder;
-    if (atomic_load(&T.entering) != entering)
+    if (atomic_load(&T.entering) != entering || atomic_load(&T.real_waits))
         return false;
     if (fstat(T.task_folder, &folder) || (folder.st_nlink != T.task_count + 2 && !list_tasks()))
         return false;
@@ -358,14 +360,14 @@ static bool is_steady(clockid_t clock)
     return clock == CLOCK_MONOTONIC || clock == CLOCK_MONOTONIC_COARSE || clock == CLOCK_MONOTONIC_RAW ||
            clock == CLOCK_BOOTTIME;
 }
+static int64_t wall_ns(void) { return atomic_load(&T.now_ns) + T.wall_offset_ns; }
 static int64_t steady_ns(void) { return atomic_load(&T.now_ns) - T.start_ns + STEADY_START_NS; }
 
 /* Whether the program reads session time from a clock of libc. */
 static bool is_session(clockid_t clock)
 {
-    if (!atomic_load_explicit(&T.active, memory_order_relaxed) || T.clocks == CLOCKS_REAL)
-        return false;
-    return is_steady(clock) || (is_wall(clock) && T.clocks == CLOCKS_LIBC);
+    return atomic_load_explicit(&T.active, memory_order_relaxed) && T.clocks != CLOCKS_REAL &&
+           (is_steady(clock) || is_wall(clock));
 }
 
 /* What the program reads from a clock, ns. */
@@ -373,17 +375,15 @@ static int64_t read_clock(clockid_t clock)
 {
     if (!is_session(clock))
         return real_ns(clock);
-    return is_steady(clock) ? steady_ns() : atomic_load(&T.now_ns);
+    return is_steady(clock) ? steady_ns() : wall_ns();
 }
 
-/* Session time of a deadline on a clock; one on a real clock is rounded up, as the clock was read at any time. */
+/* Session time of a deadline on a clock. */
 static int64_t deadline_of(clockid_t clock, const struct timespec *until)
 {
     int64_t left = ns_of(until) - read_clock(clock), now = atomic_load(&T.now_ns);
     if (left <= 0)
         return now;
-    if (!is_session(clock))
-        left = (left + 99999) / 100000 * 100000;
     return left > NEVER - now ? NEVER : now + left;
 }
 
@@ -405,7 +405,7 @@ int gettimeofday(struct timeval *restrict time, void *restrict zone)
 {
     if (!is_session(CLOCK_REALTIME))
         return NEXT(gettimeofday, NULL)(time, zone);
-    int64_t now = atomic_load(&T.now_ns);
+    int64_t now = wall_ns();
     *time = (struct timeval){.tv_sec = (time_t)(now / NS_PER_S), .tv_usec = (suseconds_t)(now % NS_PER_S / 1000)};
     return 0;
 }
@@ -420,12 +420,25 @@ time_t time(time_t *result)
 
 /* -- sleeps ------------------------------------------------------------------------------------------------------ */
 
-static bool is_on(void) { return atomic_load_explicit(&T.active, memory_order_relaxed) && tid_of_this() != T.watcher; }
+/* Whether this thread sleeps and waits in session time. */
+static bool is_on(void)
+{
+    return atomic_load_explicit(&T.active, memory_order_relaxed) && T.clocks != CLOCKS_REAL && tid_of_this() != T.watcher;
+}
+
+/* A sleep or a timed wait in real time. */
+#define REALLY(call)                                                                                                   \
+    ({                                                                                                                 \
+        atomic_fetch_add(&T.real_waits, 1);                                                                            \
+        __typeof__(call) really = (call);                                                                              \
+        atomic_fetch_sub(&T.real_waits, 1);                                                                            \
+        really;                                                                                                        \
+    })
 
 int clock_nanosleep(clockid_t clock, int flags, const struct timespec *request, struct timespec *rest)
 {
     if (!is_on() || !(is_wall(clock) || is_steady(clock)))
-        return NEXT(clock_nanosleep, NULL)(clock, flags, request, rest);
+        return REALLY(NEXT(clock_nanosleep, NULL)(clock, flags, request, rest));
     int64_t now = atomic_load(&T.now_ns);
     sleep_until(flags & TIMER_ABSTIME ? deadline_of(clock, request) : now + ns_of(request));
     return 0;
@@ -434,7 +447,7 @@ int clock_nanosleep(clockid_t clock, int flags, const struct timespec *request, 
 int nanosleep(const struct timespec *request, struct timespec *rest)
 {
     if (!is_on())
-        return NEXT(nanosleep, NULL)(request, rest);
+        return REALLY(NEXT(nanosleep, NULL)(request, rest));
     sleep_until(atomic_load(&T.now_ns) + ns_of(request));
     return 0;
 }
@@ -501,14 +514,14 @@ static int wait_semaphore(sem_t *semaphore, int64_t deadline_ns)
 int sem_timedwait(sem_t *restrict semaphore, const struct timespec *restrict until)
 {
     if (!is_on())
-        return NEXT(sem_timedwait, NULL)(semaphore, until);
+        return REALLY(NEXT(sem_timedwait, NULL)(semaphore, until));
     return wait_semaphore(semaphore, deadline_of(CLOCK_REALTIME, until));
 }
 
 int sem_clockwait(sem_t *restrict semaphore, clockid_t clock, const struct timespec *restrict until)
 {
     if (!is_on())
-        return NEXT(sem_clockwait, NULL)(semaphore, clock, until);
+        return REALLY(NEXT(sem_clockwait, NULL)(semaphore, clock, until));
     return wait_semaphore(semaphore, deadline_of(clock, until));
 }
 
@@ -551,24 +564,24 @@ int pthread_cond_timedwait(pthread_cond_t *restrict condition, pthread_mutex_t *
                            const struct timespec *restrict until)
 {
     clockid_t clock = condition->__data.__wrefs & 2 ? CLOCK_MONOTONIC : CLOCK_REALTIME; /* as glibc keeps it */
-    if (!is_on())
-        return NEXT(pthread_cond_timedwait, "GLIBC_2.3.2")(condition, mutex, until);
     if (is_interpreter(__builtin_return_address(0))) {
         struct timespec real = real_deadline(clock, until);
         return NEXT(pthread_cond_timedwait, "GLIBC_2.3.2")(condition, mutex, &real);
     }
+    if (!is_on())
+        return REALLY(NEXT(pthread_cond_timedwait, "GLIBC_2.3.2")(condition, mutex, until));
     return wait_condition(condition, mutex, clock, until);
 }
 
 int pthread_cond_clockwait(pthread_cond_t *restrict condition, pthread_mutex_t *restrict mutex, clockid_t clock,
                            const struct timespec *restrict until)
 {
-    if (!is_on())
-        return NEXT(pthread_cond_clockwait, NULL)(condition, mutex, clock, until);
     if (is_interpreter(__builtin_return_address(0))) {
         struct timespec real = real_deadline(clock, until);
         return NEXT(pthread_cond_clockwait, NULL)(condition, mutex, clock, &real);
     }
+    if (!is_on())
+        return REALLY(NEXT(pthread_cond_clockwait, NULL)(condition, mutex, clock, until));
     return wait_condition(condition, mutex, clock, until);
 }
 
@@ -585,15 +598,19 @@ int pthread_cond_clockwait(pthread_cond_t *restrict condition, pthread_mutex_t *
 
 int poll(struct pollfd *files, nfds_t count, int timeout_ms)
 {
-    if (!is_on() || timeout_ms <= 0)
+    if (timeout_ms <= 0)
         return NEXT(poll, NULL)(files, count, timeout_ms);
+    if (!is_on())
+        return REALLY(NEXT(poll, NULL)(files, count, timeout_ms));
     return POLLED(NEXT(poll, NULL)(files, count, -1), (int64_t)timeout_ms * 1000000);
 }
 
 int epoll_wait(int file, struct epoll_event *events, int most, int timeout_ms)
 {
-    if (!is_on() || timeout_ms <= 0)
+    if (timeout_ms <= 0)
         return NEXT(epoll_wait, NULL)(file, events, most, timeout_ms);
+    if (!is_on())
+        return REALLY(NEXT(epoll_wait, NULL)(file, events, most, timeout_ms));
     return POLLED(NEXT(epoll_wait, NULL)(file, events, most, -1), (int64_t)timeout_ms * 1000000);
 }
 
@@ -601,8 +618,10 @@ int select(int count, fd_set *restrict readable, fd_set *restrict writable, fd_s
            struct timeval *restrict timeout)
 {
     int64_t left_ns = timeout ? (int64_t)timeout->tv_sec * NS_PER_S + (int64_t)timeout->tv_usec * 1000 : 0;
-    if (!is_on() || left_ns <= 0)
+    if (left_ns <= 0)
         return NEXT(select, NULL)(count, readable, writable, failed, timeout);
+    if (!is_on())
+        return REALLY(NEXT(select, NULL)(count, readable, writable, failed, timeout));
     if (!count && !readable && !writable && !failed) { /* a sleep of old programs */
         sleep_until(atomic_load(&T.now_ns) + left_ns);
         return 0;
@@ -622,12 +641,13 @@ int select(int count, fd_set *restrict readable, fd_set *restrict writable, fd_s
 static void on_wake_signal(int number) { (void)number; }
 
 /* Start the watching thread; once. */
-static bool start_time(int64_t start_ns, int clocks)
+static bool start_time(int64_t start_ns, int64_t wall_offset_ns, int clocks)
 {
     pthread_t thread;
     sigset_t all, before;
     struct sigaction action = {.sa_handler = on_wake_signal}; /* without SA_RESTART: waits end with EINTR */
     T.start_ns = start_ns;
+    T.wall_offset_ns = wall_offset_ns;
     T.clocks = clocks;
     atomic_store(&T.now_ns, start_ns);
     T.task_folder = open("/proc/self/task", O_RDONLY | O_DIRECTORY | O_CLOEXEC);

@@ -72,6 +72,10 @@ class Peer:
         return [each for each in self.entities.values() if each.frame.kind == kind and each.frame.name == name]
 
 
+#: The programs that receive a recorded message, and the numbers of their subscriptions; () for all of the topic.
+Receivers = list[tuple[Peer, tuple[int, ...]]]
+
+
 @dataclass(slots=True)
 class Roles:
     """What the topics of a run are.
@@ -134,7 +138,7 @@ class Coordinator:
         self._messages: list[tuple[int, int, int, bytes]] = []  # heap of time, order, peer, frame
         self._order = 0
         self._latched: dict[str, list[tuple[Qos, RecordedInput]]] = {}
-        self._targets: dict[str, list[tuple[Peer, tuple[int, ...]]]] = {}  # topic → who receives its recorded messages
+        self._targets: dict[str, Receivers] = {}  # topic → who receives its recorded messages
         self._published_topics: Counter[str] = Counter()
         self._announced: set[str] = set()
         self.refused: dict[str, str] = {}
@@ -156,33 +160,92 @@ class Coordinator:
             self._flush(peer)
         self._on_start(self.roles())
         while True:
-            message = self._next_input()
-            moments = [(message.time_ns, INPUT)] if message else []
-            if self._messages:
-                moments.append((self._messages[0][0], MESSAGE))
             peer = min(self._peers, key=lambda each: (each.idle.next_ns, each.idle.next_class, each.index))
-            moments.append((peer.idle.next_ns, peer.idle.next_class))
-            time_ns, class_ = min(moments)
-            if time_ns > self._end_ns:
+            following = min((peer.idle.next_ns, peer.idle.next_class), (self._end_ns, ALL))
+            if self._messages:
+                following = min(following, (self._messages[0][0], MESSAGE))
+            receivers: Receivers = []
+            while (message := self._inputs.peek()) and (message.time_ns, INPUT) <= following:
+                if receivers := self._receivers(message):
+                    break
+                self._keep_latched(self._inputs.pop())
+            if message and receivers:
+                self.now_ns = max(self.now_ns, message.time_ns)
+                if len(receivers) == 1:
+                    self._advance(receivers[0][0])
+                else:
+                    self._deliver_to_all(self._inputs.pop(), receivers)
+            elif following == (self._end_ns, ALL):
                 return
-            self.now_ns = max(self.now_ns, time_ns)
-            if message and (time_ns, class_) == (message.time_ns, INPUT):
-                self._deliver_inputs(message)
-            elif self._messages and (time_ns, class_) == (self._messages[0][0], MESSAGE):
-                _, _, index, frame = heapq.heappop(self._messages)
+            elif self._messages and following == (self._messages[0][0], MESSAGE):
+                time_ns, _, index, frame = heapq.heappop(self._messages)
+                self.now_ns = max(self.now_ns, time_ns)
                 self.events += 1
                 self._grant(self._peers[index], [frame], time_ns, MESSAGE)
             else:
+                self.now_ns = max(self.now_ns, peer.idle.next_ns)
                 self.events += 1
-                self._grant(peer, [], *self._bound(peer))
+                self._advance(peer)
 
-    def _next_input(self) -> RecordedInput | None:
-        """The next recorded message that a program receives."""
-        while (message := self._inputs.peek()) and not self._receivers(message):
-            self._skip(self._inputs.pop())
-        return message
+    def _bound(self, peer: Peer) -> tuple[int, int]:
+        """Up to which time and class a program may go on by itself and with its inputs: before the events of others."""
+        bounds = [(self._end_ns, ALL)]
+        if self._messages:
+            bounds.append(_before(self._messages[0][0], MESSAGE))
+        for each in self._peers:
+            if each is not peer and each.idle.next_ns != NEVER:
+                moment = (each.idle.next_ns, each.idle.next_class)
+                bounds.append(_before(*moment) if each.index < peer.index else moment)
+        return min(bounds)
 
-    def _skip(self, message: RecordedInput) -> None:
+    def _advance(self, peer: Peer) -> None:
+        """Let a program go on with its inputs, as far as no other program has an event before them."""
+        bound = self._bound(peer)
+        window: list[RecordedInput] = []
+        sent: set[int] = set()
+        content: list[bytes] = []
+        size = 0
+        while (message := self._inputs.peek()) and len(window) < peer.batch and size < _BATCH_BYTES:
+            receivers = self._receivers(message)
+            if (message.time_ns, INPUT) > bound or len(receivers) > 1 or (receivers and receivers[0][0] is not peer):
+                break
+            window.append(self._inputs.pop())
+            if receivers:
+                sent.add(message.number)
+                content += _message_frames(message, receivers[0][1])
+                size += len(message.data)
+        if message := self._inputs.peek():
+            bound = min(bound, _before(message.time_ns, INPUT))
+        self._grant(peer, content, *bound)
+        done = peer.idle.number
+        used = 0
+        while used < len(window) and (
+            (each := window[used]).number <= done or (each.number not in sent and each.time_ns <= peer.idle.time_ns)
+        ):
+            used += 1
+        left = window[used:]
+        for message in window[:used]:
+            self._keep_latched(message)
+            if message.number in sent:
+                self.events += 1
+                self.delivered[message.topic] += 1
+        for message in reversed(left):
+            self._inputs.give_back(message)
+        if any(message.number in sent for message in left):
+            peer.outbox.append(frames.drop())
+            peer.batch = max(1, 2 * used)
+        else:
+            peer.batch = min(_BATCH, 2 * peer.batch)
+
+    def _deliver_to_all(self, message: RecordedInput, receivers: Receivers) -> None:
+        """Deliver one input to several programs, one after the other."""
+        self._keep_latched(message)
+        self.events += 1
+        self.delivered[message.topic] += 1
+        for peer, targets in receivers:
+            self._grant(peer, _message_frames(message, targets), message.time_ns, INPUT)
+
+    def _keep_latched(self, message: RecordedInput) -> None:
         topic = self._topics.get(message.topic)
         if topic and topic.qos.latched:
             self._keep(message.topic, topic.qos, message)
@@ -192,61 +255,6 @@ class Coordinator:
         kept = self._latched.setdefault(topic, [])
         kept.append((qos, message))
         del kept[: -max(1, qos.depth)]
-
-    def _bound(self, peer: Peer, *, has_input: bool = True) -> tuple[int, int]:
-        """Up to which time and class a program may go on by itself: up to the next event that is not its own."""
-        bounds = [(self._end_ns, ALL)]
-        if has_input and (message := self._next_input()):
-            bounds.append(_before(message.time_ns, INPUT))
-        if self._messages:
-            bounds.append(_before(self._messages[0][0], MESSAGE))
-        bounds += [
-            _before(each.idle.next_ns, each.idle.next_class) if each.index < peer.index
-            else (each.idle.next_ns, each.idle.next_class)
-            for each in self._peers
-            if each is not peer and each.idle.next_ns != NEVER
-        ]  # fmt: skip
-        return min(bounds)
-
-    def _deliver_inputs(self, first: RecordedInput) -> None:
-        """Deliver the next input; and those behind it, as far as no other program has an event before them."""
-        receivers = self._receivers(first)
-        if len(receivers) > 1:
-            self._take(self._inputs.pop())
-            for peer, targets in receivers:
-                self._grant(peer, _message_frames(first, targets), first.time_ns, INPUT)
-            return
-        peer, _ = receivers[0]
-        bound = self._bound(peer, has_input=False)
-        sent: list[RecordedInput] = []
-        content: list[bytes] = []
-        size = 0
-        while (message := self._next_input()) and len(sent) < peer.batch and size < _BATCH_BYTES:
-            receivers = self._receivers(message)
-            if len(receivers) != 1 or receivers[0][0] is not peer or (message.time_ns, INPUT) > bound:
-                break
-            sent.append(self._inputs.pop())
-            content += _message_frames(message, receivers[0][1])
-            size += len(message.data)
-        if message := self._next_input():
-            bound = min(bound, _before(message.time_ns, INPUT))
-        self._grant(peer, content, *bound)
-        done = peer.idle.number
-        used = sum(message.number <= done for message in sent)
-        for message in sent[:used]:
-            self._take(message)
-        if used < len(sent):
-            for message in reversed(sent[used:]):
-                self._inputs.give_back(message)
-            peer.outbox.append(frames.drop())
-            peer.batch = max(1, 2 * used)
-        else:
-            peer.batch = min(_BATCH, 2 * peer.batch)
-
-    def _take(self, message: RecordedInput) -> None:
-        self.events += 1
-        self.delivered[message.topic] += 1
-        self._skip(message)
 
     def _grant(self, peer: Peer, content: list[bytes], time_ns: int, class_: int) -> None:
         """Let a program go on, and take what it sends until it waits again."""
@@ -384,8 +392,8 @@ class Coordinator:
             return chosen
         return not self._published_topics[topic.name] or topic.from_gateway > 0
 
-    def _receivers(self, message: RecordedInput) -> list[tuple[Peer, tuple[int, ...]]]:
-        """The programs that receive a recorded message, and the numbers of their subscriptions; () for all of them."""
+    def _receivers(self, message: RecordedInput) -> Receivers:
+        """The programs that receive a recorded message."""
         found = self._targets.get(message.topic)
         if found is None:
             found = self._targets[message.topic] = self._find_receivers(message.topic)
@@ -393,7 +401,7 @@ class Coordinator:
             return found if self._is_input(message.topic) else []
         return found
 
-    def _find_receivers(self, name: str) -> list[tuple[Peer, tuple[int, ...]]]:
+    def _find_receivers(self, name: str) -> Receivers:
         topic = self._topics.get(name)
         if not topic or not self._is_recorded_input(topic):
             return []

@@ -15,7 +15,7 @@ import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from enum import IntEnum
+from enum import Enum
 from pathlib import Path
 
 from igtl_gateway.addon import (
@@ -36,16 +36,21 @@ from igtl_gateway.addons.resim.processes import Process
 _MIDDLEWARE = "rmw_fastrtps_cpp"
 
 
-class Clocks(IntEnum):
-    """Which clocks of libc have session time; those of ROS always have it, and so do sleeps and timeouts.
+class Clocks(Enum):
+    """What the clocks of libc show; those of ROS show session time always.
 
-    WAITS is the default: a steady clock measures how long a program waits, and waiting happens in session time; the
-    wall clock is data, and a result that depends on it differs in every run of the real program, too.
+    SHIFTED is the default: the clocks and all sleeps and timeouts pass with session time, but the wall clock of each
+    run has another offset, as if the run were on another day.  So waits work, and a result that depends on the wall
+    clock, which would differ in every run of the real program, differs between the runs.
     """
 
-    WAITS = 0  #: the steady clocks (``time.monotonic()``); ``time.time()`` is real
-    LIBC = 1  #: all: ``time.time()`` is session time
-    REAL = 2  #: none
+    SHIFTED = "shifted"  #: session time; the wall clock with an offset for each run
+    SESSION = "session"  #: session time, also ``time.time()``
+    REAL = "real"  #: real time, also sleeps and timeouts: nothing happens in the session meanwhile
+
+
+#: The wall clock of each run is later by this than that of the run before: a day and some of every smaller unit.
+WALL_STEP_NS = 90_061_001_001_001
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +91,7 @@ class ResimOptions:
 
     runs: int = 3
     latency_ns: int = 0
-    clocks: Clocks = Clocks.WAITS
+    clocks: Clocks = Clocks.SHIFTED
     inputs: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
     wall_s: float = 30.0
@@ -239,7 +244,9 @@ def _run_once(
                 if not isinstance(hello, Hello) or hello.abi != ABI_VERSION:
                     raise ProgramFault(f"{program.title}: found a library of another version: {hello!r}")
                 process.joined(hello.pid)
-                link.send(welcome(one.start_ns, options.latency_ns, index, options.clocks))
+                shift_ns = (one.number - 1) * WALL_STEP_NS if options.clocks is Clocks.SHIFTED else 0
+                is_real = options.clocks is Clocks.REAL
+                link.send(welcome(one.start_ns, options.latency_ns, shift_ns, index, is_real))
                 peers.append(Peer(index, program.title, link))
             coordinator = Coordinator(
                 peers,

@@ -20,7 +20,7 @@ INPUT, MESSAGE, DEADLINE, ALL = 0, 1, 2, 9
 _HEAD = struct.Struct("=IB")
 _ENTITY = struct.Struct("=cBIBBBI")
 _IDLE = struct.Struct("=qqBQ")
-_WELCOME = struct.Struct("=qqIB")
+_WELCOME = struct.Struct("=qqqIB")
 _MESSAGE = struct.Struct("=QqqIBH")
 _OUTPUT = struct.Struct("=Iq")
 _REQUEST = struct.Struct("=Iqq")
@@ -157,8 +157,9 @@ def _text(text: str) -> bytes:
     return _SIZE.pack(len(raw)) + raw
 
 
-def welcome(start_ns: int, latency_ns: int, program: int, clocks: int) -> bytes:
-    return _frame(b"W", _WELCOME.pack(start_ns, latency_ns, program, clocks))
+def welcome(start_ns: int, latency_ns: int, wall_offset_ns: int, program: int, is_real: bool) -> bytes:
+    """The answer to a hello; ``wall_offset_ns``: the wall clock minus session time; or the clocks are the real ones."""
+    return _frame(b"W", _WELCOME.pack(start_ns, latency_ns, wall_offset_ns, program, is_real))
 
 
 def message(number: int, time_ns: int, source_ns: int, target: int, class_: int, topic: bytes, data: bytes) -> bytes:

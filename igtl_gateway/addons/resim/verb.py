@@ -53,8 +53,6 @@ Exit code 0: all runs are equal, and equal to the recording or the baseline;
 1: they differ, and the first difference is named; 2: a program ended, hung or
 did something that a re-simulation cannot repeat."""
 
-_CLOCKS = {"--libc-clock": Clocks.LIBC, "--real-clock": Clocks.REAL}
-
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_file(parser, RECORDING_OR_BAG)
@@ -86,8 +84,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="of messages from program to program, in session time " + default(0),
     )  # fmt: skip
     clocks = parser.add_mutually_exclusive_group()
-    clocks.add_argument("--libc-clock", action="store_true", help="time.time() is session time, too")
-    clocks.add_argument("--real-clock", action="store_true", help="time.monotonic() is real; sleeps are not")
+    clocks.add_argument(
+        "--libc-clock", action="store_true", help="time.time() is session time, not that of another day in each run"
+    )
+    clocks.add_argument("--real-clock", action="store_true", help="clocks and sleeps outside of ROS are real")
     parser.add_argument(
         "--wall-limit", type=float, default=30.0, metavar="S",
         help="real time in which a program has to come to rest " + default(30),
@@ -136,7 +136,7 @@ def run(options: argparse.Namespace) -> int:
             raise ConfigError(f"--{name.replace('_', '-')}: found {getattr(options, name):g}, expected more than 0")
     for target in filter(None, (options.record, options.junit)):
         check_target(target, overwrite=options.overwrite)
-    clocks = Clocks.LIBC if options.libc_clock else Clocks.REAL if options.real_clock else Clocks.WAITS
+    clocks = Clocks.SESSION if options.libc_clock else Clocks.REAL if options.real_clock else Clocks.SHIFTED
     settings = ResimOptions(
         runs=options.runs,
         latency_ns=round(options.latency * 1e6),
