@@ -31,6 +31,7 @@
 #include <pthread.h>
 #include <semaphore.h>
 #include <signal.h>
+#include <spawn.h>
 #include <stdarg.h>
 #include <stdatomic.h>
 #include <stdio.h>
@@ -43,6 +44,7 @@
 #include <sys/syscall.h>
 #include <sys/time.h>
 #include <sys/un.h>
+#include <sys/wait.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -167,7 +169,8 @@ static void join_session(void);
 
 static void *ros_symbol(const char *name)
 {
-    static const char *const libraries[] = {"librmw_fastrtps_cpp.so", "librcl.so", "librcutils.so", "librmw.so"};
+    static const char *const libraries[] = {"librmw_fastrtps_cpp.so", "librcl.so", "librcutils.so", "librmw.so",
+                                            "librcl_logging_spdlog.so", "librcl_logging_noop.so"};
     for (size_t i = 0; i < sizeof libraries / sizeof *libraries; i++) {
         void *library = dlopen(libraries[i], RTLD_LAZY);
         void *found = library ? dlsym(library, name) : NULL;
@@ -728,6 +731,29 @@ int32_t rcutils_steady_time_now(int64_t *now)
 
 /* -- the session ------------------------------------------------------------------------------------------------- */
 
+/* Send what is not sent yet, at the end of the process. */
+__attribute__((destructor)) static void send_rest(void)
+{
+    if (S.socket < 0 || pthread_mutex_trylock(&T.lock))
+        return;
+    size_t at = 0;
+    while (at < S.out_size) {
+        ssize_t sent = send(S.socket, S.out + at, S.out_size - at, MSG_NOSIGNAL);
+        if (sent <= 0)
+            break;
+        at += (size_t)sent;
+    }
+    S.out_size = 0;
+    pthread_mutex_unlock(&T.lock);
+}
+
+static void on_crash(int number)
+{
+    send_rest();
+    signal(number, SIG_DFL);
+    raise(number);
+}
+
 static void in_child(void)
 {
     /* a copy of the process has no watching thread, and no part in the session */
@@ -739,12 +765,72 @@ static void in_child(void)
     close(S.socket);
     S.socket = -1;
 }
-static void in_parent(void)
+static void notice(char code, const char *text)
 {
+    if (!atomic_load(&T.active))
+        return;
     enter();
-    remark('f', "");
-    S.stop = true;
+    remark(code, text);
+    flush();
     leave();
+}
+
+/* Remember a process that the program has started, and report it. */
+static void has_started(pid_t child)
+{
+    char text[16];
+    for (size_t i = 0; i < MOST_CHILDREN; i++) {
+        pid_t nobody = 0;
+        if (atomic_compare_exchange_strong(&T.children[i], &nobody, child))
+            break;
+    }
+    snprintf(text, sizeof text, "%d", child);
+    notice('f', text);
+}
+
+pid_t fork(void)
+{
+    pid_t child = NEXT(fork)();
+    if (child > 0)
+        has_started(child);
+    return child;
+}
+/* What vfork permits, fork permits; a function that stands before vfork cannot return twice. */
+pid_t vfork(void) { return fork(); }
+
+int posix_spawn(pid_t *restrict child, const char *restrict path, const posix_spawn_file_actions_t *actions,
+                const posix_spawnattr_t *restrict attributes, char *const arguments[restrict],
+                char *const environment[restrict])
+{
+    pid_t started = 0;
+    int code = NEXT(posix_spawn)(&started, path, actions, attributes, arguments, environment);
+    if (!code)
+        has_started(started);
+    if (child)
+        *child = started;
+    return code;
+}
+int posix_spawnp(pid_t *restrict child, const char *restrict file, const posix_spawn_file_actions_t *actions,
+                 const posix_spawnattr_t *restrict attributes, char *const arguments[restrict],
+                 char *const environment[restrict])
+{
+    pid_t started = 0;
+    int code = NEXT(posix_spawnp)(&started, file, actions, attributes, arguments, environment);
+    if (!code)
+        has_started(started);
+    if (child)
+        *child = started;
+    return code;
+}
+int system(const char *command) { return REALLY(NEXT(system)(command)); }
+
+/* A socket of the program's own: what comes by it, comes in real time. */
+int socket(int domain, int type, int protocol)
+{
+    int file = NEXT(socket)(domain, type, protocol);
+    if (file >= 0 && (domain == AF_INET || domain == AF_INET6))
+        notice('s', "");
+    return file;
 }
 
 /* Connect with the coordinator at the first context of the process; blocks until it has answered. */
@@ -758,7 +844,7 @@ static void join_session(void)
         has_joined = true;
         struct sockaddr_un address = {.sun_family = AF_UNIX};
         snprintf(address.sun_path, sizeof address.sun_path, "%s", path);
-        S.socket = socket(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
+        S.socket = NEXT(socket)(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
         if (S.socket < 0 || connect(S.socket, (struct sockaddr *)&address, sizeof address))
             give_up("found no coordinator");
         size_t hello = begin_frame('H');
@@ -777,7 +863,13 @@ static void join_session(void)
         S.limit_ns = INT64_MIN;
         if (!start_time(start_ns, wall_offset_ns, GET(uint8_t)))
             give_up("cannot start session time");
-        pthread_atfork(NULL, in_parent, in_child);
+        pthread_atfork(NULL, NULL, in_child);
+        static const int crashes[] = {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT};
+        for (size_t i = 0; i < sizeof crashes / sizeof *crashes; i++) {
+            struct sigaction before;
+            if (!sigaction(crashes[i], NULL, &before) && before.sa_handler == SIG_DFL)
+                signal(crashes[i], on_crash);
+        }
         S.stop = true;
         atomic_store(&T.active, 1);
     }

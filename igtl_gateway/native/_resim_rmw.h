@@ -633,6 +633,17 @@ ret rcl_wait(void *set, int64_t timeout_ns)
     return result;
 }
 
+/* Starts the log, with a thread that flushes it every few seconds. */
+ret rcl_logging_external_initialize(const char *prefix, const char *file, struct abi_allocator memory)
+{
+    ret (*real)(const char *, const char *, struct abi_allocator) =
+        ROS(ret, rcl_logging_external_initialize, const char *, const char *, struct abi_allocator);
+    own_starts_others = true;
+    ret result = real ? real(prefix, file, memory) : ABI_ERROR;
+    own_starts_others = false;
+    return result;
+}
+
 /* One entity at a time: of several timers that are due, the first of the wait set; and none beside a message. */
 ret rcl_timer_is_ready(const void *timer, bool *is_ready)
 {

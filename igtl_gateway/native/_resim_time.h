@@ -12,6 +12,7 @@
 #define IGTL_GATEWAY_RESIM_TIME_H
 
 enum { CLOCKS_SESSION = 0, CLOCKS_REAL = 1 }; /* whether the clocks and waits of libc have session time */
+enum { MOST_CHILDREN = 64, MOST_OTHERS = 16 };
 enum wait_kind { WAIT_ROS, WAIT_SLEEP, WAIT_SIGNAL, WAIT_CONDITION };
 
 #define NEVER INT64_MAX
@@ -53,12 +54,16 @@ static struct {
     int clocks;
     struct waiter *waiters;
     pid_t watcher;
+    sem_t is_watching;
+    _Atomic pid_t others[MOST_OTHERS]; /* threads that are no part of the program; 0 = free */
+    _Atomic pid_t children[MOST_CHILDREN]; /* processes that this one has started; 0 = free */
     int task_folder;
     struct task {
         pid_t tid;
         int stat;
         clockid_t clock;
         int64_t cpu_ns;
+        bool is_other; /* no thread of the program */
         bool skip;
         bool seen;
     } *tasks;
@@ -67,6 +72,8 @@ static struct {
 } T = {.lock = PTHREAD_MUTEX_INITIALIZER, .task_folder = -1};
 
 static __thread pid_t own_tid;
+static __thread bool own_is_other;      /* this thread is no part of the program */
+static __thread bool own_starts_others; /* nor are those that it starts now */
 
 static void step(void);
 static bool is_spinning(void); /* whether the program waits for events, so that time may pass */
@@ -78,19 +85,33 @@ static pid_t tid_of_this(void)
     return own_tid;
 }
 
-static void *next_symbol(const char *name, const char *version)
+/* The functions that ours stand before, looked up when the library is loaded: later, a thread may wait for another one that
+ * holds the loader's lock, as those of LTTng do.  GLIBC_2.3.2 is x86-64's version of the condition variables of today. */
+#define REPLACED(row)                                                                                                  \
+    row(clock_gettime) row(gettimeofday) row(clock_nanosleep) row(nanosleep) row(sem_timedwait) row(sem_clockwait)     \
+    row(pthread_cond_timedwait) row(pthread_cond_clockwait) row(poll) row(epoll_wait) row(select) row(fork)            \
+    row(posix_spawn) row(posix_spawnp) row(system) row(socket) row(pthread_create)       \
+    row(sem_wait)
+static struct {
+#define MEMBER(name) __typeof__(&name) name##_;
+    REPLACED(MEMBER)
+} R;
+
+__attribute__((constructor)) static void look_up(void)
 {
-    void *found = version ? dlvsym(RTLD_NEXT, name, version) : NULL;
-    return found ? found : dlsym(RTLD_NEXT, name);
+#define LOOK_UP(name)                                                                                                  \
+    if (!R.name##_) {                                                                                                  \
+        void *found = strncmp(#name, "pthread_cond", 12) ? NULL : dlvsym(RTLD_NEXT, #name, "GLIBC_2.3.2");            \
+        R.name##_ = (__typeof__(&name))(found ? found : dlsym(RTLD_NEXT, #name));                                      \
+    }
+    REPLACED(LOOK_UP)
 }
 
-/* The function that ours stands before; `GLIBC_2.3.2` is x86-64's version of the condition variables of today. */
-#define NEXT(name, version)                                                                                            \
+#define NEXT(name)                                                                                                     \
     ({                                                                                                                 \
-        static __typeof__(&name) found;                                                                                \
-        if (!found)                                                                                                    \
-            found = (__typeof__(&name))next_symbol(#name, version);                                                    \
-        found;                                                                                                         \
+        if (!R.name##_) /* before the constructor, by that of another library */                                       \
+            look_up();                                                                                                 \
+        R.name##_;                                                                                                     \
     })
 
 static int64_t ns_of(const struct timespec *time) { return (int64_t)time->tv_sec * NS_PER_S + time->tv_nsec; }
@@ -102,7 +123,7 @@ static struct timespec timespec_of(int64_t ns)
 static int64_t real_ns(clockid_t clock)
 {
     struct timespec now;
-    NEXT(clock_gettime, NULL)(clock, &now);
+    NEXT(clock_gettime)(clock, &now);
     return ns_of(&now);
 }
 
@@ -188,7 +209,10 @@ static bool list_tasks(void)
                 continue;
             /* the clock of a thread's CPU time, as glibc's pthread_getcpuclockid makes it */
             clockid_t clock = (clockid_t)((~(unsigned)tid << 3) | 6U);
-            T.tasks[T.task_count++] = (struct task){tid, stat, clock, 0, false, true};
+            bool is_other = tid == T.watcher;
+            for (size_t k = 0; k < MOST_OTHERS; k++)
+                is_other |= atomic_load(&T.others[k]) == tid;
+            T.tasks[T.task_count++] = (struct task){tid, stat, clock, 0, is_other, false, true};
         }
     }
     for (size_t i = T.task_count; i-- > 0;)
@@ -199,11 +223,26 @@ static bool list_tasks(void)
     return true;
 }
 
+/* Whether a process that this one has started still runs: it may wake us at any time. */
+static bool has_child(void)
+{
+    for (size_t i = 0; i < MOST_CHILDREN; i++) {
+        pid_t child = atomic_load(&T.children[i]);
+        siginfo_t info = {.si_pid = 0};
+        if (!child)
+            continue;
+        if (!waitid(P_PID, (id_t)child, &info, WEXITED | WNOHANG | WNOWAIT) && !info.si_pid)
+            return true;
+        atomic_store(&T.children[i], 0);
+    }
+    return false;
+}
+
 /* Whether all threads sleep but the caller's and the watching one; under the lock. */
 static bool is_quiet(int entering)
 {
     struct stat folder;
-    if (atomic_load(&T.entering) != entering || atomic_load(&T.real_waits))
+    if (atomic_load(&T.entering) != entering || atomic_load(&T.real_waits) || has_child())
         return false;
     if (fstat(T.task_folder, &folder) || (folder.st_nlink != T.task_count + 2 && !list_tasks()))
         return false;
@@ -211,7 +250,7 @@ static bool is_quiet(int entering)
     pid_t self = tid_of_this();
     for (size_t i = 0; i < T.task_count; i++) {
         struct task *task = &T.tasks[i];
-        task->skip = task->tid == self || task->tid == T.watcher;
+        task->skip = task->tid == self || task->is_other;
         for (struct waiter *w = T.waiters; w && !task->skip; w = w->next)
             if (w->tid == task->tid) {
                 if (w->fired)
@@ -252,15 +291,17 @@ static void *watch(void *nothing)
 {
     const struct timespec seldom = {.tv_nsec = 5000000};
     (void)nothing;
+    own_is_other = true;
     T.watcher = tid_of_this();
+    sem_post(&T.is_watching);
     for (;;) {
-        long delay_ns = 20000;
+        long delay_ns = 50000;
         futex_wait(&T.watch, 0, &seldom);
         do {
             if (atomic_load(&T.watch)) {
                 struct timespec delay = {.tv_nsec = delay_ns};
                 syscall(SYS_nanosleep, &delay, NULL);
-                delay_ns = delay_ns < 500000 ? delay_ns * 5 / 4 : delay_ns;
+                delay_ns = delay_ns < 5000000 ? delay_ns * 9 / 8 : delay_ns; /* late by an eighth of the wait */
             }
             if (!atomic_load(&T.active))
                 break;
@@ -321,6 +362,39 @@ static void fire(struct waiter *waiter)
         call_watcher();
 }
 
+struct beginning {
+    void *(*run)(void *);
+    void *argument;
+};
+
+static void *begin_other(void *given)
+{
+    struct beginning beginning = *(struct beginning *)given;
+    free(given);
+    own_is_other = true;
+    for (size_t i = 0; i < MOST_OTHERS; i++) {
+        pid_t empty = 0;
+        if (atomic_compare_exchange_strong(&T.others[i], &empty, tid_of_this()))
+            break;
+    }
+    return beginning.run(beginning.argument);
+}
+
+/* No part of the program are the threads of LTTng, which ROS has trace points for, and that which flushes the log. */
+int pthread_create(pthread_t *restrict thread, const pthread_attr_t *restrict attributes, void *(*run)(void *),
+                   void *restrict argument)
+{
+    Dl_info info;
+    struct beginning *beginning = NULL;
+    if (own_starts_others || (dladdr((void *)(uintptr_t)run, &info) && info.dli_fname &&
+                              (strstr(info.dli_fname, "/liblttng-ust") || strstr(info.dli_fname, "/liburcu"))))
+        beginning = malloc(sizeof *beginning);
+    if (!beginning)
+        return NEXT(pthread_create)(thread, attributes, run, argument);
+    *beginning = (struct beginning){run, argument};
+    return NEXT(pthread_create)(thread, attributes, begin_other, beginning);
+}
+
 /* Wait until `step` has chosen this waiter, which is WAIT_ROS or WAIT_SLEEP. */
 static void wait_for_turn(struct waiter *waiter)
 {
@@ -366,7 +440,7 @@ static int64_t steady_ns(void) { return atomic_load(&T.now_ns) - T.start_ns + ST
 /* Whether the program reads session time from a clock of libc. */
 static bool is_session(clockid_t clock)
 {
-    return atomic_load_explicit(&T.active, memory_order_relaxed) && T.clocks != CLOCKS_REAL &&
+    return atomic_load_explicit(&T.active, memory_order_relaxed) && T.clocks != CLOCKS_REAL && !own_is_other &&
            (is_steady(clock) || is_wall(clock));
 }
 
@@ -396,7 +470,7 @@ static struct timespec real_deadline(clockid_t clock, const struct timespec *unt
 int clock_gettime(clockid_t clock, struct timespec *time)
 {
     if (!is_session(clock))
-        return NEXT(clock_gettime, NULL)(clock, time);
+        return NEXT(clock_gettime)(clock, time);
     *time = timespec_of(read_clock(clock));
     return 0;
 }
@@ -404,7 +478,7 @@ int clock_gettime(clockid_t clock, struct timespec *time)
 int gettimeofday(struct timeval *restrict time, void *restrict zone)
 {
     if (!is_session(CLOCK_REALTIME))
-        return NEXT(gettimeofday, NULL)(time, zone);
+        return NEXT(gettimeofday)(time, zone);
     int64_t now = wall_ns();
     *time = (struct timeval){.tv_sec = (time_t)(now / NS_PER_S), .tv_usec = (suseconds_t)(now % NS_PER_S / 1000)};
     return 0;
@@ -423,22 +497,23 @@ time_t time(time_t *result)
 /* Whether this thread sleeps and waits in session time. */
 static bool is_on(void)
 {
-    return atomic_load_explicit(&T.active, memory_order_relaxed) && T.clocks != CLOCKS_REAL && tid_of_this() != T.watcher;
+    return atomic_load_explicit(&T.active, memory_order_relaxed) && T.clocks != CLOCKS_REAL && !own_is_other;
 }
 
 /* A sleep or a timed wait in real time. */
 #define REALLY(call)                                                                                                   \
     ({                                                                                                                 \
-        atomic_fetch_add(&T.real_waits, 1);                                                                            \
+        int counts = !own_is_other;                                                                                    \
+        atomic_fetch_add(&T.real_waits, counts);                                                                       \
         __typeof__(call) really = (call);                                                                              \
-        atomic_fetch_sub(&T.real_waits, 1);                                                                            \
+        atomic_fetch_sub(&T.real_waits, counts);                                                                       \
         really;                                                                                                        \
     })
 
 int clock_nanosleep(clockid_t clock, int flags, const struct timespec *request, struct timespec *rest)
 {
     if (!is_on() || !(is_wall(clock) || is_steady(clock)))
-        return REALLY(NEXT(clock_nanosleep, NULL)(clock, flags, request, rest));
+        return REALLY(NEXT(clock_nanosleep)(clock, flags, request, rest));
     int64_t now = atomic_load(&T.now_ns);
     sleep_until(flags & TIMER_ABSTIME ? deadline_of(clock, request) : now + ns_of(request));
     return 0;
@@ -447,7 +522,7 @@ int clock_nanosleep(clockid_t clock, int flags, const struct timespec *request, 
 int nanosleep(const struct timespec *request, struct timespec *rest)
 {
     if (!is_on())
-        return REALLY(NEXT(nanosleep, NULL)(request, rest));
+        return REALLY(NEXT(nanosleep)(request, rest));
     sleep_until(atomic_load(&T.now_ns) + ns_of(request));
     return 0;
 }
@@ -493,6 +568,30 @@ static bool end_timed(struct waiter *waiter)
     return waiter->fired;
 }
 
+/* Of a thread that is about to wait for a semaphore: if it is the last one that runs, the next event happens.  Whether it
+ * got the semaphore instead. */
+static bool last_before(sem_t *semaphore)
+{
+    int code = errno;
+    bool has_got = false;
+    enter();
+    if (is_spinning() && is_quiet(1)) {
+        has_got = !sem_trywait(semaphore); /* all others sleep: nobody posts it now */
+        if (!has_got)
+            step();
+    }
+    leave();
+    errno = code;
+    return has_got;
+}
+
+int sem_wait(sem_t *semaphore)
+{
+    if (is_on() && (!sem_trywait(semaphore) || last_before(semaphore)))
+        return 0;
+    return NEXT(sem_wait)(semaphore);
+}
+
 static int wait_semaphore(sem_t *semaphore, int64_t deadline_ns)
 {
     if (!sem_trywait(semaphore))
@@ -503,7 +602,7 @@ static int wait_semaphore(sem_t *semaphore, int64_t deadline_ns)
     }
     struct waiter waiter;
     begin_timed(&waiter, WAIT_SIGNAL, deadline_ns, NULL);
-    int result = sem_wait(semaphore), code = errno;
+    int result = NEXT(sem_wait)(semaphore), code = errno;
     bool is_late = end_timed(&waiter);
     if (!result)
         return 0;
@@ -514,14 +613,14 @@ static int wait_semaphore(sem_t *semaphore, int64_t deadline_ns)
 int sem_timedwait(sem_t *restrict semaphore, const struct timespec *restrict until)
 {
     if (!is_on())
-        return REALLY(NEXT(sem_timedwait, NULL)(semaphore, until));
+        return REALLY(NEXT(sem_timedwait)(semaphore, until));
     return wait_semaphore(semaphore, deadline_of(CLOCK_REALTIME, until));
 }
 
 int sem_clockwait(sem_t *restrict semaphore, clockid_t clock, const struct timespec *restrict until)
 {
     if (!is_on())
-        return REALLY(NEXT(sem_clockwait, NULL)(semaphore, clock, until));
+        return REALLY(NEXT(sem_clockwait)(semaphore, clock, until));
     return wait_semaphore(semaphore, deadline_of(clock, until));
 }
 
@@ -566,10 +665,10 @@ int pthread_cond_timedwait(pthread_cond_t *restrict condition, pthread_mutex_t *
     clockid_t clock = condition->__data.__wrefs & 2 ? CLOCK_MONOTONIC : CLOCK_REALTIME; /* as glibc keeps it */
     if (is_interpreter(__builtin_return_address(0))) {
         struct timespec real = real_deadline(clock, until);
-        return NEXT(pthread_cond_timedwait, "GLIBC_2.3.2")(condition, mutex, &real);
+        return NEXT(pthread_cond_timedwait)(condition, mutex, &real);
     }
     if (!is_on())
-        return REALLY(NEXT(pthread_cond_timedwait, "GLIBC_2.3.2")(condition, mutex, until));
+        return REALLY(NEXT(pthread_cond_timedwait)(condition, mutex, until));
     return wait_condition(condition, mutex, clock, until);
 }
 
@@ -578,10 +677,10 @@ int pthread_cond_clockwait(pthread_cond_t *restrict condition, pthread_mutex_t *
 {
     if (is_interpreter(__builtin_return_address(0))) {
         struct timespec real = real_deadline(clock, until);
-        return NEXT(pthread_cond_clockwait, NULL)(condition, mutex, clock, &real);
+        return NEXT(pthread_cond_clockwait)(condition, mutex, clock, &real);
     }
     if (!is_on())
-        return REALLY(NEXT(pthread_cond_clockwait, NULL)(condition, mutex, clock, until));
+        return REALLY(NEXT(pthread_cond_clockwait)(condition, mutex, clock, until));
     return wait_condition(condition, mutex, clock, until);
 }
 
@@ -599,19 +698,19 @@ int pthread_cond_clockwait(pthread_cond_t *restrict condition, pthread_mutex_t *
 int poll(struct pollfd *files, nfds_t count, int timeout_ms)
 {
     if (timeout_ms <= 0)
-        return NEXT(poll, NULL)(files, count, timeout_ms);
+        return NEXT(poll)(files, count, timeout_ms);
     if (!is_on())
-        return REALLY(NEXT(poll, NULL)(files, count, timeout_ms));
-    return POLLED(NEXT(poll, NULL)(files, count, -1), (int64_t)timeout_ms * 1000000);
+        return REALLY(NEXT(poll)(files, count, timeout_ms));
+    return POLLED(NEXT(poll)(files, count, -1), (int64_t)timeout_ms * 1000000);
 }
 
 int epoll_wait(int file, struct epoll_event *events, int most, int timeout_ms)
 {
     if (timeout_ms <= 0)
-        return NEXT(epoll_wait, NULL)(file, events, most, timeout_ms);
+        return NEXT(epoll_wait)(file, events, most, timeout_ms);
     if (!is_on())
-        return REALLY(NEXT(epoll_wait, NULL)(file, events, most, timeout_ms));
-    return POLLED(NEXT(epoll_wait, NULL)(file, events, most, -1), (int64_t)timeout_ms * 1000000);
+        return REALLY(NEXT(epoll_wait)(file, events, most, timeout_ms));
+    return POLLED(NEXT(epoll_wait)(file, events, most, -1), (int64_t)timeout_ms * 1000000);
 }
 
 int select(int count, fd_set *restrict readable, fd_set *restrict writable, fd_set *restrict failed,
@@ -619,14 +718,14 @@ int select(int count, fd_set *restrict readable, fd_set *restrict writable, fd_s
 {
     int64_t left_ns = timeout ? (int64_t)timeout->tv_sec * NS_PER_S + (int64_t)timeout->tv_usec * 1000 : 0;
     if (left_ns <= 0)
-        return NEXT(select, NULL)(count, readable, writable, failed, timeout);
+        return NEXT(select)(count, readable, writable, failed, timeout);
     if (!is_on())
-        return REALLY(NEXT(select, NULL)(count, readable, writable, failed, timeout));
+        return REALLY(NEXT(select)(count, readable, writable, failed, timeout));
     if (!count && !readable && !writable && !failed) { /* a sleep of old programs */
         sleep_until(atomic_load(&T.now_ns) + left_ns);
         return 0;
     }
-    int result = POLLED(NEXT(select, NULL)(count, readable, writable, failed, NULL), left_ns);
+    int result = POLLED(NEXT(select)(count, readable, writable, failed, NULL), left_ns);
     if (!result) {
         size_t size = (size_t)(count + 63) / 64 * 8;
         for (int i = 0; i < 3; i++) {
@@ -655,7 +754,10 @@ static bool start_time(int64_t start_ns, int64_t wall_offset_ns, int clocks)
         return false;
     sigfillset(&all);
     pthread_sigmask(SIG_SETMASK, &all, &before);
-    bool is_started = !pthread_create(&thread, NULL, watch, NULL);
+    sem_init(&T.is_watching, 0, 0);
+    bool is_started = !NEXT(pthread_create)(&thread, NULL, watch, NULL);
+    while (is_started && NEXT(sem_wait)(&T.is_watching)) {
+    }
     pthread_sigmask(SIG_SETMASK, &before, NULL);
     if (!is_started)
         return false;

@@ -31,7 +31,11 @@ _CLOCK = "/clock"
 
 
 class ProgramFault(GatewayError):
-    """A program did what a re-simulation cannot go on with."""
+    """A program did what a re-simulation cannot go on with; ``is_end``: it closed its connection."""
+
+    def __init__(self, text: str, *, is_end: bool = False) -> None:
+        super().__init__(text)
+        self.is_end = is_end
 
 
 @dataclass(slots=True)
@@ -115,6 +119,8 @@ class Coordinator:
             follows from the programs (None).
         on_start: called when all programs wait for the first time, with the roles of the topics.
         on_event: called before a program goes on.
+        on_remark: called with what a program does beside ROS.
+        most_outputs: messages that the programs may publish.
     """
 
     def __init__(
@@ -130,11 +136,14 @@ class Coordinator:
         is_input: Callable[[str], bool | None],
         on_start: Callable[[Roles], None],
         on_event: Callable[[], None],
+        on_remark: Callable[[Peer, frames.Remark], None],
+        most_outputs: int,
     ) -> None:
         self._peers, self._inputs, self._topics, self._outputs = peers, inputs, topics, outputs
         self._start_ns, self._end_ns, self._latency_ns = start_ns, end_ns, latency_ns
         self._is_input = is_input
-        self._on_start, self._on_event = on_start, on_event
+        self._on_start, self._on_event, self._on_remark = on_start, on_event, on_remark
+        self._left = most_outputs
         self._messages: list[tuple[int, int, int, bytes]] = []  # heap of time, order, peer, frame
         self._order = 0
         self._latched: dict[str, list[tuple[Qos, RecordedInput]]] = {}
@@ -270,7 +279,7 @@ class Coordinator:
         try:
             peer.link.send(b"".join(peer.outbox))
         except Gone:
-            raise ProgramFault(f"{peer.name}: ended") from None
+            raise ProgramFault(f"{peer.name}: closed its connection", is_end=True) from None
         peer.outbox.clear()
 
     def _receive(self, peer: Peer) -> None:
@@ -294,12 +303,12 @@ class Coordinator:
                             frames.to_client(frame.time_ns + self._latency_ns, frame.client, frame.number, frame.data),
                             frame.time_ns,
                         )
-                    case frames.Remark(code="f"):
-                        raise ProgramFault(f"{peer.name}: started another process while it took part, expected one")
+                    case frames.Remark():
+                        self._on_remark(peer, frame)
                     case _:
                         raise ProgramFault(f"{peer.name}: found an unexpected frame {frame!r}")
         except Gone:
-            raise ProgramFault(f"{peer.name}: ended") from None
+            raise ProgramFault(f"{peer.name}: closed its connection", is_end=True) from None
         except (ValueError, struct.error, IndexError) as error:
             raise ProgramFault(f"{peer.name}: found a damaged frame: {error}") from error
 
@@ -310,6 +319,12 @@ class Coordinator:
 
     def _published(self, peer: Peer, frame: frames.Published) -> None:
         publisher = peer.entities[frame.publisher]
+        if self._left == 0:
+            raise ProgramFault(
+                f"{peer.name}: flooded the session with messages, the last one of {publisher.frame.name}; "
+                f"expected at most {self._outputs.count:,} (the limit of outputs)"
+            )
+        self._left -= 1
         if publisher.stream is None:
             publisher.stream = self._stream(publisher)
         self._outputs.add(publisher.stream, frame.time_ns, frame.data)

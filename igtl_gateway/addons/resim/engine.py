@@ -11,6 +11,7 @@
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
@@ -25,13 +26,24 @@ from igtl_gateway.addon import (
     matches,
 )
 from igtl_gateway.addons.resim.coordinator import Coordinator, Peer, ProgramFault, Roles
-from igtl_gateway.addons.resim.frames import ABI_VERSION, Hello, welcome
+from igtl_gateway.addons.resim.frames import ABI_VERSION, Hello, Remark, welcome
 from igtl_gateway.addons.resim.inputs import Inputs, topics_of
 from igtl_gateway.addons.resim.library import library_path
 from igtl_gateway.addons.resim.link import Gone, Listener
 from igtl_gateway.addons.resim.outputs import OutputFile, OutputStream
-from igtl_gateway.addons.resim.processes import Process
+from igtl_gateway.addons.resim.processes import Process, command_of
 
+#: Nothing traces the program, so it does not wait for LTTng.
+_ENVIRONMENT = {"LTTNG_UST_REGISTER_TIMEOUT": "0"}
+#: A process that a program starts has to end within this real time, while the program waits for it.
+_CHILD_NS = 3_000_000_000
+#: Real time that a process may take from closing its connection to its end.
+_ENDING_NS = 5_000_000_000
+#: A process that uses less of a processor than one part in this number waits for something.
+_LEAST_CPU = 10
+_NO_NODE = "made no ROS 2 node, or is linked statically"
+_OTHER_MIDDLEWARE = re.compile(r"librmw_(?!fastrtps|implementation|dds_common)\w+\.so")
+_GPU = re.compile(r"lib(cuda|nvcuvid|nvinfer|OpenCL|amdhip64|ze_loader)\.so")
 #: The only middleware whose serialisation the library knows how to find.
 _MIDDLEWARE = "rmw_fastrtps_cpp"
 
@@ -59,7 +71,7 @@ class Program:
 
     Attributes:
         command: program and arguments.
-        name: for messages; default: the last part of the command that is a name.
+        name: for messages; default: the name of the program or of its script.
         env: added to the environment.
         folder: where it runs; None: here.
     """
@@ -71,7 +83,12 @@ class Program:
 
     @property
     def title(self) -> str:
-        return self.name or next((Path(word).name for word in reversed(self.command) if word[:1] != "-"), "program")
+        if self.name:
+            return self.name
+        words = [Path(word).name for word in self.command if word[:1] != "-"] or ["program"]
+        if words[:2] == ["ros2", "run"]:
+            return words[3 if len(words) > 3 else -1]
+        return words[1] if words[0].startswith("python") and len(words) > 1 else words[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +101,7 @@ class ResimOptions:
         clocks: what the clocks of libc are.
         inputs: recorded topics that are inputs although a program publishes them; globs.
         outputs: recorded topics that do not drive programs; globs.
+        without: topics that programs may ask for although nothing has them; globs.
         wall_s: real seconds without an event, and without CPU time, after which a program counts as hanging.
         cpu_s: CPU seconds without an event after which a program counts as busy without end.
         most_outputs: messages that a run may have; more count as a flood.
@@ -94,6 +112,7 @@ class ResimOptions:
     clocks: Clocks = Clocks.SHIFTED
     inputs: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
+    without: tuple[str, ...] = ()
     wall_s: float = 30.0
     cpu_s: float = 60.0
     most_outputs: int = 10_000_000
@@ -112,6 +131,7 @@ class Run:
         refused: topic → why a program did not receive it.
         events: number of events.
         start_ns, end_ns: session time, UTC ns; the end is where it stopped.
+        remarks: what weakens the guarantee: sockets of a program, a GPU.
         seconds: real time that it took; of these `start_s` until all programs waited for the first time.
         fault: why it stopped before its end; ``""`` if it did not.
     """
@@ -125,6 +145,7 @@ class Run:
     events: int = 0
     start_ns: int = 0
     end_ns: int = 0
+    remarks: list[str] = field(default_factory=list)
     seconds: float = 0.0
     start_s: float = 0.0
     fault: str = ""
@@ -217,6 +238,12 @@ def _run_once(
     def started(roles: Roles) -> None:
         one.start_s = (clock.monotonic_ns() - began_ns) / 1e9
         on_roles(roles)
+        missing = [name for name in roles.missing if not any(matches(glob, name) for glob in options.without)]
+        if missing:
+            raise ProgramFault(
+                f"{', '.join(missing)}: asked for, but the recording has no such topic; "
+                "--without TOPIC runs the programs without it"
+            )
 
     with ExitStack() as stack:
         file = stack.enter_context(SessionFile.open(recording))
@@ -232,18 +259,20 @@ def _run_once(
         try:
             peers = []
             for index, program in enumerate(programs):
-                env = {**os.environ, **program.env, "IGTL_GATEWAY_RESIM": str(listener.path)}
+                env = {**os.environ, **program.env, "IGTL_GATEWAY_RESIM": str(listener.path), **_ENVIRONMENT}
                 env["LD_PRELOAD"] = " ".join(filter(None, [str(library), env.get("LD_PRELOAD", "")]))
                 process = Process(program.title, program.command, env, program.folder)
                 processes.append(process)
                 stack.callback(process.end)
                 watch.begin()
-                link = listener.accept(lambda: watch.look(is_joining=True))
+                watch.is_joining = True
+                link = listener.accept(watch.look)
                 stack.callback(link.close)
                 hello = link.receive()
                 if not isinstance(hello, Hello) or hello.abi != ABI_VERSION:
                     raise ProgramFault(f"{program.title}: found a library of another version: {hello!r}")
                 process.joined(hello.pid)
+                watch.is_joining = False
                 shift_ns = (one.number - 1) * WALL_STEP_NS if options.clocks is Clocks.SHIFTED else 0
                 is_real = options.clocks is Clocks.REAL
                 link.send(welcome(one.start_ns, options.latency_ns, shift_ns, index, is_real))
@@ -259,10 +288,15 @@ def _run_once(
                 is_input=lambda topic: _chosen(topic, options),
                 on_start=started,
                 on_event=watch.begin,
+                on_remark=watch.take,
+                most_outputs=options.most_outputs,
             )
             coordinator.run()
+            watch.look_at_libraries()
         except (ProgramFault, Gone) as fault:
-            one.fault = watch.ended() or str(fault) or "a program closed its connection"
+            one.fault = str(fault)
+            if isinstance(fault, Gone) or fault.is_end:
+                one.fault = watch.ended(wait=True) or one.fault or "a program closed its connection"
         finally:
             if coordinator:
                 if one.fault:
@@ -270,6 +304,7 @@ def _run_once(
                 coordinator.end()
                 one.delivered, one.unserved = dict(coordinator.delivered), dict(coordinator.unserved)
                 one.refused, one.events = dict(coordinator.refused), coordinator.events
+            one.remarks = sorted(watch.remarks)
             outputs.close()
             one.streams = outputs.streams
             one.seconds = (clock.monotonic_ns() - began_ns) / 1e9
@@ -288,39 +323,72 @@ class _Watch:
         self._processes, self._clock, self._options = processes, clock, options
         self._since_ns = 0
         self._cpu_s: dict[int, float] = {}
+        self._children: dict[int, tuple[str, int]] = {}
+        #: Whether the last process is expected to connect.
+        self.is_joining = False
+        #: What weakens the guarantee.
+        self.remarks: set[str] = set()
 
     def begin(self) -> None:
         """An event happened: the time of the next one begins."""
         self._since_ns = 0
 
-    def look(self, *, is_joining: bool = False) -> None:
+    def take(self, peer: Peer, remark: Remark) -> None:
+        """Take a remark of a program."""
+        if remark.code == "f":
+            self._children[int(remark.text)] = (peer.name, self._clock.monotonic_ns())
+        elif remark.code == "s":
+            self.remarks.add(f"{peer.name}: has a socket of its own: what it receives there comes in real time")
+
+    def look_at_libraries(self) -> None:
+        """Note what programs have loaded.  Raises ProgramFault for another middleware."""
+        for each in self._processes:
+            for name in sorted(each.libraries()):
+                if _OTHER_MIDDLEWARE.match(name):
+                    raise ProgramFault(f"{each.name}: found {name}, expected {_MIDDLEWARE}")
+                if _GPU.match(name):
+                    self.remarks.add(f"{each.name}: has loaded {name}: what a GPU computes may differ from run to run")
+
+    def look(self) -> None:
         """Raise ProgramFault if a process has ended, hangs, or is busy without end."""
         now_ns = self._clock.monotonic_ns()
         if not self._since_ns:
             self._since_ns = now_ns
             self._cpu_s = {each.pid: each.cpu_s() for each in self._processes}
         if ended := self.ended():
-            raise ProgramFault(ended + (": it made no ROS 2 node" if is_joining and "code 0" in ended else ""))
+            raise ProgramFault(f"{ended}; {_NO_NODE}" if self.is_joining else ended)
+        for pid, (name, since_ns) in list(self._children.items()):
+            if not (command := command_of(pid)):
+                del self._children[pid]
+            elif now_ns - since_ns > min(_CHILD_NS, self._options.wall_s * 1e9):
+                raise ProgramFault(
+                    f"{name}: started another process, which still runs: {command}; run it as a program of its own, "
+                    "or not at all"
+                )
         options = self._options
         waited_s = (now_ns - self._since_ns) / 1e9
         used = {each: each.cpu_s() - self._cpu_s.get(each.pid, 0.0) for each in self._processes}
         busy = max(used, key=lambda each: used[each], default=None)
         if busy is None:
             return
-        what = "made no ROS 2 node" if is_joining else "did not come to rest"
+        what = _NO_NODE if self.is_joining else "did not come to rest"
         if used[busy] > options.cpu_s:
             thread = busy.busiest()
             raise ProgramFault(
                 f"{busy.name}: {what} within {options.cpu_s:g} s of CPU time (the CPU limit): "
                 f"thread {thread.name!r} is busy"
             )
-        if waited_s > options.wall_s and used[busy] < waited_s / 2:
-            name = self._processes[-1].name if is_joining else busy.name
+        if waited_s > options.wall_s and (used[busy] < waited_s / _LEAST_CPU or waited_s > _LEAST_CPU * options.wall_s):
+            name = self._processes[-1].name if self.is_joining else busy.name
             raise ProgramFault(f"{name}: {what} within {options.wall_s:g} s (the wall limit)")
 
-    def ended(self) -> str:
-        """Which process has ended, and how; ``""`` for none."""
-        for each in self._processes:
-            if not each.is_running:
-                return f"{each.name}: {each.exit_text()}"
-        return ""
+    def ended(self, *, wait: bool = False) -> str:
+        """Which process has ended, and how; ``""`` for none.  ``wait``: one of them is about to end."""
+        until_ns = self._clock.monotonic_ns() + (_ENDING_NS if wait else 0)
+        while True:
+            for each in self._processes:
+                if not each.is_running:
+                    return f"{each.name}: {each.exit_text()}"
+            if self._clock.monotonic_ns() >= until_ns:
+                return ""
+            self._processes[0].wait(0.02)

@@ -80,6 +80,11 @@ class OutputFile:
             Entry(self._seq, self._stamp_ns, Kind.ROS_IN, stream.topic, stream.type, (data,), (), time_ns)
         )
 
+    @property
+    def count(self) -> int:
+        """Messages so far."""
+        return self._seq
+
     def close(self) -> None:
         """Finish the file; idempotent."""
         for stream in self.streams.values():

@@ -58,6 +58,10 @@ class Process:
     def is_running(self) -> bool:
         return self._child.is_running
 
+    def wait(self, seconds: float) -> None:
+        """Wait for its end, at most this long."""
+        self._child.wait(seconds)
+
     def exit_text(self) -> str:
         """How it ended, with its last line; waits for the end."""
         code = self._child.wait(_END_S)
@@ -79,6 +83,14 @@ class Process:
                 return max(uses, key=lambda use: (use.state == "R", use.cpu_s))
         return ThreadUse("", "", 0.0)
 
+    def libraries(self) -> set[str]:
+        """Names of the libraries that it has loaded."""
+        try:
+            text = Path(f"/proc/{self.pid}/maps").read_text("utf-8", "replace")
+        except OSError:
+            return set()
+        return {Path(line.split(None, 5)[5]).name for line in text.splitlines() if ".so" in line}
+
     def end(self) -> None:
         """Have it end as by Ctrl-C, and kill what is left of its session; idempotent."""
         if self._child.is_running:
@@ -86,6 +98,15 @@ class Process:
             self._child.wait(_END_S)
         end_session(self._child.pid)
         self._child.kill()
+
+
+def command_of(pid: int) -> str:
+    """The command of a process that runs; ``""`` if it has ended."""
+    with suppress(OSError):
+        words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
+        state = _use(Path(f"/proc/{pid}/stat")).state
+        return b" ".join(words).decode("utf-8", "replace").strip() if state not in ("Z", "X", "") else ""
+    return ""
 
 
 def _use(stat: Path) -> ThreadUse:

@@ -80,6 +80,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="do not drive a topic with the recording; judge it also if every node has it (repeatable)",
     )  # fmt: skip
     parser.add_argument(
+        "--without",
+        action="append",
+        default=[],
+        metavar="TOPIC",
+        help="run programs that ask for a topic which nothing has (repeatable)",
+    )
+    parser.add_argument(
         "--latency", type=float, default=0.0, metavar="MS",
         help="of messages from program to program, in session time " + default(0),
     )  # fmt: skip
@@ -143,6 +150,7 @@ def run(options: argparse.Namespace) -> int:
         clocks=clocks,
         inputs=tuple(options.input),
         outputs=tuple(options.output),
+        without=tuple(options.without),
         wall_s=options.wall_limit,
         cpu_s=options.cpu_limit,
     )
@@ -254,6 +262,8 @@ def _print_run(one: Run) -> None:
 def _print_verdict(result: RunResult, verdict: Verdict) -> None:
     for name, count in result.runs[0].unserved.items() if result.runs else ():
         print_line(f"{name}: {count_text(count, 'request')} without a server")
+    for line in result.runs[0].remarks if result.runs else ():
+        print_line(f"weaker: {line}")
     for stream in verdict.between_runs or verdict.streams:
         if stream.first:
             print_line(f"  {stream.first.text(verdict.start_ns)}")
@@ -276,6 +286,7 @@ def facts_of(result: RunResult, verdict: Verdict) -> dict[str, object]:
                 "outputs": {name: stream.messages for name, stream in one.streams.items()},
                 "digests": {name: stream.digest for name, stream in one.streams.items()},
                 "events": one.events,
+                "remarks": one.remarks,
                 "seconds": one.seconds,
                 "start_seconds": one.start_s,
             }

@@ -248,7 +248,8 @@ def _messages(file: SessionFile, topic: str) -> Iterator[Entry]:
                 for index in range(len(block)):
                     time_ns = int(block.source_times[index]) or int(block.times[index])
                     data = (bytes(block.payload(index)),)
-                    yield Entry(0, time_ns, channel.kind, topic, channel.entry_type, data, (), time_ns)
+                    seq = int(block.numbers[index])
+                    yield Entry(seq, time_ns, channel.kind, topic, channel.entry_type, data, (), time_ns)
 
 
 def _strictly(one: Path, other: Path, names: Sequence[str], tolerance: Tolerance) -> list[StreamVerdict]:
@@ -334,22 +335,30 @@ def _loosely(one: Path, other: Path, names: Sequence[str], tolerance: Tolerance)
         for name in names:
             sides = [DiffInput(_messages(file, name), LeafDecoder(file.definitions)) for file in (first, second)]
             for stream in diff(sides[0], sides[1], tolerance=tolerance).streams:
-                found.append(_of_diff(first, name, stream))
+                found.append(_of_diff(first, second, name, stream))
     return found
 
 
-def _of_diff(file: SessionFile, name: str, stream: StreamDiff) -> StreamVerdict:
+def _place(file: SessionFile, name: str, seq: int) -> tuple[int, int]:
+    """Number and time of the message of a stream with an entry number."""
+    for number, entry in enumerate(_messages(file, name), 1):
+        if entry.seq == seq:
+            return number, entry.stamp_ns
+    return 0, file.end_ns
+
+
+def _of_diff(file: SessionFile, run: SessionFile, name: str, stream: StreamDiff) -> StreamVerdict:
     verdict = StreamVerdict(
         name, stream.messages, stream.other_messages, stream.different, stream.missing, stream.extra,
         within=stream.within, mm=stream.mm, deg=stream.deg, restamped=stream.restamped,
     )  # fmt: skip
     if stream.first and stream.different:
-        at = next(islice(_messages(file, name), stream.first.index - 1, None))
-        verdict.first = Difference(name, stream.first.index, at.stamp_ns, "differs", 0, stream.first.delta)
+        place = stream.first
+        time_ns = next(islice(_messages(file, name), place.index - 1, None)).stamp_ns
+        verdict.first = Difference(name, place.index, time_ns, "differs", 0, place.delta)
     elif stream.missing or stream.extra:
-        begin = next(_messages(file, name), None)
-        what = "missing" if stream.missing else "extra"
-        verdict.first = Difference(name, stream.messages, begin.stamp_ns if begin else file.end_ns, what)
+        first, what = (stream.first_missing, "missing") if stream.missing else (stream.first_extra, "extra")
+        verdict.first = Difference(name, *_place(file if stream.missing else run, name, first), what)
     return verdict
 
 

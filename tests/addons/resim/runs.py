@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import subprocess
 import sys
+import sysconfig
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +20,19 @@ RUNS = 5
 def program(name: str, *arguments: str) -> Program:
     """A program of the folder ``programs``."""
     return Program((sys.executable, str(PROGRAMS / f"{name}.py"), *arguments), name)
+
+
+def compiled(name: str, folder: Path) -> Path:
+    """A program in C, compiled with what the ROS wheels have."""
+    prefix, place = Path(sys.prefix), sysconfig.get_config_var("LIBDIR")
+    libraries = ["rcl", "rcutils", "rmw", "std_msgs__rosidl_typesupport_c", "std_msgs__rosidl_generator_c"]
+    command = ["cc", "-O1", "-o", str(folder / name), str(PROGRAMS / f"{name}.c")]
+    command += [f"-I{each}" for each in (prefix / "include").iterdir()]
+    command += [f"-L{prefix}/lib", f"-L{place}", f"-Wl,-rpath,{place}", "-Wl,--no-as-needed,--allow-shlib-undefined"]
+    version = f"python{sys.version_info.major}.{sys.version_info.minor}"  # libraries of messages need it
+    command += [f"-l{each}" for each in (version, *libraries, "rosidl_runtime_c")]
+    subprocess.run(command, check=True)
+    return folder / name
 
 
 def judged(

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rosbags.typesys import Stores, get_typestore
 
 from igtl_gateway.addon import Config, Entry, Kind, Qos, SessionWriter, __version__
@@ -18,6 +19,9 @@ MS = 1_000_000
 _TYPES = get_typestore(Stores.ROS2_JAZZY)
 Row = tuple[int, str, str, Any]
 """Session time in ns since the start, topic, type, message."""
+
+
+TF = "tf2_msgs/msg/TFMessage"
 
 
 def message(type_: str, **fields: Any) -> Any:
@@ -39,12 +43,12 @@ def write(path: Path, rows: Iterable[Row], *, qos: Mapping[str, Qos] = {}, kind:
 
 
 def texts(count: int, topic: str = "/in", *, seed: int = 1) -> list[Row]:
-    """Strings at random times, 20 ms apart on average."""
+    """Strings at random times, 20 ms apart on average, and a second later the end of the session."""
     chance, ns, rows = random.Random(seed), 0, []
     for number in range(count):
         ns += chance.randint(1 * MS, 40 * MS)
         rows.append((ns, topic, "std_msgs/msg/String", message("std_msgs/msg/String", data=f"m{number}")))
-    return rows
+    return [*rows, (ns + 1000 * MS, "/end", "std_msgs/msg/String", message("std_msgs/msg/String", data="end"))]
 
 
 def stamp(ns: int) -> Any:
@@ -68,4 +72,22 @@ def poses(count: int, topic: str = "/pose", *, period_ns: int = 10 * MS) -> list
             header=header(ns, "base"), child_frame_id="tool", transform=transform,
         )  # fmt: skip
         rows.append((ns, topic, "geometry_msgs/msg/TransformStamped", content))
+    return rows
+
+
+def transforms(*each: Any) -> Any:
+    return message(TF, transforms=list(each))
+
+
+def images(count: int, topic: str = "/image", *, period_ns: int = 50 * MS) -> list[Row]:
+    """Small pictures, each 3 ms after a pose."""
+    rows = []
+    for number in range(count):
+        ns = number * period_ns + 3 * MS
+        data = np.full(12, number, np.uint8)
+        content = message(
+            "sensor_msgs/msg/Image",
+            header=header(ns, "camera"), height=3, width=4, encoding="mono8", is_bigendian=0, step=4, data=data,
+        )  # fmt: skip
+        rows.append((ns, topic, "sensor_msgs/msg/Image", content))
     return rows

@@ -7,8 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from igtl_gateway.addon import Qos
+from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, run
+from igtl_gateway.addons.resim.verdict import compare
 from tests.addons.resim import sessions
-from tests.addons.resim.runs import RUNS, judged, strings
+from tests.addons.resim.runs import RUNS, compiled, judged, published, strings
 
 pytestmark = [pytest.mark.ros, pytest.mark.skipif(not find_spec("rclpy"), reason="needs ROS 2")]
 
@@ -24,3 +27,110 @@ def test_a_node_with_one_thread(tmp_path: Path) -> None:
     start_ns = result.runs[0].start_ns
     assert times == [start_ns + 10**9 * (number + 1) for number in range(len(times))]
     assert len(times) >= 3
+
+
+def test_several_threads_with_reentrant_callbacks(tmp_path: Path) -> None:
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(100))
+    result, verdict = judged(recording, tmp_path, "multithreaded")
+    assert verdict.line() == f"deterministic: {RUNS} of {RUNS} runs equal"
+    said = strings(result.runs[0].outputs, "/out")
+    assert sum(text.startswith("got") for text in said) == sum(text.startswith("later") for text in said) == 100
+
+
+def test_a_service_and_its_client_in_two_programs(tmp_path: Path) -> None:
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(60))
+    result, verdict = judged(recording, tmp_path, "caller", "switch", latency_ns=1_000_000)
+    assert verdict.line() == f"deterministic: {RUNS} of {RUNS} runs equal"
+    answers = strings(result.runs[0].outputs, "/answers")
+    # it waits for the service for 0.25 s first, and the last ten messages of that time wait for it
+    names = [int(text.split(":")[0][1:]) for text in answers]
+    assert names == list(range(names[0], 60))
+    assert answers[1].split()[1:3] == ["True", "on"]
+    assert answers[20].split()[2] == "changed"  # by the service of its parameters
+    # the request arrives a millisecond after the message, and the clock there shows it
+    arrived = [int(text.split(" at ")[1].split()[0]) for text in answers[20:]]
+    sent = [time_ns for time_ns, _ in published(recording, "/in")][names[20] :]
+    assert [after - before for before, after in zip(sent, arrived, strict=True)] == [1_000_000] * len(sent)
+
+
+def test_a_lifecycle_node_and_its_manager(tmp_path: Path) -> None:
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(150))
+    result, verdict = judged(recording, tmp_path, "lifecycle", "manager")
+    assert verdict.line() == f"deterministic: {RUNS} of {RUNS} runs equal"
+    times = [time_ns for time_ns, _ in published(result.runs[0].outputs, "/out")]
+    assert times
+    assert times[-1] - result.runs[0].start_ns < 2.5e9  # deactivated after two seconds
+
+
+def test_transforms_with_a_listener_in_a_thread_of_its_own(tmp_path: Path) -> None:
+    rows = [(ns, "/tf", sessions.TF, sessions.transforms(each)) for ns, _, _, each in sessions.poses(200)]
+    recording = sessions.write(tmp_path / "in.mcap", rows)
+    result, verdict = judged(recording, tmp_path, "frames")
+    assert verdict.line() == f"deterministic: {RUNS} of {RUNS} runs equal"
+    assert result.roles and result.roles.inputs == {"/tf": 200}
+    assert len(published(result.runs[0].outputs, "/tf")) == 19
+
+
+def test_images_and_poses_in_pairs(tmp_path: Path) -> None:
+    rows = [*sessions.poses(200), *sessions.images(40)]
+    recording = sessions.write(tmp_path / "in.mcap", rows)
+    result, verdict = judged(recording, tmp_path, "pairs")
+    assert verdict.line() == f"deterministic: {RUNS} of {RUNS} runs equal"
+    assert len(strings(result.runs[0].outputs, "/pairs")) == 40
+
+
+def test_a_program_in_c(tmp_path: Path) -> None:
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(100))
+    echo = Program((str(compiled("echo", tmp_path)),), "echo")
+    result = run(recording, [echo], ResimOptions(runs=RUNS), tmp_path)
+    assert compare(result).line() == f"deterministic: {RUNS} of {RUNS} runs equal"
+    assert strings(result.runs[0].outputs, "/out")[-1].startswith("m99 100 ")
+
+
+def test_what_one_publishes_the_other_receives(tmp_path: Path) -> None:
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(60))
+    result, verdict = judged(recording, tmp_path, "relay /in /middle", "relay /middle /last", latency_ns=500_000)
+    assert verdict.line() == f"deterministic: {RUNS} of {RUNS} runs equal"
+    inputs = [time_ns for time_ns, _ in published(recording, "/in")]
+    last = [time_ns for time_ns, _ in published(result.runs[0].outputs, "/last")]
+    assert [after - before for before, after in zip(inputs, last, strict=True)] == [500_000] * 60
+
+
+def test_latched_inputs_reach_subscriptions_that_come_later(tmp_path: Path) -> None:
+    rows = sessions.texts(3, "/map")
+    rows += [(2_000_000_000, "/in", *row[2:]) for row in sessions.texts(1)[:1]]
+    recording = sessions.write(tmp_path / "in.mcap", rows, qos={"/map": Qos(1, True, True)})
+    result, verdict = judged(recording, tmp_path, "late", runs=2)
+    assert verdict.line() == "deterministic: 2 of 2 runs equal"
+    assert strings(result.runs[0].outputs, "/out") == ["map m2", "in m0"]
+
+
+def test_the_quality_of_service_of_the_recording_applies(tmp_path: Path) -> None:
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(3), qos={"/in": Qos(10, False, False)})
+    result, _ = judged(recording, tmp_path, "single", runs=1)
+    assert result.runs[0].refused == {"/in": "reliability (best effort offered, reliable requested)"}
+    assert result.runs[0].delivered == {}
+
+
+@pytest.mark.parametrize(
+    ("what", "first"),
+    [
+        ("wall", "data is 'm20 at 1700000000"),
+        ("chance", "data is 'm20 0."),
+        ("hashed", "data is 'm20"),
+        ("race", 'data is "m20 ['),
+    ],
+)
+def test_what_is_not_the_same_in_every_run_is_found(tmp_path: Path, what: str, first: str) -> None:
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(40))
+    _, verdict = judged(recording, tmp_path, f"planted {what}", runs=5)
+    assert verdict.exit_code == 1
+    assert verdict.first
+    assert (verdict.first.stream, verdict.first.number) == ("/out", 21)
+    assert first in verdict.line()
+
+
+def test_the_wall_clock_can_be_session_time(tmp_path: Path) -> None:
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(30))
+    _, verdict = judged(recording, tmp_path, "planted wall", runs=2, clocks=Clocks.SESSION)
+    assert verdict.exit_code == 0

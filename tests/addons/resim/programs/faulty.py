@@ -1,0 +1,72 @@
+"""A node that does what a re-simulation cannot go on with, at its 20th message; the argument states what."""
+
+import os
+import subprocess
+import sys
+import threading
+
+import rclpy
+from rclpy.node import Node
+from std_msgs.msg import String
+
+
+class Faulty(Node):
+    def __init__(self, what):
+        super().__init__("faulty")
+        self.publisher = self.create_publisher(String, "/out", 10)
+        self.count = 0
+        self.fail = getattr(self, what)
+        self.create_subscription(String, "/other" if what == "asks" else "/in", self.take, 10)
+
+    def take(self, message):
+        self.count += 1
+        self.publisher.publish(message)
+        if self.count == 20:
+            self.fail()
+
+    def asks(self):
+        pass
+
+    def ends(self):
+        sys.exit(0)
+
+    def raises(self):
+        raise ValueError("found 3 wheels, expected 4")
+
+    def crashes(self):
+        os.kill(os.getpid(), 11)
+
+    def hangs(self):
+        threading.Lock().acquire() and threading.Event().wait()
+
+    def loops(self):
+        while True:
+            pass
+
+    def forks(self):
+        if not os.fork():
+            threading.Event().wait()
+
+    def spawns(self):
+        self.child = subprocess.Popen(["sleep", "1000"])
+
+    def asks_git(self):
+        """A process that ends is no fault."""
+        text = subprocess.run(["echo", "v1.2"], capture_output=True, text=True, check=True).stdout
+        self.publisher.publish(String(data=text.strip()))
+
+    def floods(self):
+        while True:
+            self.publisher.publish(String(data="flood"))
+
+    def talks(self):
+        import socket
+
+        socket.create_server(("127.0.0.1", 0)).close()
+
+
+rclpy.init()
+try:
+    rclpy.spin(Faulty(sys.argv[1]))
+except KeyboardInterrupt:
+    pass

@@ -1,0 +1,68 @@
+"""A node with one thing that is not the same in every run; the argument states which."""
+
+import random
+import sys
+import threading
+import time
+
+import rclpy
+from rclpy.node import Node
+from std_msgs.msg import String
+
+
+class Planted(Node):
+    def __init__(self, what):
+        super().__init__("planted")
+        self.publisher = self.create_publisher(String, "/out", 10)
+        self.count = self.total = self.ticks = 0
+        self.work = getattr(self, what)
+        self.create_subscription(String, "/in", self.take, 10)
+        if what == "timer":
+            self.create_timer(0.007, self.tick)
+
+    def take(self, message):
+        self.count += 1
+        # the first messages are equal in all runs
+        text = self.work(message.data) if self.count > 20 else message.data
+        self.publisher.publish(String(data=text))
+
+    def nothing(self, text):
+        return text
+
+    def wall(self, text):
+        return f"{text} at {time.time():.3f}"
+
+    def chance(self, text):
+        return f"{text} {random.random():.6f}"
+
+    def hashed(self, text):
+        return " ".join({text, f"{text}-left", f"{text}-right"})
+
+    def race(self, text):
+        """Two threads write to one list, without a lock between them."""
+        found = []
+
+        def write(name):
+            for number in range(200):
+                found.append(f"{name}{number}")
+                sum(range(3000))
+
+        threads = [threading.Thread(target=write, args=(name,)) for name in "ab"]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        return f"{text} {found[150:250]}"
+
+    def tick(self):
+        self.ticks += 1
+
+    def timer(self, text):
+        return f"{text} {self.ticks}"
+
+
+rclpy.init()
+try:
+    rclpy.spin(Planted(sys.argv[1]))
+except KeyboardInterrupt:
+    pass

@@ -1,0 +1,89 @@
+"""Programs that do what a re-simulation cannot go on with: one line each, exit code 2, and no process is left."""
+
+from __future__ import annotations
+
+import os
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from igtl_gateway.addon import ConfigError
+from igtl_gateway.addons.resim.engine import Program, ResimOptions, run
+from igtl_gateway.addons.resim.verdict import compare
+from tests.addons.resim import sessions
+from tests.addons.resim.runs import judged, published
+
+pytestmark = [pytest.mark.ros, pytest.mark.skipif(not find_spec("rclpy"), reason="needs ROS 2")]
+
+
+def _processes(mark: str) -> list[str]:
+    """Commands of running processes with a word in their environment."""
+    found = []
+    for place in Path("/proc").glob("[0-9]*"):
+        try:
+            if mark.encode() in (place / "environ").read_bytes():
+                found.append((place / "cmdline").read_bytes().decode())
+        except OSError:
+            continue
+    return found
+
+
+@pytest.mark.parametrize(
+    ("what", "line"),
+    [
+        (
+            "asks",
+            "/other: asked for, but the recording has no such topic; --without TOPIC runs the programs without it",
+        ),
+        ("ends", "faulty: ended with exit code 0"),
+        ("raises", "faulty: ended with exit code 1: ValueError: found 3 wheels, expected 4"),
+        ("crashes", "faulty: was ended by signal 11"),
+        ("hangs", "faulty: did not come to rest within 2 s (the wall limit)"),
+        ("loops", "faulty: did not come to rest within 1 s of CPU time (the CPU limit): thread 'python"),
+        ("forks", "faulty: started another process, which still runs: "),
+        ("spawns", "faulty: started another process, which still runs: sleep 1000; run it as a program of its own"),
+        ("floods", "faulty: flooded the session with messages, the last one of /out; expected at most 5,000"),
+    ],
+)
+def test_a_fault_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str, line: str) -> None:
+    mark = f"mark-{os.getpid()}-{what}"
+    monkeypatch.setenv("MARK_OF_THIS_TEST", mark)
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(40))
+    cpu_s = 60.0 if what == "floods" else 1.0
+    result, verdict = judged(recording, tmp_path, f"faulty {what}", runs=3, wall_s=2.0, cpu_s=cpu_s, most_outputs=5000)
+    assert verdict.exit_code == 2
+    assert verdict.fault.startswith(line)
+    assert "\n" not in verdict.line()
+    assert len(result.runs) == 1
+    assert _processes(mark) == []
+    if what in ("ends", "raises", "crashes", "forks", "spawns"):
+        assert len(published(result.runs[0].outputs, "/out")) in (19, 20)  # the outputs so far
+
+
+def test_a_process_that_ends_is_no_fault(tmp_path: Path) -> None:
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(40))
+    result, verdict = judged(recording, tmp_path, "faulty asks_git", runs=2)
+    assert verdict.exit_code == 0
+    assert result.runs[0].remarks == []
+
+
+def test_a_socket_of_the_programs_own_weakens_the_guarantee(tmp_path: Path) -> None:
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(40))
+    result, _ = judged(recording, tmp_path, "faulty talks", runs=1)
+    assert result.runs[0].remarks == ["faulty: has a socket of its own: what it receives there comes in real time"]
+
+
+def test_a_program_without_ros(tmp_path: Path) -> None:
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(4))
+    result = run(recording, [Program(("true",))], ResimOptions(), tmp_path)
+    assert compare(result).fault == "true: ended with exit code 0; made no ROS 2 node, or is linked statically"
+    result = run(recording, [Program(("sleep", "100"))], ResimOptions(wall_s=0.3), tmp_path)
+    assert compare(result).fault == "sleep: made no ROS 2 node, or is linked statically within 0.3 s (the wall limit)"
+
+
+def test_another_middleware_is_refused_by_name(tmp_path: Path) -> None:
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(4))
+    zenoh = Program(("true",), env={"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"})
+    with pytest.raises(ConfigError, match="found RMW_IMPLEMENTATION=rmw_zenoh_cpp, expected rmw_fastrtps_cpp"):
+        run(recording, [zenoh], ResimOptions(), tmp_path)
