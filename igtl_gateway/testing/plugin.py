@@ -84,6 +84,8 @@ def _igtl_resim(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPat
         found = resim(path, *programs, baseline=before, **settings)
         if not found.is_equal:
             raise AssertionError(str(found))
+        if not found.inputs:
+            raise AssertionError(f"the programs received nothing of {recording}, expected an input\n{found}")
         return found
 
     return check

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from math import inf
 from pathlib import Path
 
-from igtl_gateway.addon import NS_PER_MS, ConfigError
-from igtl_gateway.addons.resim.engine import Program, ResimOptions, RunResult, run
+from igtl_gateway.addon import NS_PER_MS, ConfigError, SessionFile
+from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, RunResult, run
 from igtl_gateway.addons.resim.recipe import command_of
 from igtl_gateway.addons.resim.report import report_lines
 from igtl_gateway.addons.resim.verdict import Difference, Verdict, compare
@@ -42,6 +42,11 @@ class Resimulation:
         return self.verdict.is_deterministic
 
     @property
+    def inputs(self) -> int:
+        """Number of recorded messages that the programs received in the first run."""
+        return sum(self.result.runs[0].delivered.values())
+
+    @property
     def first(self) -> Difference | None:
         """The first difference: stream, number, session time, field, mm and degrees."""
         return self.verdict.first
@@ -64,7 +69,9 @@ def resim(
     tolerance_deg: float = 0.0,
     inputs: Sequence[str] = (),
     outputs: Sequence[str] = (),
+    without: Sequence[str] = (),
     latency_ms: float = 0.0,
+    clocks: str = "shifted",
     wall_limit_s: float = 30.0,
     cpu_limit_s: float = 60.0,
     cwd: Path | str | None = None,
@@ -81,7 +88,10 @@ def resim(
         tolerance_deg: what rotations may differ from them.
         inputs: topics that the recording drives although a program publishes them; globs.
         outputs: topics that it does not drive; globs.
+        without: topics that programs may ask for although nothing has them; globs.
         latency_ms: of messages from program to program, in session time.
+        clocks: what the clocks outside of ROS show: "shifted" (session time, ``time.time()`` on another day in each run),
+            "session" or "real".
         wall_limit_s: real time in which a program has to come to rest.
         cpu_limit_s: CPU time in which a program has to come to rest.
         cwd: where commands run; None: here.
@@ -101,15 +111,21 @@ def resim(
     for name, value in (("wall_limit_s", wall_limit_s), ("cpu_limit_s", cpu_limit_s)):
         if not 0 < value < inf:
             raise ConfigError(f"{name}: found {value!r}, expected more than 0")
+    if clocks not in (names := [each.value for each in Clocks]):
+        raise ConfigError(f"clocks: found {clocks!r}, expected one of {', '.join(names)}")
     options = ResimOptions(
         runs=runs,
+        without=tuple(without),
         latency_ns=round(latency_ms * NS_PER_MS),
+        clocks=Clocks(clocks),
         inputs=tuple(inputs),
         outputs=tuple(outputs),
         wall_s=wall_limit_s,
         cpu_s=cpu_limit_s,
     )
     path = Path(recording)
+    if baseline:  # before the programs run
+        SessionFile.open(Path(baseline)).close()
     with tempfile.TemporaryDirectory(prefix="igtl-resim-") as temporary:
         place = Path(folder or temporary)
         result = run(path, [_program(each, cwd) for each in programs], options, place)

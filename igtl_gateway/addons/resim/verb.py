@@ -13,6 +13,7 @@ from typing import Any
 from igtl_gateway.addon import (
     RECORDING_OR_BAG,
     ConfigError,
+    SessionFile,
     add_file,
     add_json,
     add_overwrite,
@@ -141,6 +142,8 @@ def run(options: argparse.Namespace) -> int:
     for name in ("wall_limit", "cpu_limit"):
         if not 0 < getattr(options, name) < math.inf:
             raise ConfigError(f"--{name.replace('_', '-')}: found {getattr(options, name):g}, expected more than 0")
+    if options.baseline:  # before the programs run
+        SessionFile.open(options.baseline).close()
     for target in filter(None, (options.record, options.junit)):
         check_target(target, overwrite=options.overwrite)
     clocks = Clocks.SESSION if options.libc_clock else Clocks.REAL if options.real_clock else Clocks.SHIFTED

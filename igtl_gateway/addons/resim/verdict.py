@@ -151,8 +151,10 @@ class Verdict:
         if self.unequal_run and first:
             return f"NOT DETERMINISTIC: run {self.unequal_run} differs from run 1: {first.text(self.start_ns)}"
         same = f"deterministic: {self.runs} of {self.runs} runs equal" if self.runs > 1 else "1 run"
-        if not self.reference or not self.streams:
+        if not self.reference:
             return same
+        if not self.streams:
+            return f"{same}; {self.reference.name} has none of the outputs to compare with"
         if first:
             wrong = sum(not each.is_equal for each in self.streams)
             what = f"{wrong} of {len(self.streams)} streams"

@@ -84,6 +84,7 @@ class TestTheFixture:
         ({"runs": 0}, "runs: found 0, expected 1 or more"),
         ({"tolerance_mm": -1.0}, "tolerance_mm: found -1.0, expected 0 or more"),
         ({"latency_ms": float("nan")}, "latency_ms: found nan, expected 0 or more"),
+        ({"clocks": "libc"}, "clocks: found 'libc', expected one of shifted, session, real"),
         ({"cpu_limit_s": 0.0}, "cpu_limit_s: found 0.0, expected more than 0"),
     ],
 )
