@@ -90,8 +90,8 @@ def resim(
         outputs: topics that it does not drive; globs.
         without: topics that programs may ask for although nothing has them; globs.
         latency_ms: of messages from program to program, in session time.
-        clocks: what the clocks outside of ROS show: "shifted" (session time, ``time.time()`` on another day in each run),
-            "session" or "real".
+        clocks: what the clocks outside of ROS show: "shifted" (session time, but ``time.time()`` is on another day in
+            each run), "session" or "real".
         wall_limit_s: real time in which a program has to come to rest.
         cpu_limit_s: CPU time in which a program has to come to rest.
         cwd: where commands run; None: here.

@@ -52,7 +52,10 @@ def _folder(tmp_path: Path) -> Path:
     found = igtl_gateway.resim(
         recording, [sys.executable, "planner.py", "none"], runs=1, cwd=tmp_path, folder=tmp_path / "runs"
     )
-    assert str(found) == "1 run\n  inputs: /pose (600)\n  outputs: /plan"
+    assert (
+        str(found)
+        == f"1 run; {recording.name} has none of the outputs to compare with\n  inputs: /pose (600)\n  outputs: /plan"
+    )
     found.outputs.rename(tmp_path / "good.mcap")
     with SessionFile.open(tmp_path / "good.mcap") as file:
         assert {channel.topic: channel.count for channel in file.channels}["/plan"] == 600
