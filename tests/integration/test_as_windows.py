@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import zenoh
 
 from igtl_gateway.addons.zenoh import names
 from igtl_gateway.addons.zenoh.names import Kind, Node
@@ -105,7 +106,8 @@ def test_a_session_over_zenoh_is_recorded_and_verifies(tmp_path: Path, number: s
                 got = [String.unpack(heard.get(timeout=30).payload.to_bytes()).data for _ in range(3)]
                 bridge.wait_code("ros_subscribed")
                 key = names.data_key(DOMAIN, "/igtl/out/string/Told", String.TYPE, HASH)
-                publisher = plain.declare_publisher(key)
+                # by default, Zenoh drops what a busy router does not take at once
+                publisher = plain.declare_publisher(key, congestion_control=zenoh.CongestionControl.BLOCK)
                 until(lambda: bool(publisher.matching_status.matching), 30)
                 for count in range(3):
                     data = String(str(count) + LARGE).pack()

@@ -137,7 +137,12 @@ def test_messages_pass_both_ways_with_stamp_number_and_gid(port: int, sides: Exi
 
 
 def put(session: Any, topic: str, word: str, sequence: int, stamp_ns: int = 1, gid: bytes = GID) -> None:
-    session.put(key(topic), text(word), attachment=names.attachment(sequence, stamp_ns, gid))
+    session.put(
+        key(topic),
+        text(word),
+        attachment=names.attachment(sequence, stamp_ns, gid),
+        congestion_control=zenoh.CongestionControl.BLOCK,  # by default, a busy router loses messages
+    )
 
 
 def test_a_late_joiner_gets_latched_messages_both_ways(port: int, sides: ExitStack) -> None:
