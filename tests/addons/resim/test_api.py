@@ -41,6 +41,11 @@ def test_a_crash(igtl_resim):
 
 def test_no_baseline(igtl_resim):
     igtl_resim("in.mcap", PLANNER, baseline="none.mcap")
+
+def test_no_input(igtl_resim):
+    igtl_resim("in.mcap", [sys.executable, "-c", NODE], runs=1)
+
+NODE = "import rclpy; rclpy.init(); rclpy.spin(rclpy.create_node('idle'))"
 """
 
 
@@ -69,7 +74,7 @@ class TestTheFixture:
         folder = _folder(tmp_path)
         (folder / "test_it.py").write_text(TESTS, "utf-8")
         result = run_pytest(folder)
-        assert "3 failed, 2 passed" in result.stdout, result.stdout + result.stderr
+        assert "4 failed, 2 passed" in result.stdout, result.stdout + result.stderr
         assert (
             "AssertionError: DIFFERENT from good.mcap in 1 of 1 streams (1 run): "
             "/plan, message 500 at 4.990000 s: transform.qw is" in result.stdout
@@ -78,6 +83,7 @@ class TestTheFixture:
         assert "AssertionError: CANNOT BE JUDGED: planner.py: ended with exit code 1" in result.stdout
         assert "IndexError: list index out of range" in result.stdout
         assert "expected the outputs of a good run: igtl-gateway resim in.mcap --record none.mcap" in result.stdout
+        assert "AssertionError: the programs received nothing of in.mcap, expected an input" in result.stdout
         assert "igtl_gateway/" not in result.stdout  # no internal frames
 
 

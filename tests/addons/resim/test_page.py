@@ -4,8 +4,13 @@ from __future__ import annotations
 
 import argparse
 import re
+import sys
+from importlib.util import find_spec
 from pathlib import Path
 
+import pytest
+
+from igtl_gateway import cli
 from igtl_gateway.addons.resim import verb
 from igtl_gateway.addons.resim.recipe import read_recipe
 from tests.addons.resim.runs import PROGRAMS
@@ -22,6 +27,18 @@ def test_the_checked_programs_are_there() -> None:
     assert [name for name in programs if not name.startswith("test_") and not (PROGRAMS / name).is_file()] == []
     for file, chosen in tests:
         assert f"def test_{chosen}" in (PROGRAMS.parent / file).read_text("utf-8"), chosen
+
+
+@pytest.mark.ros
+@pytest.mark.skipif(not find_spec("rclpy"), reason="needs ROS 2")
+def test_the_output_is_real(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    (block,) = re.findall(r"^```console\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
+    command, _, shown = block.partition("\n")
+    monkeypatch.chdir(ROOT / "examples" / "resim")
+    words = [sys.executable if word == "python" else word for word in command.split()]
+    assert words[:2] == ["$", "igtl-gateway"] and cli.main(words[2:]) == 0
+    seconds = re.compile(r"in [\d.]+ s$", re.MULTILINE)
+    assert seconds.sub("", capsys.readouterr().out) == seconds.sub("", shown)
 
 
 def test_the_options_exist() -> None:
