@@ -10,7 +10,7 @@
  * uint16 and its bytes.  addons/resim/frames.py has the same table.
  *
  *   from the program                                            to the program
- *   H pid abi                                hello              W start_ns latency_ns wall_ns program clocks  welcome
+ *   H pid abi                                hello              W start_ns latency_ns wall_ns program clocks deadline_class  welcome
  *   E kind made id reliable latched all depth name type node d  M number t source subscription class name data  message
  *   O id t data                              published          q t service program client number data    request
  *   Q id number t data                       request            a t client number data                    response
@@ -54,7 +54,7 @@
 #define IDENTIFIER "rmw_fastrtps_cpp"
 #define ABI_VERSION 1
 
-enum { CLASS_INPUT = 0, CLASS_MESSAGE = 1, CLASS_DEADLINE = 2, CLASS_ALL = 9 };
+enum { CLASS_MESSAGE = 1, CLASS_ALL = 9 }; /* inputs and deadlines are the classes 0 and 2; the welcome states which */
 enum { SUBSCRIPTION = 's', PUBLISHER = 'p', SERVICE = 'v', CLIENT = 'c' };
 enum { FLUSH_BYTES = 1 << 20 };
 /* Polls of a thread in a row that found nothing before the next one waits, and how long: a loop without a sleep. */
@@ -148,6 +148,7 @@ static struct {
     uint64_t number; /* of the last recorded input that was delivered */
     int64_t limit_ns;
     int limit_class;
+    int deadline_class;
     bool stop; /* ask the coordinator before the next event */
     uint8_t *out;
     size_t out_size, out_room;
@@ -430,7 +431,7 @@ static void receive(uint8_t *frame, uint32_t size);
 static void exchange(void)
 {
     int64_t next_ns = NEVER;
-    int next_class = CLASS_DEADLINE;
+    int next_class = S.deadline_class;
     int64_t now = atomic_load(&T.now_ns);
     for (struct waiter *w = T.waiters; w; w = w->next)
         if (w->deadline_ns < next_ns)
@@ -693,9 +694,9 @@ static void step(void)
             message = S.own, t = message->t_ns, class_ = CLASS_MESSAGE;
         struct waiter *late = first_deadline();
         int64_t late_ns = late ? (late->deadline_ns > now ? late->deadline_ns : now) : NEVER;
-        bool is_late = late && (late_ns < t || (late_ns == t && CLASS_DEADLINE < class_));
+        bool is_late = late && (late_ns < t || (late_ns == t && S.deadline_class < class_));
         if (is_late)
-            t = late_ns, class_ = CLASS_DEADLINE;
+            t = late_ns, class_ = S.deadline_class;
         bool is_given = message && !is_own && !is_late; /* what the coordinator sent is within its limit */
         if ((!message && !is_late) ||
             (!is_given && (t > S.limit_ns || (t == S.limit_ns && class_ > S.limit_class)))) {
@@ -711,7 +712,7 @@ static void step(void)
         }
         S.current = is_own ? pop(&S.own) : pop(&S.inbox);
         S.current_at = S.entities;
-        if (S.current->class_ == CLASS_INPUT && S.current->number)
+        if (S.current->class_ != CLASS_MESSAGE)
             S.number = S.current->number;
     }
 }
@@ -860,8 +861,10 @@ static void join_session(void)
         S.latency_ns = GET(int64_t);
         int64_t wall_offset_ns = GET(int64_t);
         S.program = GET(uint32_t);
+        int clocks = GET(uint8_t);
+        S.deadline_class = GET(uint8_t);
         S.limit_ns = INT64_MIN;
-        if (!start_time(start_ns, wall_offset_ns, GET(uint8_t)))
+        if (!start_time(start_ns, wall_offset_ns, clocks))
             give_up("cannot start session time");
         pthread_atfork(NULL, NULL, in_child);
         static const int crashes[] = {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT};

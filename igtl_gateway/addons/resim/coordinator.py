@@ -19,15 +19,14 @@ from dataclasses import dataclass, field
 
 from igtl_gateway.addon import GatewayError, Qos
 from igtl_gateway.addons.resim import frames
-from igtl_gateway.addons.resim.frames import ALL, DEADLINE, INPUT, MESSAGE, NEVER, EntityFrame
-from igtl_gateway.addons.resim.inputs import Inputs, RecordedInput, RecordedTopic
+from igtl_gateway.addons.resim.frames import ALL, DEADLINE, MESSAGE, NEVER, EntityFrame
+from igtl_gateway.addons.resim.inputs import CLOCK, Inputs, RecordedInput, RecordedTopic
 from igtl_gateway.addons.resim.link import Gone, Link
 from igtl_gateway.addons.resim.outputs import OutputFile, OutputStream
 from igtl_gateway.base.qos import incompatible
 
 #: Messages and bytes that are sent to a program at once.
 _BATCH, _BATCH_BYTES = 512, 1 << 20
-_CLOCK = "/clock"
 
 
 class ProgramFault(GatewayError):
@@ -121,6 +120,7 @@ class Coordinator:
         on_event: called before a program goes on.
         on_remark: called with what a program does beside ROS.
         most_outputs: messages that the programs may publish.
+        input_class: class of recorded inputs: `INPUT`, or `DEADLINE` with swapped ties.
     """
 
     def __init__(
@@ -138,12 +138,14 @@ class Coordinator:
         on_event: Callable[[], None],
         on_remark: Callable[[Peer, frames.Remark], None],
         most_outputs: int,
+        input_class: int,
     ) -> None:
         self._peers, self._inputs, self._topics, self._outputs = peers, inputs, topics, outputs
         self._start_ns, self._end_ns, self._latency_ns = start_ns, end_ns, latency_ns
         self._is_input = is_input
         self._on_start, self._on_event, self._on_remark = on_start, on_event, on_remark
         self._left = most_outputs
+        self._input_class = input_class
         self._messages: list[tuple[int, int, int, bytes]] = []  # heap of time, order, peer, frame
         self._order = 0
         self._latched: dict[str, list[tuple[Qos, RecordedInput]]] = {}
@@ -174,7 +176,7 @@ class Coordinator:
             if self._messages:
                 following = min(following, (self._messages[0][0], MESSAGE))
             receivers: Receivers = []
-            while (message := self._inputs.peek()) and (message.time_ns, INPUT) <= following:
+            while (message := self._inputs.peek()) and (message.time_ns, self._input_class) <= following:
                 if receivers := self._receivers(message):
                     break
                 self._keep_latched(self._inputs.pop())
@@ -216,15 +218,19 @@ class Coordinator:
         size = 0
         while (message := self._inputs.peek()) and len(window) < peer.batch and size < _BATCH_BYTES:
             receivers = self._receivers(message)
-            if (message.time_ns, INPUT) > bound or len(receivers) > 1 or (receivers and receivers[0][0] is not peer):
+            if (
+                (message.time_ns, self._input_class) > bound
+                or len(receivers) > 1
+                or (receivers and receivers[0][0] is not peer)
+            ):
                 break
             window.append(self._inputs.pop())
             if receivers:
                 sent.add(message.number)
-                content += _message_frames(message, receivers[0][1])
+                content += _message_frames(message, receivers[0][1], self._input_class)
                 size += len(message.data)
         if message := self._inputs.peek():
-            bound = min(bound, _before(message.time_ns, INPUT))
+            bound = min(bound, _before(message.time_ns, self._input_class))
         self._grant(peer, content, *bound)
         done = peer.idle.number
         used = 0
@@ -252,7 +258,7 @@ class Coordinator:
         self.events += 1
         self.delivered[message.topic] += 1
         for peer, targets in receivers:
-            self._grant(peer, _message_frames(message, targets), message.time_ns, INPUT)
+            self._grant(peer, _message_frames(message, targets, self._input_class), message.time_ns, self._input_class)
 
     def _keep_latched(self, message: RecordedInput) -> None:
         topic = self._topics.get(message.topic)
@@ -451,8 +457,8 @@ class Coordinator:
             inputs,
             sorted(given),
             sorted(wanted & given),
-            sorted(name for name in wanted - given if name not in self._topics and name != _CLOCK),
-            sorted(name for name in self._topics if name not in wanted | given),
+            sorted(name for name in wanted - given if name not in self._topics),
+            sorted(name for name in self._topics if name not in wanted | given and name != CLOCK),
             sorted(name for name in self._topics if name in given and self._topics[name].from_others),
             dict(self.refused),
             sorted(called - served),
@@ -470,9 +476,9 @@ def _before(time_ns: int, class_: int) -> tuple[int, int]:
     return (time_ns, class_ - 1) if class_ else (time_ns - 1, ALL)
 
 
-def _message_frames(message: RecordedInput, targets: tuple[int, ...]) -> list[bytes]:
+def _message_frames(message: RecordedInput, targets: tuple[int, ...], class_: int) -> list[bytes]:
     name = message.topic.encode()
     return [
-        frames.message(message.number, message.time_ns, message.source_ns, target, INPUT, name, message.data)
+        frames.message(message.number, message.time_ns, message.source_ns, target, class_, name, message.data)
         for target in targets or (0,)
     ]

@@ -26,7 +26,7 @@ from igtl_gateway.addon import (
     matches,
 )
 from igtl_gateway.addons.resim.coordinator import Coordinator, Peer, ProgramFault, Roles
-from igtl_gateway.addons.resim.frames import ABI_VERSION, Hello, Remark, welcome
+from igtl_gateway.addons.resim.frames import ABI_VERSION, DEADLINE, INPUT, Hello, Remark, welcome
 from igtl_gateway.addons.resim.inputs import Inputs, topics_of
 from igtl_gateway.addons.resim.library import library_path
 from igtl_gateway.addons.resim.link import Gone, Listener
@@ -102,6 +102,8 @@ class ResimOptions:
         inputs: recorded topics that are inputs although a program publishes them; globs.
         outputs: recorded topics that do not drive programs; globs.
         without: topics that programs may ask for although nothing has them; globs.
+        swap_ties: in every second run, timers come before recorded inputs of the same time, so that runs differ if the
+            outputs depend on which of them is first.
         wall_s: real seconds without an event, and without CPU time, after which a program counts as hanging.
         cpu_s: CPU seconds without an event after which a program counts as busy without end.
         most_outputs: messages that a run may have; more count as a flood.
@@ -113,6 +115,7 @@ class ResimOptions:
     inputs: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
     without: tuple[str, ...] = ()
+    swap_ties: bool = False
     wall_s: float = 30.0
     cpu_s: float = 60.0
     most_outputs: int = 10_000_000
@@ -232,6 +235,7 @@ def _run_once(
     one: Run,
     on_roles: Callable[[Roles], None],
 ) -> None:
+    is_swapped = options.swap_ties and one.number % 2 == 0
     clock = SystemClock()
     began_ns = clock.monotonic_ns()
 
@@ -275,7 +279,16 @@ def _run_once(
                 watch.is_joining = False
                 shift_ns = (one.number - 1) * WALL_STEP_NS if options.clocks is Clocks.SHIFTED else 0
                 is_real = options.clocks is Clocks.REAL
-                link.send(welcome(one.start_ns, options.latency_ns, shift_ns, index, is_real))
+                link.send(
+                    welcome(
+                        one.start_ns,
+                        options.latency_ns,
+                        shift_ns,
+                        index,
+                        is_real=is_real,
+                        deadline_class=INPUT if is_swapped else DEADLINE,
+                    )
+                )
                 peers.append(Peer(index, program.title, link))
             coordinator = Coordinator(
                 peers,
@@ -290,6 +303,7 @@ def _run_once(
                 on_event=watch.begin,
                 on_remark=watch.take,
                 most_outputs=options.most_outputs,
+                input_class=DEADLINE if is_swapped else INPUT,
             )
             coordinator.run()
             watch.look_at_libraries()

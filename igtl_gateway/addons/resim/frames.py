@@ -14,13 +14,14 @@ from typing import Any, Final
 ABI_VERSION = 1
 #: Later than everything.
 NEVER: Final = (1 << 63) - 1
-#: Classes of events of one time, in their order: recorded inputs, messages of programs, timers and timeouts.
+#: Classes of events of one time, in their order: recorded inputs, messages of programs, timers and timeouts.  With
+#: swapped ties, the first and the last one change places.
 INPUT, MESSAGE, DEADLINE, ALL = 0, 1, 2, 9
 
 _HEAD = struct.Struct("=IB")
 _ENTITY = struct.Struct("=cBIBBBI")
 _IDLE = struct.Struct("=qqBQ")
-_WELCOME = struct.Struct("=qqqIB")
+_WELCOME = struct.Struct("=qqqIBB")
 _MESSAGE = struct.Struct("=QqqIBH")
 _OUTPUT = struct.Struct("=Iq")
 _REQUEST = struct.Struct("=Iqq")
@@ -157,9 +158,11 @@ def _text(text: str) -> bytes:
     return _SIZE.pack(len(raw)) + raw
 
 
-def welcome(start_ns: int, latency_ns: int, wall_offset_ns: int, program: int, is_real: bool) -> bytes:
+def welcome(
+    start_ns: int, latency_ns: int, wall_offset_ns: int, program: int, *, is_real: bool, deadline_class: int
+) -> bytes:
     """The answer to a hello; ``wall_offset_ns``: the wall clock minus session time; or the clocks are the real ones."""
-    return _frame(b"W", _WELCOME.pack(start_ns, latency_ns, wall_offset_ns, program, is_real))
+    return _frame(b"W", _WELCOME.pack(start_ns, latency_ns, wall_offset_ns, program, is_real, deadline_class))
 
 
 def message(number: int, time_ns: int, source_ns: int, target: int, class_: int, topic: bytes, data: bytes) -> bytes:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import struct
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from igtl_gateway.addon import Kind, Qos, SessionFile
+from igtl_gateway.addon import NS_PER_S, Kind, Qos, SessionFile
+from igtl_gateway.addons.resim.frames import NEVER
 
 _ROS = frozenset({Kind.ROS_IN, Kind.ROS_OUT})
+#: What programs with ``use_sim_time`` read; a recording without it gets it, with session time.
+CLOCK, _CLOCK_TYPE, _CLOCK_NS = "/clock", "rosgraph_msgs/msg/Clock", 10_000_000
+_CLOCK_CDR = struct.Struct("<4sII")
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +59,7 @@ class RecordedInput:
 
 
 def topics_of(file: SessionFile) -> dict[str, RecordedTopic]:
-    """Return the ROS topics of a recording by name; of several types of one topic, the first."""
+    """Return the ROS topics of a recording by name, and /clock; of several types of one topic, the first."""
     found: dict[str, RecordedTopic] = {}
     for channel in file.channels:
         if channel.kind not in _ROS or not channel.count:
@@ -71,7 +76,15 @@ def topics_of(file: SessionFile) -> dict[str, RecordedTopic]:
             ours + (before.from_gateway if before else 0),
             channel.count - ours + (before.from_others if before else 0),
         )
+    ticks = (file.end_ns - file.start_ns) // _CLOCK_NS + 1
+    found.setdefault(CLOCK, RecordedTopic(CLOCK, _CLOCK_TYPE, Qos(), ticks, 0))
     return found
+
+
+def _clock(number: int, time_ns: int) -> RecordedInput:
+    seconds, rest_ns = divmod(time_ns, NS_PER_S)
+    data = _CLOCK_CDR.pack(b"\0\1\0\0", seconds & 0xFFFFFFFF, rest_ns)
+    return RecordedInput(number, time_ns, CLOCK, _CLOCK_TYPE, data, time_ns, True)
 
 
 class Inputs:
@@ -81,16 +94,25 @@ class Inputs:
         self._coming = self._read(file)
         self._waiting: deque[RecordedInput] = deque()
 
-    @staticmethod
-    def _read(file: SessionFile) -> Iterator[RecordedInput]:
+    def _read(self, file: SessionFile) -> Iterator[RecordedInput]:
         number = 0
+        has_clock = any(channel.topic == CLOCK for channel in file.channels)
+        clock_ns = NEVER if has_clock else file.start_ns
         for entry in file.entries_of_kinds(_ROS):
             if entry.seq and entry.kind in _ROS:
-                number += 1
                 stamp_ns = entry.stamp_ns
+                while clock_ns <= stamp_ns:
+                    number += 1
+                    yield _clock(number, clock_ns)
+                    clock_ns += _CLOCK_NS
+                number += 1
                 source_ns = entry.source_ns or stamp_ns
                 ours = entry.kind is Kind.ROS_OUT
                 yield RecordedInput(number, stamp_ns, entry.channel, entry.type, entry.data(), source_ns, ours)
+        while clock_ns <= file.end_ns:
+            number += 1
+            yield _clock(number, clock_ns)
+            clock_ns += _CLOCK_NS
 
     def peek(self) -> RecordedInput | None:
         """The next message; None at the end."""

@@ -88,6 +88,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="run programs that ask for a topic which nothing has (repeatable)",
     )
     parser.add_argument(
+        "--swap-ties",
+        action="store_true",
+        help="in every second run, timers come before messages of the same time: finds timers that race a topic",
+    )
+    parser.add_argument(
         "--latency", type=float, default=0.0, metavar="MS",
         help="of messages from program to program, in session time " + default(0),
     )  # fmt: skip
@@ -153,6 +158,7 @@ def run(options: argparse.Namespace) -> int:
         clocks=clocks,
         inputs=tuple(options.input),
         outputs=tuple(options.output),
+        swap_ties=options.swap_ties,
         without=tuple(options.without),
         wall_s=options.wall_limit,
         cpu_s=options.cpu_limit,

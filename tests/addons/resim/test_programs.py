@@ -134,3 +134,30 @@ def test_the_wall_clock_can_be_session_time(tmp_path: Path) -> None:
     recording = sessions.write(tmp_path / "in.mcap", sessions.texts(30))
     _, verdict = judged(recording, tmp_path, "planted wall", runs=2, clocks=Clocks.SESSION)
     assert verdict.exit_code == 0
+
+
+def test_a_timer_that_races_a_topic(tmp_path: Path) -> None:
+    """At equal times, messages come before timers; the other order shows that the outputs depend on it."""
+    rows = [(7_000_000 * number, *row[1:]) for number, row in enumerate(sessions.texts(40), 1)]
+    recording = sessions.write(tmp_path / "in.mcap", rows)
+    _, verdict = judged(recording, tmp_path, "planted timer", runs=3)
+    assert verdict.exit_code == 0
+    _, verdict = judged(recording, tmp_path, "planted timer", runs=2, swap_ties=True)
+    assert verdict.first
+    assert (verdict.first.stream, verdict.first.number) == ("/out", 21)
+    assert verdict.line().endswith("data is 'm20 19' and 'm20 20'")
+
+
+def test_use_sim_time_follows_the_session(tmp_path: Path) -> None:
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(60))
+    arguments = "--ros-args -p use_sim_time:=true"
+    result, verdict = judged(recording, tmp_path, f"single {arguments}", runs=2)
+    assert verdict.exit_code == 0
+    assert result.roles and set(result.roles.inputs) == {"/in", "/clock"}
+    said = strings(result.runs[0].outputs, "/out")
+    shown = [int(text.rpartition(" ")[2]) for text in said if text.startswith("got")]
+    sent = [time_ns for time_ns, _ in published(recording, "/in")]
+    start_ns = result.runs[0].start_ns
+    # of a clock of 100 Hz
+    assert shown == [start_ns + (time_ns - start_ns) // 10_000_000 * 10_000_000 for time_ns in sent]
+    assert sum(text.startswith("tick") for text in said) == 2
