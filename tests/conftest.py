@@ -58,7 +58,11 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fast"))
 #: other file has the mark itself.
 SLOW = (
     # the longest first
+    "addons/resim/test_programs.py",
     "integration/test_live_faults.py",
+    "addons/resim/test_faults.py",
+    "addons/resim/test_bisect.py",
+    "addons/resim/test_api.py",
     "addons/review/test_assess.py",
     "integration/test_cli_bridge.py",
     "test_gateway_fuzz.py",
