@@ -21,6 +21,7 @@ from pathlib import Path
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from igtl_gateway.addon import ros
 from igtl_gateway.convert.interfaces import SHARES, interface_files
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -286,7 +287,8 @@ def source(module: Module) -> str:
     imports: dict[str, set[str]] = {}
     for word in set(re.findall(r"\b[A-Za-z_]\w+\b", code)) & ORIGINS.keys():
         if ORIGINS[word] != module.name:
-            imports.setdefault(ORIGINS[word], set()).add(word)
+            of_surface = module.path.startswith("igtl_gateway/addons/") and word in ros.__all__
+            imports.setdefault(ros.__name__ if of_surface else ORIGINS[word], set()).add(word)
     lines = [
         f'"""{module.title}',
         "",

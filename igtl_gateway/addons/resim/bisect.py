@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
-from igtl_gateway.addon import ConfigError, Unavailable
+from igtl_gateway.addon import ConfigError, Unavailable, make_folder
 from igtl_gateway.addons.resim.engine import Program, ResimOptions, run
 from igtl_gateway.addons.resim.verdict import Verdict, compare
 from igtl_gateway.base.child import Child
@@ -184,7 +184,7 @@ def _clone() -> Iterator[_Clone]:
         place = Path(folder) / "checkout"
         _git(None, "clone", "--quiet", "--shared", "--no-checkout", str(top), str(place))
         outputs = Path(folder) / "outputs"
-        outputs.mkdir()
+        make_folder(outputs)
         yield _Clone(top, place, outputs)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import shutil
 import tempfile
 from contextlib import ExitStack
 from dataclasses import asdict
@@ -22,9 +23,11 @@ from igtl_gateway.addon import (
     count_text,
     default,
     new_recording,
+    open_new,
     output_file,
     print_json,
     print_line,
+    write_bytes,
     written,
 )
 from igtl_gateway.addons.resim.bisect import Step, bisect, bisection_facts
@@ -181,11 +184,15 @@ def run(options: argparse.Namespace) -> int:
         reference = options.baseline or options.file
         verdict = compare(result, reference=reference, tolerance=tolerance, outputs=settings.outputs)
         if options.record and result.runs and result.runs[0].outputs.is_file():
-            with written(options.record, overwrite=options.overwrite) as place:
-                place.write_bytes(result.runs[0].outputs.read_bytes())
+            with (
+                written(options.record, overwrite=options.overwrite) as place,
+                result.runs[0].outputs.open("rb") as source,
+                open_new(place, "wb") as copy,
+            ):
+                shutil.copyfileobj(source, copy)
         if options.junit:
             with written(options.junit, overwrite=options.overwrite) as place:
-                place.write_bytes(junit_xml(result, verdict, settings.outputs))
+                write_bytes(place, junit_xml(result, verdict, settings.outputs))
     if options.json:
         print_json(facts_of(result, verdict))
     else:

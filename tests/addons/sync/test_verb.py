@@ -231,7 +231,7 @@ def test_plot(recording: Path, tmp_path: Path) -> None:
             ["TRANSFORM/Probe", "--pair", "IMAGE/Video", "SENSOR/Force"],
             "--pair: found 1 streams, expected two before it",
         ),
-        (["--apply"], "--apply: found it or -o alone, expected both"),
+        (["--apply"], "--apply: found it or -o OUT alone, expected both"),
         (["TRANSFORM/Probe", "IMAGE/Video", "SENSOR/Force", "--apply", "-o", "x"], "found 3 streams, expected two"),
     ],
 )
