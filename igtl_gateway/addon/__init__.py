@@ -147,6 +147,8 @@ if TYPE_CHECKING:
     from igtl_gateway.convert.surfaces import mesh_to_igtl as mesh_to_igtl
     from igtl_gateway.convert.units import UNITS as UNITS
     from igtl_gateway.convert.units import LengthUnits as LengthUnits
+    from igtl_gateway.convert.units import millimetres as millimetres
+    from igtl_gateway.convert.units import scale as scale
     from igtl_gateway.convert.volumes import volume_to_image as volume_to_image
     from igtl_gateway.edges.video.worker import MAX_PIXELS as MAX_PIXELS
     from igtl_gateway.edges.video.worker import THREADS as VIDEO_THREADS
@@ -188,6 +190,7 @@ if TYPE_CHECKING:
     from igtl_gateway.record.sessionfile.reader import SessionFile as SessionFile
     from igtl_gateway.record.sessionfile.writer import SessionWriter as SessionWriter
     from igtl_gateway.replay.recorded_config import config_to_run as config_to_run
+    from igtl_gateway.replay.recorded_config import recorded_units as recorded_units
 
 #: Names that are others there; the rest of the surface is above.
 __all__ = ["VIDEO_THREADS", "open_recording", "ros_definitions"]
@@ -215,7 +218,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("base.qos", "Endpoint Qos"),
     ("base.buffers", "Buffer join"),
     ("config.configuration", "Config read_toml"),
-    ("replay.recorded_config", "config_to_run"),
+    ("replay.recorded_config", "config_to_run recorded_units"),
     ("app.verification", "IMPORTED verify_recording verify_session"),
     # The gateway: inputs of a session to its outputs; names in it, and codes of notes that it acts on
     ("gateway", "LINK_DOWN LINK_UP LISTENED PARTNER TICK Session header_names make_core"),
@@ -229,7 +232,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("convert.polydata", "polydata_to_igtl"),
     ("convert.surfaces", "marker_to_igtl mesh_to_igtl"),
     # Units and rotations
-    ("convert.units", "UNITS LengthUnits"),
+    ("convert.units", "UNITS LengthUnits millimetres scale"),
     ("convert.poses", "rotation_matrix unit_quaternion"),
     ("convert.structs", "Pose"),
     ("api.igtl_columns", "quaternions_of"),

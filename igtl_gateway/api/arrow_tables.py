@@ -23,6 +23,8 @@ from igtl_gateway.api.igtl_columns import POSE_TYPES, pose_columns, pose_rows
 from igtl_gateway.base.errors import ConversionError, GatewayError, Unavailable, failure_text
 from igtl_gateway.base.extras import missing
 from igtl_gateway.base.untrusted.decoding import MessageDecoder
+from igtl_gateway.convert.scaling import into_ros
+from igtl_gateway.convert.units import ieee_754, millimetres
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.record.sessionfile.bulk import MessageBlock
 from igtl_gateway.wire import decode
@@ -36,7 +38,7 @@ except ImportError as error:
 
 #: Types whose fields are taken as they are: ``describe`` shortens them for people.
 _BULKY = frozenset({"IMAGE", "POLYDATA", "VIDEO", "COLORT", "COLORTABLE", "NDARRAY"})
-#: Field of such a message → its name with the unit.
+#: Field of such a message that is an array of lengths → its name with the unit.
 _BULKY_NAMES = {"points": "points_mm"}
 _SURROGATES = re.compile(r"[\ud800-\udfff]")
 _MAX_OFFSET = (1 << 31) - 1
@@ -55,13 +57,14 @@ class TableMaker:
         name: of the stream, for the metadata of the schema.
         definitions: ROS type → definition.
         decoder: of ROS messages.
+        unit: of lengths in OpenIGTLink messages, which become millimetres.
     """
 
     def __init__(
-        self, kind: Kind, type_name: str, name: str, definitions: Mapping[str, str], decoder: MessageDecoder
+        self, kind: Kind, type_name: str, name: str, definitions: Mapping[str, str], decoder: MessageDecoder, unit: str
     ) -> None:
         self._is_igtl = kind in (Kind.IGTL_IN, Kind.IGTL_OUT)
-        self._type, self._definitions, self._decoder = type_name, definitions, decoder
+        self._type, self._definitions, self._decoder, self._unit = type_name, definitions, decoder, unit
         self._metadata = {"stream": _text(name), "type": _text(type_name), "direction": kind.value}
 
     def table(self, block: MessageBlock) -> tuple[pa.Table, list[str]]:
@@ -89,7 +92,7 @@ class TableMaker:
         if self._is_igtl and self._type in POSE_TYPES:
             found = pose_rows(block, self._type)
             if len(found.rows) == len(block):
-                return pose_columns(found)
+                return pose_columns(found, self._unit)
         raise NotColumns
 
     def _one_by_one(self, block: MessageBlock) -> tuple[list[int], list[Fields], list[str]]:
@@ -107,12 +110,19 @@ class TableMaker:
         if self._is_igtl:
             content = decode(payload).content
             if self._type in _BULKY:
-                return _flat("", {_BULKY_NAMES.get(name, name): each for name, each in _raw_fields(content).items()})
-            return _flat("", name_igtl_fields(describe_content(content)))
+                return _flat("", dict(self._bulky(*each) for each in _raw_fields(content).items()))
+            return _flat("", name_igtl_fields(describe_content(content), self._unit))
         if not self._definitions.get(self._type):
             raise ConversionError("the session has no definition of its type")
         message = self._decoder.decode(self._type, bytes(payload))
         return _flat("", name_ros_fields(self._decoder.store(self._type), message))
+
+    @ieee_754
+    def _bulky(self, name: str, value: Any) -> tuple[str, Any]:
+        """A field of a bulky type, with its name as a column."""
+        if name not in _BULKY_NAMES:
+            return name, value
+        return _BULKY_NAMES[name], into_ros(millimetres(self._unit), value, np.empty(value.shape, np.float32))
 
 
 def _metadata_column(block: MessageBlock) -> list[tuple[str, pa.Array, str]]:

@@ -2,8 +2,9 @@
 
 A name is the path of the field, with dots, and its unit if the protocol or the message definition fixes one: ``x_mm``,
 ``transform.translation.x_m``, ``angular.z_rad_s``.  Stamps and durations of ROS become one integer in nanoseconds:
-``header.stamp_ns``.  Quaternions, rows of rotation matrices, colours and counts have no unit.  The names of joint
-values and of SENSOR values have no unit either: a joint can rotate or slide, and SENSOR has its unit in the message.
+``header.stamp_ns``.  Lengths of OpenIGTLink are millimetres, whatever unit the stream has.  Quaternions, rows of
+rotation matrices, colours and counts have no unit.  The names of joint values and of SENSOR values have no unit either:
+a joint can rotate or slide, and SENSOR has its unit in the message.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted import limits
 from igtl_gateway.convert.context import ToRosContext
 from igtl_gateway.convert.poses import pose_of_matrix
-from igtl_gateway.convert.units import LengthUnits
+from igtl_gateway.convert.units import LengthUnits, millimetres
 
 Cells = dict[str, Any]
 
@@ -54,32 +55,43 @@ _NUMBERS: dict[str, tuple[str, ...]] = {
 }
 #: Field of a described message → its name with the unit.
 _NAMED = {"diameter": "diameter_mm", "focal_length": "focal_length_mm", "resolution": "resolution_ms"}
-_MILLIMETRES = LengthUnits("mm", "mm")
+#: Fields of the two tables above that are lengths; the axes of the matrix of an image are as long as a pixel.
+_LENGTHS = frozenset({"position", "entry", "target", "wire_matrix", "diameter", "focal_length"})
 
 
-def name_igtl_fields(fields: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of an OpenIGTLink message, given by ``describe``, named with units; matrices become poses."""
+def name_igtl_fields(fields: Mapping[str, Any], unit: str) -> dict[str, Any]:
+    """Return the fields of an OpenIGTLink message named with units; matrices become poses.
+
+    Args:
+        fields: as ``describe`` gives them.
+        unit: of lengths in the message, which become millimetres.
+    """
+    return _named(fields, millimetres(unit))
+
+
+def _named(fields: Mapping[str, Any], lengths: LengthUnits) -> dict[str, Any]:
     named: dict[str, Any] = {}
     for name, value in fields.items():
         if name == "matrix" and isinstance(value, list):
-            named |= _pose(value)
+            named |= _pose(value, lengths)
         elif isinstance(value, dict):
-            named |= {f"{name}_ns": _nanoseconds(value)} if value.keys() == _TIME else {name: name_igtl_fields(value)}
+            named |= {f"{name}_ns": _nanoseconds(value)} if value.keys() == _TIME else {name: _named(value, lengths)}
         elif isinstance(value, list) and name in _NUMBERS and len(value) == len(_NUMBERS[name]):
-            named[name] = dict(zip(_NUMBERS[name], value, strict=True))
+            scaled = map(lengths.to_ros, value) if name in _LENGTHS else value
+            named[name] = dict(zip(_NUMBERS[name], scaled, strict=True))
         elif isinstance(value, list):
-            named[name] = [name_igtl_fields(one) if isinstance(one, dict) else one for one in value]
+            named[name] = [_named(one, lengths) if isinstance(one, dict) else one for one in value]
         else:
-            named[_NAMED.get(name, name)] = value
+            named[_NAMED.get(name, name)] = lengths.to_ros(value) if name in _LENGTHS else value
     return named
 
 
-def _pose(rows: list[list[float]]) -> dict[str, Any]:
+def _pose(rows: list[list[float]], lengths: LengthUnits) -> dict[str, Any]:
     """Return position, quaternion and rotation of a 4 × 4 matrix; an empty quaternion if it is not orthonormal."""
     matrix = tuple(rows[row][column] for column in range(4) for row in range(3))
-    named: dict[str, Any] = dict(zip(_XYZ_MM, matrix[9:], strict=True))
+    named: dict[str, Any] = dict(zip(_XYZ_MM, map(lengths.to_ros, matrix[9:]), strict=True))
     try:
-        pose = pose_of_matrix(matrix, ToRosContext("", 0, "", "", _MILLIMETRES), "TRANSFORM")
+        pose = pose_of_matrix(matrix, ToRosContext("", 0, "", "", lengths), "TRANSFORM")
         named |= zip(_QUATERNION, pose[3:], strict=True)
     except ConversionError:
         named |= dict.fromkeys(_QUATERNION, "")

@@ -16,7 +16,7 @@ from igtl_gateway.api.cdr_columns import Column
 from igtl_gateway.base.errors import ConversionError, WireError
 from igtl_gateway.convert.context import ToRosContext
 from igtl_gateway.convert.poses import ROUNDING, pose_of_matrix, rotation_matrix
-from igtl_gateway.convert.units import LengthUnits
+from igtl_gateway.convert.units import LengthUnits, millimetres
 from igtl_gateway.record.sessionfile.bulk import Bytes, MessageBlock, gathered
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.header import BODY_SIZE_AT, CRC_AT, HEADER_SIZE, crc64
@@ -148,10 +148,10 @@ def _crc_table(size: int) -> npt.NDArray[np.uint64]:
     return table
 
 
-def pose_columns(found: PoseRows) -> list[Column]:
+def pose_columns(found: PoseRows, unit: str) -> list[Column]:
     """The columns of TRANSFORM or POSITION messages, as ``columns.name_igtl_fields`` has them of one."""
-    matrices = found.matrices
-    xyz = [(f"{axis}_mm", "mm", matrices[:, row, 3]) for row, axis in enumerate("xyz")]
+    matrices, lengths = found.matrices, millimetres(unit)
+    xyz = [(f"{axis}_mm", "mm", lengths.to_ros(matrices[:, row, 3])) for row, axis in enumerate("xyz")]
     if found.quaternions is not None:
         kinds = [form.encode() for form in found.forms]
         offsets = np.concatenate(([0], np.cumsum([len(kind) for kind in kinds]))).astype(np.int64)

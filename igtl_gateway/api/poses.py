@@ -12,7 +12,7 @@ import numpy.typing as npt
 from igtl_gateway.api.display import as_array, html_table
 from igtl_gateway.api.igtl_columns import quaternions_of, rotations
 from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.convert.units import UNITS
+from igtl_gateway.convert.units import UNITS, LengthUnits
 
 Array = npt.NDArray[Any]
 Times = npt.NDArray[np.int64]
@@ -112,8 +112,7 @@ def ratio(unit: str, wanted: str) -> tuple[int, int]:
     for name in (unit, wanted):
         if name not in UNITS:
             raise ConfigError(f"unit: found {name!r}, expected one of {', '.join(UNITS)}")
-    found, expected = UNITS[unit], UNITS[wanted]
-    return (found // expected, 1) if found >= expected else (1, expected // found)
+    return LengthUnits(wanted, unit).ratio_to_ros
 
 
 def inverse(matrices: Array) -> Array:

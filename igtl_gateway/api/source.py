@@ -12,11 +12,12 @@ from igtl_gateway.base.untrusted import definitions
 from igtl_gateway.base.untrusted.decoding import MessageDecoder
 from igtl_gateway.base.untrusted.limits import FileLimits, limits_in_force
 from igtl_gateway.config.configuration import Config
-from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.stream_units import StreamUnits
 from igtl_gateway.record.sessionfile import facts
 from igtl_gateway.record.sessionfile.bulk import MessageBlock
 from igtl_gateway.record.sessionfile.channels import ChannelSummary
 from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.replay.recorded_config import units_of
 
 if TYPE_CHECKING:
     import pyarrow
@@ -111,22 +112,15 @@ class Source:
         from igtl_gateway.api import arrow_tables  # pyarrow is an extra
 
         name = channel.stream or channel.topic
-        definitions = self.file.definitions
-        maker = arrow_tables.TableMaker(channel.kind, channel.entry_type, name, definitions, self.decoder)
+        definitions, unit = self.file.definitions, self.unit(channel)
+        maker = arrow_tables.TableMaker(channel.kind, channel.entry_type, name, definitions, self.decoder, unit)
         with limits_in_force(self.limits):
             return arrow_tables.joined([maker.table(block) for block in blocks])
 
     def unit(self, channel: ChannelSummary) -> str:
         """Return the unit of lengths in the messages of a stream."""
-        config = self.config or Config()
-        match channel.kind:
-            case Kind.IGTL_IN:
-                type_name, _, device = channel.stream.partition("/")
-                return config.lengths(config.row_to_ros(type_name, device)).igtl
-            case Kind.ROS_IN:
-                row = config.row_to_igtl(channel.topic)
-                return config.lengths(row).ros if row else config.ros_unit
-            case Kind.IGTL_OUT:
-                return config.igtl_unit
-            case _:
-                return config.ros_unit
+        return self._units.of(channel.kind, channel.stream, channel.entry_type)
+
+    @cached_property
+    def _units(self) -> StreamUnits:
+        return units_of(self.config or Config(), self.file)

@@ -8,11 +8,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.compare import LeafDecoder, Tolerance
 from igtl_gateway.replay.diff import DiffInput, StreamDiff, diff
-from igtl_gateway.replay.recorded_config import config_to_run
+from igtl_gateway.replay.recorded_config import config_to_run, units_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,8 +79,7 @@ def compare_sessions(
 
 
 def _side(file: SessionFile) -> DiffInput:
-    config = config_to_run(file.session)
-    return DiffInput(file.entries(), LeafDecoder(file.definitions, LengthUnits(config.ros_unit, config.igtl_unit)))
+    return DiffInput(file.entries(), LeafDecoder(file.definitions, units_of(config_to_run(file.session), file)))
 
 
 def _json_value(value: Any) -> Any:

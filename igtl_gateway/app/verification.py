@@ -9,10 +9,9 @@ from typing import Any
 from igtl_gateway.base.errors import UnsupportedRecording
 from igtl_gateway.base.version import __version__
 from igtl_gateway.config.configuration import Config
-from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.compare import LeafDecoder
-from igtl_gateway.replay.recorded_config import config_to_run
+from igtl_gateway.replay.recorded_config import config_to_run, units_of
 from igtl_gateway.replay.verify import DeclaredLosses, Difference, VerifyReport, verify
 
 #: Key of the version that recorded the session.
@@ -106,7 +105,7 @@ def verify_session(file: SessionFile, config_path: Path | None = None) -> Verifi
         )
     recorded_by = file.session.get(_VERSION, "")
     config = _config(path, config_path, file, recorded_by)
-    decoder = LeafDecoder(file.definitions, LengthUnits(config.ros_unit, config.igtl_unit))
+    decoder = LeafDecoder(file.definitions, units_of(config, file))
     losses = DeclaredLosses.of(file.session, file.ledger)
     report = verify(file.entries(), config, losses, before=file.prologue(), decoder=decoder)
     counts = {each.name: getattr(report, each.name) for each in fields(VerifyReport)}

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from igtl_gateway.app.content_summary import ContentSummary, StreamSummary
-from igtl_gateway.base.errors import BeingRecorded, DamagedRecording, LimitExceeded
+from igtl_gateway.base.errors import BeingRecorded, ConfigError, DamagedRecording, LimitExceeded
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.text import parse_json
 from igtl_gateway.cli.common import count_text, print_damaged_indexes, size_text, utc_text
@@ -19,10 +20,12 @@ from igtl_gateway.cli.next_steps import info_steps, print_next
 from igtl_gateway.cli.options import add_file, add_json
 from igtl_gateway.cli.recover import print_losses
 from igtl_gateway.cli.terminal import cell, print_json, print_line, width
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.log.changes import SETTING
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.ledger import gaps
 from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.gateway.stream_units import StreamUnits
 from igtl_gateway.record.sessionfile import facts, layout
 from igtl_gateway.record.sessionfile.index import recover_hint
 from igtl_gateway.record.sessionfile.reader import PartSummary, SessionFile
@@ -38,6 +41,7 @@ EXAMPLES = """\
   igtl-gateway info out"""
 
 _IGTL = frozenset({Kind.IGTL_IN.value, Kind.IGTL_OUT.value})
+_ROS = frozenset({Kind.ROS_IN.value, Kind.ROS_OUT.value})
 _NOT_YET = "   unknown: the ledger is written when the recording ends"
 
 
@@ -117,7 +121,7 @@ def _facts(
         "start": utc_text(start_ns),
         "duration_s": (end_ns - start_ns) / NS_PER_S,
         "entries": content.entries,
-        "streams": [stream.to_dict() for _, stream in sorted(content.streams.items(), key=_order)],
+        "streams": _streams(file, content),
         "problems": dict(sorted(content.problems.items())),
         "peers": [
             {"event": note.code, "at": utc_text(stamp_ns), **note.data}
@@ -145,6 +149,23 @@ def _facts(
         "gaps": gaps(file.ledger or {}),
         "seal": _seal(path),
     }
+
+
+def _streams(file: SessionFile | Salvage, content: ContentSummary) -> list[dict[str, Any]]:
+    """Return the streams, with the unit of lengths in each if the file has a configuration."""
+    found = sorted(content.streams.items(), key=_order)
+    config = facts.configuration(file.session)
+    try:
+        units = StreamUnits(Config.from_dict(config), content.streams)
+    except ConfigError:
+        config = {}
+    return [stream.to_dict() | ({"unit": units.of(*key)} if config else {}) for key, stream in found]
+
+
+def _units(streams: list[dict[str, Any]], directions: frozenset[str], setting: str) -> str:
+    """Return the units of the streams of one side, the most frequent first; those of the configuration without any."""
+    counts = Counter(each["unit"] for each in streams if each["direction"] in directions and "unit" in each)
+    return " and ".join(unit for unit, _ in counts.most_common()) or setting
 
 
 def _seal(path: Path) -> dict[str, Any] | None:
@@ -199,7 +220,7 @@ def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_n
         print_line(f"  synthetic {session['synthetic']}")
     for key, value in parse_json(session.get(layout.CUSTOM_KEY, "{}"), layout.CUSTOM_KEY).items():
         print_line(f"  {key:<9} {value}")
-    missing = summary.get("missing_parts", [])
+    missing, streams = summary.get("missing_parts", []), summary["streams"]
     for line in _origin(session, is_folder=bool(parts)):
         print_line(f"  {line}")
     if missing:
@@ -215,6 +236,7 @@ def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_n
         igtl_unit, ros_unit, stamp, base_frame = (
             config.get(key, "unknown") for key in ("igtl_unit", "ros_unit", "stamp", "base_frame")
         )
+        igtl_unit, ros_unit = _units(streams, _IGTL, igtl_unit), _units(streams, _ROS, ros_unit)
         print_line(
             f"  units     {igtl_unit} in OpenIGTLink, {ros_unit} in ROS; stamps: {stamp}; base frame {base_frame!r}"
         )
@@ -226,7 +248,7 @@ def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_n
         for part in parts:
             span = f"from {part['start']}, {part['duration_s']:.3f} s" if part["entries"] else "no entries"
             print_line(f"    {cell(part['file'], columns)} {part['entries']:>7,} {size_text(part['bytes']):>9}  {span}")
-    _print_streams(summary["streams"])
+    _print_streams(streams)
     for title, lines in (
         ("links", [_line(stamp, note, start_ns) for stamp, kind, note in notes if kind is Kind.LINK]),
         ("clocks", [f"{_peer(clock)} by {clock['stream']}: {clock['text']}" for clock in summary["clocks"]]),
@@ -286,6 +308,10 @@ def _globs(text: str) -> str:
 def _print_streams(streams: list[dict[str, Any]]) -> None:
     direction = ""
     columns = width(stream["stream"] for stream in streams)
+    units = {
+        side: {stream["unit"] for stream in streams if "unit" in stream and (stream["direction"] in _IGTL) is side}
+        for side in (True, False)
+    }
     for stream in streams:
         if stream["direction"] != direction:
             direction = stream["direction"]
@@ -293,7 +319,8 @@ def _print_streams(streams: list[dict[str, Any]]) -> None:
         rate = f"{stream['rate_hz']:.1f} Hz" if stream["rate_hz"] else ""
         gap = f"GAP of {stream['longest_pause_s']:.1f} s" if stream["gap"] else ""
         ros_type = stream["type"] if "/" in stream["type"] else ""
-        facts = ", ".join(fact for fact in (ros_type, stream["stamps"], gap) if fact)
+        unit = f"lengths in {stream['unit']}" if len(units[direction in _IGTL]) > 1 else ""
+        facts = ", ".join(fact for fact in (ros_type, unit, stream["stamps"], gap) if fact)
         counts = f"{stream['messages']:>7,} {rate:>10} {size_text(stream['bytes']):>9}"
         print_line(f"    {cell(stream['stream'], columns)} {counts}  {facts}".rstrip())
 

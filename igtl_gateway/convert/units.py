@@ -57,6 +57,16 @@ class LengthUnits:
         return _scaled(lengths, times, by)
 
 
+def millimetres(unit: str) -> LengthUnits:
+    """Return the units whose ``to_ros`` gives millimetres of lengths in ``unit``."""
+    return LengthUnits("mm", unit)
+
+
+def scale(unit: str, wanted: str) -> float:
+    """Return how many ``wanted`` one ``unit`` is."""
+    return LengthUnits(wanted, unit).to_ros(1.0)
+
+
 def _scaled(lengths: Number, times: int, by: int) -> Number:
     if isinstance(lengths, np.ndarray):
         # in float64: a float32 product would be rounded twice

@@ -12,7 +12,7 @@ import numpy as np
 
 from igtl_gateway.base.errors import ChecksumMismatch, WireError
 from igtl_gateway.config.configuration import Config
-from igtl_gateway.convert.units import UNITS, ieee_754
+from igtl_gateway.convert.units import ieee_754, scale
 from igtl_gateway.doctor.content import NOTHING, measure_content
 from igtl_gateway.doctor.graph import Graph
 from igtl_gateway.doctor.observations import NoteCount, ObservedPeer, ObservedStream
@@ -197,7 +197,7 @@ class Observer:
             stream = self.streams[key] = ObservedStream(number, kind, device, header.type, header.device_name)
             stream.unknown = kind not in BODIES
             unit = self.config.lengths(self.config.row_to_ros(kind, device)).igtl
-            stream.millimetres = UNITS[unit] / UNITS["mm"]
+            stream.millimetres = scale(unit, "mm")
         return stream
 
     @ieee_754

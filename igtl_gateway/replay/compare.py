@@ -22,9 +22,11 @@ import numpy.typing as npt
 
 from igtl_gateway.base.errors import ChecksumMismatch, DamagedRecording, GatewayError
 from igtl_gateway.base.stamp import ticks_to_ns
-from igtl_gateway.convert.units import UNITS, LengthUnits
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.convert.units import scale
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.gateway.stream_units import StreamUnits
 from igtl_gateway.wire import Header, decode
 from igtl_gateway.wire.elements import Elements
 from igtl_gateway.wire.fields import visible
@@ -225,12 +227,12 @@ class LeafDecoder:
 
     Args:
         definitions: ROS type → its definition with all dependencies, as in ``ros2msg`` schemas.
-        lengths: length units of both sides.
+        units: the unit of lengths in each stream.
     """
 
-    def __init__(self, definitions: Mapping[str, str] | None = None, lengths: LengthUnits = LengthUnits()) -> None:
+    def __init__(self, definitions: Mapping[str, str] | None = None, units: StreamUnits | None = None) -> None:
         self._definitions = definitions or {}
-        self._ros_mm, self._igtl_mm = UNITS[lengths.ros] / UNITS["mm"], UNITS[lengths.igtl] / UNITS["mm"]
+        self._units = units or StreamUnits(Config())
 
     def leaves(self, entry: Entry) -> Iterator[_Leaf]:
         """Yield the leaves of the message of an entry.  Raises Undecodable, possibly after the first leaves."""
@@ -240,6 +242,10 @@ class LeafDecoder:
             yield from self._igtl(entry)
         else:
             yield from self._ros(entry)
+
+    def _mm(self, entry: Entry) -> float:
+        """Return how many millimetres the unit of lengths in a message is."""
+        return scale(self._units.of(entry.kind, entry.channel, entry.type), "mm")
 
     # -- OpenIGTLink --------------------------------------------------------------------------------------------
 
@@ -261,44 +267,41 @@ class LeafDecoder:
         yield "message_id", message.message_id
         for item in message.metadata:
             yield f"metadata.{visible(item.key)}", item.text
-        yield from self._content(message.content)
+        yield from self._content(message.content, self._mm(entry))
         yield "crc_ok", right
 
-    def _content(self, content: Any) -> Iterator[_Leaf]:
+    def _content(self, content: Any, mm: float) -> Iterator[_Leaf]:
         values = describe_content(content)
         match content:
             case Transform(wire_matrix):
-                values["matrix"] = _of_matrix(wire_matrix, self._igtl_mm)
+                values["matrix"] = _of_matrix(wire_matrix, mm)
             case Position():
-                values = {"pose": self._igtl_pose(values.pop("position", ()), values.pop("quaternion", ())), **values}
+                values = {"pose": _pose_value(values.pop("position", ()), values.pop("quaternion", ()), mm), **values}
             case Elements():
                 values["elements"] = [
-                    self._element(one, row) for one, row in zip(values["elements"], content.elements, strict=True)
+                    self._element(one, row, mm) for one, row in zip(values["elements"], content.elements, strict=True)
                 ]
             case Image(wire_matrix=wire_matrix):
-                values["wire_matrix"] = _of_image_matrix(wire_matrix, self._igtl_mm)
+                values["wire_matrix"] = _of_image_matrix(wire_matrix, mm)
                 values["spacing"] = _spacing(wire_matrix)
                 pixels = content.array
                 values["data"] = ElementArray(pixels.reshape(-1, max(1, pixels.shape[-1])), "pixels")
                 del values["data_crc64"]
             case PolyData(points=points):
-                values["points"] = ElementArray(points.reshape(-1, 3), "points", self._igtl_mm)
+                values["points"] = ElementArray(points.reshape(-1, 3), "points", mm)
         yield from flattened(values, "content")
 
-    def _element(self, values: dict[str, Any], row: Any) -> dict[str, Any]:
+    def _element(self, values: dict[str, Any], row: Any, mm: float) -> dict[str, Any]:
         """Return an element of a list, such as a tool or a landmark, with its pose as one value."""
         values = dict(values)
         if "matrix" in values:
-            values["matrix"] = _of_matrix(row["matrix"].tolist(), self._igtl_mm)
+            values["matrix"] = _of_matrix(row["matrix"].tolist(), mm)
         if "quaternion" in values:
-            values["position"] = self._igtl_pose(values["position"], values.pop("quaternion"))
+            values["position"] = _pose_value(values["position"], values.pop("quaternion"), mm)
         for name in ("position", "entry", "target"):
             if isinstance(values.get(name), list | tuple):
-                values[name] = self._igtl_pose(values[name], ())
+                values[name] = _pose_value(values[name], (), mm)
         return values
-
-    def _igtl_pose(self, position: Sequence[float], quaternion: Sequence[float]) -> PoseValue:
-        return _pose_value(position, quaternion, self._igtl_mm)
 
     # -- ROS ----------------------------------------------------------------------------------------------------
 
@@ -309,7 +312,7 @@ class LeafDecoder:
             raise Undecodable(str(error)) from None
         except Exception as error:  # rosbags raises many types of errors for invalid bytes
             raise Undecodable(f"{entry.type}: {type(error).__name__}: {error}") from None
-        yield from self._walk(message, "")
+        yield from self._walk(message, "", self._mm(entry))
 
     @cached_property
     def _decoder(self) -> RosDecoder:
@@ -318,25 +321,25 @@ class LeafDecoder:
 
         return RosDecoder(lambda ros_type: self._definitions.get(ros_type, ""))
 
-    def _walk(self, value: Any, path: str) -> Iterator[_Leaf]:
+    def _walk(self, value: Any, path: str, mm: float) -> Iterator[_Leaf]:
         ros_type = getattr(value, "__msgtype__", "")
         special = _SPECIAL.get(ros_type)
         if ros_type == "builtin_interfaces/msg/Time" and path.rpartition(".")[2] in ("stamp", "timestamp"):
             yield path, StampValue(value.sec * 1_000_000_000 + value.nanosec)
         elif special:
-            yield path, special(value, self._ros_mm)
+            yield path, special(value, mm)
         elif ros_type in _ARRAYS:
             parts = {item.name: getattr(value, item.name) for item in dataclasses.fields(value)}
-            for name, part in {**parts, **_ARRAYS[ros_type](value, self._ros_mm)}.items():
-                yield from self._walk(part, f"{path}.{name}" if path else name)
+            for name, part in {**parts, **_ARRAYS[ros_type](value, mm)}.items():
+                yield from self._walk(part, f"{path}.{name}" if path else name, mm)
         elif ros_type:
             for item in dataclasses.fields(value):
-                yield from self._walk(getattr(value, item.name), f"{path}.{item.name}" if path else item.name)
+                yield from self._walk(getattr(value, item.name), f"{path}.{item.name}" if path else item.name, mm)
         elif isinstance(value, list) and value and getattr(value[0], "__msgtype__", "") in _POINTS:
-            yield path, ElementArray(np.array([(one.x, one.y, one.z) for one in value]), "points", self._ros_mm)
+            yield path, ElementArray(np.array([(one.x, one.y, one.z) for one in value]), "points", mm)
         elif isinstance(value, list):
             for index, part in enumerate(value):
-                yield from self._walk(part, f"{path}[{index}]")
+                yield from self._walk(part, f"{path}[{index}]", mm)
         elif isinstance(value, np.ndarray) and value.ndim and value.size > _SHORT:
             yield path, ElementArray(value.reshape(-1, 1), "values")
         else:

@@ -2,12 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Protocol
 
 from igtl_gateway.base.errors import ConfigError, DamagedRecording, UnsupportedRecording
 from igtl_gateway.config.configuration import Config
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.stream_units import StreamUnits
 from igtl_gateway.record.sessionfile import facts
+
+
+class RecordedStream(Protocol):
+    """A stream of a recording; see ``sessionfile.channels.ChannelSummary``."""
+
+    @property
+    def kind(self) -> Kind: ...
+    @property
+    def stream(self) -> str: ...
+    @property
+    def entry_type(self) -> str: ...
+
+
+class RecordedSession(Protocol):
+    """What the units of a recording depend on; see ``sessionfile.reader.SessionFile``."""
+
+    @property
+    def session(self) -> Mapping[str, str]: ...
+    @property
+    def channels(self) -> Sequence[RecordedStream]: ...
 
 
 def config_to_run(session: Mapping[str, str], path: Path | None = None) -> Config:
@@ -24,3 +47,17 @@ def config_to_run(session: Mapping[str, str], path: Path | None = None) -> Confi
         if given:
             return given
         raise UnsupportedRecording(f"the recorded configuration cannot be used: {error}") from None
+
+
+def recorded_units(file: RecordedSession) -> StreamUnits:
+    """Return the units of the streams of a recording: the default ones where it has no usable configuration."""
+    try:
+        config = Config.from_dict(facts.configuration(file.session))
+    except (ConfigError, DamagedRecording):
+        config = Config()
+    return units_of(config, file)
+
+
+def units_of(config: Config, file: RecordedSession) -> StreamUnits:
+    """Return the units of the streams of a recording, by another configuration."""
+    return StreamUnits(config, ((each.kind, each.stream, each.entry_type) for each in file.channels if each.stream))

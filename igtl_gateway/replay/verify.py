@@ -21,11 +21,11 @@ from igtl_gateway.base.errors import ChecksumMismatch, GatewayError
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.igtl_msgs import LinkStatusList, Metadata, RawMessage
 from igtl_gateway.convert.table import TO_ROS
-from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.gateway import Session, make_core
 from igtl_gateway.gateway.guard import CODES
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.gateway.stream_units import StreamUnits
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.replay.compare import LeafDecoder, compare_values, first_byte, flattened, same
 from igtl_gateway.wire import describe
@@ -168,7 +168,7 @@ def verify(
         before: inputs from before the start of the recording (its prologue).
         decoder: decoder for the recording, to report differences with units.
     """
-    verifier = _Verifier(config, losses, decoder or LeafDecoder(lengths=LengthUnits(config.ros_unit, config.igtl_unit)))
+    verifier = _Verifier(config, losses, decoder or LeafDecoder(units=StreamUnits(config)))
     for entry in before:
         verifier.before(entry)
     for entry in entries:

@@ -13,8 +13,8 @@ from typing import Any
 
 from igtl_gateway.base.globs import matches
 from igtl_gateway.config.configuration import Config
-from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.stream_units import StreamUnits
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.schemas import RosTypes
 from igtl_gateway.replay.compare import LeafDecoder, Tolerance, Undecodable, compare_values
@@ -105,7 +105,7 @@ def _side(session: Session, rules: _Rules) -> _Side:
 
 
 def _decoder(definitions: dict[str, str], config: Config) -> LeafDecoder:
-    return LeafDecoder(definitions, LengthUnits(config.ros_unit, config.igtl_unit))
+    return LeafDecoder(definitions, StreamUnits(config))
 
 
 def _add_entries(entries: Iterable[Entry], rules: _Rules, side: _Side) -> None:

@@ -26,7 +26,7 @@ def test_messages_that_cannot_be_decoded_have_no_row_but_a_reason() -> None:
         Entry(number, 10 * number, Kind.IGTL_IN, "STRING/A", "STRING", (bytes(each),))
         for number, each in enumerate((data, broken, data), 1)
     ]
-    maker = TableMaker(Kind.IGTL_IN, "STRING", "STRING/A\udcff", {}, MessageDecoder(lambda _: ""))
+    maker = TableMaker(Kind.IGTL_IN, "STRING", "STRING/A\udcff", {}, MessageDecoder(lambda _: ""), "mm")
     table = joined([maker.table(block_of(entries[:2])), maker.table(block_of(entries[2:]))])
     assert table["entry"].to_pylist() == [1, 3]
     assert table["string"].to_pylist() == ["text", "text"]

@@ -63,14 +63,15 @@ def positions() -> list[bytes]:
     return found
 
 
+@pytest.mark.parametrize("unit", ["mm", "m", "um"])
 @pytest.mark.parametrize(("igtl_type", "messages"), [("TRANSFORM", transforms()), ("POSITION", positions())])
-def test_columns_are_the_cells_of_single_messages(igtl_type: str, messages: list[bytes]) -> None:
+def test_columns_are_the_cells_of_single_messages(igtl_type: str, messages: list[bytes], unit: str) -> None:
     given_entries = [
         Entry(number, number, Kind.IGTL_IN, f"{igtl_type}/A", igtl_type, (data,))
         for number, data in enumerate(messages, 1)
     ]
     found = pose_rows(block_of(given_entries), igtl_type)
-    columns = pose_columns(found)
+    columns = pose_columns(found, unit)
     expected = []
     for index, data in enumerate(messages):
         try:
@@ -79,7 +80,7 @@ def test_columns_are_the_cells_of_single_messages(igtl_type: str, messages: list
             continue
     assert found.rows.tolist() == [index for index, _ in expected]
     for row, (_, content) in enumerate(expected):
-        (cells,) = table_rows(name_igtl_fields(describe_content(content)))
+        (cells,) = table_rows(name_igtl_fields(describe_content(content), unit))
         assert [column.name for column in columns] == list(cells)
         for column in columns:
             value = column.text(row) if column.is_text else column.values[row]

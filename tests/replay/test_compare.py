@@ -11,12 +11,14 @@ import numpy as np
 import pytest
 
 from igtl_gateway.base.buffers import join
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.common_msgs import FrameTransform as Frame
 from igtl_gateway.convert.common_msgs import PoseArray, PoseStamped, TFMessage
 from igtl_gateway.convert.rosmsg import Header, Image, PointCloud2, PointField, PointStamped, RosMessage, String
 from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.gateway.stream_units import StreamUnits
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.schemas import RosTypes
 from igtl_gateway.replay.compare import EXACT, Delta, LeafDecoder, Tolerance, Undecodable, compare_values, first_byte
@@ -52,7 +54,7 @@ def igtl(content: Body, igtl_type: str, ticks: int = 0) -> Entry:
 
 def compared(one: Entry, other: Entry, tolerance: Tolerance = EXACT, lengths: LengthUnits = LengthUnits()) -> Delta:
     definitions = {} if "/" not in one.type else {one.type: definition(one.type)}
-    decoder = LeafDecoder(definitions, lengths)
+    decoder = LeafDecoder(definitions, StreamUnits(Config(ros_unit=lengths.ros, igtl_unit=lengths.igtl)))
     return compare_values(decoder.leaves(one), decoder.leaves(other), tolerance)
 
 

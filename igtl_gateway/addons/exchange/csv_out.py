@@ -2,8 +2,8 @@
 
 Columns: ``entry`` (entry number in the session), ``time_ns`` (gateway time, UTC), ``source_ns`` (the sender's stamp,
 empty if unset), ``item`` (index in the list, if there is one), then the fields of the message, named by
-``exchange/columns.py``.  Numbers are those of the message: OpenIGTLink in millimetres.  Images, surfaces and other long
-arrays of numbers are left out, because they do not fit in a table.
+``api/columns.py``.  Numbers are those of the message; lengths of OpenIGTLink become millimetres.  Images, surfaces
+and other long arrays of numbers are left out, because they do not fit in a table.
 
 A file has the columns of all its messages: if a later message adds a column, the file is written again at the end.
 Text is exported as received.  Spreadsheet programs interpret cells that begin with ``=``, ``+``, ``-`` or ``@`` as
@@ -15,11 +15,11 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from igtl_gateway.addon import Entry, Kind, MessageDecoder, failure_text, open_text
+from igtl_gateway.addon import Entry, Kind, MessageDecoder, failure_text, open_text, recorded_units
 from igtl_gateway.addon.igtl import decode, describe_content
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.folder import FileNames, Folder, new_folder
@@ -51,7 +51,7 @@ def export_csv(recording: Recording, out: Path, globs: Sequence[str]) -> ExportA
     """Write the directory ``out``.  Raises UnsupportedRecording if it is not empty; OSError."""
     account, names = ExportAccount(), FileNames()
     tables: dict[str, _Table] = {}
-    read = _RowReader(recording.definitions)
+    read = _RowReader(recording)
     with new_folder(out, account) as folder, ExitStack() as stack:
         for entry in chosen_entries(recording, (*IGTL_KINDS, *ROS_KINDS), globs, account):
             row, name = account.row(entry), names.of(entry)
@@ -152,8 +152,9 @@ class _Table:
 class _RowReader:
     """Decodes messages to rows of cells."""
 
-    def __init__(self, definitions: Mapping[str, str]) -> None:
-        self._definitions = definitions
+    def __init__(self, recording: Recording) -> None:
+        self._definitions = definitions = recording.definitions
+        self._units = recorded_units(recording)
         self._decoder = MessageDecoder(lambda ros_type: definitions.get(ros_type, ""))
 
     def rows(self, entry: Entry) -> Iterator[Cells]:
@@ -163,7 +164,8 @@ class _RowReader:
         if entry.kind in (Kind.IGTL_IN, Kind.IGTL_OUT):
             if entry.type in _NO_TABLES:
                 raise TooLong("pixels, points and cells do not fit in a table; use another format")
-            fields = name_igtl_fields(describe_content(decode(entry.data()).content))
+            unit = self._units.of(entry.kind, entry.channel, entry.type)
+            fields = name_igtl_fields(describe_content(decode(entry.data()).content), unit)
         elif not self._definitions.get(entry.type):
             raise TooLong("the session has no definition of its type")
         else:

@@ -15,7 +15,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from igtl_gateway.addon import DamagedRecording, Unavailable, UnsupportedRecording, limits, missing
+from igtl_gateway.addon import DamagedRecording, Unavailable, UnsupportedRecording, limits, millimetres, missing
 from igtl_gateway.addons.exchange.header import ImageFile
 from igtl_gateway.addons.exchange.raster import COMPONENT, FRAME, MAX_STEP_S, RAW, SPACE, ZLIB, Raster, check_axes
 from igtl_gateway.api.placement import ImagePlacement
@@ -26,8 +26,8 @@ _SIZES = {348: 1, 540: 2}
 #: Bytes of a header of version 2, the longer one.
 _HEADER = 540
 _ROLES = (SPACE, SPACE, SPACE, FRAME, COMPONENT)
-#: Units in xyzt_units: the low three bits → millimetres, the next three bits → seconds.
-_MILLIMETRES = {0: 1.0, 1: 1000.0, 2: 1.0, 3: 0.001}
+#: Units in xyzt_units: the low three bits → unit of lengths, the next three bits → seconds.
+_LENGTHS = {0: "mm", 1: "m", 2: "mm", 3: "um"}
 _SECONDS = {0: 1.0, 8: 1.0, 16: 1e-3, 24: 1e-6}
 #: Data types of several numbers → their count, and the type of each.
 _COMPOUND = {"complex64": (2, "f4"), "complex128": (2, "f8"), "rgb": (3, "u1"), "rgba": (4, "u1")}
@@ -131,7 +131,7 @@ def _dtype(header: Any, where: str) -> tuple[int, str]:
 
 @np.errstate(all="ignore")  # of_file rejects NaN and infinity; numpy would also print a warning
 def _placement(header: Any, axes: int, where: str, notes: list[str]) -> ImagePlacement:
-    scale = _MILLIMETRES.get(int(header["xyzt_units"]) & 7, 1.0)
+    lengths = millimetres(_LENGTHS.get(int(header["xyzt_units"]) & 7, "mm"))
     codes = {name: int(header[f"{name}_code"]) for name in ("sform", "qform")}
     if codes["sform"] > 0:
         affine = header.get_sform()
@@ -141,10 +141,10 @@ def _placement(header: Any, axes: int, where: str, notes: list[str]) -> ImagePla
         affine = header.get_qform()
     else:
         notes.append("neither sform nor qform is set: axes are treated as left, posterior, superior, as in ITK")
-        steps = [abs(float(step)) * scale for step in header["pixdim"][1 : 1 + axes]]
+        steps = [lengths.to_ros(abs(float(step))) for step in header["pixdim"][1 : 1 + axes]]
         return ImagePlacement.of_file(np.diag(steps).tolist(), [0.0] * axes, "LPS", where)
-    columns = (affine[:3, :axes] * scale).T.tolist()
-    return ImagePlacement.of_file(columns, (affine[:3, 3] * scale).tolist(), "RAS", where)
+    columns = lengths.to_ros(affine[:3, :axes]).T.tolist()
+    return ImagePlacement.of_file(columns, lengths.to_ros(affine[:3, 3]).tolist(), "RAS", where)
 
 
 def _times(header: Any, roles: list[str], shape: list[int]) -> tuple[float, ...]:

@@ -12,11 +12,23 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
-from igtl_gateway.addon import NS_PER_S, Buffer, ConfigError, Entry, Kind, Note, UnsupportedRecording, failure_text
+from igtl_gateway.addon import (
+    NS_PER_S,
+    Buffer,
+    ConfigError,
+    Entry,
+    Kind,
+    Note,
+    UnsupportedRecording,
+    failure_text,
+    millimetres,
+    recorded_units,
+)
 from igtl_gateway.addon.igtl import Image, Transform, decode
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
 from igtl_gateway.addons.exchange.recording import Recording, chosen_entries, matches_stream, message_time_ns
 from igtl_gateway.addons.exchange.sequence import TRANSFORM_STATUS
+from igtl_gateway.addons.exchange.volume_out import in_millimetres
 
 #: Largest age of a valid transform at the time of the image.
 MAX_AGE_NS = NS_PER_S
@@ -97,6 +109,7 @@ class SequenceFrames:
 
     def __init__(self, recording: Recording, globs: Sequence[str]) -> None:
         self._recording, self._globs = recording, globs
+        self._units = recorded_units(recording)
         self.account = ExportAccount()
         kinds: dict[Kind, set[str]] = {Kind.IGTL_IN: set(), Kind.IGTL_OUT: set()}
         invalid: set[str] = set()
@@ -138,6 +151,7 @@ class SequenceFrames:
             row = account.row(entry)
             try:
                 content = decode(entry.data()).content
+                unit = self._units.of(entry.kind, entry.channel, entry.type)
             except Exception as error:  # decoding raises many types of errors; only this message is left out
                 row.fail(failure_text(error))
                 continue
@@ -147,8 +161,9 @@ class SequenceFrames:
                     yield self._frame(moment, tracked, None)
                 moment = at
                 tracked[entry.channel].done()
-                tracked[entry.channel] = _tracked(content, at, row, "images" if self.images else "moments")
+                tracked[entry.channel] = _tracked(content, unit, at, row, "images" if self.images else "moments")
             elif isinstance(content, Image):
+                content = in_millimetres(content, unit)
                 if why := self._mismatch(content):
                     row.fail(why)
                     continue
@@ -195,11 +210,13 @@ class SequenceFrames:
         return "" if mine == its else f"size or pixel type differs from the first image of {first.dimensions}"
 
 
-def _tracked(content: Transform, at: int, row: ExportedStream, frames: str) -> _Tracked:
+def _tracked(content: Transform, unit: str, at: int, row: ExportedStream, frames: str) -> _Tracked:
     """Return the state after a TRANSFORM; if its numbers are not finite, the identity, which is not valid."""
     if not all(map(math.isfinite, content.wire_matrix)):
         return _Tracked(at, row=row, why="not finite")
-    text = " ".join(f"{value:.9g}" for matrix_row in content.rows for value in matrix_row)
+    lengths = millimetres(unit)
+    rows = [[*matrix_row[:3], lengths.to_ros(matrix_row[3])] for matrix_row in content.rows[:3]]
+    text = " ".join(f"{value:.9g}" for matrix_row in (*rows, content.rows[3]) for value in matrix_row)
     return _Tracked(at, text, True, row, f"between two {frames}: a frame contains the latest transform before it")
 
 

@@ -10,7 +10,7 @@ of cells, that of the cells.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +21,14 @@ from igtl_gateway.addon import (
     ConversionError,
     ConvertedMessage,
     Entry,
+    LengthUnits,
     ToIgtlContext,
     cloud_to_polydata,
     marker_to_igtl,
     mesh_to_igtl,
+    millimetres,
     polydata_to_igtl,
+    recorded_units,
     ros,
 )
 from igtl_gateway.addon.igtl import CELL, NORMAL, Attribute, PolyData, decode
@@ -34,6 +37,8 @@ from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.folder import export_one_file_each
 from igtl_gateway.addons.exchange.recording import Recording
 from igtl_gateway.convert.clouds import colour_bytes, colour_field
+from igtl_gateway.convert.scaling import into_ros
+from igtl_gateway.convert.units import ieee_754
 
 Array = npt.NDArray[Any]
 
@@ -79,17 +84,21 @@ class WrittenFile:
 
 def export_ply(recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
     """Write the directory ``out``.  Raises UnsupportedRecording if it is not empty; OSError."""
-    return export_one_file_each(recording, out, globs, _READ, "ply", lambda entry: _file(entry, ply), _data, _count)
+    return export_one_file_each(recording, out, globs, _READ, "ply", _reader(recording, ply), _data, _count)
 
 
 def export_vtk(recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
     """Write the directory ``out``.  Raises the errors of ``export_ply``."""
-    return export_one_file_each(recording, out, globs, _READ, "vtk", lambda entry: _file(entry, vtk), _data, _count)
+    return export_one_file_each(recording, out, globs, _READ, "vtk", _reader(recording, vtk), _data, _count)
 
 
-def export_surface_of(entry: Entry) -> ExportSurface:
-    """Return the surface or cloud of a message.  Raises WireError or ConversionError if it contains none."""
-    to, holes = ToIgtlContext(), 0
+@ieee_754
+def export_surface_of(entry: Entry, unit: str) -> ExportSurface:
+    """Return the surface or cloud of a message with lengths in ``unit``.
+
+    Raises WireError or ConversionError if it contains none.
+    """
+    to, holes = ToIgtlContext(LengthUnits(unit, "mm")), 0
     if entry.type == PointCloud2.TYPE:
         message = PointCloud2.unpack(entry.data())
         content = cloud_to_polydata(message, to).content
@@ -98,14 +107,24 @@ def export_surface_of(entry: Entry) -> ExportSurface:
         content = _TO_POLYDATA[entry.type](entry.data(), to).content
     else:
         content = decode(entry.data()).content
+        if isinstance(content, PolyData):
+            scaled = into_ros(millimetres(unit), content.points, np.empty(content.points.shape, np.float32))
+            content = replace(content, points=scaled)
     if not isinstance(content, PolyData):
         raise ConversionError(f"{entry.channel}: found {type(content).__name__}, expected POLYDATA")
     return ExportSurface(content, holes, tuple(text for _, text in to.warnings))
 
 
-def _file(entry: Entry, write: Callable[[PolyData], WrittenFile]) -> tuple[ExportSurface, WrittenFile]:
-    surface = export_surface_of(entry)
-    return surface, write(surface.content)
+def _reader(
+    recording: Recording, write: Callable[[PolyData], WrittenFile]
+) -> Callable[[Entry], tuple[ExportSurface, WrittenFile]]:
+    units = recorded_units(recording)
+
+    def read(entry: Entry) -> tuple[ExportSurface, WrittenFile]:
+        surface = export_surface_of(entry, units.of(entry.kind, entry.channel, entry.type))
+        return surface, write(surface.content)
+
+    return read
 
 
 def _data(file: tuple[ExportSurface, WrittenFile]) -> tuple[bytes]:

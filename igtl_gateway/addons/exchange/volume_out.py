@@ -13,11 +13,22 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from igtl_gateway.addon import ConversionError, ConvertedMessage, Entry, ToIgtlContext, image_to_igtl, volume_to_image
+from igtl_gateway.addon import (
+    ConversionError,
+    ConvertedMessage,
+    Entry,
+    LengthUnits,
+    ToIgtlContext,
+    image_to_igtl,
+    millimetres,
+    recorded_units,
+    volume_to_image,
+)
 from igtl_gateway.addon.igtl import BIG_ENDIAN, LPS, SCALARS, Image, decode
 from igtl_gateway.addon.ros import Image as RosImage
 from igtl_gateway.addon.ros import Volume
@@ -44,8 +55,13 @@ def export_nrrd(recording: Recording, out: Path, globs: Sequence[str]) -> Export
         unplaced[entry.channel] += ImagePlacement.of_image(image) is None
         completed[entry.channel] += ImagePlacement.of_image(image) is not None and not has_own_normal(image)
 
+    units = recorded_units(recording)
+
+    def read(entry: Entry) -> Image:
+        return _image(entry, units.of(entry.kind, entry.channel, entry.type))
+
     account = export_one_file_each(
-        recording, out, globs, _READ, "nrrd", _image, lambda content: (nrrd_header(content), content.pixels), count,
+        recording, out, globs, _READ, "nrrd", read, lambda content: (nrrd_header(content), content.pixels), count,
         once=True,
     )  # fmt: skip
     for stream, number in sorted((+unplaced).items()):
@@ -57,16 +73,24 @@ def export_nrrd(recording: Recording, out: Path, globs: Sequence[str]) -> Export
     return account
 
 
-def _image(entry: Entry) -> Image:
+def _image(entry: Entry, unit: str) -> Image:
+    """Return the picture of a message with lengths in ``unit``, placed in millimetres."""
     if entry.type in _TO_IMAGE:
-        content = _TO_IMAGE[entry.type](entry.data(), ToIgtlContext()).content
+        content = _TO_IMAGE[entry.type](entry.data(), ToIgtlContext(LengthUnits(unit, "mm"))).content
     else:
         content = decode(entry.data()).content
+        if isinstance(content, Image):
+            content = in_millimetres(content, unit)
     if not isinstance(content, Image) or not content.expected_bytes:
         raise ConversionError(f"{entry.channel}: found no pixels, expected an image with pixels")
     if content.sub_size != content.dimensions:
         raise ConversionError(f"{entry.channel}: found part of an image, expected a complete one")
     return content
+
+
+def in_millimetres(image: Image, unit: str) -> Image:
+    """Return a picture whose matrix has lengths in ``unit``, with one in millimetres."""
+    return replace(image, wire_matrix=tuple(map(millimetres(unit).to_ros, image.wire_matrix)))
 
 
 def nrrd_header(image: Image) -> bytes:

@@ -17,7 +17,7 @@ from math import inf, isfinite, isnan
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import Entry, Kind, SessionFile, matches
+from igtl_gateway.addon import Entry, Kind, SessionFile, matches, recorded_units
 from igtl_gateway.addons.resim.engine import Run, RunResult
 from igtl_gateway.addons.resim.outputs import OF_EVERY_NODE
 from igtl_gateway.replay.compare import EXACT, Delta, LeafDecoder, Tolerance, Undecodable, compare_values, first_byte
@@ -217,7 +217,7 @@ class _Side:
     """The messages of one topic at their session times, of which the next ones can be looked at."""
 
     def __init__(self, file: SessionFile, topic: str) -> None:
-        self._decoder = LeafDecoder(file.definitions)
+        self._decoder = LeafDecoder(file.definitions, recorded_units(file))
         self._coming = _messages(file, topic)
         self.ahead: deque[Entry] = deque()
         self.taken = 0
@@ -335,7 +335,10 @@ def _loosely(one: Path, other: Path, names: Sequence[str], tolerance: Tolerance)
     found = []
     with SessionFile.open(one) as first, SessionFile.open(other) as second:
         for name in names:
-            sides = [DiffInput(_messages(file, name), LeafDecoder(file.definitions)) for file in (first, second)]
+            sides = [
+                DiffInput(_messages(file, name), LeafDecoder(file.definitions, recorded_units(file)))
+                for file in (first, second)
+            ]
             for stream in diff(sides[0], sides[1], tolerance=tolerance).streams:
                 found.append(_of_diff(first, second, name, stream))
     return found

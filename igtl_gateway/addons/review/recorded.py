@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from igtl_gateway.addon import UNITS, ConfigError, GatewayError, SessionFile, config_to_run
+from igtl_gateway.addon import ConfigError, GatewayError, SessionFile, config_to_run, scale
 from igtl_gateway.addons.review import Material, Review, Thresholds, review_of
 from igtl_gateway.addons.review.material import CLOUDS
 from igtl_gateway.addons.review.options import option
@@ -34,7 +34,7 @@ def review_recording(path: Path, selection: ReviewSelection, thresholds: Thresho
 
 def review_session(file: SessionFile, selection: ReviewSelection, thresholds: Thresholds) -> Review:
     """Return the review of an open recording; see `review_recording`."""
-    unit_m = UNITS[config_to_run(file.session).ros_unit] / UNITS["m"]
+    unit_m = scale(config_to_run(file.session).ros_unit, "m")
     material = Material(selection.plan, selection.cloud, selection.tool, selection.clouds, unit_m)
     for entry in file.entries():
         material.take(entry)

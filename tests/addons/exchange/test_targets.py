@@ -19,6 +19,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from ruamel.yaml import YAML
 
 from igtl_gateway.addons.exchange.account import ExportAccount
+from igtl_gateway.addons.exchange.recording import IGTL_KINDS
 from igtl_gateway.addons.exchange.surface_out import export_surface_of
 from igtl_gateway.addons.exchange.targets import TARGETS, export_to
 from igtl_gateway.base.errors import ConversionError, UnsupportedRecording, WireError
@@ -175,7 +176,7 @@ def surfaces(log: Iterable[Entry]) -> list[PolyData]:
     found = []
     for entry in log:
         with suppress(WireError, ConversionError):
-            found.append(export_surface_of(entry).content)
+            found.append(export_surface_of(entry, "mm" if entry.kind in IGTL_KINDS else "m").content)
     return found
 
 

@@ -1,0 +1,50 @@
+"""The unit of lengths in each stream: rows, arms, and outputs as the streams that they are made of."""
+
+from __future__ import annotations
+
+import re
+
+from igtl_gateway.config.configuration import Config, TfOutRow, ToIgtlRow, ToRosRow
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.stream_units import StreamUnits
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.replay.recorded_config import recorded_units
+from tests.places import FIXTURES, ROOT
+
+POSE = "geometry_msgs/msg/PoseStamped"
+
+
+def test_inputs_have_the_unit_of_their_row() -> None:
+    units = StreamUnits(Config(ros_unit="cm", to_ros=(ToRosRow(device="CT*", igtl_unit="m", ros_unit="dm"),)))
+    assert units.of(Kind.IGTL_IN, "IMAGE/CT1", "IMAGE") == "m"
+    assert units.of(Kind.IGTL_IN, "IMAGE/MR", "IMAGE") == "mm"
+    assert units.of(Kind.ROS_IN, "/unbridged", POSE) == "cm"
+    assert units.of(Kind.ROS_OUT, "/igtl/in/CT1/volume", "igtl_msgs/msg/Volume") == "dm"
+    assert units.of(Kind.ROS_OUT, "/tf", "tf2_msgs/msg/TFMessage") == "cm"
+
+
+def test_outputs_have_the_unit_of_what_they_are_made_of() -> None:
+    rows = (ToIgtlRow(topic="/tool/pose", device="Tool", igtl_unit="um", ros_unit="mm"),)
+    config = Config(to_igtl=rows, tf_out=(TfOutRow(frames=("tip",), base="map", device="Tip", igtl_unit="cm"),))
+    units = StreamUnits(config)
+    assert units.of(Kind.IGTL_OUT, "TRANSFORM/Tool", "TRANSFORM") == "mm"  # not known yet
+    assert units.of(Kind.ROS_IN, "/tool/pose", POSE) == "mm"
+    assert units.of(Kind.IGTL_OUT, "TRANSFORM/Tool", "TRANSFORM") == "um"
+    assert units.of(Kind.IGTL_OUT, "TRANSFORM/Tip", "TRANSFORM") == "cm"
+    assert StreamUnits(config, [(Kind.ROS_IN, "/tool/pose", POSE)]).of(Kind.IGTL_OUT, "TRANSFORM/Tool", "") == "um"
+
+
+def test_robots_of_crtk_have_metres() -> None:
+    with SessionFile.open(FIXTURES / "crtk.mcap") as file:
+        units = recorded_units(file)
+        found = {each.stream: units.of(each.kind, each.stream, each.entry_type) for each in file.channels}
+    poses = {stream: unit for stream, unit in found.items() if stream.startswith("TRANSFORM/")}
+    assert "TRANSFORM/PSM1/local/meas_3d53" in poses and "TRANSFORM/PSM1/servo_cp" in poses
+    assert set(poses.values()) == {"m"}
+
+
+def test_only_the_table_of_units_knows_how_long_they_are() -> None:
+    code = {path: path.read_text("utf-8") for path in (ROOT / "igtl_gateway").rglob("*.py")}
+    pattern = re.compile(r"\bUNITS\[|\bUNITS\.(get|items|values)\(")
+    found = {path.name for path, text in code.items() if pattern.search(text) and "convert.units" in text}
+    assert found == set()
