@@ -31,6 +31,7 @@ from random import Random
 from types import FrameType
 
 from igtl_gateway.addons.exchange.formats import open_source
+from igtl_gateway.addons.exchange.targets import TARGETS
 from igtl_gateway.app.settings import of_file
 from igtl_gateway.base.errors import GatewayError
 from igtl_gateway.base.untrusted.text import printable
@@ -89,7 +90,7 @@ MCAP_VERBS = (
     "diff F F",
     "recover F -o O.mcap",
     "slice F -o O.mcap --start 0 --end 1",
-    *(f"export F --to {target} -o O" for target in ("csv", "rosbag2", "ply", "nrrd", "igs.mha")),
+    *(f"export F --to {target} -o O" for target in TARGETS),
     "review F",
     "import F -o O.mcap",
     "sync F",

@@ -7,6 +7,7 @@ from igtl_gateway.wire import HEADER_SIZE, Header, Item, Message, Raw, decode, d
 from igtl_gateway.wire.bind import Bind, BindChild
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.capability import Capability
+from igtl_gateway.wire.colort import ColorTable
 from igtl_gateway.wire.command import NAME_WIDTH as COMMAND_NAME_WIDTH
 from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.elements import Elements
@@ -17,9 +18,9 @@ from igtl_gateway.wire.image import BIG_ENDIAN, LITTLE_ENDIAN, LPS, SCALARS, Ima
 from igtl_gateway.wire.message import ExtendedHeader, sorted_items
 from igtl_gateway.wire.ndarray import NDARRAY_SCALARS, NdArray
 from igtl_gateway.wire.polydata import CELL, NORMAL, Attribute, PolyData
-from igtl_gateway.wire.query import EmptyQuery, GetBind, StartBind, StartTracking, StartVideo
+from igtl_gateway.wire.query import EmptyQuery, GetBind, QueryReply, StartBind, StartPolyData, StartTracking, StartVideo
 from igtl_gateway.wire.registry import BODIES, describe_content, read_content
-from igtl_gateway.wire.sensor import parse_unit
+from igtl_gateway.wire.sensor import Sensor, parse_unit
 from igtl_gateway.wire.text import Status, String
 from igtl_gateway.wire.trajectory import ENTRY_AND_TARGET
 from igtl_gateway.wire.transform import Position, Transform
@@ -44,6 +45,7 @@ __all__ = [
     "BindChild",
     "Body",
     "Capability",
+    "ColorTable",
     "Command",
     "Elements",
     "EmptyQuery",
@@ -57,8 +59,11 @@ __all__ = [
     "NdArray",
     "PolyData",
     "Position",
+    "QueryReply",
     "Raw",
+    "Sensor",
     "StartBind",
+    "StartPolyData",
     "StartTracking",
     "StartVideo",
     "Status",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from igtl_gateway.addons.cohort.results import Results
+from igtl_gateway.addons.exchange.targets import TARGETS
 from igtl_gateway.cli import main
 from igtl_gateway.record.seal.keys import SigningKey
 from tests.places import FIXTURES
@@ -40,8 +41,7 @@ WRITERS = (
     "deidentify SMALL -o OUT.mcap",
     "import BAG -o OUT.mcap",
     "decode CORPUS -o OUT.igtl",
-    *(f"export SMALL --to {target} -o OUT" for target in ("csv", "rosbag2", "parquet", "arrow")),
-    *(f"export IMAGES --to {target} -o OUT" for target in ("nrrd", "igs.mha", "ply", "vtk")),
+    *(f"export IMAGES --to {target} -o OUT" for target in TARGETS),
     "export IMAGES --to lerobot --write-recipe OUT.toml",
     "export IMAGES --to lerobot --recipe RECIPE -o OUT",
     "seal SMALL --key KEY -o OUT.mcap",

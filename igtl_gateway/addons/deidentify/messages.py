@@ -11,8 +11,8 @@ from igtl_gateway.addon.igtl import (
     BODIES,
     Bind,
     BindChild,
-    Body,
     Capability,
+    ColorTable,
     Command,
     Elements,
     EmptyQuery,
@@ -22,12 +22,17 @@ from igtl_gateway.addon.igtl import (
     Message,
     NdArray,
     PolyData,
+    Position,
+    QueryReply,
     Raw,
+    Sensor,
     StartBind,
+    StartPolyData,
     StartTracking,
     StartVideo,
     Status,
     String,
+    Transform,
     Video,
     cut_text,
     decode,
@@ -100,16 +105,14 @@ class MessageCleaner:
                 items.append(Item.of(key, context.names.name(frame)))
         return sorted_items(items)
 
-    def _content(self, type_name: str, content: Body, stream: str) -> Body:
-        if type_name not in BODIES:
+    def _content(self, type_name: str, content: Any, stream: str) -> Any:
+        rule = MessageCleaner._elements if isinstance(content, Elements) else _RULES.get(type(content))
+        if type_name not in BODIES or rule is None:  # no rule: nothing says which of its fields are text
             if not self._context.keeps_type(type_name):
                 raise Removed("type")
             self._context.report.add("kept type")
             return content
-        if isinstance(content, Elements):
-            return self._elements(content, stream)
-        rule = _RULES.get(type(content))
-        return rule(self, content, stream) if rule else content
+        return rule(self, content, stream)
 
     def _elements(self, content: Elements, stream: str) -> Elements:
         new = content.elements.copy()
@@ -196,9 +199,16 @@ class MessageCleaner:
 
 
 _Rule = Callable[[MessageCleaner, Any, str], Any]
-#: Class of contents → its rule.  All other classes have numbers only.
+
+
+def _keep(_: MessageCleaner, content: Any, __: str) -> Any:
+    """Return a content that has numbers only."""
+    return content
+
+
+#: Class of contents → its rule; lists of elements have one of their own.  A message of any other class is removed.
 _RULES: dict[type, _Rule] = {
-    Raw: lambda _, content, __: content,
+    **dict.fromkeys((Raw, Transform, Position, Sensor, ColorTable, StartPolyData, QueryReply), _keep),
     String: MessageCleaner._string,
     BODIES["CLIENTINFO"]: MessageCleaner._string,
     Status: MessageCleaner._status,

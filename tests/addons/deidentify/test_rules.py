@@ -6,6 +6,7 @@ import base64
 import json
 import struct
 import zlib
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -15,17 +16,22 @@ import pytest
 from rosbags.interfaces import Nodetype
 
 from igtl_gateway.addons.deidentify.context import Context, Removed
-from igtl_gateway.addons.deidentify.messages import MessageCleaner
+from igtl_gateway.addons.deidentify.messages import _RULES, MessageCleaner
 from igtl_gateway.addons.deidentify.pixels import PixelCleaner
 from igtl_gateway.addons.deidentify.profile import BASIC
 from igtl_gateway.addons.deidentify.report import Report
 from igtl_gateway.addons.deidentify.ros import _DATA, RosCleaner
+from igtl_gateway.base.buffers import join
 from igtl_gateway.base.clock import ManualClock
 from igtl_gateway.cli import main
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.wire import Message, encode
+from igtl_gateway.wire.elements import Elements
+from igtl_gateway.wire.registry import BODIES
+from igtl_gateway.wire.text import String
 from tests.addons.deidentify.planted import MARK, SOURCE, all_bytes, found, planted_session, ros_store
 
 TEXT = MARK.encode()
@@ -54,6 +60,30 @@ def planted_message(store: Any, name: str, depth: int = 0) -> Any:
     """Return a message with the identifier in every string and in every array of bytes that is not a picture."""
     given = {field: _value(store, name, field, kind, inner, depth) for field, (kind, inner) in store.fielddefs[name][1]}
     return store.types[name](**{str(getattr(key, "name", key)): value for key, value in given.items()})
+
+
+def test_every_type_of_openigtlink_has_a_rule() -> None:
+    assert [codec for codec in BODIES.values() if codec not in _RULES and not issubclass(codec, Elements)] == []
+
+
+def test_a_type_without_a_rule_is_removed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A new type has strings until its rule says otherwise; before, it was written unchanged."""
+
+    @dataclass(frozen=True)
+    class Note(String):
+        PROTOCOL = "x"
+
+    monkeypatch.setitem(BODIES, "NOTE", Note)
+    data = join(encode(Message("NOTE", "A", Note.of(MARK))))
+    assert TEXT in data
+    for kept, allowed in (((), False), (("NOTE",), True)):
+        context = Context.of(replace(BASIC, keep_types=kept), bytes(32), None)
+        cleaner = MessageCleaner(context)
+        if allowed:
+            assert TEXT in cleaner.clean(data, "NOTE/A") and context.report.rules["kept type"] == 1
+        else:
+            with pytest.raises(Removed, match="type"):
+                cleaner.clean(data, "NOTE/A")
 
 
 def test_every_type_of_ros() -> None:

@@ -81,10 +81,7 @@ _SESSION_VERBS = (
     "replay F --to igtl --listen 127.0.0.1:0 --wait-peers 0 --as-fast-as-possible",
     "replay F --to igtl --through-gateway --listen 127.0.0.1:0 --wait-peers 0 --as-fast-as-possible",
     "import F -o OUT.mcap",
-    *(
-        f"export F --to {target} -o OUT"
-        for target in ("csv", "rosbag2", "igs.mha", "nrrd", "ply", "vtk", "parquet", "arrow")
-    ),
+    *(f"export F --to {target} -o OUT" for target in TARGETS),
     "sync F",
     "sync F --json",
     "view F -o OUT.rrd",
