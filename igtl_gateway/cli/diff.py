@@ -20,7 +20,7 @@ EXAMPLES = """\
   # accept small differences
   igtl-gateway diff a.mcap b.mcap --tolerance-mm 0.1 --tolerance-deg 0.05
   # select streams
-  igtl-gateway diff a.mcap b.mcap --streams 'TRANSFORM/*'
+  igtl-gateway diff a.mcap b.mcap --streams 'TRANSFORM/**'
   # compare with the ROS topics of a rosbag2 MCAP file
   igtl-gateway diff out.mcap bag.mcap
 

@@ -52,7 +52,8 @@ def _facts(options: ReplayOptions, result: ReplayResult) -> dict[str, Any]:
         "complete": result.complete,
         "messages": result.messages,
         "bytes": result.bytes,
-        "unheard": result.without_peer,
+        "without_peer": result.without_peer,
+        "unheard": result.without_peer,  # the name before 0.1.0, for one release: in the ledger it means no subscriber
         "undelivered": result.undelivered,
         "refused": [
             {"stream": each.stream, "messages": each.messages, "reason": each.reason} for each in result.refused

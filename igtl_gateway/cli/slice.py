@@ -38,7 +38,7 @@ EXAMPLES = """\
   # from a time of day to the end
   igtl-gateway slice out.mcap -o part.mcap --start 2026-11-21T08:30:00Z
   # some streams and the outputs that they cause
-  igtl-gateway slice out.mcap -o probe.mcap --streams 'TRANSFORM/*'
+  igtl-gateway slice out.mcap -o probe.mcap --streams 'TRANSFORM/**'
 
 TIME is in seconds from the beginning, in UTC seconds, or a date and time such
 as 2026-11-21T08:30:00Z.  The part begins with the few inputs that restore the

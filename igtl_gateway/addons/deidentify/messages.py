@@ -107,7 +107,7 @@ class MessageCleaner:
 
     def _content(self, type_name: str, content: Any, stream: str) -> Any:
         rule = MessageCleaner._elements if isinstance(content, Elements) else _RULES.get(type(content))
-        if type_name not in BODIES or rule is None:  # no rule: nothing says which of its fields are text
+        if type_name not in BODIES or rule is None:  # no rule: its text is not known
             if not self._context.keeps_type(type_name):
                 raise Removed("type")
             self._context.report.add("kept type")

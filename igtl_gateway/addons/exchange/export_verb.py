@@ -37,7 +37,7 @@ EXAMPLES = """\
   # an IMAGE and its TRANSFORMs, for PLUS and 3D Slicer
   igtl-gateway export out.mcap --to igs.mha -o freehand.igs.mha
   # tables
-  igtl-gateway export out.mcap --to csv -o tables/ --streams 'TRANSFORM/*'
+  igtl-gateway export out.mcap --to csv -o tables/ --streams 'TRANSFORM/**'
   # all messages as tables for pandas, polars or DuckDB
   igtl-gateway export out.mcap --to parquet -o tables/
   # point clouds
@@ -86,6 +86,11 @@ def run(options: argparse.Namespace) -> int:
     if not written:
         reasons = [f"{row.stream}: {row.why}" for row in account.rows if row.why]
         why = f" ({_first_few(reasons, 3, '; ')})" if reasons else ""
+        if options.streams and not account.rows and not account.others:
+            raise GatewayError(
+                f"{options.file}: no stream matches --streams {' '.join(options.streams)}; "
+                "* matches one level, ** any number; `igtl-gateway info` lists the streams"
+            )
         raise GatewayError(
             f"{options.file}: found no messages for {options.to}; see `igtl-gateway info`, and --streams{why}"
         )

@@ -20,12 +20,12 @@ class TopicCounts:
 
     Attributes:
         received: passed to the gateway.
-        published: passed to the middleware.  The counts ``published``, ``held``, `unheard`, ``over_budget`` and
+        published: passed to the middleware.  The counts ``published``, ``held``, ``unheard``, ``over_budget`` and
             ``failed`` add up to all messages that were to be published.
         held: waiting for subscribers now.
         lost: sent by others but never received.
         failed: refused by the middleware, or by a defect of our own.
-        `unheard`: not passed to the middleware, because there was no subscriber, and a later one would not get them.
+        ``unheard``: not passed to the middleware, because there was no subscriber, and a later one would not get them.
         over_budget: dropped, because the budget of the site is exceeded.
     """
 

@@ -67,7 +67,7 @@ def test_every_type_of_openigtlink_has_a_rule() -> None:
 
 
 def test_a_type_without_a_rule_is_removed(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A new type has strings until its rule says otherwise; before, it was written unchanged."""
+    """A new type has strings until it has a rule; before, it was written unchanged."""
 
     @dataclass(frozen=True)
     class Note(String):

@@ -1,4 +1,4 @@
-"""Exports of streams whose unit is not the millimetre: files have millimetres, as the names of their columns say."""
+"""Exports of streams whose unit is not the millimetre: files have millimetres, as their columns are named."""
 
 from __future__ import annotations
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 import lz4.frame  # type: ignore[import-untyped]
 
+from igtl_gateway.addons.exchange.targets import TARGETS
 from tests.places import ROOT
 
 GOOD, SMALL = ROOT / "fixtures" / "ultrasound.mcap", ROOT / "fixtures" / "acquisition.mcap"
