@@ -142,11 +142,13 @@ if TYPE_CHECKING:
     from igtl_gateway.convert.polydata import polydata_to_igtl as polydata_to_igtl
     from igtl_gateway.convert.poses import rotation_matrix as rotation_matrix
     from igtl_gateway.convert.poses import unit_quaternion as unit_quaternion
+    from igtl_gateway.convert.scaling import into_ros as into_ros
     from igtl_gateway.convert.structs import Pose as Pose
     from igtl_gateway.convert.surfaces import marker_to_igtl as marker_to_igtl
     from igtl_gateway.convert.surfaces import mesh_to_igtl as mesh_to_igtl
     from igtl_gateway.convert.units import UNITS as UNITS
     from igtl_gateway.convert.units import LengthUnits as LengthUnits
+    from igtl_gateway.convert.units import ieee_754 as ieee_754
     from igtl_gateway.convert.units import millimetres as millimetres
     from igtl_gateway.convert.units import scale as scale
     from igtl_gateway.convert.volumes import volume_to_image as volume_to_image
@@ -232,7 +234,8 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("convert.polydata", "polydata_to_igtl"),
     ("convert.surfaces", "marker_to_igtl mesh_to_igtl"),
     # Units and rotations
-    ("convert.units", "UNITS LengthUnits millimetres scale"),
+    ("convert.scaling", "into_ros"),
+    ("convert.units", "UNITS LengthUnits ieee_754 millimetres scale"),
     ("convert.poses", "rotation_matrix unit_quaternion"),
     ("convert.structs", "Pose"),
     ("api.igtl_columns", "quaternions_of"),

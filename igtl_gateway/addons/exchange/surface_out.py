@@ -24,6 +24,8 @@ from igtl_gateway.addon import (
     LengthUnits,
     ToIgtlContext,
     cloud_to_polydata,
+    ieee_754,
+    into_ros,
     marker_to_igtl,
     mesh_to_igtl,
     millimetres,
@@ -37,8 +39,6 @@ from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.folder import export_one_file_each
 from igtl_gateway.addons.exchange.recording import Recording
 from igtl_gateway.convert.clouds import colour_bytes, colour_field
-from igtl_gateway.convert.scaling import into_ros
-from igtl_gateway.convert.units import ieee_754
 
 Array = npt.NDArray[Any]
 
