@@ -38,6 +38,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/epoll.h>
+#include <sys/random.h>
 #include <sys/select.h>
 #include <sys/socket.h>
 #include <sys/stat.h>
@@ -824,6 +825,25 @@ int posix_spawnp(pid_t *restrict child, const char *restrict file, const posix_s
     return code;
 }
 int system(const char *command) { return REALLY(NEXT(system)(command)); }
+
+/* Random numbers of the system: the same in every process, if resim looks for what makes runs differ. */
+static bool fill_fixed(uint8_t *buffer, size_t size)
+{
+    static _Atomic uint64_t state = 1;
+    static _Atomic int is_fixed = -1;
+    if (is_fixed < 0)
+        is_fixed = getenv("IGTL_GATEWAY_RESIM_RANDOM") != NULL;
+    for (size_t i = 0; is_fixed && i < size; i++) {
+        uint64_t next = atomic_fetch_add(&state, 0x9E3779B97F4A7C15) * 0xBF58476D1CE4E5B9;
+        buffer[i] = (uint8_t)(next >> 56);
+    }
+    return is_fixed;
+}
+ssize_t getrandom(void *buffer, size_t size, unsigned flags)
+{
+    return fill_fixed(buffer, size) ? (ssize_t)size : NEXT(getrandom)(buffer, size, flags);
+}
+int getentropy(void *buffer, size_t size) { return fill_fixed(buffer, size) ? 0 : NEXT(getentropy)(buffer, size); }
 
 /* A socket of the program's own: what comes by it, comes in real time. */
 int socket(int domain, int type, int protocol)

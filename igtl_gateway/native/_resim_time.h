@@ -91,7 +91,7 @@ static pid_t tid_of_this(void)
     row(clock_gettime) row(gettimeofday) row(clock_nanosleep) row(nanosleep) row(sem_timedwait) row(sem_clockwait)     \
     row(pthread_cond_timedwait) row(pthread_cond_clockwait) row(poll) row(epoll_wait) row(select) row(fork)            \
     row(posix_spawn) row(posix_spawnp) row(system) row(socket) row(pthread_create)       \
-    row(sem_wait)
+    row(sem_wait) row(getrandom) row(getentropy)
 static struct {
 #define MEMBER(name) __typeof__(&name) name##_;
     REPLACED(MEMBER)

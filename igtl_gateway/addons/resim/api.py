@@ -9,6 +9,7 @@ from math import inf
 from pathlib import Path
 
 from igtl_gateway.addon import NS_PER_MS, ConfigError, SessionFile
+from igtl_gateway.addons.resim.causes import likely_cause
 from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, RunResult, run
 from igtl_gateway.addons.resim.recipe import command_of
 from igtl_gateway.addons.resim.report import report_lines
@@ -131,7 +132,12 @@ def resim(
         result = run(path, [_program(each, cwd) for each in programs], options, place)
         reference = Path(baseline) if baseline else path
         tolerance = Tolerance(tolerance_mm, tolerance_deg)
-        return Resimulation(result, compare(result, reference=reference, tolerance=tolerance, outputs=options.outputs))
+        verdict = compare(result, reference=reference, tolerance=tolerance, outputs=options.outputs)
+        if verdict.unequal_run:
+            with tempfile.TemporaryDirectory(prefix="igtl-resim-") as again:
+                commands = [_program(each, cwd) for each in programs]
+                verdict.cause = likely_cause(path, commands, options, verdict, Path(again))
+        return Resimulation(result, verdict)
 
 
 def _program(given: AnyProgram, cwd: Path | str | None) -> Program:

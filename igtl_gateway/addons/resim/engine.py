@@ -26,7 +26,7 @@ from igtl_gateway.addon import (
     matches,
 )
 from igtl_gateway.addons.resim.coordinator import Coordinator, Peer, ProgramFault, Roles
-from igtl_gateway.addons.resim.frames import ABI_VERSION, DEADLINE, INPUT, Hello, Remark, welcome
+from igtl_gateway.addons.resim.frames import ABI_VERSION, DEADLINE, INPUT, NEVER, Hello, Remark, welcome
 from igtl_gateway.addons.resim.inputs import Inputs, topics_of
 from igtl_gateway.addons.resim.library import library_path
 from igtl_gateway.addons.resim.link import Gone, Listener
@@ -104,6 +104,7 @@ class ResimOptions:
         without: topics that programs may ask for although nothing has them; globs.
         swap_ties: in every second run, timers come before recorded inputs of the same time, so that runs differ if the
             outputs depend on which of them is first.
+        until_ns: session time at which runs end, UTC ns; at the latest they end with the recording.
         wall_s: real seconds without an event, and without CPU time, after which a program counts as hanging.
         cpu_s: CPU seconds without an event after which a program counts as busy without end.
         most_outputs: messages that a run may have; more count as a flood.
@@ -116,6 +117,7 @@ class ResimOptions:
     outputs: tuple[str, ...] = ()
     without: tuple[str, ...] = ()
     swap_ties: bool = False
+    until_ns: int = NEVER
     wall_s: float = 30.0
     cpu_s: float = 60.0
     most_outputs: int = 10_000_000
@@ -253,7 +255,7 @@ def _run_once(
         file = stack.enter_context(SessionFile.open(recording))
         outputs = OutputFile(one.outputs, recording.name, overwrite=True)
         stack.callback(outputs.close)
-        one.start_ns, one.end_ns = file.start_ns, file.end_ns
+        one.start_ns, one.end_ns = file.start_ns, min(file.end_ns, options.until_ns)
         place = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="igtl-resim-")))
         listener = Listener(place)
         stack.callback(listener.close)

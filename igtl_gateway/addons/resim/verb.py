@@ -31,6 +31,7 @@ from igtl_gateway.addon import (
     written,
 )
 from igtl_gateway.addons.resim.bisect import Step, bisect, bisection_facts
+from igtl_gateway.addons.resim.causes import likely_cause
 from igtl_gateway.addons.resim.coordinator import Roles
 from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, Run, RunResult
 from igtl_gateway.addons.resim.engine import run as run_programs
@@ -183,6 +184,9 @@ def run(options: argparse.Namespace) -> int:
         )
         reference = options.baseline or options.file
         verdict = compare(result, reference=reference, tolerance=tolerance, outputs=settings.outputs)
+        if verdict.unequal_run:
+            again = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="igtl-resim-")))
+            verdict.cause = likely_cause(options.file, programs, settings, verdict, again)
         if options.record and result.runs and result.runs[0].outputs.is_file():
             with (
                 written(options.record, overwrite=options.overwrite) as place,

@@ -111,6 +111,7 @@ class Verdict:
         start_ns: start of the session, UTC ns.
         fault: why the programs could not be judged; ``""`` if they could.
         unequal_run: number of the first run that differs from the first one; 0 = none.
+        cause: what probably makes it differ (``causes.likely_cause``); ``""`` if that was not looked for.
         between_runs: the streams of that run in which it differs.
         reference: what the outputs were compared with; None = nothing.
         streams: the streams in the reference and in the first run.
@@ -120,6 +121,7 @@ class Verdict:
     start_ns: int
     fault: str = ""
     unequal_run: int = 0
+    cause: str = ""
     between_runs: list[StreamVerdict] = field(default_factory=list)
     reference: Path | None = None
     streams: list[StreamVerdict] = field(default_factory=list)
@@ -149,7 +151,8 @@ class Verdict:
             return f"CANNOT BE JUDGED: {self.fault}"
         first = self.first
         if self.unequal_run and first:
-            return f"NOT DETERMINISTIC: run {self.unequal_run} differs from run 1: {first.text(self.start_ns)}"
+            likely = f"; likely cause: {self.cause}" if self.cause else ""
+            return f"NOT DETERMINISTIC: run {self.unequal_run} differs from run 1: {first.text(self.start_ns)}{likely}"
         same = f"deterministic: {self.runs} of {self.runs} runs equal" if self.runs > 1 else "1 run"
         if not self.reference:
             return same

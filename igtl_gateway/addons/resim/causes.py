@@ -1,0 +1,87 @@
+"""Why runs differ: the programs run again, three times for each thing that may differ between runs and is now the same.
+
+The runs end at the first difference.  If they are equal now, that thing is the likely cause.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, run
+from igtl_gateway.addons.resim.verdict import Verdict, compare
+
+#: Of each try: two may be equal by chance.
+_RUNS = 3
+#: Session time behind the first difference: the message has to be there.
+_BEHIND_NS = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class _Cause:
+    """Something that may differ between runs.
+
+    Attributes:
+        text: what it is, for a person.
+        env: variables that make it the same.
+        command: words before the command that do so.
+        clocks: the clocks that do so.
+    """
+
+    text: str
+    env: dict[str, str] = field(default_factory=dict)
+    command: tuple[str, ...] = ()
+    clocks: Clocks | None = None
+
+
+_CAUSES = (
+    _Cause("the wall clock, such as time.time()", clocks=Clocks.SESSION),
+    _Cause("the order of a set or of hashes of strings", env={"PYTHONHASHSEED": "0"}),
+    _Cause("random numbers without a seed", env={"IGTL_GATEWAY_RESIM_RANDOM": "1"}),
+    _Cause("the order of addresses in memory", command=("setarch", "-R")),
+)
+_TIES = "which of two events of one time is first"
+_SEVERAL = "several: the wall clock, hashes, random numbers or addresses"
+_OTHER = "threads that race, or something outside of the session"
+
+
+def likely_cause(
+    recording: Path, programs: Sequence[Program], options: ResimOptions, verdict: Verdict, folder: Path
+) -> str:
+    """Return what probably makes the runs differ, for a person; ``""`` if they do not.
+
+    Args:
+        recording, programs, options: of the runs.
+        verdict: on them.
+        folder: where outputs go meanwhile.
+    """
+    first = verdict.first
+    if not verdict.unequal_run or first is None:
+        return ""
+    shorter = replace(options, runs=_RUNS, until_ns=first.time_ns + _BEHIND_NS)
+    if options.swap_ties:
+        shorter = replace(shorter, swap_ties=False)
+        if _is_equal(recording, programs, shorter, folder):
+            return _TIES
+    for cause in _CAUSES:
+        if _is_equal(
+            recording, _with(programs, cause), replace(shorter, clocks=cause.clocks or options.clocks), folder
+        ):
+            return cause.text
+    every = programs
+    for cause in _CAUSES:
+        every = _with(every, cause)
+    return _SEVERAL if _is_equal(recording, every, replace(shorter, clocks=Clocks.SESSION), folder) else _OTHER
+
+
+def _with(programs: Sequence[Program], cause: _Cause) -> list[Program]:
+    return [
+        replace(each, command=(*cause.command, *each.command), name=each.title, env={**each.env, **cause.env})
+        for each in programs
+    ]
+
+
+def _is_equal(recording: Path, programs: Sequence[Program], options: ResimOptions, folder: Path) -> bool:
+    found = compare(run(recording, programs, options, folder))
+    return found.is_deterministic
