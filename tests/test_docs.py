@@ -163,14 +163,18 @@ Constants = dict[str, str]
 
 def constants_of(tree: ast.Module) -> Constants:
     """The strings that a module gives names to: ``A = "a"`` and ``A, B = "a", "b"``."""
-    found: Constants = {}
+    pairs: list[tuple[ast.expr, ast.expr]] = []
     for node in tree.body:
         match node:
-            case ast.Assign(targets=[ast.Name(name)], value=ast.Constant(str(value))):
-                found[name] = value
             case ast.Assign(targets=[ast.Tuple(elts=names)], value=ast.Tuple(elts=values)):
-                pairs = zip(names, values, strict=False)
-                found |= {n.id: v.value for n, v in pairs if isinstance(n, ast.Name) and isinstance(v, ast.Constant)}
+                pairs += zip(names, values, strict=False)
+            case ast.Assign(targets=[name], value=value):
+                pairs.append((name, value))
+    found: Constants = {}
+    for pair in pairs:
+        match pair:
+            case (ast.Name(known), ast.Constant(str(text))):
+                found[known] = text
     return found
 
 
@@ -183,41 +187,50 @@ def codes_in(source: str, modules: dict[str, Constants] | None = None) -> set[st
     """
     tree = ast.parse(source)
     known = constants_of(tree)
-    places: dict[str, int] = {}  # function or class → where it takes a code
     for node in ast.walk(tree):
-        match node:
-            case ast.ImportFrom(module=str(module), names=names):
-                known |= {k: v for k, v in (modules or {}).get(module, {}).items() if k in {n.name for n in names}}
-            case ast.FunctionDef(name=name, args=ast.arguments(args=args)) if {"code", "text"} <= {a.arg for a in args}:
-                own = [a.arg for a in args]
-                places[name] = own.index("code") - (own[0] == "self")
-    for node in ast.walk(tree):
-        if isinstance(node, ast.ClassDef):
-            inits = (each for each in node.body if isinstance(each, ast.FunctionDef) and each.name == "__init__")
-            for init in inits:
-                names = [each.arg for each in init.args.args]
-                places |= {node.name: names.index("code") - 1} if "code" in names else {}
-    places.pop("__init__", None)
+        if isinstance(node, ast.ImportFrom) and node.module in (modules or {}):
+            names = {each.name for each in node.names}
+            known |= {name: text for name, text in (modules or {})[node.module or ""].items() if name in names}
+    places = _places_of_codes(tree)
     codes: list[ast.expr] = []
     for node in ast.walk(tree):
+        if isinstance(node, ast.Call | ast.Tuple):
+            row = node.args if isinstance(node, ast.Call) else node.elts
+            codes += [code for level, code in pairwise(row) if ast.unparse(level).startswith("Level.")]
         match node:
-            case ast.Call(args=parts) | ast.Tuple(elts=parts):
-                codes += [code for level, code in pairwise(parts) if ast.unparse(level).startswith("Level.")]
-            case ast.Assign(targets=[ast.Name("code")], value=ast.Constant() as value):
-                codes.append(value)
-        match node:
-            case ast.Call(func=ast.Name(name) | ast.Attribute(attr=name), args=args) if len(args) > places.get(
-                name, 99
-            ):
-                codes.append(args[places[name]])
-            case ast.Call(func=ast.Attribute(ast.Attribute(attr="warnings"), "append"), args=args):
-                codes += [each.elts[0] for each in args if isinstance(each, ast.Tuple)]
-            case ast.AugAssign(target=ast.Attribute(attr="warnings"), value=value):
-                codes += [each.elts[0] for each in ast.walk(value) if isinstance(each, ast.Tuple)]
-    parts = [part for code in codes for part in ast.walk(code)]
-    found = {part.value for part in parts if isinstance(part, ast.Constant)}
-    found |= {known[part.id] for part in parts if isinstance(part, ast.Name) and part.id in known}
+            case ast.Assign(targets=[ast.Name("code")], value=ast.Constant() as constant):
+                codes.append(constant)
+            case ast.Call(func=ast.Name(called) | ast.Attribute(attr=called), args=given) if called in places:
+                codes += given[places[called] :][:1]
+            case ast.Call(func=ast.Attribute(ast.Attribute(attr="warnings"), "append"), args=given):
+                codes += [each.elts[0] for each in given if isinstance(each, ast.Tuple)]
+            case ast.AugAssign(target=ast.Attribute(attr="warnings"), value=added):
+                codes += [each.elts[0] for each in ast.walk(added) if isinstance(each, ast.Tuple)]
+    found: set[object] = set()
+    for part in (part for code in codes for part in ast.walk(code)):
+        if isinstance(part, ast.Constant):
+            found.add(part.value)
+        elif isinstance(part, ast.Name):
+            found.add(known.get(part.id))
     return {code for code in found if isinstance(code, str) and re.fullmatch(r"[a-z_0-9]+", code)}
+
+
+def _places_of_codes(tree: ast.Module) -> dict[str, int]:
+    """Function or class with arguments ``code`` and ``text`` → where a call has the code."""
+    owners = {
+        id(method): node.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.ClassDef)
+        for method in node.body
+        if isinstance(method, ast.FunctionDef) and method.name == "__init__"
+    }
+    places = {}
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            names = [each.arg for each in node.args.args]
+            if {"code", "text"} <= set(names):
+                places[owners.get(id(node), node.name)] = names.index("code") - (names[0] == "self")
+    return places
 
 
 def test_every_code_of_a_note_is_there() -> None:

@@ -43,8 +43,9 @@ def test_every_fate_of_the_code_is_in_the_list() -> None:
             parts = (expression.body, expression.orelse) if isinstance(expression, ast.IfExp) else (expression,)
             found |= {part.value for part in parts if isinstance(part, ast.Constant)}
             found |= {names[part.id] for part in parts if isinstance(part, ast.Name) and part.id.isupper()}
-    for error in (WireError, *WireError.__subclasses__(), ConversionError, *ConversionError.__subclasses__()):
-        found.add(error.code)
+    wire: list[type[WireError]] = [WireError, *WireError.__subclasses__()]
+    conversion: list[type[ConversionError]] = [ConversionError, *ConversionError.__subclasses__()]
+    found |= {error.code for error in wire} | {error.code for error in conversion}
     assert {"probed", "not_wanted", "conversion"} <= found
     assert found - {*KEPT, *REASONS} == set()
     assert not KEPT.keys() & REASONS
