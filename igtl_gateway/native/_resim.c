@@ -18,6 +18,7 @@
  *   X code text                              remark             N kind made name type    an entity elsewhere
  *   I now next_t next_class number           idle               D              drop the messages that are not delivered
  *                                                               R t class      run up to here
+ *                                                               L t            it is t; look whether all are quiet
  *                                                               Z              the session is over
  */
 #define _GNU_SOURCE
@@ -151,6 +152,8 @@ static struct {
     int limit_class;
     int deadline_class;
     bool stop; /* ask the coordinator before the next event */
+    bool look; /* the coordinator has sent something by a socket */
+    _Atomic bool by_sockets; /* an OpenIGTLink program: it takes part from its first socket on */
     uint8_t *out;
     size_t out_size, out_room;
     uint8_t *in;
@@ -454,7 +457,7 @@ static void exchange(void)
         uint8_t *frame = next_frame(&left);
         char letter = (char)*frame;
         receive(frame, left);
-        if (letter == 'R' || letter == 'Z')
+        if (letter == 'R' || letter == 'L' || letter == 'Z')
             return;
     }
 }
@@ -547,6 +550,13 @@ static void receive(uint8_t *frame, uint32_t size)
         S.limit_ns = GET(int64_t);
         S.limit_class = GET(uint8_t);
         break;
+    case 'L': {
+        int64_t t = GET(int64_t);
+        if (t > atomic_load(&T.now_ns))
+            atomic_store(&T.now_ns, t);
+        S.look = true;
+        break;
+    }
     case 'Z':
         end_session();
         break;
@@ -557,7 +567,7 @@ static void receive(uint8_t *frame, uint32_t size)
 
 /* -- events ------------------------------------------------------------------------------------------------------ */
 
-static bool is_spinning(void) { return T.waiters || S.callbacks; }
+static bool is_spinning(void) { return T.waiters || S.callbacks || atomic_load(&S.by_sockets); }
 
 static bool asks_for(const struct waiter *waiter, const void *entity)
 {
@@ -673,6 +683,11 @@ static struct waiter *first_deadline(void)
 static void step(void)
 {
     while (atomic_load(&T.active)) {
+        if (S.look) { /* something came by a socket: its threads run before the next event */
+            S.look = false;
+            call_watcher();
+            return;
+        }
         if (give_what_is_ready())
             return;
         if (S.current) {
@@ -848,8 +863,13 @@ int getentropy(void *buffer, size_t size) { return fill_fixed(buffer, size) ? 0 
 /* A socket of the program's own: what comes by it, comes in real time. */
 int socket(int domain, int type, int protocol)
 {
+    bool is_network = domain == AF_INET || domain == AF_INET6;
+    if (is_network && (type & 15) == SOCK_STREAM && getenv("IGTL_GATEWAY_RESIM_SOCKETS")) {
+        atomic_store(&S.by_sockets, true);
+        join_session();
+    }
     int file = NEXT(socket)(domain, type, protocol);
-    if (file >= 0 && (domain == AF_INET || domain == AF_INET6))
+    if (file >= 0 && is_network && !atomic_load(&S.by_sockets))
         notice('s', "");
     return file;
 }

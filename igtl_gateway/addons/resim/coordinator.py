@@ -21,7 +21,7 @@ from igtl_gateway.addon import GatewayError, Qos
 from igtl_gateway.addons.resim import frames
 from igtl_gateway.addons.resim.frames import ALL, DEADLINE, MESSAGE, NEVER, EntityFrame
 from igtl_gateway.addons.resim.inputs import CLOCK, Inputs, RecordedInput, RecordedTopic
-from igtl_gateway.addons.resim.link import Gone, Link
+from igtl_gateway.addons.resim.link import AnyLink, Gone
 from igtl_gateway.addons.resim.outputs import OutputFile, OutputStream
 from igtl_gateway.base.qos import incompatible
 
@@ -65,7 +65,7 @@ class Peer:
 
     index: int
     name: str
-    link: Link
+    link: AnyLink
     entities: dict[int, Entity] = field(default_factory=dict)
     idle: frames.Idle = field(default_factory=lambda: frames.Idle(0, NEVER, DEADLINE, 0))
     batch: int = 64
@@ -380,7 +380,7 @@ class Coordinator:
         if frame.kind == "p":
             self._published_topics[frame.name] += 1 if frame.is_made else -1
         for other in self._peers:
-            if other is not peer:
+            if other is not peer and frame.is_ros:
                 other.outbox.append(frames.elsewhere(frame.kind, frame.is_made, frame.name, frame.type))
         for each in self._peers:
             for publisher in each.named("p", frame.name) if frame.kind in "ps" else ():
@@ -390,7 +390,7 @@ class Coordinator:
         if frame.kind == "s" and frame.is_made:
             if topic and frame.name not in self._announced and self._is_recorded_input(topic):
                 self._announced.add(frame.name)
-                for each in self._peers:
+                for each in self._peers if frame.is_ros else ():
                     each.outbox.append(frames.elsewhere("p", True, topic.name, topic.type))
             if frame.latched:
                 self._send_latched(peer, frame)

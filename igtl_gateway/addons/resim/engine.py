@@ -27,6 +27,15 @@ from igtl_gateway.addon import (
 )
 from igtl_gateway.addons.resim.coordinator import Coordinator, Peer, ProgramFault, Roles
 from igtl_gateway.addons.resim.frames import ABI_VERSION, DEADLINE, INPUT, NEVER, Hello, Remark, welcome
+from igtl_gateway.addons.resim.igtl_peer import (
+    WEAKER,
+    IgtlLink,
+    IgtlRole,
+    IgtlSide,
+    RecordedLink,
+    link_of,
+    recorded_links,
+)
 from igtl_gateway.addons.resim.inputs import Inputs, topics_of
 from igtl_gateway.addons.resim.library import library_path
 from igtl_gateway.addons.resim.link import Gone, Listener
@@ -42,6 +51,7 @@ _ENDING_NS = 5_000_000_000
 #: A process that uses less of a processor than one part in this number waits for something.
 _LEAST_CPU = 10
 _NO_NODE = "made no ROS 2 node, or is linked statically"
+_NO_SOCKET = "made no TCP socket, or is linked statically"
 _OTHER_MIDDLEWARE = re.compile(r"librmw_(?!fastrtps|implementation|dds_common)\w+\.so")
 _GPU = re.compile(r"lib(cuda|nvcuvid|nvinfer|OpenCL|amdhip64|ze_loader)\.so")
 #: The only middleware whose serialisation the library knows how to find.
@@ -74,12 +84,14 @@ class Program:
         name: for messages; default: the name of the program or of its script.
         env: added to the environment.
         folder: where it runs; None: here.
+        igtl: what it is to OpenIGTLink; None: a ROS 2 program.
     """
 
     command: tuple[str, ...]
     name: str = ""
     env: Mapping[str, str] = field(default_factory=dict)
     folder: Path | None = None
+    igtl: IgtlRole | None = None
 
     @property
     def title(self) -> str:
@@ -168,11 +180,13 @@ class RunResult:
         recording: the recording.
         roles: what the topics are, as of the first run; None if it did not come that far.
         runs: in order; the last one has a fault if a program is at fault, and then there are fewer than requested.
+        links: of OpenIGTLink, whose peers the programs replaced.
     """
 
     recording: Path
     roles: Roles | None = None
     runs: list[Run] = field(default_factory=list)
+    links: frozenset[int] = frozenset()
 
     @property
     def fault(self) -> str:
@@ -209,10 +223,21 @@ def run(
         raise ConfigError(f"runs: found {options.runs}, expected 1 or more")
     for program in programs:
         middleware = {**os.environ, **program.env}.get("RMW_IMPLEMENTATION", _MIDDLEWARE)
-        if middleware != _MIDDLEWARE:
+        if middleware != _MIDDLEWARE and not program.igtl:
             raise ConfigError(f"{program.title}: found RMW_IMPLEMENTATION={middleware}, expected {_MIDDLEWARE}")
     library = library_path()
-    result = RunResult(recording)
+    replaced: dict[int, RecordedLink] = {}
+    if any(program.igtl for program in programs):
+        if options.clocks is Clocks.REAL:
+            raise ConfigError("found real clocks and an OpenIGTLink program, expected clocks with session time")
+        with SessionFile.open(recording) as file:
+            recorded = recorded_links(file)
+        replaced = {
+            index: link_of(program.igtl, recorded, program.title)
+            for index, program in enumerate(programs)
+            if program.igtl
+        }
+    result = RunResult(recording, links=frozenset(each.number for each in replaced.values()))
     for number in range(1, options.runs + 1):
 
         def take(roles: Roles) -> None:
@@ -222,7 +247,7 @@ def run(
 
         one = Run(number, folder / f"run-{number}.mcap")
         result.runs.append(one)
-        _run_once(recording, programs, options, library, one, take)
+        _run_once(recording, programs, replaced, options, library, one, take)
         on_run(one)
         if one.fault:
             break
@@ -232,6 +257,7 @@ def run(
 def _run_once(
     recording: Path,
     programs: Sequence[Program],
+    replaced: Mapping[int, RecordedLink],
     options: ResimOptions,
     library: Path,
     one: Run,
@@ -267,11 +293,18 @@ def _run_once(
             for index, program in enumerate(programs):
                 env = {**os.environ, **program.env, "IGTL_GATEWAY_RESIM": str(listener.path), **_ENVIRONMENT}
                 env["LD_PRELOAD"] = " ".join(filter(None, [str(library), env.get("LD_PRELOAD", "")]))
-                process = Process(program.title, program.command, env, program.folder)
+                side = IgtlSide(program.igtl, program.title) if program.igtl else None
+                command = program.command
+                if side:
+                    stack.callback(side.close)
+                    env |= side.environment
+                    command = side.command(command)
+                process = Process(program.title, command, env, program.folder)
                 processes.append(process)
                 stack.callback(process.end)
                 watch.begin()
                 watch.is_joining = True
+                watch.side = side
                 link = listener.accept(watch.look)
                 stack.callback(link.close)
                 hello = link.receive()
@@ -279,7 +312,7 @@ def _run_once(
                     raise ProgramFault(f"{program.title}: found a library of another version: {hello!r}")
                 process.joined(hello.pid)
                 watch.is_joining = False
-                shift_ns = (one.number - 1) * WALL_STEP_NS if options.clocks is Clocks.SHIFTED else 0
+                shift_ns = (one.number - 1) * WALL_STEP_NS if options.clocks is Clocks.SHIFTED and not side else 0
                 is_real = options.clocks is Clocks.REAL
                 link.send(
                     welcome(
@@ -291,11 +324,15 @@ def _run_once(
                         deadline_class=INPUT if is_swapped else DEADLINE,
                     )
                 )
-                peers.append(Peer(index, program.title, link))
+                if side:
+                    watch.remarks.add(f"{program.title}: {WEAKER}")
+                    igtl = IgtlLink(program.title, side, link, replaced[index], one.start_ns)
+                    stack.callback(igtl.close)
+                peers.append(Peer(index, program.title, igtl if side else link))
             coordinator = Coordinator(
                 peers,
-                Inputs(file),
-                topics_of(file),
+                Inputs(file, {each.number for each in replaced.values()}),
+                topics_of(file) | {name: topic for each in replaced.values() for name, topic in each.topics().items()},
                 outputs,
                 start_ns=one.start_ns,
                 end_ns=one.end_ns,
@@ -342,6 +379,8 @@ class _Watch:
         self._children: dict[int, tuple[str, int]] = {}
         #: Whether the last process is expected to connect.
         self.is_joining = False
+        #: Of an OpenIGTLink program that is expected to connect.
+        self.side: IgtlSide | None = None
         #: What weakens the guarantee.
         self.remarks: set[str] = set()
 
@@ -371,8 +410,11 @@ class _Watch:
         if not self._since_ns:
             self._since_ns = now_ns
             self._cpu_s = {each.pid: each.cpu_s() for each in self._processes}
+        absent = _NO_SOCKET if self.side else _NO_NODE
         if ended := self.ended():
-            raise ProgramFault(f"{ended}; {_NO_NODE}" if self.is_joining else ended)
+            raise ProgramFault(f"{ended}; {absent}" if self.is_joining else ended)
+        if self.is_joining and self.side:
+            self.side.look()
         for pid, (name, since_ns) in list(self._children.items()):
             if not (command := command_of(pid)):
                 del self._children[pid]
@@ -387,7 +429,7 @@ class _Watch:
         busy = max(used, key=lambda each: used[each], default=None)
         if busy is None:
             return
-        what = _NO_NODE if self.is_joining else "did not come to rest"
+        what = absent if self.is_joining else "did not come to rest"
         if used[busy] > options.cpu_s:
             thread = busy.busiest()
             raise ProgramFault(

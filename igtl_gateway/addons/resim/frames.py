@@ -7,6 +7,7 @@ Times are session time in UTC ns.
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -30,6 +31,7 @@ _TO_SERVICE = struct.Struct("=qIIIq")
 _TO_CLIENT = struct.Struct("=qIq")
 _ROUTED = struct.Struct("=IB")
 _RUN = struct.Struct("=qB")
+_TIME = struct.Struct("=q")
 _HELLO = struct.Struct("=II")
 _SIZE = struct.Struct("=H")
 
@@ -49,6 +51,11 @@ class EntityFrame:
     type: str
     node: str
     definition: str
+
+    @property
+    def is_ros(self) -> bool:
+        """Whether it is of ROS; names of OpenIGTLink streams do not begin with a slash."""
+        return self.name.startswith("/")
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +121,34 @@ class Hello:
     abi: int
 
 
+@dataclass(frozen=True, slots=True)
+class Incoming:
+    """A message for a program."""
+
+    number: int
+    time_ns: int
+    class_: int
+    data: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class RunTo:
+    """Up to which time and class a program may go on."""
+
+    time_ns: int
+    class_: int
+
+
+@dataclass(frozen=True, slots=True)
+class Dropped:
+    """The messages that are not delivered are withdrawn."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ended:
+    """The session is over."""
+
+
 FromProgram = EntityFrame | Published | Request | Response | Remark | Idle | Hello
 
 
@@ -146,6 +181,25 @@ def parse(frame: bytes) -> FromProgram:
             return Hello(*_HELLO.unpack_from(frame, 1))
         case letter:
             raise ValueError(f"found frame {letter!r}, expected one of E, O, Q, A, X, I, H")
+
+
+def split(data: bytes) -> Iterator[Incoming | RunTo | Dropped | Ended]:
+    """Yield the frames for a program that a peer without ROS takes; it has no use for the others."""
+    at = 0
+    while at < len(data):
+        size, letter = _HEAD.unpack_from(data, at)
+        begin, end_ = at + _HEAD.size, at + 4 + size
+        match bytes((letter,)):
+            case b"M":
+                number, time_ns, _, _, class_, length = _MESSAGE.unpack_from(data, begin)
+                yield Incoming(number, time_ns, class_, data[begin + _MESSAGE.size + length : end_])
+            case b"R":
+                yield RunTo(*_RUN.unpack_from(data, begin))
+            case b"D":
+                yield Dropped()
+            case b"Z":
+                yield Ended()
+        at = end_
 
 
 def _frame(letter: bytes, *parts: bytes) -> bytes:
@@ -197,6 +251,11 @@ def drop() -> bytes:
 def run_to(time_ns: int, class_: int) -> bytes:
     """Let the program run, up to the events of this time and class."""
     return _frame(b"R", _RUN.pack(time_ns, class_))
+
+
+def look(time_ns: int) -> bytes:
+    """It is this time; have the program report when all its threads wait."""
+    return _frame(b"L", _TIME.pack(time_ns))
 
 
 def end() -> bytes:

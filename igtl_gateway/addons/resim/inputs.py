@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 
 from igtl_gateway.addon import NS_PER_S, Kind, Qos, SessionFile
@@ -58,6 +58,11 @@ class RecordedInput:
     is_ours: bool
 
 
+def input_name(link: int, stream: str) -> str:
+    """Return the name of an OpenIGTLink stream (``TYPE/device``) that the gateway sent on a link."""
+    return f"link{link}/{stream}"
+
+
 def topics_of(file: SessionFile) -> dict[str, RecordedTopic]:
     """Return the ROS topics of a recording by name, and /clock; of several types of one topic, the first."""
     found: dict[str, RecordedTopic] = {}
@@ -88,23 +93,35 @@ def _clock(number: int, time_ns: int) -> RecordedInput:
 
 
 class Inputs:
-    """The messages in order, of which the next ones can be looked at and given back."""
+    """The messages in order, of which the next ones can be looked at and given back.
 
-    def __init__(self, file: SessionFile) -> None:
-        self._coming = self._read(file)
+    Args:
+        file: the recording.
+        links: links whose OpenIGTLink messages to the peer are inputs, too.
+    """
+
+    def __init__(self, file: SessionFile, links: Collection[int] = ()) -> None:
+        self._coming = self._read(file, links)
         self._waiting: deque[RecordedInput] = deque()
 
-    def _read(self, file: SessionFile) -> Iterator[RecordedInput]:
+    def _read(self, file: SessionFile, links: Collection[int]) -> Iterator[RecordedInput]:
+        kinds = _ROS | {Kind.IGTL_OUT} if links else _ROS
         number = 0
         has_clock = any(channel.topic == CLOCK for channel in file.channels)
         clock_ns = NEVER if has_clock else file.start_ns
-        for entry in file.entries_of_kinds(_ROS):
-            if entry.seq and entry.kind in _ROS:
+        for entry in file.entries_of_kinds(kinds):
+            if entry.seq and entry.kind in kinds:
                 stamp_ns = entry.stamp_ns
                 while clock_ns <= stamp_ns:
                     number += 1
                     yield _clock(number, clock_ns)
                     clock_ns += _CLOCK_NS
+                if entry.kind is Kind.IGTL_OUT:
+                    for link in filter(links.__contains__, entry.links):
+                        number += 1
+                        name = input_name(link, entry.channel)
+                        yield RecordedInput(number, stamp_ns, name, entry.type, entry.data(), stamp_ns, True)
+                    continue
                 number += 1
                 source_ns = entry.source_ns or stamp_ns
                 ours = entry.kind is Kind.ROS_OUT

@@ -7,6 +7,7 @@ import struct
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Protocol
 
 from igtl_gateway.addons.resim import frames
 
@@ -18,6 +19,14 @@ _PATIENCE_S = 0.1
 
 class Gone(Exception):
     """The process has closed its connection."""
+
+
+class AnyLink(Protocol):
+    """What gives and takes the frames of one program."""
+
+    def send(self, data: bytes) -> None: ...
+
+    def receive(self) -> frames.FromProgram: ...
 
 
 class Link:

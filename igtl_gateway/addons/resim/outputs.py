@@ -34,6 +34,11 @@ class OutputStream:
     digest: str = ""
     sum: hashlib._Hash = field(default_factory=hashlib.sha256, repr=False, compare=False)
 
+    @property
+    def kind(self) -> Kind:
+        """A ROS topic begins with a slash, an OpenIGTLink stream with its type."""
+        return Kind.ROS_IN if self.topic.startswith("/") else Kind.IGTL_IN
+
 
 class OutputFile:
     """The outputs of a run as a session file: ROS messages that are inputs of a gateway, at their session time.
@@ -76,8 +81,9 @@ class OutputFile:
         stream.sum.update(time_ns.to_bytes(8, "little"))
         stream.sum.update(len(data).to_bytes(8, "little"))
         stream.sum.update(data)
+        links = (1,) if stream.kind is Kind.IGTL_IN else ()
         self._writer.write(
-            Entry(self._seq, self._stamp_ns, Kind.ROS_IN, stream.topic, stream.type, (data,), (), time_ns)
+            Entry(self._seq, self._stamp_ns, stream.kind, stream.topic, stream.type, (data,), links, time_ns)
         )
 
     @property

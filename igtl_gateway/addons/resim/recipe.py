@@ -7,6 +7,12 @@
     command = ["python", "planner.py"]   # or a string, as in a shell
     env = { SEED = "1" }                 # optional, added to the environment
     folder = "planner"                   # optional, from the folder of the file; default: where resim runs
+
+    [[program]]
+    command = "viewer --port {port}"
+    igtl = "client"                      # of OpenIGTLink, or "server"; default: a program of ROS 2
+    port = 18944                         # optional; default: a free one, for {port} and in $IGTL_PORT
+    link = 1                             # whose peer it replaces; default: the only one of the recording
 """
 
 from __future__ import annotations
@@ -17,8 +23,10 @@ from typing import Any
 
 from igtl_gateway.addon import ConfigError, read_toml
 from igtl_gateway.addons.resim.engine import Program
+from igtl_gateway.addons.resim.igtl_peer import IgtlRole, check_role
 
-_KEYS = ("name", "command", "env", "folder")
+_KEYS = ("name", "command", "env", "folder", "igtl", "port", "link")
+_IGTL = ("client", "server")
 
 
 def read_recipe(path: Path) -> list[Program]:
@@ -56,7 +64,26 @@ def _program(place: str, table: dict[str, Any], beside: Path) -> Program:
         raise ConfigError(f"{place}.env: found {env!r}, expected a table of strings")
     if wrong := next((name for name in env if not name or "=" in name or "\0" in name), None):
         raise ConfigError(f"{place}.env: found {wrong!r}, expected names of variables")
-    return Program(command_of(f"{place}.command", table["command"]), _text(place, table, "name"), env, folder)
+    return Program(
+        command_of(f"{place}.command", table["command"]), _text(place, table, "name"), env, folder, _role(place, table)
+    )
+
+
+def _role(place: str, table: dict[str, Any]) -> IgtlRole | None:
+    """What a program is to OpenIGTLink; None for one of ROS 2.  Raises ConfigError."""
+    numbers = {key: table.get(key, 0) for key in ("port", "link")}
+    for key, value in numbers.items():
+        if type(value) is not int:
+            raise ConfigError(f"{place}.{key}: found {value!r}, expected a number")
+        if key in table and "igtl" not in table:
+            raise ConfigError(f"{place}.{key}: has no effect without igtl")
+    if "igtl" not in table:
+        return None
+    if table["igtl"] not in _IGTL:
+        raise ConfigError(f"{place}.igtl: found {table['igtl']!r}, expected one of {', '.join(_IGTL)}")
+    role = IgtlRole(table["igtl"] == "server", **numbers)
+    check_role(f"{place}.port", f"{place}.link", role)
+    return role
 
 
 def command_of(place: str, found: Any) -> tuple[str, ...]:

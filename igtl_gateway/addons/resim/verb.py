@@ -7,7 +7,7 @@ import math
 import shutil
 import tempfile
 from contextlib import ExitStack
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +35,7 @@ from igtl_gateway.addons.resim.causes import likely_cause
 from igtl_gateway.addons.resim.coordinator import Roles
 from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, Run, RunResult
 from igtl_gateway.addons.resim.engine import run as run_programs
+from igtl_gateway.addons.resim.igtl_peer import IgtlRole, check_role
 from igtl_gateway.addons.resim.recipe import read_recipe
 from igtl_gateway.addons.resim.report import junit_xml
 from igtl_gateway.addons.resim.verdict import Verdict, compare, is_judged
@@ -50,6 +51,8 @@ EXAMPLES = """\
       -- python planner.py
   # two programs: what one publishes, the other one receives
   igtl-gateway resim session.mcap -- python planner.py -- python controller.py
+  # a client of OpenIGTLink gets what the gateway sent to it, in lock-step
+  igtl-gateway resim session.mcap --igtl-client -- python client.py
   # which commit changed the outputs?
   igtl-gateway resim session.mcap --bisect v1.0..HEAD --build "colcon build" \\
       -- python planner.py
@@ -67,6 +70,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--recipe", action=_Recipe, programs=programs, type=Path, metavar="FILE",
         help="the programs, with names, environment and folders (TOML), instead of those behind --",
+    )  # fmt: skip
+    igtl = parser.add_mutually_exclusive_group()
+    igtl.add_argument(
+        "--igtl-client", action="store_true",
+        help="the program is an OpenIGTLink client of the gateway; it finds the address in $IGTL_HOST and $IGTL_PORT, "
+        "or {port} in its arguments",
+    )  # fmt: skip
+    igtl.add_argument(
+        "--igtl-server", type=int, metavar="PORT",
+        help="the program is an OpenIGTLink server at this port; 0: a free one, as for a client",
+    )  # fmt: skip
+    parser.add_argument(
+        "--link", type=int, default=0, metavar="N",
+        help="link of the recording whose peer the OpenIGTLink program replaces " + default("the only one"),
     )  # fmt: skip
     parser.add_argument("--runs", type=int, default=3, metavar="N", help="how often to run " + default(3))
     parser.add_argument("--record", type=new_recording, metavar="FILE", help="write the outputs of the first run")
@@ -144,7 +161,7 @@ class _Recipe(argparse.Action):
 def run(options: argparse.Namespace) -> int:
     if options.recipe and options.programs:
         raise ConfigError("found --recipe and a program behind --, expected one of them")
-    programs = read_recipe(options.recipe) if options.recipe else _programs(options.programs)
+    programs = _programs_of(options)
     tolerance = _tolerance(options.tolerance)
     if not 0 <= options.latency < math.inf:
         raise ConfigError(f"--latency: found {options.latency:g}, expected 0 or more")
@@ -228,6 +245,25 @@ def _run_bisect(
     else:
         print_line(*result.lines())
     return result.exit_code
+
+
+def _programs_of(options: argparse.Namespace) -> list[Program]:
+    """The programs.  Raises ConfigError."""
+    is_igtl = options.igtl_client or options.igtl_server is not None
+    if is_igtl and options.recipe:
+        raise ConfigError("found --recipe and --igtl-client or --igtl-server, expected igtl in the recipe")
+    if options.link and not is_igtl:
+        raise ConfigError("--link: has no effect without --igtl-client or --igtl-server")
+    if options.recipe:
+        return read_recipe(options.recipe)
+    programs = _programs(options.programs)
+    if not is_igtl:
+        return programs
+    if len(programs) > 1:
+        raise ConfigError("found several programs and --igtl-client or --igtl-server, expected a recipe with igtl")
+    role = IgtlRole(options.igtl_server is not None, options.igtl_server or 0, options.link)
+    check_role("--igtl-server", "--link", role)
+    return [replace(programs[0], igtl=role)]
 
 
 def _programs(words: list[str]) -> list[Program]:

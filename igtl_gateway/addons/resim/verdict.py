@@ -10,7 +10,7 @@ tolerance.  In a live recording the times are those of its day: its messages are
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Sequence, Set
 from dataclasses import dataclass, field
 from itertools import islice
 from math import inf, isfinite, isnan
@@ -20,6 +20,7 @@ from typing import Any
 from igtl_gateway.addon import Entry, Kind, SessionFile, matches, recorded_units
 from igtl_gateway.addons.resim.engine import Run, RunResult
 from igtl_gateway.addons.resim.outputs import OF_EVERY_NODE
+from igtl_gateway.record.sessionfile.channels import ChannelSummary
 from igtl_gateway.replay.compare import EXACT, Delta, LeafDecoder, Tolerance, Undecodable, compare_values, first_byte
 from igtl_gateway.replay.diff import DiffInput, StreamDiff, diff
 
@@ -196,13 +197,13 @@ def compare(
     if reference is not None:
         with SessionFile.open(reference) as file:
             is_resim = _RESIM_KEY in file.session
-            recorded = {each.topic for each in file.channels if each.kind is Kind.ROS_IN and each.count}
+            recorded = {_name(each) for each in file.channels if _name(each) and each.count}
         names = [name for name in sorted({*first.streams, *(recorded if is_resim else ())}) if is_judged(name, outputs)]
         names = [name for name in names if is_resim or name in recorded]
         verdict.streams = (
             _strictly(reference, first.outputs, names, tolerance)
             if is_resim
-            else _loosely(reference, first.outputs, names, tolerance)
+            else _loosely(reference, first.outputs, names, tolerance, result.links)
         )
     return verdict
 
@@ -245,10 +246,23 @@ class _Side:
         return self._decoder.leaves(entry)
 
 
-def _messages(file: SessionFile, topic: str) -> Iterator[Entry]:
-    """The messages of a topic; their stamp is the session time at which they were published."""
+def _name(channel: ChannelSummary) -> str:
+    """The name of an output: its ROS topic or OpenIGTLink stream; ``""`` for anything else."""
+    return {Kind.ROS_IN: channel.topic, Kind.IGTL_IN: channel.stream}.get(channel.kind, "")
+
+
+def _messages(file: SessionFile, topic: str, links: Set[int] = frozenset()) -> Iterator[Entry]:
+    """The messages of a topic; their stamp is the session time at which they were published.
+
+    Of an OpenIGTLink stream of a live recording, only those that came by one of ``links``.
+    """
+    if links and not topic.startswith("/"):
+        for entry in file.entries_of_kinds({Kind.IGTL_IN}):
+            if entry.kind is Kind.IGTL_IN and entry.channel == topic and not links.isdisjoint(entry.links):
+                yield Entry(entry.seq, entry.stamp_ns, entry.kind, topic, entry.type, entry.payload)
+        return
     for channel in file.channels:
-        if channel.topic == topic and channel.kind is Kind.ROS_IN:
+        if _name(channel) == topic:
             for block in file.blocks(channel):
                 for index in range(len(block)):
                     time_ns = int(block.source_times[index]) or int(block.times[index])
@@ -333,40 +347,43 @@ def _compare_pair(verdict: StreamVerdict, one: _Side, other: _Side, tolerance: T
         verdict.within += 1
 
 
-def _loosely(one: Path, other: Path, names: Sequence[str], tolerance: Tolerance) -> list[StreamVerdict]:
-    """Compare a live recording with a run: by the order and the contents of messages."""
+def _loosely(
+    one: Path, other: Path, names: Sequence[str], tolerance: Tolerance, links: Set[int]
+) -> list[StreamVerdict]:
+    """Compare a live recording with a run: by the order and the contents of messages; ``links``: which of it count."""
     found = []
     with SessionFile.open(one) as first, SessionFile.open(other) as second:
         for name in names:
             sides = [
-                DiffInput(_messages(file, name), LeafDecoder(file.definitions, recorded_units(file)))
-                for file in (first, second)
+                DiffInput(_messages(file, name, chosen), LeafDecoder(file.definitions, recorded_units(file)))
+                for file, chosen in ((first, links), (second, frozenset()))
             ]
             for stream in diff(sides[0], sides[1], tolerance=tolerance).streams:
-                found.append(_of_diff(first, second, name, stream))
+                found.append(_of_diff(first, second, name, stream, links))
     return found
 
 
-def _place(file: SessionFile, name: str, seq: int) -> tuple[int, int]:
+def _place(file: SessionFile, name: str, seq: int, links: Set[int]) -> tuple[int, int]:
     """Number and time of the message of a stream with an entry number."""
-    for number, entry in enumerate(_messages(file, name), 1):
+    for number, entry in enumerate(_messages(file, name, links), 1):
         if entry.seq == seq:
             return number, entry.stamp_ns
     return 0, file.end_ns
 
 
-def _of_diff(file: SessionFile, run: SessionFile, name: str, stream: StreamDiff) -> StreamVerdict:
+def _of_diff(file: SessionFile, run: SessionFile, name: str, stream: StreamDiff, links: Set[int]) -> StreamVerdict:
     verdict = StreamVerdict(
         name, stream.messages, stream.other_messages, stream.different, stream.missing, stream.extra,
         within=stream.within, mm=stream.mm, deg=stream.deg, restamped=stream.restamped,
     )  # fmt: skip
     if stream.first and stream.different:
         place = stream.first
-        time_ns = next(islice(_messages(file, name), place.index - 1, None)).stamp_ns
+        time_ns = next(islice(_messages(file, name, links), place.index - 1, None)).stamp_ns
         verdict.first = Difference(name, place.index, time_ns, "differs", 0, place.delta)
     elif stream.missing or stream.extra:
         first, what = (stream.first_missing, "missing") if stream.missing else (stream.first_extra, "extra")
-        verdict.first = Difference(name, *_place(file if stream.missing else run, name, first), what)
+        place_of = _place(file, name, first, links) if stream.missing else _place(run, name, first, frozenset())
+        verdict.first = Difference(name, *place_of, what)
     return verdict
 
 

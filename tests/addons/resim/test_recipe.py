@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.addons.resim.engine import Program
+from igtl_gateway.addons.resim.igtl_peer import IgtlRole
 from igtl_gateway.addons.resim.recipe import read_recipe
 from igtl_gateway.base.errors import ConfigError
 from tests.tables import table
@@ -20,6 +21,12 @@ folder = "nodes"
 
 [[program]]
 command = "ros2 run 'my pkg' controller"
+
+[[program]]
+command = "viewer {port}"
+igtl = "server"
+port = 18944
+link = 2
 """
 
 
@@ -30,6 +37,7 @@ def test_a_good_one(tmp_path: Path) -> None:
     assert read_recipe(path) == [
         Program(("python", "planner.py", "--level", "3"), "planner", {"SEED": "1"}, tmp_path / "nodes"),
         Program(("ros2", "run", "my pkg", "controller")),
+        Program(("viewer", "{port}"), igtl=IgtlRole(is_server=True, port=18944, link=2)),
     ]
 
 
@@ -51,6 +59,10 @@ def test_a_good_one(tmp_path: Path) -> None:
         ("[[program]]\ncommand = 'a'\nfolder = 'none'", "program[0].folder: found no folder "),
         ("[[program]]\ncommand = 'a'\nname = ''", "program[0].name: found '', expected a string"),
         ("[[program]]\ncommand = 'a'\n[[program]]\ncommand = 'a'", "program: found 'a' twice, expected a name"),
+        ("[[program]]\ncommand = 'a'\nigtl = 'peer'", "program[0].igtl: found 'peer', expected one of client, server"),
+        ("[[program]]\ncommand = 'a'\nlink = 1", "program[0].link: has no effect without igtl"),
+        ("[[program]]\ncommand = 'a'\nigtl = 'client'\nport = '1'", "program[0].port: found '1', expected a number"),
+        ("[[program]]\ncommand = 'a'\nigtl = 'client'\nport = 70000", "port: found 70000, expected 0 to 65535"),
         ("[[program]\n", "programs.toml: "),
     ],
 )  # fmt: skip

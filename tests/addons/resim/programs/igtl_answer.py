@@ -1,0 +1,45 @@
+"""A pyigtl client: answers each TRANSFORM with one that is moved by 1 mm, or by a random distance (``random``).
+
+Other arguments: ``faulty`` programs, see `main`.
+"""
+
+import os
+import random
+import socket
+import sys
+import time
+
+import pyigtl
+
+
+def main(kind: str) -> None:
+    """Connect to the address of the environment, and answer."""
+    address = os.environ["IGTL_HOST"], int(os.environ["IGTL_PORT"])
+    if kind == "never":
+        time.sleep(3600)
+    if kind in ("close", "garbage", "flood", "hang", "elsewhere"):
+        made = socket.socket()
+        if kind == "elsewhere":
+            time.sleep(3600)
+        made.connect(address)
+        made.recv(106)
+        if kind == "close":
+            made.close()
+            time.sleep(3600)
+        if kind == "garbage":
+            made.sendall(b"GET / HTTP/1.1\r\nHost: here\r\n\r\n" * 10)
+            time.sleep(3600)
+        data = pyigtl.StringMessage("much", device_name="Flood").pack()
+        while True:
+            if kind == "flood":
+                made.sendall(100 * data)
+    client = pyigtl.OpenIGTLinkClient(*address)
+    while True:
+        message = client.wait_for_message("Tool")
+        matrix = message.matrix.copy()
+        matrix[0, 3] += random.random() if kind == "random" else 1.0
+        client.send_message(pyigtl.TransformMessage(matrix, device_name="Answer"))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1] if len(sys.argv) > 1 else "")
