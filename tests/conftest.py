@@ -61,7 +61,7 @@ SLOW = (
     "addons/resim/test_programs.py",
     "integration/test_live_faults.py",
     "addons/resim/test_faults.py",
-    "addons/resim/test_igtl.py",
+    "addons/resim/test_igtl_peer.py",
     "addons/resim/test_bisect.py",
     "addons/resim/test_api.py",
     "addons/review/test_assess.py",

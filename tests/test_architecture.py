@@ -75,7 +75,7 @@ MOST_OF_CORE = {
     "exchange": 13,
     "lerobot": 7,
     "merge": 11,
-    "resim": 7,
+    "resim": 8,
     "review": 7,
     "sync": 4,
     "upload": 6,
@@ -126,6 +126,8 @@ HOMES: dict[str, tuple[str, ...]] = {
         "edges.reserved",
         "base.systems.signals",
         "addons.resim.link",  # to the library in a program
+        "addons.resim.igtl_peer",  # to an OpenIGTLink program
+        "addons.resim.tcp_state",  # what of it has arrived
         "lab.bench",
     ),  # a measurement has a peer that costs nothing, and a port for any bridge
     "socketserver": (),

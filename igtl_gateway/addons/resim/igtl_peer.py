@@ -12,7 +12,6 @@ program, all its threads wait, and all that it has sent is here.
 from __future__ import annotations
 
 import errno
-import select
 import socket
 from collections import deque
 from collections.abc import Mapping, Sequence
@@ -121,6 +120,7 @@ class IgtlSide:
         self._listener = socket.socket()
         self._clock = SystemClock()
         self._seen_ns = 0
+        self._accepted: socket.socket | None = None
         if not role.is_server:
             self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -133,6 +133,7 @@ class IgtlSide:
             self._listener.close()
         else:
             self._listener.listen()
+            self._listener.setblocking(False)
 
     def command(self, words: Sequence[str]) -> tuple[str, ...]:
         return tuple(word.replace("{port}", str(self.port)) for word in words)
@@ -143,7 +144,7 @@ class IgtlSide:
 
     def look(self) -> None:
         """Raise ProgramFault if the program has connected, but the library in it has not."""
-        if self._role.is_server or not select.select([self._listener], [], [], 0)[0]:
+        if self._role.is_server or not self._accept():
             return
         now_ns = self._clock.monotonic_ns()
         self._seen_ns = self._seen_ns or now_ns
@@ -153,9 +154,7 @@ class IgtlSide:
     def connect(self) -> socket.socket | None:
         """The connection; None if there is none yet."""
         if not self._role.is_server:
-            if not select.select([self._listener], [], [], 0)[0]:
-                return None
-            return self._listener.accept()[0]
+            return self._accept()
         made = socket.socket()
         try:
             made.connect((HOST, self.port))
@@ -163,6 +162,12 @@ class IgtlSide:
             made.close()
             return None
         return made
+
+    def _accept(self) -> socket.socket | None:
+        if not self._accepted:
+            with suppress(BlockingIOError):
+                self._accepted = self._listener.accept()[0]
+        return self._accepted
 
     @property
     def missing(self) -> str:
@@ -172,6 +177,8 @@ class IgtlSide:
 
     def close(self) -> None:
         self._listener.close()
+        if self._accepted:
+            self._accepted.close()
 
 
 class IgtlLink:

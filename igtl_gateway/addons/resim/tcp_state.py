@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-import fcntl
 import socket
 import struct
-import termios
-import time
+import threading
+
+from igtl_gateway.addon import SystemClock
 
 #: Real time for bytes to arrive; on the loopback interface they are there at once, except beside a high load.
-_PATIENCE_S = 1.0
-#: The same where only acknowledgements are known, which come 40 ms late.
-_ACKNOWLEDGED_S = 0.05
+_PATIENCE_NS = 1_000_000_000
 _PAUSE_S = 20e-6
+#: What it is given where the kernel has no diagnosis of sockets.
+_BLIND_S = 0.002
+#: Bytes that are looked at; the caller reads, and asks again.
+_PEEK_BYTES = 1 << 20
 
 _NETLINK_SOCK_DIAG, _SOCK_DIAG_BY_FAMILY, _NLM_F_REQUEST = 4, 20, 1
 _INET_DIAG_INFO = 2
@@ -36,6 +38,7 @@ class Connection:
 
     def __init__(self, own: socket.socket) -> None:
         self._own = own
+        self._clock, self._pause = SystemClock(), threading.Event()
         self.sent = self.received = 0
         self._netlink: socket.socket | None = None
         host, port = own.getsockname()
@@ -46,7 +49,7 @@ class Connection:
         self._query = _NLMSG.pack(_NLMSG.size + len(body), _SOCK_DIAG_BY_FAMILY, _NLM_F_REQUEST, 1, 0) + body
         try:
             self._netlink = socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, _NETLINK_SOCK_DIAG)
-            self._netlink.settimeout(_PATIENCE_S)
+            self._netlink.settimeout(_PATIENCE_NS / 1e9)
         except OSError:
             pass
         if self._netlink and self._counts() is None:
@@ -55,21 +58,27 @@ class Connection:
 
     def wait(self, *, arrived: bool) -> None:
         """Wait until what was sent here has arrived there, or what was sent there has arrived here."""
-        begin = time.monotonic()
-        patience = _PATIENCE_S if self._netlink else _ACKNOWLEDGED_S
-        while not self._is_there(arrived) and time.monotonic() - begin < patience:
-            time.sleep(_PAUSE_S)
+        if not self._netlink:
+            self._pause.wait(_BLIND_S)
+            return
+        begin_ns = self._clock.monotonic_ns()
+        while not self._is_there(arrived) and self._clock.monotonic_ns() - begin_ns < _PATIENCE_NS:
+            self._pause.wait(_PAUSE_S)
 
     def _is_there(self, arrived: bool) -> bool:
-        if self._netlink:
-            counts = self._counts()
-            if counts is None:
-                return True  # it is closed
-            got, written = counts
-            if arrived:
-                return got + 1 >= self.sent  # the counts of the kernel may have the SYN in them
-            return written <= self.received + _waiting(self._own, termios.FIONREAD) + 1
-        return not arrived or not _waiting(self._own, termios.TIOCOUTQ)
+        counts = self._counts()
+        if counts is None:
+            return True  # it is closed
+        got, written = counts
+        if arrived:
+            return got + 1 >= self.sent  # the counts of the kernel may have the SYN in them
+        if written <= self.received + 1:
+            return True
+        try:
+            here = len(self._own.recv(_PEEK_BYTES, socket.MSG_PEEK))
+        except OSError:
+            here = 0
+        return here == _PEEK_BYTES or written <= self.received + here + 1
 
     def _counts(self) -> tuple[int, int] | None:
         """Bytes that the other end has got and that it has written; None if there is no such connection."""
@@ -99,8 +108,3 @@ class Connection:
 
 def _address(host: str) -> bytes:
     return socket.inet_aton(host) + bytes(12)
-
-
-def _waiting(one: socket.socket, request: int) -> int:
-    (count,) = struct.unpack("i", fcntl.ioctl(one.fileno(), request, bytes(4)))
-    return int(count)

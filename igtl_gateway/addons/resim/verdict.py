@@ -20,7 +20,6 @@ from typing import Any
 from igtl_gateway.addon import Entry, Kind, SessionFile, matches, recorded_units
 from igtl_gateway.addons.resim.engine import Run, RunResult
 from igtl_gateway.addons.resim.outputs import OF_EVERY_NODE
-from igtl_gateway.record.sessionfile.channels import ChannelSummary
 from igtl_gateway.replay.compare import EXACT, Delta, LeafDecoder, Tolerance, Undecodable, compare_values, first_byte
 from igtl_gateway.replay.diff import DiffInput, StreamDiff, diff
 
@@ -197,7 +196,7 @@ def compare(
     if reference is not None:
         with SessionFile.open(reference) as file:
             is_resim = _RESIM_KEY in file.session
-            recorded = {_name(each) for each in file.channels if _name(each) and each.count}
+            recorded = {_name(each.kind, each.topic, each.stream) for each in file.channels if each.count} - {""}
         names = [name for name in sorted({*first.streams, *(recorded if is_resim else ())}) if is_judged(name, outputs)]
         names = [name for name in names if is_resim or name in recorded]
         verdict.streams = (
@@ -246,9 +245,9 @@ class _Side:
         return self._decoder.leaves(entry)
 
 
-def _name(channel: ChannelSummary) -> str:
+def _name(kind: Kind, topic: str, stream: str) -> str:
     """The name of an output: its ROS topic or OpenIGTLink stream; ``""`` for anything else."""
-    return {Kind.ROS_IN: channel.topic, Kind.IGTL_IN: channel.stream}.get(channel.kind, "")
+    return {Kind.ROS_IN: topic, Kind.IGTL_IN: stream}.get(kind, "")
 
 
 def _messages(file: SessionFile, topic: str, links: Set[int] = frozenset()) -> Iterator[Entry]:
@@ -262,7 +261,7 @@ def _messages(file: SessionFile, topic: str, links: Set[int] = frozenset()) -> I
                 yield Entry(entry.seq, entry.stamp_ns, entry.kind, topic, entry.type, entry.payload)
         return
     for channel in file.channels:
-        if _name(channel) == topic:
+        if _name(channel.kind, channel.topic, channel.stream) == topic:
             for block in file.blocks(channel):
                 for index in range(len(block)):
                     time_ns = int(block.source_times[index]) or int(block.times[index])
