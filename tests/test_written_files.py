@@ -162,6 +162,7 @@ _ELSEWHERE = {
     "record/ring.py": "a trial, removed at once",
     "addons/cohort/results.py": "parts that count when the manifest lists them; its lock removes the others",
     "addons/cohort/query.py": "in a place of its caller",
+    "addons/resim/bisect.py": "in a temporary directory",
     "addons/exchange/csv_out.py": "in the folder of an export",
     "cli/info_source.py": "in a temporary directory",
     "addons/exchange/rosbag2.py": "in a temporary directory",

@@ -72,7 +72,7 @@ def test_the_command(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_wrong_usage(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["doctor", "--host", ":18944"]) == 2
-    assert "--host: found a peer, --listen or --ros, expected --host alone" in capsys.readouterr().err
+    assert "--host: found a peer or a recording, expected --host alone" in capsys.readouterr().err
 
 
 def test_other_systems(monkeypatch: pytest.MonkeyPatch) -> None:
