@@ -20,7 +20,7 @@ MYPY := $(BIN)/mypy --no-error-summary
 # The checks that end in seconds.
 QUICK := format lint pins documents terms
 
-.PHONY: help demo test test-fast check static quick format lint types types-elsewhere pins documents terms peers core coverage hooks pictures fixtures site release clean
+.PHONY: help demo test test-fast test-long check static quick format lint types types-elsewhere pins documents terms peers core coverage hooks pictures fixtures site release clean
 .DEFAULT_GOAL := help
 
 help:
@@ -28,6 +28,7 @@ help:
 	@echo "make check       format, lint, types, pins, generated documents, terms, architecture"
 	@echo "make test-fast   the fast tests: at most three minutes on two cores"
 	@echo "make test        the gate for every change: the checks, the fast tests and the slow tests"
+	@echo "make test-long   the tests that take too long for the gate"
 	@echo "make coverage    branch coverage of the fast tests, as a table and in out/coverage/index.html"
 	@echo "make core        the core's tests on each Python that is present: 3.11, 3.12 and 3.13, or PYTHONS"
 	@echo "make hooks       install the checks as git hooks of this checkout"
@@ -45,7 +46,10 @@ demo: $(READY)
 	@echo "(. $(BIN)/activate first, or write $(BIN)/igtl-gateway)"
 
 test: quick peers
-	@$(call beside_types,$(call run_tests,))
+	@$(call beside_types,$(call run_tests,-m "not long"))
+
+test-long: $(READY) peers
+	@$(call run_tests,-m long)
 
 test-fast: $(READY) peers
 	@$(call run_tests,-m "not slow")

@@ -101,6 +101,27 @@ SLOW = (
     "addons/view/test_stream.py",
 )
 
+#: The third tier, which only ``make test-long`` runs: how the names of tests begin.  What they check, a shorter test of
+#: the gate checks in part.
+LONG = (
+    "addons/resim/test_causes.py",
+    "addons/resim/test_api.py::TestTheFixture::test_in_a_project",
+    "addons/resim/test_igtl_peer.py::test_beside_a_client_and_a_node",
+    "addons/resim/test_igtl_peer.py::test_the_command_line",
+    "addons/resim/test_igtl_peer.py::test_bad_programs[flood",
+    *(
+        f"addons/test_absent.py::test_what_is_left_works_without_an_addon[{name}]"
+        for name in ("sync", "merge", "deidentify", "upload", "review", "resim", "cohort", "lerobot")
+    ),
+    "integration/test_fair_shares.py::test_a_good_peer_is_answered_beside_twenty_that_flood[COMMAND]",
+    "integration/test_fair_shares.py::test_a_good_peer_is_answered_beside_twenty_that_flood[TRANSFORM]",
+    "integration/test_soak.py::test_load_with_guests_that_come_and_go",
+    "test_gateway_fuzz.py",
+    "test_release.py",
+    "test_site.py",
+    "lab/cli/test_bench.py",
+)
+
 #: Where several workers take files in turn, these go first: none of them must be left for the end.
 LONGEST = (
     "integration/test_soak.py",
@@ -135,12 +156,15 @@ def pytest_collection_finish() -> None:
 
 @pytest.hookimpl(tryfirst=True)  # before pytest selects by -m
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Marks the second tier.  Several workers start with the longest files.  ``ros`` is skipped without ROS 2."""
+    """Marks the second and the third tier.  They start with the longest files.  ``ros`` is skipped without ROS 2."""
     here = Path(__file__).parent
     slow = {here / name for name in SLOW}
     for item in items:
         if item.path in slow:
             item.add_marker(pytest.mark.slow)
+        if item.nodeid.removeprefix("tests/").startswith(LONG):
+            item.add_marker(pytest.mark.slow)
+            item.add_marker(pytest.mark.long)
     if hasattr(config, "workerinput"):
         rank = {here / name: number for number, name in enumerate(LONGEST)}
         items.sort(key=lambda item: rank.get(item.path, len(rank)))
