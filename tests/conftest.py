@@ -104,6 +104,8 @@ SLOW = (
 #: The third tier, which only ``make test-long`` runs: how the names of tests begin.  What they check, a shorter test of
 #: the gate checks in part.
 LONG = (
+    "addons/exchange/test_targets.py",
+    "addons/review/test_assess.py",
     "addons/resim/test_causes.py",
     "addons/resim/test_api.py::TestTheFixture::test_in_a_project",
     "addons/resim/test_igtl_peer.py::test_beside_a_client_and_a_node",
@@ -116,9 +118,12 @@ LONG = (
     "integration/test_fair_shares.py::test_a_good_peer_is_answered_beside_twenty_that_flood[COMMAND]",
     "integration/test_fair_shares.py::test_a_good_peer_is_answered_beside_twenty_that_flood[TRANSFORM]",
     "integration/test_soak.py::test_load_with_guests_that_come_and_go",
+    "integration/test_hostile_crowds.py",
     "test_gateway_fuzz.py",
+    "test_notebooks.py",
     "test_release.py",
     "test_site.py",
+    "lab/bench/",
     "lab/cli/test_bench.py",
 )
 
