@@ -84,11 +84,13 @@ def test_targets_are_found_in_code_alone() -> None:
     assert targets_in(page) == {"check", "test-fast", "test", "demo"}
 
 
-def test_both_tiers_together_are_everything() -> None:
-    """The gate selects nothing; the fast tier leaves out what is marked slow and nothing else."""
-    gate, fast = pytest_words("test"), pytest_words("test-fast")
-    assert fast == [*gate, "-m", "not slow"]
-    everywhere = [*gate, *shlex.split(PYPROJECT["tool"]["pytest"]["ini_options"]["addopts"])]
+def test_the_tiers_together_are_everything() -> None:
+    """The gate leaves out what is marked long, the fast tier what is marked slow, and neither anything else."""
+    gate, fast, long = pytest_words("test"), pytest_words("test-fast"), pytest_words("test-long")
+    assert gate[-2:] == ["-m", "not long"]
+    assert fast == [*gate[:-1], "not slow"]
+    assert long[-2:] == ["-m", "long"]
+    everywhere = [*gate[:-2], *shlex.split(PYPROJECT["tool"]["pytest"]["ini_options"]["addopts"])]
     selecting = ("-m", "-k", "--ignore", "--deselect", "--lf", "--last-failed")
     assert [word for word in everywhere if word.startswith(selecting)] == []
     assert [word for word in everywhere if (ROOT / word).exists()] == [], "a path leaves out what lies elsewhere"

@@ -59,10 +59,12 @@ class Graph:
             ]
 
     def subscriptions_of(self, topic: str) -> int:
-        """The number of subscriptions to a topic.  Raises RosError where the node does not run."""
+        """The number of subscriptions to a topic of ours; 0 where the node does not run."""
+        if not self._node.is_running:
+            return 0
         in_graph = self._node.names.in_graph(topic)
         own = len(self._topics.subscriptions_at(in_graph))
-        return int(self._node.handle.count_subscribers(in_graph)) - own
+        return int(self._node.host.node.count_subscribers(in_graph)) - own
 
     def matching_qos(self, topic: str, wanted: Qos) -> Qos:
         """The QoS that every present publisher satisfies, by the rule of foxglove_bridge and rosbag2."""

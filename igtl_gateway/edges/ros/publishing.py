@@ -206,6 +206,8 @@ class Publishing(Publishers[TopicPublisher]):
             publisher.close()
 
     def _can_send(self, publisher: TopicPublisher) -> bool:
+        if not publisher.is_made:  # nor might its topic have a name that the graph can be asked for
+            return False
         if not self._node.is_running or self._clock.monotonic_ns() >= publisher.deadline_ns:
             return True
         known = self._graph.subscriptions_of(publisher.topic)

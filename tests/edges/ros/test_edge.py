@@ -376,6 +376,24 @@ def test_a_publisher_that_takes_long_to_make_delays_no_message(
     assert [cdr for cdr, _ in peer.take("/slow/first", 3)] == [point.hex() for point in points]
 
 
+def test_a_bad_name_that_waits_for_its_publisher_stops_no_other_topic(
+    edge: RosEdge, heard: Heard, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The thread that sends what is held cannot ask the graph for a name like this."""
+    compiled = threading.Event()
+
+    def slow_class(type_name: str) -> Any:
+        assert compiled.wait(TIMEOUT_S)
+        return interface_class(type_name)
+
+    monkeypatch.setattr(publishing, "interface_class", slow_class)
+    edge.publish("/bad name/held", STRING, string_cdr("x"), Qos())
+    assert not edge.wait_ready(0.5)
+    compiled.set()
+    assert heard.until(partial(has_failed, edge, "/bad name/held", 1))
+    assert edge.wait_ready(TIMEOUT_S)
+
+
 def test_unknown_type_of_a_publisher_is_noted_once(
     peer: Peer, edge: RosEdge, heard: Heard, monkeypatch: pytest.MonkeyPatch
 ) -> None:
