@@ -59,7 +59,7 @@ class Graph:
             ]
 
     def subscriptions_of(self, topic: str) -> int:
-        """The number of subscriptions to a topic of ours; 0 where the node does not run."""
+        """The number of other subscriptions to a topic; 0 where the node does not run."""
         if not self._node.is_running:
             return 0
         in_graph = self._node.names.in_graph(topic)
