@@ -1,0 +1,159 @@
+"""Counts the different outputs of many re-simulations: one row for each kind of program of tests/addons/resim/programs.
+
+``python tools/resim_runs.py`` runs each kind 1,000 times, in turns of 100, and prints the table after each turn of all.
+The load is that of the machine beside the runs (mean of the last minute); start it beside work of your own, or with
+``--load 4``, which keeps four processes busy.  Exit code 1 if any run differs or could not be judged.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from igtl_gateway.addons.resim.engine import Program, ResimOptions, Run, run
+from igtl_gateway.addons.resim.igtl_peer import IgtlRole
+from igtl_gateway.addons.resim.verdict import compare, is_judged
+from tests.addons.resim import sessions, test_igtl_peer
+from tests.addons.resim.runs import PROGRAMS, compiled, program
+from tests.peers import reference
+
+SERVER = IgtlRole(is_server=True)
+
+
+@dataclass(slots=True)
+class Row:
+    """A kind of program: how to make its recording, its programs, and what came of them so far."""
+
+    name: str
+    record: Callable[[Path], Path]
+    programs: Callable[[Path], Sequence[Program]]
+    latency_ns: int = 0
+    runs: int = 0
+    seconds: float = 0.0
+    load: float = 0.0
+    hashes: Counter[str] = field(default_factory=Counter)
+    wrong: list[str] = field(default_factory=list)
+
+    def text(self) -> str:
+        each = f"{self.load / self.runs:.1f} | {self.seconds / self.runs:.1f}" if self.runs else "- | -"
+        return f"| {self.name} | {self.runs} | {len(self.hashes)} | {len(self.wrong)} | {each} |"
+
+    def turn(self, count: int, folder: Path) -> None:
+        """Run `count` times; the files of a turn that is not all equal stay in the folder."""
+
+        def take(one: Run) -> None:
+            self.runs, self.seconds = self.runs + 1, self.seconds + one.seconds
+            self.load += os.getloadavg()[0]
+            judged = sorted((name, stream.digest) for name, stream in one.streams.items() if is_judged(name))
+            if not one.fault:
+                self.hashes[hashlib.sha256(repr(judged).encode()).hexdigest()] += 1
+
+        folder.mkdir()
+        recording = self.record(folder / "in.mcap")
+        options = ResimOptions(runs=count, latency_ns=self.latency_ns)
+        before = set(self.hashes)
+        result = run(recording, self.programs(folder), options, folder, on_run=take)
+        verdict = compare(result)
+        if not verdict.is_deterministic:
+            self.wrong.append(f"{self.name}: {verdict.line()} ({folder})")
+        elif before and set(self.hashes) != before:
+            self.wrong.append(f"{self.name}: equal to each other, but not to the turn before ({folder})")
+        else:
+            shutil.rmtree(folder)
+
+
+def texts(count: int) -> Callable[[Path], Path]:
+    return lambda path: sessions.write(path, sessions.texts(count))
+
+
+def transforms(path: Path) -> Path:
+    rows = [(ns, "/tf", sessions.TF, sessions.transforms(each)) for ns, _, _, each in sessions.poses(100)]
+    return sessions.write(path, rows)
+
+
+def pairs(path: Path) -> Path:
+    return sessions.write(path, [*sessions.poses(100), *sessions.images(20)])
+
+
+def named(*lines: str) -> Callable[[Path], Sequence[Program]]:
+    return lambda folder: [program(*line.split()) for line in lines]
+
+
+def pyigtl(role: IgtlRole, *words: str) -> Callable[[Path], Sequence[Program]]:
+    return lambda folder: [test_igtl_peer.python(*words, role=role)]
+
+
+def in_c(folder: Path) -> Sequence[Program]:
+    return [Program((str(compiled("echo", folder)),), "echo")]
+
+
+def in_cpp(role: IgtlRole) -> Callable[[Path], Sequence[Program]]:
+    def programs(folder: Path) -> Sequence[Program]:
+        command = ["g++", *reference.COMPILE, "-o", str(folder / "answer"), str(PROGRAMS / "igtl_answer.cpp")]
+        subprocess.run([*command, *reference.LINK], check=True)
+        words = (str(folder / "answer"), "server" if role.is_server else "client", "{port}")
+        return [Program(words, igtl=role)]
+
+    return programs
+
+
+def rows() -> list[Row]:
+    found = []
+    if find_spec("rclpy"):
+        found += [
+            Row("one thread", texts(50), named("single")),
+            Row("several threads", texts(50), named("multithreaded")),
+            Row("tf2", transforms, named("frames")),
+            Row("image and pose", pairs, named("pairs")),
+            Row("lifecycle", texts(60), named("lifecycle", "manager")),
+            Row("service", texts(40), named("caller", "switch"), latency_ns=1_000_000),
+            Row("C on rcl", texts(50), in_c),
+        ]
+    if find_spec("pyigtl"):
+        found.append(Row("pyigtl client", test_igtl_peer.recording, pyigtl(IgtlRole(), "igtl_answer")))
+        found.append(Row("pyigtl server", test_igtl_peer.recording, pyigtl(SERVER, "igtl_serve", "{port}")))
+    if not reference.available():
+        found.append(Row("C++ client", test_igtl_peer.recording, in_cpp(IgtlRole())))
+        found.append(Row("C++ server", test_igtl_peer.recording, in_cpp(SERVER)))
+    return found
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--runs", type=int, default=1000, help="of each kind (default: 1000)")
+    parser.add_argument("--turn", type=int, default=100, help="runs of a kind before the next one (default: 100)")
+    parser.add_argument("--only", default="", help="only kinds whose name matches this pattern")
+    parser.add_argument("--load", type=int, default=0, help="processes to keep busy meanwhile (default: 0)")
+    options = parser.parse_args()
+    found = [row for row in rows() if re.search(options.only, row.name)]
+    place = Path(tempfile.mkdtemp(prefix="resim-runs-"))
+    busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(options.load)]
+    try:
+        for first in range(0, options.runs, options.turn):
+            for row in found:
+                row.turn(min(options.turn, options.runs - first), place / f"{row.name}-{first}".replace(" ", "-"))
+                print(row.text(), *row.wrong, sep="\n  ", flush=True)
+            print(f"\n{time.strftime('%H:%M:%S')}\n\n| kind | runs | hashes | wrong turns | load | s a run |")
+            print("|---|---|---|---|---|---|", *(row.text() for row in found), "", sep="\n", flush=True)
+    finally:
+        for each in busy:
+            each.kill()
+    return int(any(row.wrong or len(row.hashes) != 1 for row in found))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
