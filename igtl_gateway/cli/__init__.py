@@ -7,6 +7,8 @@ Exit codes, the same for every verb (``docs/reference/command-line.md`` has the 
   on this machine (ROS 2, rerun, PyAV, a free port), a file cannot be written, a recording is damaged, Ctrl-C.
 * 2: wrong usage, for which a retry fails again: the command line, the configuration, an input that does not exist or
   has the wrong format.
+
+Of a verb whose 1 is a verdict (``Verb.failure``), a failure is 2, too.
 """
 
 from __future__ import annotations
@@ -94,6 +96,7 @@ def _run(given: Sequence[str], asked: str, ready: Callable[[], None] | None, **e
     known = {asked: own} if own else available()
     if asked and asked not in known:
         return _print_error(asked, WITHOUT_LABORATORY if asked in LABORATORY else _no_verb(asked, known), USAGE)
+    failure = known[asked].failure if asked else FAILURE
     parser.description = f"{_ABOUT}\n\n{_list_of(known, everything='--help-all' in given)}"
     for name, verb in known.items():
         added = verbs.add_parser(
@@ -101,17 +104,17 @@ def _run(given: Sequence[str], asked: str, ready: Callable[[], None] | None, **e
         )
         if name == asked:
             if not verb.module:
-                return _print_error(asked, verb.help, FAILURE)
+                return _print_error(asked, verb.help, failure)
             try:
                 with extras.in_use():
                     complete(added, verb)
             except GatewayError as error:  # of an add-on that it needs, or of a library
-                return _print_error(asked, error, FAILURE)
+                return _print_error(asked, error, failure)
             added.set_defaults(**extra)
     try:
         options, rest = parser.parse_known_args(given)
     except GatewayError as error:  # an option of an add-on that is not there
-        return _print_error(asked, error, FAILURE)
+        return _print_error(asked, error, failure)
     if rest:
         at = verbs.choices.get(asked, parser)
         at.error(at.unrecognized(rest[0]))
@@ -135,20 +138,20 @@ def _run(given: Sequence[str], asked: str, ready: Callable[[], None] | None, **e
     except GatewayError as error:
         if isinstance(error, OutputError):
             discard_outputs()
-        return _print_error(options.verb, error, FAILURE)
+        return _print_error(options.verb, error, failure)
     except BrokenPipeError:
         # the reader of the output has closed it: nothing more can be printed
         discard_outputs()
-        return FAILURE
+        return failure
     except OSError as error:  # of a path that no reader checks: its name is too long, its directory is not accessible
         return _print_error(options.verb, f"{error.filename}: {error.strerror}" if error.filename else error, USAGE)
     except MemoryError:
         return _print_error(
-            options.verb, "found too little memory for this file, expected more memory or a lower --limit", FAILURE
+            options.verb, "found too little memory for this file, expected more memory or a lower --limit", failure
         )
     except KeyboardInterrupt:
         print_line(error=True)
-        return _print_error(options.verb, "interrupted", FAILURE)
+        return _print_error(options.verb, "interrupted", failure)
 
 
 def parser_of_all_verbs() -> tuple[Parser, list[Parser]]:

@@ -40,6 +40,7 @@ class Verb:
         group: where the help lists it, of ``GROUPS``.
         place: in its group, the smallest first.
         now: the new spelling of a verb that is kept for one release; it prints this.
+        failure: exit code of an error; 2 for a verb whose 1 is a verdict.
     """
 
     help: str
@@ -49,6 +50,7 @@ class Verb:
     group: str = OTHER
     place: int = 99
     now: str = ""
+    failure: int = 1
 
 
 def _own(name: str, text: str, group: str, place: int, *, reads_files: bool = True, writes_files: bool = False) -> Verb:

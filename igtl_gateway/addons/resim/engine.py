@@ -270,12 +270,16 @@ def _run_once(
     def started(roles: Roles) -> None:
         one.start_s = (clock.monotonic_ns() - began_ns) / 1e9
         on_roles(roles)
-        missing = [name for name in roles.missing if not any(matches(glob, name) for glob in options.without)]
-        if missing:
-            raise ProgramFault(
-                f"{', '.join(missing)}: asked for, but the recording has no such topic; "
-                "--without TOPIC runs the programs without it"
-            )
+        wrong: dict[str, list[str]] = {}
+        for name in roles.missing:
+            wrong.setdefault("asked for, but the recording has no such topic", []).append(name)
+        for name, why in roles.refused.items():
+            if name not in roles.inputs:
+                wrong.setdefault(f"not received: {why}", []).append(name)
+        for why, names in wrong.items():
+            asked = [name for name in names if not any(matches(glob, name) for glob in options.without)]
+            if asked:
+                raise ProgramFault(f"{', '.join(asked)}: {why}; --without TOPIC runs the programs without it")
 
     with ExitStack() as stack:
         file = stack.enter_context(SessionFile.open(recording))
@@ -412,7 +416,8 @@ class _Watch:
             self._cpu_s = {each.pid: each.cpu_s() for each in self._processes}
         absent = _NO_SOCKET if self.side else _NO_NODE
         if ended := self.ended():
-            raise ProgramFault(f"{ended}; {absent}" if self.is_joining else ended)
+            is_absent = self.is_joining and not any(each.has_failed for each in self._processes)
+            raise ProgramFault(f"{ended}; {absent}" if is_absent else ended)
         if self.is_joining and self.side:
             self.side.look()
         for pid, (name, since_ns) in list(self._children.items()):

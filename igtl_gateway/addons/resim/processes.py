@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -39,6 +40,11 @@ class Process:
     def __init__(self, name: str, command: Sequence[str], env: Mapping[str, str], folder: Path | None) -> None:
         self.name = name
         self._ros_pid = 0
+        program = str(folder / command[0]) if folder and "/" in command[0] else command[0]
+        if folder and not shutil.which(
+            program, path=env.get("PATH")
+        ):  # else env(1) reports it, as the program's own end
+            raise ConfigError(f"{name}: cannot be started: found no such program: {program}")
         if folder:
             command = ("env", "-C", str(folder), *command)
         try:
@@ -57,6 +63,11 @@ class Process:
     @property
     def is_running(self) -> bool:
         return self._child.is_running
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether it ended by an exit code other than 0, or by a signal."""
+        return not self._child.is_running and self._child.wait() != 0
 
     def wait(self, seconds: float) -> None:
         """Wait for its end, at most this long."""

@@ -58,8 +58,8 @@ EXAMPLES = """\
       -- python planner.py
 
 Exit code 0: all runs are equal, and equal to the recording or the baseline;
-1: they differ, and the first difference is named; 2: a program ended, hung or
-did something that a re-simulation cannot repeat."""
+1: they differ, and the first difference is named; 2: cannot be judged, because
+of a program (it ended, hung, published nothing), a file, or this machine."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

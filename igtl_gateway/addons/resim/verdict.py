@@ -204,6 +204,8 @@ def compare(
             if is_resim
             else _loosely(reference, first.outputs, names, tolerance, result.links)
         )
+    if not verdict.streams and not any(is_judged(name, outputs) for name in first.streams):
+        verdict.fault = "no program published a message"
     return verdict
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -72,6 +73,28 @@ def test_a_socket_of_the_programs_own_weakens_the_guarantee(tmp_path: Path) -> N
     recording = sessions.write(tmp_path / "in.mcap", sessions.texts(40))
     result, _ = judged(recording, tmp_path, "faulty talks", runs=1)
     assert result.runs[0].remarks == ["faulty: has a socket of its own: what it receives there comes in real time"]
+
+
+def test_nothing_published_is_no_success(tmp_path: Path) -> None:
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(4, "/other"))
+    _, verdict = judged(recording, tmp_path, "faulty asks", runs=1)
+    assert (verdict.exit_code, verdict.fault) == (0, "")  # it passes on what it receives
+    _, verdict = judged(recording, tmp_path, "faulty ends", runs=1, without=("/in",))
+    assert (verdict.exit_code, verdict.fault) == (2, "no program published a message")
+
+
+def test_a_program_that_fails_at_its_start(tmp_path: Path) -> None:
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(4))
+    for code, line in (
+        ("import nothing_of_this_name", "ended with exit code 1: ModuleNotFoundError: No module named"),
+        ("import os; os.kill(os.getpid(), 9)", "was ended by signal 9"),
+    ):
+        (tmp_path / "node.py").write_text(code, "utf-8")
+        fault = compare(
+            run(recording, [Program((sys.executable, "node.py"), folder=tmp_path)], ResimOptions(), tmp_path)
+        ).fault
+        assert fault.startswith(f"node.py: {line}")
+        assert "linked statically" not in fault
 
 
 def test_a_program_without_ros(tmp_path: Path) -> None:

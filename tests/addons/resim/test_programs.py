@@ -107,8 +107,12 @@ def test_latched_inputs_reach_subscriptions_that_come_later(tmp_path: Path) -> N
 
 def test_the_quality_of_service_of_the_recording_applies(tmp_path: Path) -> None:
     recording = sessions.write(tmp_path / "in.mcap", sessions.texts(3), qos={"/in": Qos(10, False, False)})
-    result, _ = judged(recording, tmp_path, "single", runs=1)
-    assert result.runs[0].refused == {"/in": "reliability (best effort offered, reliable requested)"}
+    result, verdict = judged(recording, tmp_path, "single", runs=1)
+    why = "reliability (best effort offered, reliable requested)"
+    assert verdict.fault == f"/in: not received: {why}; --without TOPIC runs the programs without it"
+    result, verdict = judged(recording, tmp_path, "single", runs=1, without=("/in",))
+    assert verdict.exit_code == 0
+    assert result.runs[0].refused == {"/in": why}
     assert result.runs[0].delivered == {}
 
 

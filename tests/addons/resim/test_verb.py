@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 import pytest
 
 from igtl_gateway import cli
+from igtl_gateway.addons.resim import library
 from tests.addons.resim import sessions
 from tests.addons.resim.runs import PROGRAMS
 
@@ -73,3 +74,28 @@ def test_what_is_refused_before_a_start(recording: Path, capsys: pytest.CaptureF
         assert cli.main(["resim", str(recording), *words]) == 2
         captured = capsys.readouterr()
         assert line in captured.err and captured.err.count("\n") == 1 and not captured.out
+
+
+def test_what_cannot_be_judged_is_2(
+    recording: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """1 is for runs that differ: a fault of files, programs or this machine is 2, with one line."""
+    folder = recording.parent
+    cut = folder / "cut.mcap"
+    cut.write_bytes(recording.read_bytes()[:3000])
+    (folder / "script").write_text("", "utf-8")
+    inside = folder / "inside.toml"
+    inside.write_text('[[program]]\ncommand = "nothing-of-this-name"\nfolder = "."\n', "utf-8")
+    for words, line in (
+        ([str(cut), "--", "true"], "cut.mcap: was cut off after 3,000 bytes"),
+        ([str(recording), "--record", str(folder / "none" / "a.mcap"), "--", "true"], "there is no folder"),
+        ([str(recording), "--", "nothing-of-this-name"], "cannot be started: No such file or directory"),
+        ([str(recording), "--", str(folder / "script")], "cannot be started: Permission denied"),
+        ([str(recording), "--recipe", str(inside)], "cannot be started: found no such program"),
+    ):
+        assert cli.main(["resim", *words]) == 2
+        captured = capsys.readouterr()
+        assert line in captured.err and captured.err.count("\n") == 1 and not captured.out
+    monkeypatch.setattr(library, "_NAME", "_of_another_build")
+    assert cli.main(["resim", str(recording), "--", "true"]) == 2
+    assert "found no _of_another_build" in capsys.readouterr().err
