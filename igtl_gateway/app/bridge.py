@@ -5,6 +5,7 @@ After `Bridge.stop`, ``Bridge.losses`` is the loss ledger of the session with it
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -13,8 +14,9 @@ from igtl_gateway.app.bridge_options import Address, BridgeOptions
 from igtl_gateway.app.diagnostics import DiagnosticsTopic
 from igtl_gateway.app.hub import LARGE_BYTES, DeferredSend, Hub, Sink
 from igtl_gateway.app.live_changes import LiveChanges
+from igtl_gateway.app.note_rate import Event
 from igtl_gateway.app.part import Parts, Step
-from igtl_gateway.app.passage import BridgePassage, make_passage
+from igtl_gateway.app.passage import BridgePassage, why_not_native
 from igtl_gateway.app.recording import BridgeRecording, Uploads
 from igtl_gateway.app.ros_traffic import RosTraffic
 from igtl_gateway.app.subscriptions import Subscriptions
@@ -33,6 +35,7 @@ from igtl_gateway.gateway.live_settings import LiveSettings
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.ledger import gaps
 from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.native.passage import Passage
 
 if TYPE_CHECKING:
     from igtl_gateway.record.recorder import Recorder
@@ -59,6 +62,9 @@ class Bridge:
         on_passed: called with kind and number of the entries that passed natively.  Without it (and with a viewer) none
             do, if ``on_entry`` is given.
         host: where the ROS node is; default: a node of this bridge only, which leaves the graph with it.
+
+    Attributes:
+        native_off: why Python passes all messages; "": there is a native passage.
     """
 
     def __init__(
@@ -76,9 +82,18 @@ class Bridge:
         self.addresses: list[Address] = []
         self.losses: dict[str, Any] = {}
         self.realtime = ""  # one line of text on the scheduling, after the start
-        sees_all = viewer is not None or (on_entry is not None and on_passed is None)
-        native = options.native and options.zenoh is None and not (sees_all or config.relay)
-        passage = make_passage(clock) if native else None
+        self.native_off = why_not_native(
+            clock,
+            {
+                "it is turned off": not options.native,
+                "--relay": config.relay,
+                "ROS over Zenoh": options.zenoh is not None,
+                "--view": viewer is not None,
+                "the caller sees all entries": on_entry is not None and on_passed is None,
+            },
+        )
+        passage = None if self.native_off else Passage()
+        self._reports: deque[Event] = deque()
         records: list[Sink] = [self._record] if options.record else []
         watchers = [watcher for watcher in (on_entry, viewer) if watcher]
         self.hub = Hub(Session(self.gateway, passage), clock, [self._dispatch, *records, *watchers], passage)
@@ -250,6 +265,10 @@ class Bridge:
         """Return where the time of messages went in the native passage; empty without one."""
         return self._passage.times() if self._passage else {}
 
+    def take_reports(self) -> list[Event]:
+        """Return the notes on streams of the native passage since the last call; the recording does not have them."""
+        return [self._reports.popleft() for _ in range(len(self._reports))]
+
     def ledger(self) -> dict[str, Any]:
         """Return the loss ledger: the counts of the gateway by stream, and those of the edges, as JSON values."""
         self.collect()
@@ -280,6 +299,9 @@ class Bridge:
     def _each_second(self) -> None:
         """Publish log and diagnostics, and return idle memory.  Runs in the timer's thread."""
         self._memory.look()
+        if self._passage:
+            now_ns = self.hub.now_ns()
+            self._reports.extend(Event(now_ns, Kind.EDGE_NOTE, note, ()) for note in self._passage.look())
         if self._traffic:
             self._traffic.each_second()
         if self._diagnostics:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from igtl_gateway.base.clock import Clock, SystemClock
@@ -12,6 +12,9 @@ from igtl_gateway.gateway import Gateway
 from igtl_gateway.gateway.core import is_kept
 from igtl_gateway.gateway.fastpath.passage_streams import OnPassed, PassageStreams
 from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.log.fates import CONVERTED
+from igtl_gateway.gateway.log.ledger import Ledger
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.session import Core
 from igtl_gateway.native.passage import Link, Lock, Passage, Publisher, Subscription, is_compiled
 
@@ -28,6 +31,16 @@ _NOWHERE = 0
 #: recorder's memory.
 PHASES = ("middleware", "sequence", "conversion", "output", "recording")
 DIRECTIONS = ("igtl_to_ros", "ros_to_igtl")
+
+#: Code of the notes of `StreamReports`.
+NATIVE_PASSAGE = "native_passage"
+#: Looks, a second apart: after its start a publisher waits three seconds for subscribers.
+_LOOKS_BEFORE_PYTHON = 6
+#: Messages after which a stream should be compiled.
+_MESSAGES_BEFORE_PYTHON = 16
+#: Streams: a peer that invents names must not flood the terminal.
+_MOST_REPORTED = 200
+_DIRECTIONS_IN = ("igtl_in", "ros_in")
 
 _SHARES = {"p50_us": 0.5, "p99_us": 0.99, "p999_us": 0.999, "max_us": 1.0}
 
@@ -57,9 +70,50 @@ def times_of(passage: Passage) -> dict[str, dict[str, dict[str, float]]]:
     return found
 
 
-def make_passage(clock: Clock) -> Passage | None:
-    """Return a native passage; None without its C part, or for a clock other than the system's."""
-    return Passage() if is_compiled() and isinstance(clock, SystemClock) else None
+def why_not_native(clock: Clock, causes: Mapping[str, bool]) -> str:
+    """Return why a bridge has no native passage, the first of the causes that apply; "": it can have one."""
+    own = {
+        "installed without a C compiler": not is_compiled(),
+        "another clock than the system's": not isinstance(clock, SystemClock),
+    }
+    return next((cause for cause, applies in {**own, **causes}.items() if applies), "")
+
+
+class StreamReports:
+    """Which streams pass natively, in a note for each: at once if it does, else after some looks.
+
+    These notes are of this host: the recording does not have them.
+    """
+
+    def __init__(self, ledger: Ledger) -> None:
+        self._ledger = ledger
+        self._looks: dict[tuple[str, str], int] = {}
+        self._native: dict[tuple[str, str], bool] = {}  # what was reported
+
+    def look(self, states: Mapping[tuple[str, str], str]) -> list[Note]:
+        """Return what is to be reported now; the caller has the sequence lock.
+
+        Args:
+            states: (direction, stream) → "" or why Python passes it, of compiled streams.
+        """
+        found = {
+            (direction, stream): "its conversion is not compiled"
+            for direction in _DIRECTIONS_IN
+            for stream in self._ledger.streams(direction)
+            if (direction, stream) not in self._native
+            and self._ledger.counter(direction, stream).get(CONVERTED, 0) >= _MESSAGES_BEFORE_PYTHON
+        }
+        notes = []
+        for key, why in sorted((found | dict(states)).items()):
+            if key not in self._looks and len(self._looks) >= _MOST_REPORTED:
+                continue
+            looks = self._looks[key] = self._looks.get(key, 0) + 1
+            if self._native.get(key) if not why else key in self._native or looks < _LOOKS_BEFORE_PYTHON:
+                continue
+            self._native[key] = not why
+            how = f"through Python: {why}" if why else "natively"
+            notes.append(Note(Level.INFO, NATIVE_PASSAGE, f"{key[1]} passes {how}", key[1], {"native": not why}))
+        return notes
 
 
 class BridgePassage:
@@ -83,6 +137,7 @@ class BridgePassage:
         self.streams = PassageStreams(passage, self, self._number_of, on_passed, is_kept)
         if isinstance(gateway, Gateway):
             gateway.fast_path.native = self.streams
+        self._reports = StreamReports(gateway.ledger)
 
     def record_into(self, recorder: Recorder) -> None:
         """Record what passes; to be called before the first message."""
@@ -100,6 +155,12 @@ class BridgePassage:
         """Return where the time of messages went; see ``times_of``."""
         with self._passage:
             return times_of(self._passage)
+
+    def look(self) -> list[Note]:
+        """Copy the streams whose publisher has become ready; return notes as `StreamReports`.  Once a second."""
+        with self._passage:
+            self.streams.retry()
+            return self._reports.look(self.streams.states())
 
     def stop(self) -> None:
         """Leave all messages to Python."""

@@ -306,7 +306,7 @@ class _Show:
                 self._out.waiting(self._host.full_name if self._host else "")
             return
         bridge, watch = session.bridge, session.watch
-        self._out.events(watch.take(bridge.hub.now_ns()))
+        self._out.events(watch.take(bridge.hub.now_ns()) + bridge.take_reports())
         bridge.collect()
         self._out.status(bridge, watch, (self._clock.monotonic_ns() - self._started_ns) / NS_PER_S)
         session.sample()

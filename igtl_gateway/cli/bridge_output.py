@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from igtl_gateway.app.bridge import Bridge
 from igtl_gateway.app.entry_watch import EntryWatch
 from igtl_gateway.app.note_rate import Event
+from igtl_gateway.app.passage import NATIVE_PASSAGE
 from igtl_gateway.app.ros_log import is_routine, note_text
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.stamp import utc_text
@@ -82,6 +83,7 @@ class TextOutput:
         print_line(f"ROS 2        node {bridge.ros.full_name}" if bridge.ros else f"ROS 2        off ({off})")
         for note in notes:
             print_line(f"             {note.partition(' (')[0]}")
+        print_line(f"passage      {f'Python ({bridge.native_off})' if bridge.native_off else 'native'}")
         print_line(f"recording    {bridge.options.record or 'off (--record FILE)'}")
         if metrics:
             print_line(f"metrics      {metrics.url}")
@@ -151,7 +153,7 @@ class TextOutput:
         for reason, number in bridge.tcp.refused().items():
             print_line(f"  connections rejected, {reason}: {number:,}")
         for cause, number in sorted(self._repeats.items()):
-            if number > 1 and cause[0] not in ("stream",):
+            if number > 1 and cause[0] not in ("stream", NATIVE_PASSAGE):
                 print_line(f"  {' '.join(filter(None, cause))}: {number:,} times")
         if bridge.summary:
             summary = bridge.summary
@@ -193,6 +195,8 @@ class JsonOutput:
             metrics=metrics.url if metrics else None,
             config=config.to_dict(),
             environment=notes,
+            native=not bridge.native_off,
+            native_off=bridge.native_off,
         )
 
     def waiting(self, node_name: str) -> None:

@@ -6,7 +6,9 @@ import time
 
 import pytest
 
-from igtl_gateway.app.passage import PHASES, percentiles
+from igtl_gateway.app.passage import PHASES, StreamReports, percentiles, why_not_native
+from igtl_gateway.base.clock import ManualClock, SystemClock
+from igtl_gateway.gateway.log.ledger import Ledger
 from igtl_gateway.native.passage import is_compiled
 from tests.gateway.fastpath.test_passage_streams import pose, scene, transform, wait_for
 
@@ -15,6 +17,42 @@ def test_percentiles_are_those_of_the_bucket_that_has_them() -> None:
     counts = [(1_000, 500), (2_000, 490), (80_000, 9), (900_000, 1)]
     assert percentiles(counts) == {"p50_us": 1.0, "p99_us": 2.0, "p999_us": 80.0, "max_us": 900.0}
     assert percentiles([(7, 1)]) == dict.fromkeys(("p50_us", "p99_us", "p999_us", "max_us"), 0.007)
+
+
+def test_a_stream_is_reported_once_and_again_when_it_becomes_native() -> None:
+    ledger = Ledger()
+    reports = StreamReports(ledger)
+    ledger.count("igtl_in", "SENSOR/Force", "converted", 1_000)
+    ledger.count("igtl_in", "STATUS/Once", "converted")
+    ledger.count("ros_in", "/denied", "received", 1_000)
+    waits = {("igtl_in", "TRANSFORM/Tool"): "/tf waits", ("ros_in", "/robot"): ""}
+    passes = dict.fromkeys(waits, "")
+    found = [[note.text for note in reports.look(waits)] for _ in range(7)]
+    assert found == [
+        ["/robot passes natively"],
+        *([] for _ in range(4)),
+        [
+            "SENSOR/Force passes through Python: its conversion is not compiled",
+            "TRANSFORM/Tool passes through Python: /tf waits",
+        ],
+        [],
+    ]
+    assert [note.text for note in reports.look(passes)] == ["TRANSFORM/Tool passes natively"]
+    assert reports.look(passes) == reports.look(waits) == []
+
+
+def test_a_peer_that_invents_names_does_not_flood_the_terminal() -> None:
+    reports = StreamReports(Ledger())
+    assert len(reports.look({("igtl_in", f"TRANSFORM/{number}"): "" for number in range(1_000)})) == 200
+
+
+def test_without_a_native_passage_the_bridge_has_the_cause() -> None:
+    clock = SystemClock()
+    causes = {"it is turned off": False, "--relay": True, "--view": True}
+    if is_compiled():
+        assert why_not_native(clock, causes) == "--relay"
+        assert why_not_native(clock, dict.fromkeys(causes, False)) == ""
+        assert "clock" in why_not_native(ManualClock(), causes)
 
 
 @pytest.mark.skipif(not is_compiled(), reason="the package was installed without its native passage")

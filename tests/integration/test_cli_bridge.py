@@ -16,6 +16,7 @@ from mcap.exceptions import McapError
 from mcap.reader import NonSeekingReader, make_reader
 from mcap_ros2.decoder import DecoderFactory
 
+from igtl_gateway.native.passage import is_compiled
 from tests import processes
 from tests.integration.bridge import (
     SECOND_DOMAIN,
@@ -116,6 +117,7 @@ def test_without_options_until_a_signal(programs: list[Program], tmp_path: Path,
     if default:
         assert "server on 127.0.0.1:18944" in shown
     assert f"recording    {path}" in shown
+    assert "passage      native" in shown or not is_compiled()
     assert "published on /igtl/in/<device>/<kind>, poses also on /tf (mm -> m)" in shown
     assert "subscribed to /igtl/out/<device> (m -> mm)" in shown
     address = next(line for line in bridge.lines if "server on" in line).rpartition(":")[2]

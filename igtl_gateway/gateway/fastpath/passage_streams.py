@@ -29,6 +29,11 @@ LARGEST_BYTES = 16 << 20
 #: time of a message if it never can.
 _RETRY_AFTER = 16
 
+#: Why a stream has no copy.
+_BY_PYTHON = "Python has the connection, as with TLS"
+_NO_NUMBER = "the recorder has no more streams"
+_LARGE = "images and surfaces are converted by Python"
+
 #: Kind, channel, type and links of entries → number of their stream in the recorder's queue; None: it has none.
 NumberOf = Callable[[Kind, str, str, tuple[int, ...]], int | None]
 #: Kind and number of entries that passed natively.
@@ -125,11 +130,23 @@ class PassageStreams:
         self._copies: dict[Key, _Copy] = {}
         self._guards = _Guards()
         self._tries: dict[Key, int] = {}  # messages that Python has passed since the streams were compiled
+        self._missing: dict[Key, tuple[CompiledToRos | CompiledToIgtl, str]] = {}  # those without a copy, and why
 
     @property
     def count(self) -> int:
         """Number of streams that pass natively."""
         return len(self._copies)
+
+    def states(self) -> dict[tuple[str, str], str]:
+        """Return (direction, stream) as in the ledger → why Python passes it; "" if it passes natively."""
+        found = {_in_ledger(key, stream): why for key, (stream, why) in self._missing.items()}
+        return found | {_in_ledger(key, copy.compiled): "" for key, copy in self._copies.items()}
+
+    def retry(self) -> None:
+        """Copy the streams that could not be copied before: what was missing may have come without a message."""
+        for key, (stream, _) in list(self._missing.items()):
+            self._guards.collect(stream.watched)
+            self._copy(key, stream)
 
     def collect(self, key: Key, stream: CompiledToRos | CompiledToIgtl) -> None:
         if (copy := self._copies.get(key)) and copy.native.received:
@@ -161,11 +178,14 @@ class PassageStreams:
             copied = self._copy_to_igtl(key[0], key[1], stream)
         else:
             return
-        if copied:
-            if stream.watched:
-                copied.native.guard_with(self._guards.of(stream.watched))
-                self._guards.set(stream.watched)
-            self._copies[key] = copied
+        if isinstance(copied, str):
+            self._missing[key] = stream, copied
+            return
+        self._missing.pop(key, None)
+        if stream.watched:
+            copied.native.guard_with(self._guards.of(stream.watched))
+            self._guards.set(stream.watched)
+        self._copies[key] = copied
 
     def handled_in_full(self) -> None:
         self._guards.set_all()
@@ -175,6 +195,7 @@ class PassageStreams:
 
     def replace(self, key: Key, stream: CompiledToRos | CompiledToIgtl | None) -> None:
         self._tries.pop(key, None)
+        self._missing.pop(key, None)
         old = self._copies.pop(key, None)
         if old:
             self._collect(old)
@@ -189,20 +210,30 @@ class PassageStreams:
             self.drop(key)
         self._guards.clear()
         self._tries.clear()
+        self._missing.clear()
 
-    def _copy_to_ros(self, link_number: int, names: bytes, compiled: CompiledToRos) -> _Copy | None:
+    def _copy_to_ros(self, link_number: int, names: bytes, compiled: CompiledToRos) -> _Copy | str:
+        """Return the copy, or why there can be none now."""
         link = self._edges.link(link_number)
         if link and not compiled.place_at:
             link.add_large(names, min(LARGEST_BYTES, HEADER_SIZE + self._edges.max_body(compiled.type)))
         number = self._number_of(Kind.IGTL_IN, compiled.channel, compiled.type, (link_number,))
-        if not compiled.is_plain or link is None or number is None:
-            return None
+        if not compiled.is_plain:
+            return "a topic of it is latched, or its images may be parts of a volume"
+        if link is None:
+            return _BY_PYTHON
+        if number is None:
+            return _NO_NUMBER
         outputs = []
         for topic, ros_type, form, _ in compiled.outputs:
             publisher = self._edges.publisher(topic, ros_type)
             own_number = self._number_of(Kind.ROS_OUT, topic, ros_type, ())
-            if publisher is None or own_number is None or (not compiled.place_at and form[0] not in _FORMS):
-                return None
+            if not compiled.place_at and form[0] not in _FORMS:
+                return _LARGE
+            if publisher is None:
+                return f"{topic} waits for subscribers, or is subscribed to as well"
+            if own_number is None:
+                return _NO_NUMBER
             outputs.append((*form, own_number, publisher))
         place = (compiled.place_at,) if compiled.place_at else ()
         add: Callable[..., Stream] = self._passage.to_ros if place else self._passage.to_ros_bulk
@@ -220,18 +251,25 @@ class PassageStreams:
         )
         return _Copy(compiled, native, compiled.channel, compiled.type)
 
-    def _copy_to_igtl(self, topic: str, ros_type: str, compiled: CompiledToIgtl) -> _Copy | None:
+    def _copy_to_igtl(self, topic: str, ros_type: str, compiled: CompiledToIgtl) -> _Copy | str:
+        """As `_copy_to_ros`."""
         subscription = self._edges.subscription(topic, ros_type)
         number = self._number_of(Kind.ROS_IN, topic, ros_type, ())
-        if subscription is None or number is None or not (compiled.is_pose or compiled.size in _FORMS):
-            return None
+        if not (compiled.is_pose or compiled.size in _FORMS):
+            return _LARGE
+        if subscription is None:
+            return "the topic is published as well, or this rclpy lacks what the passage needs"
+        if number is None:
+            return _NO_NUMBER
         outputs: list[tuple[Any, ...]] = []
         for (output, _, _), form in zip(compiled.outputs, compiled.forms, strict=True):
             links = [self._edges.link(one) for one in output.links]
             own_number = self._number_of(Kind.IGTL_OUT, output.channel, output.type, output.links)
             there = tuple(link for link in links if link is not None)
-            if len(there) < len(links) or own_number is None:
-                return None
+            if len(there) < len(links):
+                return _BY_PYTHON
+            if own_number is None:
+                return _NO_NUMBER
             keep = () if compiled.is_pose else (self._keep(output.type),)
             outputs.append((*form, own_number, output.channel, *keep, there))
         add: Callable[..., Stream] = self._passage.to_igtl if compiled.is_pose else self._passage.to_igtl_bulk
@@ -276,6 +314,11 @@ class PassageStreams:
             self._on_passed(Kind.ROS_IN, received)
             self._on_passed(Kind.IGTL_OUT, sum(sent))
         _add(compiled.count, counts)
+
+
+def _in_ledger(key: Key, stream: CompiledToRos | CompiledToIgtl) -> tuple[str, str]:
+    """Return direction and name of a stream in the ledger."""
+    return ("igtl_in", stream.channel) if isinstance(stream, CompiledToRos) else ("ros_in", str(key[0]))
 
 
 def _add(counter: dict[str, int], numbers: dict[str, int]) -> None:

@@ -51,6 +51,10 @@ class Ledger:
         words = self._counts.get((direction, stream))
         return self._open(self._counts, direction, stream) if words is None else words
 
+    def streams(self, direction: str) -> frozenset[str]:
+        """Return the streams of a direction that are counted."""
+        return frozenset(self._streams.get(direction, ()))
+
     def _add(self, book: _Book, direction: str, stream: str, word: str, number: int) -> None:
         words = book.get((direction, stream))
         if words is None:

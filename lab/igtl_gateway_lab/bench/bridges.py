@@ -12,6 +12,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.edges.ros.env import prepare_environment
 from igtl_gateway_lab.bench.cases import Case, Direction, payload
 from igtl_gateway_lab.bench.processes import BenchError, Program
@@ -22,6 +24,9 @@ from igtl_gateway_lab.programs import ours
 HOP = "hop"
 START_S = 120.0  # a first start compiles igtl_msgs
 _LOOK_S, _END_S = 1.0, 10.0
+#: From the start of a bridge to its steady state: the gateway's publisher of /tf waits for subscribers for three
+#: seconds, and until then Python passes poses to ROS.
+STEADY_S = 6.0
 
 Address = tuple[str, int]
 
@@ -35,12 +40,14 @@ class Bridge:
         foreign: it is not the gateway: it prints no events.
         stall: of the gateway, what it reported of its clients.
         recorded: of the gateway, its report on the recording, at its end.
+        begun_ns: when it was started, monotonic.
     """
 
     program: Program
     foreign: Address | None = None
     stall: Stall = field(default_factory=Stall)
     recorded: dict[str, Any] = field(default_factory=dict)
+    begun_ns: int = field(default_factory=SystemClock().monotonic_ns)
 
     @cached_property
     def address(self) -> Address:
@@ -49,6 +56,10 @@ class Bridge:
             return self.foreign
         place = self.program.wait_for("started", START_S)["listen"][0]
         return place["host"], place["port"]
+
+    def unsteady_s(self, now_ns: int) -> float:
+        """Return the seconds from now until what is measured is the steady state."""
+        return max(0.0, STEADY_S - (now_ns - self.begun_ns) / NS_PER_S)
 
 
 @contextmanager

@@ -386,6 +386,8 @@ class Runner:
                     for other in (*((bridge.program,) if bridge else ()), *(program for _, program in programs)):
                         other.check()  # it may be the cause
                     raise
+        if bridge:
+            self._rest.wait(bridge.unsteady_s(self._clock.monotonic_ns()))
         with flame.drawn(bridge.program, plan.flame) if bridge and plan.flame else nullcontext():
             begin = Usage.of(bridge.program.pid) if bridge else None
             begun_ns = self._clock.monotonic_ns()

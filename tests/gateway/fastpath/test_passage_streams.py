@@ -206,6 +206,52 @@ def test_a_stream_becomes_native_soon_after_its_publisher_can(monkeypatch: pytes
         assert here.native == 1
 
 
+def test_a_slow_stream_becomes_native_without_its_next_message(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The publisher of /tf waits three seconds for subscribers: messages before that must not decide for later."""
+    with scene(monkeypatch) as here:
+        peer = here.connect()
+        native_publisher = here.ros.native_publisher
+        here.ros.native_publisher = lambda *_: None  # type: ignore[method-assign]
+        for number in range(20):
+            peer.send(transform(number))
+            wait_for(lambda number=number: here.received("igtl_in") > number)
+        assert here.native == 0
+        here.ros.native_publisher = native_publisher  # type: ignore[method-assign]
+        wait_for(lambda: here.native == 1)
+        wait_for(lambda: here.bridge._reports)
+        assert [event.note.text for event in here.bridge.take_reports()] == ["TRANSFORM/ToolToBase passes natively"]
+        peer.send(transform(20))
+        wait_for(lambda: here.received("igtl_in") == 21)
+        link = here.bridge.tcp.native_link(1)
+        assert link and link.is_native
+
+
+@pytest.mark.parametrize(
+    ("what", "why"),
+    [
+        ("publisher", "/igtl/in/ToolToBase/transform waits for subscribers, or is subscribed to as well"),
+        ("link", "Python has the connection, as with TLS"),
+        ("number", "the recorder has no more streams"),
+    ],
+)
+def test_a_stream_in_python_has_its_cause(monkeypatch: pytest.MonkeyPatch, what: str, why: str) -> None:
+    with scene(monkeypatch) as here:
+        passage = here.bridge._passage
+        assert passage
+        owner, name = {
+            "publisher": (here.ros, "native_publisher"),
+            "link": (here.bridge.tcp, "native_link"),
+            "number": (passage.streams, "_number_of"),
+        }[what]
+        monkeypatch.setattr(owner, name, lambda *_: None)
+        peer = here.connect()
+        for number in range(20):
+            peer.send(transform(number))
+            wait_for(lambda number=number: here.received("igtl_in") > number)
+        with passage._passage:
+            assert passage.streams.states() == {("igtl_in", "TRANSFORM/ToolToBase"): why}
+
+
 def test_poses_to_ros_pass_natively(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     path = tmp_path / "session.mcap"
     sent = [transform(number) for number in range(300)]

@@ -6,7 +6,9 @@ import sys
 
 import pytest
 
-from igtl_gateway_lab.bench.bridges import Bridge, foreign, split, wait_ready
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.edges.ros.publishing import DISCOVERY_NS
+from igtl_gateway_lab.bench.bridges import STEADY_S, Bridge, foreign, split, wait_ready
 from igtl_gateway_lab.bench.cases import CASES
 from igtl_gateway_lab.bench.processes import BenchError, Program
 from igtl_gateway_lab.programs import ours
@@ -39,3 +41,12 @@ def test_one_that_is_not_ready_is_quoted() -> None:
         with pytest.raises(BenchError, match="no-such-file"):
             wait_ready([program], None)
         assert Bridge(program, ("127.0.0.1", 1)).address == ("127.0.0.1", 1)
+
+
+def test_what_is_measured_is_the_steady_state() -> None:
+    """In its first seconds the gateway passes poses to ROS through Python: a short run measured mostly these."""
+    with Program("gateway", ours("simulate", "--help")) as program:
+        bridge = Bridge(program)
+        assert bridge.unsteady_s(bridge.begun_ns) == STEADY_S > DISCOVERY_NS / NS_PER_S + 1
+        assert bridge.unsteady_s(bridge.begun_ns + 5 * NS_PER_S) == pytest.approx(STEADY_S - 5)
+        assert bridge.unsteady_s(bridge.begun_ns + 60 * NS_PER_S) == 0
