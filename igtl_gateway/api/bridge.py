@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
@@ -23,6 +24,7 @@ from igtl_gateway.edges.ros.env import prepare_environment
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.tcp import LinkInfo
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.marks import BEGIN, END, MarkNote
 from igtl_gateway.gateway.log.note import Level, Note
 
 _NOTES = 100
@@ -208,6 +210,30 @@ class Bridge:
             ConfigError: another setting, or a wrong value; nothing has changed.
         """
         self._bridge.change(changes)
+
+    def mark(self, label: str, text: str = "", *, who: str = "", phase: str = "") -> None:
+        """Mark this moment of the session; see docs/how-to/marks.md.
+
+        Args:
+            label: what it is called, such as ``"suture-3"``: up to 64 characters, without ``:``.
+            text: more words, up to 1,000 characters.
+            who: who made it, up to 64 characters.
+            phase: ``"begin"`` or ``"end"`` of the phase of this label; "": a moment.
+
+        Raises:
+            ConfigError: a field has another value, the phase is open already, or it is not open.
+            Unavailable: the bridge does not run.
+        """
+        self._bridge.mark(MarkNote(label, text, who, phase))
+
+    @contextmanager
+    def phase(self, label: str, text: str = "", *, who: str = "") -> Iterator[None]:
+        """Context manager: a phase from here to the end of the ``with`` block; see `mark`."""
+        self.mark(label, text, who=who, phase=BEGIN)
+        try:
+            yield
+        finally:
+            self.mark(label, who=who, phase=END)
 
     def pause_recording(self) -> None:
         """Pause the recording.  Raises RecordingError if there is none, or it has failed."""

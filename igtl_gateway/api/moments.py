@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
@@ -9,11 +10,13 @@ import numpy as np
 
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.stamp import NS_PER_S
-from igtl_gateway.replay.moment import FIRST_UTC_S, moment
+from igtl_gateway.gateway.log.marks import Mark
+from igtl_gateway.replay.marks import marked_moment
+from igtl_gateway.replay.moment import FIRST_UTC_S
 
 #: A moment: seconds from the start of the recording (a number below 100,000,000; negative: from its end), an integer in
 #: UTC nanoseconds, a ``datetime`` (without a zone: UTC), a ``numpy.datetime64``, or a string such as
-#: ``"2026-11-21T08:00:00Z"``.
+#: ``"2026-11-21T08:00:00Z"`` or ``"mark:suture-3"``.
 Moment = int | float | np.integer[Any] | str | datetime | np.datetime64
 
 #: The first integer that is UTC nanoseconds: 1970-01-12.
@@ -21,7 +24,7 @@ _FIRST_UTC_NS = 10**15
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 
 
-def to_ns(value: Moment, start_ns: int, end_ns: int, name: str) -> int:
+def to_ns(value: Moment, start_ns: int, end_ns: int, name: str, marks: Callable[[], Sequence[Mark]]) -> int:
     """Return a moment in UTC ns.  Raises ConfigError, which begins with ``name``.
 
     Args:
@@ -29,9 +32,10 @@ def to_ns(value: Moment, start_ns: int, end_ns: int, name: str) -> int:
         start_ns: start of the recording, UTC ns.
         end_ns: its last message, UTC ns.
         name: of the argument.
+        marks: returns those of the recording.
     """
     if isinstance(value, str):
-        return moment(value, start_ns, name)
+        return marked_moment(value, start_ns, name, marks)
     if isinstance(value, np.datetime64):
         return int(value.astype("datetime64[ns]").astype(np.int64))
     if isinstance(value, datetime):

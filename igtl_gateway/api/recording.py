@@ -26,6 +26,7 @@ from igtl_gateway.base.untrusted import limits as file_limits
 from igtl_gateway.base.untrusted.limits import FileLimits
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.log.marks import Mark
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.sessionfile.ranges import named
 from igtl_gateway.record.sessionfile.reader import SessionFile
@@ -214,6 +215,16 @@ class Recording(Mapping[str, Stream]):
                     )
                 )
         return tuple(found)
+
+    @cached_property
+    def marks(self) -> tuple[Mark, ...]:
+        """The marks of the recording, in the order of their times; of a part those that it has a share of."""
+        first, last = self._window
+        return tuple(
+            mark
+            for mark in self._source.marks()
+            if mark.time_ns < last and first <= (mark.time_ns if mark.end_ns is None else mark.end_ns)
+        )
 
     @property
     def ledger(self) -> Mapping[str, Any] | None:

@@ -12,11 +12,13 @@ from igtl_gateway.base.untrusted import definitions
 from igtl_gateway.base.untrusted.decoding import MessageDecoder
 from igtl_gateway.base.untrusted.limits import FileLimits, limits_in_force
 from igtl_gateway.config.configuration import Config
+from igtl_gateway.gateway.log.marks import Mark
 from igtl_gateway.gateway.stream_units import StreamUnits
 from igtl_gateway.record.sessionfile import facts
 from igtl_gateway.record.sessionfile.bulk import MessageBlock
 from igtl_gateway.record.sessionfile.channels import ChannelSummary
 from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.replay.marks import marks_of
 from igtl_gateway.replay.recorded_config import units_of
 
 if TYPE_CHECKING:
@@ -65,6 +67,16 @@ class Source:
             return Config.from_dict(facts.configuration(self.file.session))
         except (ConfigError, DamagedRecording):
             return None
+
+    @cached_property
+    def _marks(self) -> tuple[Mark, ...]:
+        self.check_open()
+        with limits_in_force(self.limits):
+            return marks_of(self.file)
+
+    def marks(self) -> tuple[Mark, ...]:
+        """Return the marks of the whole recording."""
+        return self._marks
 
     @cached_property
     def decoder(self) -> MessageDecoder:

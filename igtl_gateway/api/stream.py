@@ -292,8 +292,8 @@ def to_frame(table: pyarrow.Table) -> pandas.DataFrame:
 def narrowed(source: Source, window: tuple[int, int], start: Moment | None, end: Moment | None) -> tuple[int, int]:
     """Return the part of a window of time from ``start`` on and before ``end``; UTC ns.  Raises ConfigError."""
     span = source.start_ns, source.end_ns
-    first_ns = window[0] if start is None else to_ns(start, *span, "start")
-    last_ns = window[1] if end is None else to_ns(end, *span, "end")
+    first_ns = window[0] if start is None else to_ns(start, *span, "start", source.marks)
+    last_ns = window[1] if end is None else to_ns(end, *span, "end", source.marks)
     if start is not None and end is not None and last_ns < first_ns:
         raise ConfigError(f"end: found {end!r}, which is before {start!r}, expected a moment after the start")
     first_ns = max(window[0], first_ns)

@@ -22,6 +22,7 @@ from igtl_gateway.app.ros_traffic import RosTraffic
 from igtl_gateway.app.subscriptions import Subscriptions
 from igtl_gateway.app.timer import Timer
 from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.errors import Unavailable
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.stamp import NS_PER_MS
 from igtl_gateway.base.systems.memory import IdleMemory
@@ -34,6 +35,7 @@ from igtl_gateway.gateway.fastpath.passage_streams import OnPassed
 from igtl_gateway.gateway.live_settings import LiveSettings
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.ledger import gaps
+from igtl_gateway.gateway.log.marks import MarkNote
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.native.passage import Passage
 
@@ -151,6 +153,7 @@ class Bridge:
         timer = Timer(self.hub.tick, lambda: self.gateway.due_ns, self.hub.now_ns, self._each_second, tick_ns, clock)
         self.gateway.deadline_set = timer.deadline_set
         self._starts_active = True
+        self._runs = False
         traffic = self._traffic
         self._parts = Parts(
             Step(self._open_ports, self.tcp.stop),  # first: a port in use must not cost an existing recording
@@ -208,11 +211,13 @@ class Bridge:
 
     def _begin(self) -> None:
         """Make the first entry the note that no messages pass, if so."""
+        self._runs = True
         if not self._starts_active:
             self.change({"active": False})
 
     def _settle(self) -> None:
         """Count the losses."""
+        self._runs = False
         ledger = self.ledger()
         self.losses = ledger | {"gaps": gaps(ledger)}
 
@@ -230,6 +235,18 @@ class Bridge:
             ConfigError: another name, or a wrong value; nothing has changed.
         """
         self._changes.change(changes)
+
+    def mark(self, mark: MarkNote) -> None:
+        """Make a mark: an input of the session, which a recording has also while it is paused.  Any thread may call it.
+
+        Raises:
+            ConfigError: the begin of a phase that is open, or the end of one that is not.
+            Unavailable: the bridge does not run.
+        """
+        if not self._runs:
+            raise Unavailable("mark: found a bridge that does not run, expected one that was started")
+        self.gateway.phases.check(mark)
+        self.hub.note(mark.note())
 
     @property
     def settings(self) -> LiveSettings:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from threading import Event
 from typing import Any
@@ -22,7 +23,7 @@ from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.config.faults import LOSS, Fate, Faults
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.sessionfile.reader import SessionFile
-from igtl_gateway.replay.moment import moment
+from igtl_gateway.replay.marks import marked_moment, marks_of
 from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.replay.restamp import Restamper
 from igtl_gateway.replay.simclock import period_ns, with_ticks
@@ -201,13 +202,14 @@ def _part(options: ReplayOptions, file: SessionFile) -> tuple[int | None, int | 
     # a file that begins midway begins with the state there, as any part does
     start_ns = file.start_ns if file.prologue() else None
     end_ns = None
+    marks = partial(marks_of, file)
     if options.start is not None:
-        start_ns = moment(options.start, file.start_ns, "--start")
+        start_ns = marked_moment(options.start, file.start_ns, "--start", marks)
         end = since_text(file.start_ns, file.end_ns)
         if start_ns > file.end_ns:
             raise ConfigError(f"--start: found {since_text(file.start_ns, start_ns)}, expected at most {end}")
     if options.end is not None:
-        end_ns = moment(options.end, file.start_ns, "--end")
+        end_ns = marked_moment(options.end, file.start_ns, "--end", marks)
     elif options.duration is not None:
         end_ns = (file.start_ns if start_ns is None else start_ns) + round(options.duration * NS_PER_S)
     if end_ns is not None and end_ns < (start_ns or file.start_ns):

@@ -33,6 +33,7 @@ from igtl_gateway.config.setting import Setting, grouped
 from igtl_gateway.config.settings import all_settings
 from igtl_gateway.edges.ros.env import prepare_environment, tune_malloc
 from igtl_gateway.edges.ros.host import NodeHost
+from igtl_gateway.gateway.log.marks import MarkNote
 
 EXAMPLES = """\
   # OpenIGTLink server on 127.0.0.1:18944, ROS 2 node /igtl_gateway
@@ -89,6 +90,8 @@ _SHARED_TF = (
 
 
 _NODE_NAME = "igtl_gateway"
+#: Who makes the marks of key ``m``.
+_WHO = "keyboard"
 
 #: Options beside the settings: what the verb prints, how long it runs, where it runs.
 OPTIONS = (
@@ -315,7 +318,9 @@ class _Show:
         self._session, self._is_waiting = session, False
         self._started_ns = self._clock.monotonic_ns()
         bridge = session.bridge
-        keys = self._controls.enter_context(recording.recording_controls(bridge.recorder))
+        keys = self._controls.enter_context(
+            recording.recording_controls(bridge.recorder, lambda line: bridge.mark(MarkNote.parse(line, _WHO)))
+        )
         shared = _SHARED_TF if bridge.gateway.config.publish_tf and self._host and self._host.shares_tf else ""
         notes = [note for note in (*self._notes, shared, bridge.realtime, keys) if note]
         self._out.started(bridge, bridge.gateway.config, notes, session.metrics)

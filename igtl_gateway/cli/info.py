@@ -24,6 +24,7 @@ from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.log.changes import SETTING
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.ledger import gaps
+from igtl_gateway.gateway.log.marks import joined
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.stream_units import StreamUnits
 from igtl_gateway.record.sessionfile import facts, layout
@@ -31,6 +32,7 @@ from igtl_gateway.record.sessionfile.index import recover_hint
 from igtl_gateway.record.sessionfile.reader import PartSummary, SessionFile
 from igtl_gateway.record.sessionfile.salvage import Salvage
 from igtl_gateway.record.sessionfile.seals import stated_seals
+from igtl_gateway.replay.marks import notes_before
 
 EXAMPLES = """\
   # streams, rates, gaps, errors, losses, peers, configuration
@@ -113,6 +115,9 @@ def _run_damaged(options: argparse.Namespace, place: Path, error: DamagedRecordi
 def _facts(
     path: Path, file: SessionFile | Salvage, content: ContentSummary, start_ns: int, end_ns: int
 ) -> dict[str, Any]:
+    noted = [(stamp_ns, note) for stamp_ns, kind, note in content.notes if kind is Kind.EDGE_NOTE]
+    begun = notes_before(file) if isinstance(file, SessionFile) else []
+    marks = joined([*begun, *noted], start_ns, end_ns)
     return {
         "file": str(path),
         "bytes": 0,
@@ -134,6 +139,7 @@ def _facts(
             for stamp_ns, kind, note in content.notes
             if kind is Kind.EDGE_NOTE and note.code == SETTING
         ],
+        "marks": [mark.to_dict(start_ns) for mark in marks],
         "clock_steps": [
             {
                 "at": utc_text(step.at_ns),
@@ -254,6 +260,7 @@ def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_n
         ("clocks", [f"{_peer(clock)} by {clock['stream']}: {clock['text']}" for clock in summary["clocks"]]),
         ("settings", [f"{change['at']}  {change['text']}" for change in summary["changes"]]),
         ("host's clock", [f"{step['at']}  {step['text']}" for step in summary["clock_steps"]]),
+        ("marks", [_mark(mark) for mark in summary["marks"]]),
         ("problems", [f"{number:>7,}  {code}" for code, number in summary["problems"].items()] or ["   none"]),
         ("first note of each problem", _firsts(notes, start_ns)),
         ("losses", [_NOT_YET] if "being_recorded" in summary else losses(summary["ledger"]) or ["   none"]),
@@ -331,6 +338,12 @@ def _peer(clock: dict[str, Any]) -> str:
 
 def _line(stamp_ns: int, note: Note, start_ns: int) -> str:
     return f"{(stamp_ns - start_ns) / NS_PER_S:>9.3f} s  {note.text}"
+
+
+def _mark(mark: dict[str, Any]) -> str:
+    text = ": ".join(filter(None, (mark["label"], mark["text"]))) + (f" ({mark['who']})" if mark["who"] else "")
+    end = "" if mark["end_s"] is None else f" to {mark['end_s']:.3f} s" + (" (open)" if mark["open"] else "")
+    return f"{mark['at_s']:>9.3f} s{end}  {text}"
 
 
 def _firsts(notes: list[tuple[int, Kind, Note]], start_ns: int) -> list[str]:

@@ -1,4 +1,4 @@
-"""The keyboard of ``replay``: the keys of ``ros2 bag play``, and lines on standard input without a terminal.
+"""The keyboard of ``replay`` and ``bridge``: the keys of ``ros2 bag play``, and lines on standard input.
 
 The terminal reports single keys without echo; its settings are restored at the end.  Ctrl-C stays a signal.
 """
@@ -34,6 +34,7 @@ _KEYS = {
     b"q": QUIT,
 }
 _LONGEST = max(map(len, _KEYS))
+_LONGEST_TYPED = 4_400  # bytes of a line: more than any mark has
 _POLL_DS = 1  # tenths of a second that a read waits for a key, so that the thread sees the end
 
 HELP = "keys: space pause or resume, → next message while paused, ↑ ↓ rate, q quit"
@@ -55,6 +56,69 @@ def parse_keys(typed: bytes) -> tuple[list[str], bytes]:
     return found, typed
 
 
+class LineInput:
+    """A line of text that the user types after a key: Enter ends it, Escape drops it, Backspace and Ctrl-U take back.
+
+    Args:
+        key: what opens it.
+        on_line: called with the text of each line that is not empty.
+        show: called with the text so far, while it is typed, and with None at the end.
+    """
+
+    def __init__(self, key: bytes, on_line: Callable[[str], None], show: Callable[[str | None], None]) -> None:
+        self.key = key
+        self._on_line = on_line
+        self._show = show
+        self._typed: bytes | None = None
+
+    def take(self, typed: bytes) -> tuple[bytes, bytes, bool]:
+        """Return the bytes before a line, those after it, and whether a line took the bytes in between."""
+        if self._typed is not None:
+            return b"", self._feed(typed), True
+        before, key, after = typed.partition(self.key)
+        if not key:
+            return before, b"", False
+        self._typed = b""
+        self._show("")
+        return before, self._feed(after), True
+
+    def _feed(self, typed: bytes) -> bytes:
+        """Add typed bytes to the line; return those after its end."""
+        assert self._typed is not None
+        for place, byte in enumerate(typed, start=1):
+            key = bytes((byte,))
+            if key in b"\r\n\x1b":
+                text, self._typed = self._text(), None
+                self._show(None)
+                if text.strip() and key != b"\x1b":
+                    self._on_line(text)
+                return typed[place:]
+            if key in b"\x7f\b":
+                self._typed = self._text()[:-1].encode()
+            elif key == b"\x15":
+                self._typed = b""
+            elif byte >= 0x20 and len(self._typed) < _LONGEST_TYPED:
+                self._typed += key
+        self._show(self._text())
+        return b""
+
+    def _text(self) -> str:
+        return (self._typed or b"").decode("utf-8", "ignore")  # a character may have arrived in part
+
+
+def _handle(typed: bytes, on_command: Callable[[str], None], line: LineInput | None) -> bytes:
+    """Pass typed bytes on; return those of an incomplete key."""
+    rest = b""
+    while typed:
+        before, typed, is_line = line.take(typed) if line else (typed, b"", False)
+        found, rest = parse_keys(before)
+        for command in found:
+            on_command(command)
+        if is_line:
+            rest = b""
+    return rest
+
+
 def can_read_keys(stream: IO[Any] | None = None) -> bool:
     """Return whether keys can be read: from a terminal with this program in its foreground."""
     stream = stream or sys.stdin
@@ -73,7 +137,9 @@ if sys.platform == "win32":
     _INTERRUPT = "\x03"
 
     @contextmanager
-    def keyboard(on_command: Callable[[str], None], stream: IO[Any] | None = None) -> Iterator[None]:
+    def keyboard(
+        on_command: Callable[[str], None], stream: IO[Any] | None = None, line: LineInput | None = None
+    ) -> Iterator[None]:
         """Context manager: a thread calls ``on_command`` for every key with a meaning; keys come from the console."""
         over = threading.Event()
 
@@ -85,10 +151,9 @@ if sys.platform == "win32":
                 if key == _INTERRUPT:
                     _thread.interrupt_main()
                     continue
-                command = (
-                    _ARROWS.get(msvcrt.getwch()) if key in _FIRST_OF_TWO else _KEYS.get(key.encode("utf-8", "replace"))
-                )
-                if command:
+                if key not in _FIRST_OF_TWO:
+                    _handle(key.encode("utf-8", "replace"), on_command, line)
+                elif command := _ARROWS.get(msvcrt.getwch()):
                     on_command(command)
 
         reader = threading.Thread(target=read, name="igtl-keyboard", daemon=True)
@@ -102,8 +167,10 @@ if sys.platform == "win32":
 else:
 
     @contextmanager
-    def keyboard(on_command: Callable[[str], None], stream: IO[Any] | None = None) -> Iterator[None]:
-        """Context manager: a thread calls ``on_command`` for every key with a meaning."""
+    def keyboard(
+        on_command: Callable[[str], None], stream: IO[Any] | None = None, line: LineInput | None = None
+    ) -> Iterator[None]:
+        """Context manager: a thread calls ``on_command`` for every key with a meaning; ``line`` takes its lines."""
         descriptor = (stream or sys.stdin).fileno()
         before = termios.tcgetattr(descriptor)
         raw = termios.tcgetattr(descriptor)
@@ -116,9 +183,7 @@ else:
             while not over.is_set():
                 typed = os.read(descriptor, 64)
                 # no more bytes arrived: the pending byte was a key by itself
-                found, rest = parse_keys(rest + typed) if typed else ([], b"")
-                for command in found:
-                    on_command(command)
+                rest = _handle(rest + typed, on_command, line) if typed else b""
 
         reader = threading.Thread(target=read, name="igtl-keyboard", daemon=True)
         termios.tcsetattr(descriptor, termios.TCSADRAIN, raw)

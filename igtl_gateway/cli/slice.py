@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from functools import partial
 from itertools import chain
 from pathlib import Path
 
@@ -28,7 +29,7 @@ from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.beside import written
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
-from igtl_gateway.replay.moment import moment
+from igtl_gateway.replay.marks import marked_moment, marks_of
 from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.replay.slice import Slice, SliceReport, SliceWindow
 
@@ -37,11 +38,13 @@ EXAMPLES = """\
   igtl-gateway slice out.mcap -o part.mcap --start 12 --end 15
   # from a time of day to the end
   igtl-gateway slice out.mcap -o part.mcap --start 2026-11-21T08:30:00Z
+  # a phase that was marked
+  igtl-gateway slice out.mcap -o part.mcap --start mark:suture --end mark:suture
   # some streams and the outputs that they cause
   igtl-gateway slice out.mcap -o probe.mcap --streams 'TRANSFORM/**'
 
-TIME is in seconds from the beginning, in UTC seconds, or a date and time such
-as 2026-11-21T08:30:00Z.  The part begins with the few inputs that restore the
+TIME is in seconds from the beginning, in UTC seconds, a date and time such as
+2026-11-21T08:30:00Z, or a mark such as mark:suture-3.  The part begins with the few inputs that restore the
 state of the gateway at its start, so that it verifies like the recording."""
 
 
@@ -72,9 +75,10 @@ def run(options: argparse.Namespace) -> int:
             )
         if is_same(options.output, options.file):
             raise ConfigError(f"{options.output}: found the recording itself, expected another file to write to")
+        marks = partial(marks_of, file)
         window = SliceWindow(
-            file.start_ns if options.start is None else moment(options.start, file.start_ns, "--start"),
-            file.end_ns + 1 if options.end is None else moment(options.end, file.start_ns, "--end"),
+            file.start_ns if options.start is None else marked_moment(options.start, file.start_ns, "--start", marks),
+            file.end_ns + 1 if options.end is None else marked_moment(options.end, file.start_ns, "--end", marks),
             tuple(options.streams),
         )
         if window.start_ns >= window.end_ns:

@@ -24,6 +24,12 @@ _WIDEST_COLUMN = 72
 _CLEAR = "\r\x1b[K"
 
 
+class _LiveLine:
+    """What the live line of standard output shows instead of the state: what the user types; "": nothing."""
+
+    typed = ""
+
+
 def print_line(*lines: str, error: bool = False, flush: bool = False, colour: str = "") -> None:
     """Print lines, each as one line whatever foreign text is in it: to stdout, or to stderr for an ``error``.
 
@@ -64,8 +70,20 @@ def live_line(text: str, error: bool = False) -> None:
     """
     if _is_dumb():
         return
-    _write(f"{_CLEAR}{_printable_line(text)[: shutil.get_terminal_size().columns - 1]}", error)
+    columns = shutil.get_terminal_size().columns - 1
+    if _LiveLine.typed and not error:
+        _write(f"{_CLEAR}{_printable_line(_LiveLine.typed)[-columns:]}")
+        _flush()
+        return
+    _write(f"{_CLEAR}{_printable_line(text)[:columns]}", error)
     _flush(error)
+
+
+def show_typed(text: str) -> None:
+    """Show what the user types in place of the :func:`live_line` from now on; "": show that again."""
+    _LiveLine.typed = text
+    if is_terminal():
+        live_line("")
 
 
 def clear_live_line(error: bool = False) -> None:

@@ -26,6 +26,7 @@ from igtl_gateway.gateway.live_settings import LiveSettings
 from igtl_gateway.gateway.log.clocksteps import ClockStep
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.ledger import Ledger
+from igtl_gateway.gateway.log.marks import OpenPhases
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.outcome import Bookkeeper, Finding, Item, Outcome, Tally
 from igtl_gateway.gateway.peers import Peers
@@ -63,6 +64,7 @@ class Gateway:
         fast_path: compile streams for the fast path; without it every message takes the full path.
 
     Attributes:
+        phases: those that marks have begun.
         fast, prepare, collect: entry points of the fast path; see ``FastPath``.
         deadline_set: called after each input that may have set ``due_ns`` to an earlier time; see ``app.timer``.
     """
@@ -72,6 +74,7 @@ class Gateway:
         self.deadline_set: Callable[[], None] | None = None
         self._peers = peers = Peers(config)
         self._accounts = Bookkeeper(peers)
+        self.phases = OpenPhases()
         self._streams = streams = Streams(config)
         self._guard = guard = Guard(watch=config.watch is True)
         self._denied_in, self._denied_out = denied_in, denied_out = Denials(config.deny_in), Denials(config.deny_out)
@@ -217,6 +220,7 @@ class Gateway:
             return Outcome(self._converter.build_waiting(event.stream))
         if settings := LiveSettings.from_note(event):
             return Outcome(self._change(entry, settings), tallies=[Tally("edges", event.stream, event.code)])
+        self.phases.follow(event)
         if step := ClockStep.of(entry):
             self._guard.clock_stepped(step.ahead_ns)
         return Outcome(tallies=[Tally("edges", event.stream, event.code)])

@@ -32,6 +32,7 @@ from igtl_gateway.gateway.log.clocksteps import CLOCK_STEP, ClockStep
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.fates import RELAYED
 from igtl_gateway.gateway.log.ledger import Ledger
+from igtl_gateway.gateway.log.marks import OpenPhases
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.output import Output, note_output
 from igtl_gateway.gateway.stamps import moved
@@ -59,6 +60,7 @@ class RelayGateway:
         self.deadline_set: Callable[[], None] | None = None
         self.guard = Guard(watch=False)
         self.ledger = Ledger()
+        self.phases = OpenPhases()
         self._partners: dict[int, int] = {}
         self._servers: set[int] = set()  # links to the server
         self._denied_in, self._denied_out = Denials(config.deny_in), Denials(config.deny_out)
@@ -82,6 +84,8 @@ class RelayGateway:
         elif is_change(entry) and (settings := LiveSettings.from_note(Note.of(entry.data()))):
             self.ledger.count("edges", "", SETTING)
             outputs += self._change(settings)
+        elif entry.kind is Kind.EDGE_NOTE:
+            self.phases.follow(Note.of(entry.data()))
         if self._lines and self.deadline_set:
             self.deadline_set()
         return [output.entry(entry, step) for step, output in enumerate(outputs, start=1)]

@@ -18,6 +18,7 @@ from igtl_gateway.gateway.fastpath import FastHandler, Prepared, PrepareMessage
 from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.ledger import Ledger
+from igtl_gateway.gateway.log.marks import OpenPhases
 from igtl_gateway.gateway.relay import RelayGateway
 from igtl_gateway.gateway.to_ros.subscribers import HasSubscriber
 from igtl_gateway.wire.fields import visible
@@ -33,6 +34,7 @@ class Core(Protocol):
     collect: Callable[[], None]
     has_subscriber: HasSubscriber | None
     deadline_set: Callable[[], None] | None
+    phases: OpenPhases
 
     @property
     def ledger(self) -> Ledger: ...

@@ -17,6 +17,7 @@ from igtl_gateway.base.globs import matches
 from igtl_gateway.gateway.log.changes import is_change
 from igtl_gateway.gateway.log.clocksteps import ClockStep
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.marks import is_phase
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.shared_queue import owned
 
@@ -77,7 +78,7 @@ class StateInputRule:
     def by_input(self, entry: Entry) -> bool:
         """Whether the input itself shows it."""
         facts = entry.kind is Kind.LINK or entry.type in self.types or entry.channel in self.topics
-        return facts or is_change(entry) or ClockStep.of(entry) is not None
+        return facts or is_change(entry) or is_phase(entry) or ClockStep.of(entry) is not None
 
     def by_output(self, entry: Entry) -> bool:
         """Whether an output shows it of its cause."""

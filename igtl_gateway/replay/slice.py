@@ -27,6 +27,7 @@ from igtl_gateway.gateway import LINK_UP, LINKS_TOPIC, TICK, Session, make_core
 from igtl_gateway.gateway.log.changes import SETTING
 from igtl_gateway.gateway.log.clocksteps import CLOCK_STEP
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.marks import MARK, is_phase
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.replay.source import matches_any
 from igtl_gateway.replay.verify import compare
@@ -228,7 +229,9 @@ def _differing(recorded: Sequence[Entry], computed: Sequence[Entry], cause: int)
 
 def _wanted(group: InputGroup, window: SliceWindow) -> bool:
     """Return whether a group in the window is in the slice."""
-    return not window.globs or _carries_state(group) or _selected(group, window.globs)
+    entry = group.input
+    is_mark = entry.kind is Kind.EDGE_NOTE and _code(entry) == MARK
+    return not window.globs or is_mark or _carries_state(group) or _selected(group, window.globs)
 
 
 def _selected(group: InputGroup, globs: tuple[str, ...]) -> bool:
@@ -249,7 +252,7 @@ def _carries_state(group: InputGroup) -> bool:
         case Kind.LINK:
             return True
         case Kind.EDGE_NOTE:
-            return _code(entry) in (TICK, CLOCK_STEP, SETTING)
+            return _code(entry) in (TICK, CLOCK_STEP, SETTING) or is_phase(entry)
         case _:
             return entry.type.startswith(_PREFIXES) or entry.type in _COMMANDS
 

@@ -69,6 +69,48 @@ def test_peers_record_and_verify(tmp_path: Path) -> None:
     assert result.inputs > 4
 
 
+def test_marks_are_recorded_also_while_the_recording_is_paused(tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    bridge = Bridge(listen=LOCAL, ros=False, record=out)
+    with pytest.raises(Unavailable, match="mark: found a bridge that does not run"):
+        bridge.mark("early")
+    with bridge:
+        bridge.mark("start", "of the session", who="Kim")
+        with bridge.phase("suture", "first"):
+            bridge.pause_recording()
+            bridge.mark("slip")
+            with pytest.raises(ConfigError, match="found the phase 'suture' open already"):
+                bridge.mark("suture", phase="begin")
+            bridge.resume_recording()
+        with pytest.raises(ConfigError, match="found the end of 'suture'"):
+            bridge.mark("suture", phase="end")
+        with pytest.raises(ConfigError, match="found label 'two: words'"):
+            bridge.mark("two: words")
+    with pytest.raises(Unavailable):
+        bridge.mark("late")
+    with igtl_gateway.open(out) as recording:
+        assert [(mark.label, mark.text, mark.who, bool(mark.end_ns)) for mark in recording.marks] == [
+            ("start", "of the session", "Kim", False),
+            ("suture", "first", "", True),
+            ("slip", "", "", False),
+        ]
+        assert not recording.marks[1].is_open
+    assert igtl_gateway.verify(out).good
+
+
+def test_a_relay_has_marks(tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    target = ["127.0.0.1:1"]
+    with (
+        Bridge(listen=LOCAL, connect=target, relay=True, record=out) as bridge,
+        bridge.phase("suture"),
+        pytest.raises(ConfigError, match="open already"),
+    ):
+        bridge.mark("suture", phase="begin")
+    with igtl_gateway.open(out) as recording:
+        assert [mark.label for mark in recording.marks] == ["suture"]
+
+
 def test_a_relay_between_scripts(tmp_path: Path) -> None:
     with (
         igtl_gateway.serve(0) as server,

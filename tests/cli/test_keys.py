@@ -12,7 +12,18 @@ from typing import IO
 
 import pytest
 
-from igtl_gateway.cli.keys import FASTER, NEXT, PAUSE, QUIT, SLOWER, can_read_keys, keyboard, parse_keys, read_lines
+from igtl_gateway.cli.keys import (
+    FASTER,
+    NEXT,
+    PAUSE,
+    QUIT,
+    SLOWER,
+    LineInput,
+    can_read_keys,
+    keyboard,
+    parse_keys,
+    read_lines,
+)
 
 PATIENCE_S = 30.0
 ARROWS = [NEXT, FASTER, SLOWER]
@@ -87,3 +98,32 @@ def test_lines_are_counted_up_to_their_end(tmp_path: Path, typed: bytes) -> None
         read_lines(lambda: found.append("line"), ended.set, stream)
         assert ended.wait(PATIENCE_S)
     assert found == ["line"] * 3
+
+
+@pytest.mark.parametrize(
+    ("typed", "lines", "commands"),
+    [
+        ("mneedle\r ", ["needle"], [PAUSE]),
+        (" ma m b\n\n", ["a m b"], [PAUSE, NEXT]),
+        ("mnähtx\x7f: Stich\r", ["näht: Stich"], []),
+        ("mwrong\x1b ", [], [PAUSE]),
+        ("mwrong\x15right\r", ["right"], []),
+        ("m  \r", [], []),
+        ("m" + 5000 * "x" + "\r", [4400 * "x"], []),
+    ],
+)
+def test_a_key_opens_a_line_of_text(typed: str, lines: list[str], commands: list[str]) -> None:
+    found: list[str] = []
+    shown: list[str | None] = []
+    keys: list[str] = []
+    enough = threading.Event()
+
+    def on_command(command: str) -> None:
+        enough.set() if command == QUIT else keys.append(command)
+
+    with terminal() as (user, stream), keyboard(on_command, stream, LineInput(b"m", found.append, shown.append)):
+        for byte in f"{typed}q".encode():  # as a person types; characters arrive in part
+            os.write(user, bytes((byte,)))
+        assert enough.wait(PATIENCE_S)
+    assert (found, keys) == (lines, commands)
+    assert shown[0] == "" and shown[-1] is None

@@ -17,6 +17,7 @@ from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.cli import recording
 from igtl_gateway.cli.settings import add_settings, given, settled
 from igtl_gateway.config.settings import all_settings
+from igtl_gateway.gateway.log.marks import MarkNote
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
@@ -106,7 +107,7 @@ class Bench:
 def test_a_signal_pauses_and_resumes(tmp_path: Path) -> None:
     bench = Bench(tmp_path / "a.mcap")
     before = signal.getsignal(signal.SIGUSR2)
-    with recording.recording_controls(bench.recorder):
+    with recording.recording_controls(bench.recorder, print):
         os.kill(os.getpid(), signal.SIGUSR2)
         bench.wait(PAUSED)
         os.kill(os.getpid(), signal.SIGUSR2)
@@ -117,7 +118,7 @@ def test_a_signal_pauses_and_resumes(tmp_path: Path) -> None:
 
 def test_a_signal_writes_a_snapshot(tmp_path: Path) -> None:
     bench = Bench(tmp_path / "a.mcap", snapshot_s=5.0)
-    with recording.recording_controls(bench.recorder) as told:
+    with recording.recording_controls(bench.recorder, print) as told:
         assert told == "SIGUSR1 saves the last 5 s"
         os.kill(os.getpid(), signal.SIGUSR1)
         bench.wait(SNAPSHOT)
@@ -126,7 +127,7 @@ def test_a_signal_writes_a_snapshot(tmp_path: Path) -> None:
 
 
 def test_without_a_recording_there_is_nothing_to_steer() -> None:
-    with recording.recording_controls(None) as told:
+    with recording.recording_controls(None, print) as told:
         assert told == ""
 
 
@@ -139,3 +140,11 @@ def test_what_the_user_says_is_in_the_recording(tmp_path: Path) -> None:
     bench.recorder.close({})
     with SessionFile.open(tmp_path / "a.mcap") as file:
         assert file.session["custom_data"] == '{"operator": "Kim"}'
+
+
+def test_a_line_is_a_mark_or_the_reason_why_not(capsys: pytest.CaptureFixture[str]) -> None:
+    found: list[str] = []
+    recording._mark("suture: first", found.append)
+    assert found == ["suture: first"]
+    recording._mark(": first", lambda line: found.append(MarkNote.parse(line, "keyboard").label))
+    assert capsys.readouterr().err.startswith("! mark: found label ''")

@@ -7,6 +7,7 @@ from typing import Any
 from igtl_gateway.addon import CLOCK_STEP, LISTENED, PARTNER, SETTING, SETTINGS, TICK, Note
 from igtl_gateway.addon.igtl import BODIES
 from igtl_gateway.addons.deidentify.context import Context
+from igtl_gateway.gateway.log.marks import BOUNDS, MARK, MarkNote
 
 #: Codes of inputs; a note with another code becomes ``OTHER``.
 CODES = frozenset({
@@ -34,12 +35,21 @@ _LISTS = ("deny_in", "deny_out")
 def clean_note(payload: bytes, context: Context) -> bytes:
     """Return the payload of a note without identity."""
     note = Note.of(payload)
+    if mark := MarkNote.of(note):
+        return _clean_mark(mark, context).note().pack()
     data = _data(note.data, context)
     code = note.code if note.code in CODES else OTHER
     text = code.replace("_", " ")
     context.report.add("note", (note.text != text) + len(note.data.keys() - data.keys()) + (code != note.code))
     stream = context.stream_name(note.stream) if note.stream.partition("/")[0] in ("", *BODIES) else ""
     return Note(note.level, code, text, stream, data).pack()
+
+
+def _clean_mark(mark: MarkNote, context: Context) -> MarkNote:
+    """Return a mark with pseudonyms of label and maker, and the text that the profile leaves of ``mark/LABEL``."""
+    label, who = (context.names.name(name)[: BOUNDS["label"]] if name else "" for name in (mark.label, mark.who))
+    text = context.text(mark.text, f"{MARK}/{mark.label}")
+    return MarkNote(label, text if text.isprintable() else "", who, mark.phase)
 
 
 def _data(data: dict[str, Any], context: Context) -> dict[str, Any]:

@@ -56,9 +56,9 @@ RULES = {
     for rule in (
         Rule("patient", "IMGMETA, VIDEOMETA: patient_name and patient_id; the same fields of igtl_msgs",
              "name empty, identifier replaced by a pseudonym", Action.PSEUDONYM, "113100"),
-        Rule("name", "device names, frames, topics, names of tools, points, labels, joints, owners",
+        Rule("name", "device names, frames, topics, names of tools, points, labels, joints, owners; marks",
              "pseudonym, or the name in the profile", Action.PSEUDONYM, "113105"),
-        Rule("text", "STRING, STATUS, COMMAND, CLIENTINFO, groups, all other strings of ROS messages",
+        Rule("text", "STRING, STATUS, COMMAND, CLIENTINFO, groups, marks, all other strings of ROS messages",
              "removed; a rule of the profile keeps, replaces or cleans it", Action.EMPTY, "113104"),
         Rule("metadata", "keys and values of header version 2, MetadataItem of igtl_msgs",
              "removed, unless the profile keeps the key; the gateway's own keys are cleaned", Action.REMOVE, "113104"),

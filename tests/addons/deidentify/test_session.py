@@ -9,15 +9,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from igtl_gateway.addons.deidentify.profile import BASIC, Profile
+from igtl_gateway.addons.deidentify.profile import BASIC, Profile, TextRule
 from igtl_gateway.addons.deidentify.pseudonyms import Pseudonyms
 from igtl_gateway.addons.deidentify.session import DEIDENTIFIED, deidentify
 from igtl_gateway.app.verification import verify_recording
 from igtl_gateway.cli import main
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.replay.marks import marks_of
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.transform import Transform
+from tests import marked
 from tests.addons.deidentify.planted import MARK, SOURCE, found, planted_session
 
 KEY, OTHER = bytes(range(32)), bytes(32)
@@ -109,3 +111,22 @@ def test_the_command_refuses_what_it_cannot_do(tmp_path: Path, capsys: pytest.Ca
         assert main(["deidentify", *call]) == code, call
         assert said in capsys.readouterr().err
     assert sorted(path.name for path in tmp_path.iterdir()) == ["damaged.mcap", "short.key"]
+
+
+def test_marks_have_pseudonyms_and_the_text_that_the_profile_leaves(tmp_path: Path) -> None:
+    source = marked.write(tmp_path / "marked.mcap")
+    rules = (TextRule("mark/slip", "keep"),)
+    deidentify(source, tmp_path / "clean.mcap", Profile(names={"rest": "pause"}, text_rules=rules), KEY)
+    assert verify_recording(tmp_path / "clean.mcap").good
+    with SessionFile.open(tmp_path / "clean.mcap") as file:
+        marks = marks_of(file)
+    assert [(mark.text, bool(mark.end_ns)) for mark in marks] == [
+        ("", True),
+        ("the needle slipped", False),
+        ("", True),
+        ("", True),
+    ]
+    assert marks[3].label == "pause" and marks[3].is_open
+    assert not {"suture-1", "slip", "suture-2", "nurse"} & {part for mark in marks for part in (mark.label, mark.who)}
+    assert marks[0].who == marks[1].who != ""
+    assert b"nurse" not in b"".join(entry.data() for entry in inputs(tmp_path / "clean.mcap"))

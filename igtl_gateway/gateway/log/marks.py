@@ -1,0 +1,192 @@
+"""Marks: what a person or a program points out in a session.  Each is an input, a note of code ``MARK``.
+
+A mark is a moment or a phase.  A phase is two notes with the same label, one at its begin and one at its end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.near import did_you_mean, near_names
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
+
+MARK = "mark"
+BEGIN, END = "begin", "end"
+#: Most characters of each field.
+BOUNDS = {"label": 64, "text": 1000, "who": 64}
+#: Phases that may be open at a time.
+MAX_OPEN = 100
+_SIGNS = {"+": BEGIN, "-": END}
+_CODE = MARK.encode()
+
+
+@dataclass(frozen=True, slots=True)
+class MarkNote:
+    """A mark as one note has it.
+
+    Attributes:
+        label: what it is called, such as ``"suture-3"``.
+        text: more words, or "".
+        who: who made it, or "".
+        phase: ``BEGIN`` or ``END`` of a phase; "" for a moment.
+
+    Raises:
+        ConfigError: a field that is too long, has line ends or control characters, or is no string.
+    """
+
+    label: str
+    text: str = ""
+    who: str = ""
+    phase: str = ""
+
+    def __post_init__(self) -> None:
+        for name, most in BOUNDS.items():
+            value: Any = getattr(self, name)
+            if not isinstance(value, str) or len(value) > most or not value.isprintable():
+                raise ConfigError(f"mark: found {name} {_shown(value)}, expected up to {most:,} printable characters")
+        label = self.label
+        if not label or ":" in label or label[0] in _SIGNS or label != label.strip():
+            raise ConfigError(
+                f"mark: found label {label!r}, expected a name without ':', '+' or '-' at its start, and outer blanks"
+            )
+        if self.phase not in ("", BEGIN, END):
+            raise ConfigError(f"mark: found phase {_shown(self.phase)}, expected {BEGIN!r}, {END!r} or none")
+
+    @classmethod
+    def parse(cls, line: str, who: str) -> MarkNote:
+        """Return the mark in a line: ``LABEL``, ``LABEL: text``; ``+LABEL`` begins a phase, ``-LABEL`` ends it.
+
+        Raises ConfigError.
+        """
+        line = line.strip()
+        phase = _SIGNS.get(line[:1], "")
+        label, _, text = line[1 if phase else 0 :].partition(":")
+        return cls(label.strip(), text.strip(), who, phase)
+
+    @classmethod
+    def of(cls, note: Note) -> MarkNote | None:
+        """Return the mark in a note; None if it is none, or of impossible values."""
+        if note.code != MARK:
+            return None
+        try:
+            return cls(*(note.data.get(name, "") for name in ("label", "text", "who", "phase")))
+        except ConfigError:
+            return None
+
+    def note(self) -> Note:
+        """Return the note."""
+        verb = {"": "", BEGIN: " begins", END: " ends"}[self.phase]
+        words = f"mark {self.label}{verb}" + (f": {self.text}" if self.text else "")
+        data = {"label": self.label, "text": self.text, "who": self.who}
+        return Note(Level.INFO, MARK, words, data=data | ({"phase": self.phase} if self.phase else {}))
+
+
+class OpenPhases:
+    """The labels of the phases that are open."""
+
+    def __init__(self) -> None:
+        self._labels: set[str] = set()
+
+    def check(self, mark: MarkNote) -> None:
+        """Raise ConfigError if a mark cannot follow: the end of no phase, or the begin of an open one."""
+        if mark.phase == BEGIN and mark.label in self._labels:
+            raise ConfigError(f"mark: found the phase {mark.label!r} open already, expected its end first")
+        if mark.phase == BEGIN and len(self._labels) >= MAX_OPEN:
+            raise ConfigError(f"mark: found {MAX_OPEN} open phases, expected the end of one first")
+        if mark.phase == END and mark.label not in self._labels:
+            near = did_you_mean(near_names(mark.label, self._labels))
+            raise ConfigError(
+                f"mark: found the end of {mark.label!r}, expected a phase that is open" + (f"; {near}" if near else "")
+            )
+
+    def follow(self, note: Note) -> None:
+        """Take notice of a note of the session."""
+        mark = MarkNote.of(note)
+        if mark and mark.phase == BEGIN and len(self._labels) < MAX_OPEN:
+            self._labels.add(mark.label)
+        elif mark and mark.phase == END:
+            self._labels.discard(mark.label)
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """A mark of a recording.
+
+    Attributes:
+        label, text, who: see ``MarkNote``.
+        time_ns: when it is or begins, UTC ns.
+        end_ns: end of the phase, UTC ns; None for a moment.
+        is_open: the phase has no end in the recording; ``end_ns`` is that of the recording.
+    """
+
+    label: str
+    text: str
+    who: str
+    time_ns: int
+    end_ns: int | None = None
+    is_open: bool = False
+
+    def to_dict(self, start_ns: int) -> dict[str, Any]:
+        """Return it as JSON values, with times in seconds from ``start_ns``."""
+        end_s = None if self.end_ns is None else (self.end_ns - start_ns) / 1e9
+        return {
+            "label": self.label,
+            "text": self.text,
+            "who": self.who,
+            "time_ns": self.time_ns,
+            "end_ns": self.end_ns,
+            "open": self.is_open,
+            "at_s": (self.time_ns - start_ns) / 1e9,
+            "end_s": end_s,
+        }
+
+
+def is_phase(entry: Entry) -> bool:
+    """Return whether an entry begins or ends a phase: later notes depend on it."""
+    if entry.kind is not Kind.EDGE_NOTE or _CODE not in (data := entry.data()):
+        return False
+    mark = MarkNote.of(Note.of(data))
+    return mark is not None and bool(mark.phase)
+
+
+def joined(notes: Iterable[tuple[int, Note]], start_ns: int, end_ns: int) -> tuple[Mark, ...]:
+    """Return the marks in notes, in the order of their times.
+
+    A phase whose begin is not there began at ``start_ns`` or before; one that ended before is left out.
+
+    Args:
+        notes: UTC ns and note, in order; other notes are ignored.
+        start_ns, end_ns: of the recording.
+    """
+    found: list[Mark] = []
+    begun: dict[str, tuple[int, MarkNote]] = {}
+    for time_ns, note in notes:
+        mark = MarkNote.of(note)
+        if mark is None:
+            continue
+        if mark.phase == BEGIN:
+            if mark.label in begun:  # two programs at once: the first phase ends where the second begins
+                found.append(_phase(*begun[mark.label], time_ns))
+            begun[mark.label] = time_ns, mark
+        elif mark.phase == END:
+            since_ns, first = begun.pop(mark.label, (start_ns, replace(mark, text="")))
+            texts = [each for each in dict.fromkeys((first.text, mark.text)) if each]
+            found.append(_phase(since_ns, replace(first, text=""), time_ns, "; ".join(texts)))
+        else:
+            found.append(Mark(mark.label, mark.text, mark.who, time_ns))
+    found += [_phase(since_ns, mark, end_ns, is_open=True) for since_ns, mark in begun.values()]
+    kept = [mark for mark in found if (mark.time_ns if mark.end_ns is None else mark.end_ns) >= start_ns]
+    return tuple(sorted(kept, key=lambda mark: mark.time_ns))
+
+
+def _phase(time_ns: int, mark: MarkNote, end_ns: int, text: str = "", *, is_open: bool = False) -> Mark:
+    return Mark(mark.label, text or mark.text, mark.who, time_ns, max(time_ns, end_ns), is_open)
+
+
+def _shown(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:80]}…"

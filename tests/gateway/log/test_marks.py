@@ -1,0 +1,115 @@
+"""Marks: what they may be, lines of text, phases, and the notes that they are."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.marks import BEGIN, END, MAX_OPEN, Mark, MarkNote, OpenPhases, is_phase, joined
+from igtl_gateway.gateway.log.note import Level, Note
+from tests.tables import table
+
+_SHOWN = st.characters(exclude_categories=("C", "Z"), exclude_characters=":")
+LABELS = st.text(_SHOWN, min_size=1, max_size=64).map(lambda text: text.lstrip("+-") or "label")
+TEXTS = st.text(_SHOWN | st.sampled_from(" :"), max_size=100)
+MARKS = st.builds(MarkNote, LABELS, TEXTS, TEXTS.map(lambda text: text[:64]), st.sampled_from(("", BEGIN, END)))
+
+
+@given(MARKS)
+def test_a_mark_is_its_note_and_its_line(mark: MarkNote) -> None:
+    assert MarkNote.of(Note.unpack(mark.note().pack())) == mark
+    line = {"": "", BEGIN: "+", END: "-"}[mark.phase] + f"{mark.label}: {mark.text}"
+    read = MarkNote.parse(line, mark.who)
+    assert (read.label, read.text, read.phase) == (mark.label, mark.text.strip(), mark.phase)
+
+
+@table(
+    ("values", "words"),
+    [
+        (("",), "found label ''"),
+        ((" a",), "outer blanks"),
+        (("a:b",), "without ':'"),
+        (("+a",), "without"),
+        (("a" * 65,), "up to 64 printable characters"),
+        (("a\x1b[2J",), "found label 'a\\x1b[2J', expected up to 64 printable characters"),
+        (("a", "two\nlines"), "found text 'two\\nlines', expected up to 1,000 printable characters"),
+        (("a", "x" * 1001), "found text 'xxxx"),
+        (("a", "", "\udc80"), "found who"),
+        ((7,), "found label 7"),
+        (("a", "", "", "middle"), "found phase 'middle', expected 'begin', 'end' or none"),
+    ],
+)
+def test_a_bad_mark_is_named(values: tuple[Any, ...], words: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        MarkNote(*values)
+    assert words in str(caught.value) and len(str(caught.value)) < 250
+    with pytest.raises(ConfigError, match="found label ''"):
+        MarkNote.parse("+ : text", "")
+
+
+def test_phases_open_once_and_end_once() -> None:
+    phases = OpenPhases()
+    phases.follow(MarkNote("suture", phase=BEGIN).note())
+    phases.check(MarkNote("suture"))
+    with pytest.raises(ConfigError, match="found the phase 'suture' open already"):
+        phases.check(MarkNote("suture", phase=BEGIN))
+    with pytest.raises(ConfigError, match="found the end of 'sture', expected a phase that is open; did you mean 'sut"):
+        phases.check(MarkNote("sture", phase=END))
+    phases.follow(MarkNote("suture", phase=END).note())
+    with pytest.raises(ConfigError, match="found the end of 'suture'"):
+        phases.check(MarkNote("suture", phase=END))
+    for number in range(2 * MAX_OPEN):
+        phases.follow(MarkNote(f"{number}", phase=BEGIN).note())
+    with pytest.raises(ConfigError, match=f"found {MAX_OPEN} open phases"):
+        phases.check(MarkNote("one more", phase=BEGIN))
+
+
+def _joined(*marks: tuple[int, MarkNote]) -> tuple[Mark, ...]:
+    return joined(((time_ns, mark.note()) for time_ns, mark in marks), 100, 200)
+
+
+def test_two_notes_are_one_phase() -> None:
+    begin, end = MarkNote("a", "why", "me", BEGIN), MarkNote("a", "how it went", "you", END)
+    assert _joined((110, begin), (115, MarkNote("b")), (120, end)) == (
+        Mark("a", "why; how it went", "me", 110, 120),
+        Mark("b", "", "", 115),
+    )
+    assert _joined((110, begin)) == (Mark("a", "why", "me", 110, 200, is_open=True),)
+    assert _joined((120, end)) == (Mark("a", "how it went", "you", 100, 120),)
+    assert _joined((50, begin), (120, end)) == (Mark("a", "why; how it went", "me", 50, 120),)
+    assert not _joined((50, begin), (60, end), (70, MarkNote("b")))
+    assert _joined((110, begin), (130, begin)) == (
+        Mark("a", "why", "me", 110, 130),
+        Mark("a", "why", "me", 130, 200, is_open=True),
+    )
+
+
+@given(st.lists(st.tuples(st.integers(0, 300), MARKS), max_size=20))
+def test_whatever_the_notes_are_the_marks_are_in_order(notes: list[tuple[int, MarkNote]]) -> None:
+    found = _joined(*sorted(notes, key=lambda each: each[0]))
+    assert [mark.time_ns for mark in found] == sorted(mark.time_ns for mark in found)
+    assert all(mark.end_ns is None or mark.time_ns <= mark.end_ns for mark in found)
+
+
+@table("data", [{}, {"label": 7}, {"label": "a", "text": []}, {"label": "a", "phase": "x"}, {"label": "a\n"}])
+def test_a_note_of_another_shape_is_no_mark(data: dict[str, Any]) -> None:
+    note = Note(Level.INFO, "mark", "text", data=data)
+    assert MarkNote.of(note) is None
+    assert not joined([(1, note)], 0, 2)
+    assert not is_phase(Entry(1, 1, Kind.EDGE_NOTE, payload=(note.pack(),)))
+
+
+def test_it_is_a_note_for_programs_that_do_not_know_marks() -> None:
+    assert json.loads(MarkNote("a", "b", "c", BEGIN).note().pack()) == {
+        "code": "mark",
+        "data": {"label": "a", "phase": "begin", "text": "b", "who": "c"},
+        "level": "INFO",
+        "stream": "",
+        "text": "mark a begins: b",
+    }
