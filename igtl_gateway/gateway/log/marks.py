@@ -69,7 +69,7 @@ class MarkNote:
 
     @classmethod
     def of(cls, note: Note) -> MarkNote | None:
-        """Return the mark in a note; None if it is none, or of impossible values."""
+        """Return the mark in a note; None if it is not one, or of impossible values."""
         if note.code != MARK:
             return None
         try:
