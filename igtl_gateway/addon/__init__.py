@@ -168,6 +168,7 @@ if TYPE_CHECKING:
     from igtl_gateway.gateway.log.clocksteps import CLOCK_STEP as CLOCK_STEP
     from igtl_gateway.gateway.log.entry import Entry as Entry
     from igtl_gateway.gateway.log.entry import Kind as Kind
+    from igtl_gateway.gateway.log.marks import MarkNote as MarkNote
     from igtl_gateway.gateway.log.note import Level as Level
     from igtl_gateway.gateway.log.note import Note as Note
     from igtl_gateway.record.sessionfile import layout as layout
@@ -226,6 +227,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("gateway", "LINK_DOWN LINK_UP LISTENED PARTNER TICK Session header_names make_core"),
     ("gateway.log.changes", "SETTING SETTINGS"),
     ("gateway.log.clocksteps", "CLOCK_STEP"),
+    ("gateway.log.marks", "MarkNote"),
     # Conversions of pictures and geometry, one message at a time
     ("convert.context", "ConvertedMessage ToIgtlContext ToRosContext"),
     ("convert.images", "image_to_igtl pixel_layout"),

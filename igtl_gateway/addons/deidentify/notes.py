@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from igtl_gateway.addon import CLOCK_STEP, LISTENED, PARTNER, SETTING, SETTINGS, TICK, Note
+from igtl_gateway.addon import CLOCK_STEP, LISTENED, PARTNER, SETTING, SETTINGS, TICK, MarkNote, Note
 from igtl_gateway.addon.igtl import BODIES
 from igtl_gateway.addons.deidentify.context import Context
-from igtl_gateway.gateway.log.marks import BOUNDS, MARK, MarkNote
 
 #: Codes of inputs; a note with another code becomes ``OTHER``.
 CODES = frozenset({
@@ -29,6 +28,8 @@ _ROLES = frozenset({"server", "client"})
 _NUMBERS = frozenset(
     {PARTNER, "sent_messages", "received_bytes", "count", "step_ns", "jump_ns", "ahead_ns", "dropped_messages"}
 )
+#: Most characters of label and maker of a mark.
+_LONGEST = 64
 _LISTS = ("deny_in", "deny_out")
 
 
@@ -47,8 +48,8 @@ def clean_note(payload: bytes, context: Context) -> bytes:
 
 def _clean_mark(mark: MarkNote, context: Context) -> MarkNote:
     """Return a mark with pseudonyms of label and maker, and the text that the profile leaves of ``mark/LABEL``."""
-    label, who = (context.names.name(name)[: BOUNDS["label"]] if name else "" for name in (mark.label, mark.who))
-    text = context.text(mark.text, f"{MARK}/{mark.label}")
+    label, who = (context.names.name(name)[:_LONGEST] if name else "" for name in (mark.label, mark.who))
+    text = context.text(mark.text, f"mark/{mark.label}")
     return MarkNote(label, text if text.isprintable() else "", who, mark.phase)
 
 
