@@ -117,11 +117,11 @@ def test_a_slice_and_parts_keep_what_is_in_them(seed: int, tmp_path: Path) -> No
     made = sorted((chosen.uniform(0, 11.9), chosen.choice("abc"), chosen.choice(phases)) for _ in range(16))
     notes, phases_open = [], OpenPhases()
     for at, label, phase in made:
-        mark = MarkNote(label, f"{at}", phase=phase)
+        noted = MarkNote(label, f"{at}", phase=phase)
         with suppress(ConfigError):  # as an edge refuses it
-            phases_open.check(mark)
-            notes.append((at, mark))
-            phases_open.follow(mark.note())
+            phases_open.check(noted)
+            notes.append((at, noted))
+            phases_open.follow(noted.note())
     entries, config = marked.entries(notes, every=10)
     window, globs = (chosen.uniform(0, 5), chosen.uniform(6, 11.9)), chosen.choice(((), ("TRANSFORM/*",)))
     whole = marked.write(folder.with_suffix(".mcap"), entries)
