@@ -72,6 +72,7 @@ static struct {
 } T = {.lock = PTHREAD_MUTEX_INITIALIZER, .task_folder = -1};
 
 static __thread pid_t own_tid;
+static __thread uint64_t own_number;    /* by creation, from 1; 0: of the main thread */
 static __thread bool own_is_other;      /* this thread is no part of the program */
 static __thread bool own_starts_others; /* nor are those that it starts now */
 
@@ -319,9 +320,12 @@ static void *watch(void *nothing)
 
 /* -- waits ------------------------------------------------------------------------------------------------------- */
 
+/* By numbers of our own: those of the kernel begin anew at their limit, so that a younger thread may have a lower one. */
 static uint64_t order_of_thread(void)
 {
-    return (1ULL << 32) + (uint64_t)tid_of_this();
+    if (!own_number && tid_of_this() != getpid()) /* made without pthread_create */
+        own_number = (1ULL << 32) + (uint64_t)tid_of_this();
+    return (1ULL << 32) + own_number;
 }
 
 static void add_waiter(struct waiter *waiter)
@@ -365,14 +369,17 @@ static void fire(struct waiter *waiter)
 struct beginning {
     void *(*run)(void *);
     void *argument;
+    uint64_t number;
+    bool is_other;
 };
 
-static void *begin_other(void *given)
+static void *begin_thread(void *given)
 {
     struct beginning beginning = *(struct beginning *)given;
     free(given);
-    own_is_other = true;
-    for (size_t i = 0; i < MOST_OTHERS; i++) {
+    own_number = beginning.number;
+    own_is_other = beginning.is_other;
+    for (size_t i = 0; own_is_other && i < MOST_OTHERS; i++) {
         pid_t empty = 0;
         if (atomic_compare_exchange_strong(&T.others[i], &empty, tid_of_this()))
             break;
@@ -384,15 +391,19 @@ static void *begin_other(void *given)
 int pthread_create(pthread_t *restrict thread, const pthread_attr_t *restrict attributes, void *(*run)(void *),
                    void *restrict argument)
 {
+    static _Atomic uint64_t count;
     Dl_info info;
-    struct beginning *beginning = NULL;
-    if (own_starts_others || (dladdr((void *)(uintptr_t)run, &info) && info.dli_fname &&
-                              (strstr(info.dli_fname, "/liblttng-ust") || strstr(info.dli_fname, "/liburcu"))))
-        beginning = malloc(sizeof *beginning);
+    struct beginning *beginning = malloc(sizeof *beginning);
     if (!beginning)
-        return NEXT(pthread_create)(thread, attributes, run, argument);
-    *beginning = (struct beginning){run, argument};
-    return NEXT(pthread_create)(thread, attributes, begin_other, beginning);
+        return EAGAIN;
+    bool is_other = own_starts_others ||
+                    (dladdr((void *)(uintptr_t)run, &info) && info.dli_fname &&
+                     (strstr(info.dli_fname, "/liblttng-ust") || strstr(info.dli_fname, "/liburcu")));
+    *beginning = (struct beginning){run, argument, atomic_fetch_add(&count, 1) + 1, is_other};
+    int code = NEXT(pthread_create)(thread, attributes, begin_thread, beginning);
+    if (code)
+        free(beginning);
+    return code;
 }
 
 /* Wait until `step` has chosen this waiter, which is WAIT_ROS or WAIT_SLEEP. */

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
+import subprocess
+import sys
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -11,7 +14,7 @@ from igtl_gateway.addon import Qos
 from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, run
 from igtl_gateway.addons.resim.verdict import compare
 from tests.addons.resim import sessions
-from tests.addons.resim.runs import RUNS, compiled, judged, published, strings
+from tests.addons.resim.runs import PROGRAMS, RUNS, compiled, judged, published, strings
 
 pytestmark = [pytest.mark.ros, pytest.mark.skipif(not find_spec("rclpy"), reason="needs ROS 2")]
 
@@ -35,6 +38,21 @@ def test_several_threads_with_reentrant_callbacks(tmp_path: Path) -> None:
     assert verdict.line() == f"deterministic: {RUNS} of {RUNS} runs equal"
     said = strings(result.runs[0].outputs, "/out")
     assert sum(text.startswith("got") for text in said) == sum(text.startswith("later") for text in said) == 100
+
+
+def test_threads_have_the_order_of_their_creation_when_numbers_of_processes_begin_anew(tmp_path: Path) -> None:
+    """Of two threads that sleep to the same time, the older one is first, although its number is the higher one."""
+    namespace = ["unshare", "--user", "--map-root-user", "--pid", "--fork", "--mount-proc"]
+    if not shutil.which("unshare") or subprocess.run([*namespace, "true"], check=False).returncode:
+        pytest.skip("needs namespaces of users and processes")
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(5))
+    for which in ("usual", "wrap"):
+        command = ["igtl_gateway", "resim", str(recording), "--runs", "1", "--record", str(tmp_path / f"{which}.mcap")]
+        program = [sys.executable, str(PROGRAMS / "threads.py"), which]
+        subprocess.run([*namespace, sys.executable, "-m", *command, "--", *program], check=True)
+    said = strings(tmp_path / "usual.mcap", "/out")
+    assert said == [f"{name} {number}" for number in range(10) for name in ("first", "second")]
+    assert strings(tmp_path / "wrap.mcap", "/out") == said
 
 
 def test_a_service_and_its_client_in_two_programs(tmp_path: Path) -> None:
