@@ -32,6 +32,7 @@ from tests.addons.resim.runs import PROGRAMS, compiled, program
 from tests.peers import reference
 
 SERVER = IgtlRole(is_server=True)
+HEADER = "| kind | runs | messages | hashes | wrong turns | load | s a run |\n|---|---|---|---|---|---|---|"
 
 
 @dataclass(slots=True)
@@ -43,6 +44,7 @@ class Row:
     programs: Callable[[Path], Sequence[Program]]
     latency_ns: int = 0
     runs: int = 0
+    messages: int = 0
     seconds: float = 0.0
     load: float = 0.0
     hashes: Counter[str] = field(default_factory=Counter)
@@ -50,7 +52,7 @@ class Row:
 
     def text(self) -> str:
         each = f"{self.load / self.runs:.1f} | {self.seconds / self.runs:.1f}" if self.runs else "- | -"
-        return f"| {self.name} | {self.runs} | {len(self.hashes)} | {len(self.wrong)} | {each} |"
+        return f"| {self.name} | {self.runs} | {self.messages} | {len(self.hashes)} | {len(self.wrong)} | {each} |"
 
     def turn(self, count: int, folder: Path) -> None:
         """Run `count` times; the files of a turn that is not all equal stay in the folder."""
@@ -58,9 +60,12 @@ class Row:
         def take(one: Run) -> None:
             self.runs, self.seconds = self.runs + 1, self.seconds + one.seconds
             self.load += os.getloadavg()[0]
-            judged = sorted((name, stream.digest) for name, stream in one.streams.items() if is_judged(name))
+            streams = [stream for name, stream in sorted(one.streams.items()) if is_judged(name)]
+            self.messages += sum(stream.messages for stream in streams)
             if not one.fault:
-                self.hashes[hashlib.sha256(repr(judged).encode()).hexdigest()] += 1
+                self.hashes[
+                    hashlib.sha256(repr([(each.topic, each.digest) for each in streams]).encode()).hexdigest()
+                ] += 1
 
         folder.mkdir()
         recording = self.record(folder / "in.mcap")
@@ -147,8 +152,9 @@ def main() -> int:
             for row in found:
                 row.turn(min(options.turn, options.runs - first), place / f"{row.name}-{first}".replace(" ", "-"))
                 print(row.text(), *row.wrong, sep="\n  ", flush=True)
-            print(f"\n{time.strftime('%H:%M:%S')}\n\n| kind | runs | hashes | wrong turns | load | s a run |")
-            print("|---|---|---|---|---|---|", *(row.text() for row in found), "", sep="\n", flush=True)
+            print(
+                f"\n{time.strftime('%H:%M:%S')}\n\n{HEADER}", *(row.text() for row in found), "", sep="\n", flush=True
+            )
     finally:
         for each in busy:
             each.kill()

@@ -1,0 +1,59 @@
+// A node of rclcpp: a timer, a subscription and a publisher; with the argument "multi" four threads and reentrant
+// callbacks, of which one sleeps.
+#include <chrono>
+#include <memory>
+#include <string>
+#include <thread>
+
+#include "rclcpp/rclcpp.hpp"
+#include "std_msgs/msg/string.hpp"
+
+using std_msgs::msg::String;
+
+class Counter : public rclcpp::Node {
+public:
+  explicit Counter(bool is_reentrant) : Node("counter") {
+    using std::chrono_literals::operator""ms;
+    const auto kind = is_reentrant ? rclcpp::CallbackGroupType::Reentrant : rclcpp::CallbackGroupType::MutuallyExclusive;
+    group_ = create_callback_group(kind);
+    rclcpp::SubscriptionOptions options;
+    options.callback_group = group_;
+    publisher_ = create_publisher<String>("/out", 10);
+    const auto take = [this](const String & message) { ++count_; say("got " + message.data); };
+    const auto take_slowly = [this](const String & message) {
+      std::this_thread::sleep_for(30ms);
+      say("later " + message.data);
+    };
+    subscription_ = create_subscription<String>("/in", 10, take, options);
+    if (is_reentrant) slow_ = create_subscription<String>("/in", 10, take_slowly, options);
+    timer_ = create_wall_timer(50ms, [this] { ++ticks_; say("tick"); }, group_);
+  }
+
+private:
+  void say(const std::string & what) {
+    String text;
+    text.data = what + " count=" + std::to_string(count_) + " ticks=" + std::to_string(ticks_) + " at " +
+      std::to_string(now().nanoseconds());
+    publisher_->publish(text);
+  }
+
+  std::atomic<int> count_{0}, ticks_{0};
+  rclcpp::CallbackGroup::SharedPtr group_;
+  rclcpp::Publisher<String>::SharedPtr publisher_;
+  rclcpp::Subscription<String>::SharedPtr subscription_, slow_;
+  rclcpp::TimerBase::SharedPtr timer_;
+};
+
+int main(int count, char ** words) {
+  rclcpp::init(count, words);
+  const bool is_multi = count > 1 && std::string(words[1]) == "multi";
+  const auto node = std::make_shared<Counter>(is_multi);
+  if (is_multi) {
+    rclcpp::executors::MultiThreadedExecutor executor(rclcpp::ExecutorOptions(), 4);
+    executor.add_node(node);
+    executor.spin();
+  } else {
+    rclcpp::spin(node);
+  }
+  rclcpp::shutdown();
+}
