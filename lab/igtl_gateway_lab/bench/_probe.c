@@ -47,10 +47,10 @@
 #define DIGITS 10
 
 /* How a number is written. */
-enum { CDR_STAMP, IGTL_STAMP, TEXT, METRES, MILLIMETRES };
+enum { CDR_STAMP, IGTL_STAMP, TEXT, METRES, MILLIMETRES, PIXELS, CLOUD };
 
 struct probe_form {
-    size_t at;
+    int64_t at; /* below 0: from the end */
     uint32_t kind;
     uint32_t size;
 };
@@ -143,6 +143,44 @@ static int stopped(const int32_t *stop) { return __atomic_load_n(stop, __ATOMIC_
 
 /* -- numbers ------------------------------------------------------------------------------------------------------- */
 
+/* Read a length or a count of CDR at the next multiple of four, and go behind it; beyond the end it is 0. */
+static uint32_t next_word(const uint8_t *bytes, size_t size, size_t *at) {
+    uint32_t word = 0;
+    *at = (*at + 3) & ~(size_t)3;
+    if (*at + 4 <= size)
+        memcpy(&word, bytes + *at, 4);
+    *at += 4;
+    return le32toh(word);
+}
+
+/* Go behind a string. */
+static void skip_text(const uint8_t *bytes, size_t size, size_t *at) {
+    const uint32_t length = next_word(bytes, size, at);
+    *at += length;
+}
+
+/* Where the points of a PointCloud2 begin: their layout is that of the bridge. */
+static size_t first_point(const uint8_t *bytes, size_t size) {
+    size_t at = 4 + 8; /* encapsulation and stamp */
+    skip_text(bytes, size, &at); /* frame */
+    at = ((at + 3) & ~(size_t)3) + 8; /* height and width */
+    for (uint32_t fields = next_word(bytes, size, &at); fields && at < size; --fields) {
+        skip_text(bytes, size, &at); /* name */
+        at = ((at + 3) & ~(size_t)3) + 8; /* offset and type */
+        next_word(bytes, size, &at);
+    }
+    at += 1; /* byte order */
+    at = ((at + 3) & ~(size_t)3) + 8; /* steps */
+    next_word(bytes, size, &at);
+    return at;
+}
+
+/* Where the number of a message is; NULL: the message is too short. */
+static uint8_t *place_of(const uint8_t *bytes, size_t size, const struct probe_form *form) {
+    size_t at = form->kind == CLOUD ? first_point(bytes, size) : (size_t)(form->at < 0 ? (int64_t)size + form->at : form->at);
+    return at + form->size <= size ? (uint8_t *)bytes + at : NULL;
+}
+
 static void write_number(uint8_t *place, const struct probe_form *form, int64_t number) {
     uint32_t word;
     double metres;
@@ -163,6 +201,16 @@ static void write_number(uint8_t *place, const struct probe_form *form, int64_t 
     case METRES:
         metres = (double)number * 1e-3;
         memcpy(place, &metres, 8);
+        break;
+    case PIXELS:
+        word = htole32((uint32_t)number);
+        memcpy(place, &word, 4);
+        break;
+    case CLOUD:
+        millimetres = (float)((double)number * 1e-3); /* metres */
+        memcpy(&word, &millimetres, 4);
+        word = htole32(word);
+        memcpy(place, &word, 4);
         break;
     default:
         millimetres = (float)number;
@@ -191,6 +239,14 @@ static int64_t read_number(const uint8_t *place, const struct probe_form *form) 
     case METRES:
         memcpy(&metres, place, 8);
         return llround(metres * 1e3);
+    case PIXELS:
+        memcpy(&word, place, 4);
+        return le32toh(word);
+    case CLOUD:
+        memcpy(&word, place, 4);
+        word = le32toh(word);
+        memcpy(&millimetres, &word, 4);
+        return llround((double)millimetres * 1e3);
     default:
         memcpy(&word, place, 4);
         word = be32toh(word);
@@ -201,7 +257,7 @@ static int64_t read_number(const uint8_t *place, const struct probe_form *form) 
 
 void probe_set_number(struct probe_message *message, int64_t number) {
     const struct probe_form *form = &message->form;
-    uint8_t *place = message->bytes + form->at;
+    uint8_t *place = place_of(message->bytes, message->size, form);
     write_number(place, form, number);
     if (!message->flips)
         return;
@@ -371,9 +427,10 @@ int32_t probe_send(struct probe_out **outs, int32_t number, int64_t begin_ns, in
 /* -- receiving ----------------------------------------------------------------------------------------------------- */
 
 static int32_t arrived(struct probe_in *in, const uint8_t *bytes, size_t size, int64_t at_ns) {
-    if (size < in->form.at + in->form.size)
+    const uint8_t *place = place_of(bytes, size, &in->form);
+    if (!place)
         return EBADMSG;
-    const int64_t number = read_number(bytes + in->form.at, &in->form);
+    const int64_t number = read_number(place, &in->form);
     if (in->forward) {
         probe_send_one(in->forward, number); /* a bridge outlives its peers */
         return 0;

@@ -94,6 +94,10 @@ PAYLOADS: dict[str, Callable[[], Payload]] = {
     "cloud-30k": partial(payloads.cloud, 30_000),
     "cloud-100k": partial(payloads.cloud, 100_000),
     "polydata-600k": partial(payloads.surface, 600_000, 230_000),
+    "transform-n": partial(payloads.transform, stamped=False),
+    **{f"points-{count}-n": partial(payloads.points, count, stamped=False) for count in (1000, 10_000)},
+    "image-vga-n": partial(payloads.image, 640, 480, stamped=False),
+    "image-fullhd-n": partial(payloads.image, 1920, 1080, stamped=False),
 }
 
 
@@ -124,6 +128,10 @@ _TEXTS = {
     "image-4k": "RGB picture of 3840 x 2160, 25 MB",
     "polydata-600k": "surface of 600,000 points and 230,000 triangles",
     **{f"points-{count}": f"POINT with {count:,} points" for count in (1, 10, 100, 1000, 10_000)},
+    **{
+        f"{kind}-n": f"{kind} without stamps, for bridges that keep none: the number is in the content"
+        for kind in ("transform", "points-1000", "points-10000", "image-vga", "image-fullhd")
+    },
     **{f"cloud-{count}k": f"PointCloud2 and POLYDATA, {count},000 points" for count in (10, 30, 100)},
 }
 

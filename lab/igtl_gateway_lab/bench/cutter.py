@@ -97,7 +97,8 @@ class Cutter:
         rows = np.frombuffer(self._view, np.uint8, count * size, begin).reshape(count, size)
         like = (rows[:, NAMES] == rows[0, NAMES]).all(1) & (rows[:, BODY_SIZE] == rows[0, BODY_SIZE]).all(1)
         run = _leading(like)
-        numbers = form.numbers(np.ascontiguousarray(rows[:run, form.at : form.at + form.size]))
+        at = form.place(rows[0].data)
+        numbers = form.numbers(np.ascontiguousarray(rows[:run, at : at + form.size]))
         run = _leading(numbers != 0)
         if run:
             heard.take_many(numbers[:run], at_ns)

@@ -3,7 +3,10 @@
 The number has to survive the conversion and must not cost anything.  Messages with a stamp carry it in the seconds of
 the stamp: the gateway keeps source stamps, the place is fixed on both sides, and the OpenIGTLink header is outside the
 CRC, so that one number in one buffer changes from message to message.  Two have no stamp in ROS: a string begins with
-the number, and of a mesh it is the first coordinate, in millimetres.
+it, and of a mesh it is the first coordinate, in millimetres.
+
+For bridges that keep no stamps, some kinds have a twin without, and the number is in the content: of a transform the
+first coordinate of its translation, of points that of the first, both in millimetres, and the first bytes of a picture.
 """
 
 from __future__ import annotations
@@ -20,6 +23,7 @@ import numpy.typing as npt
 from igtl_gateway.base.buffers import Buffer, join
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert import rosmsg
+from igtl_gateway.convert.rosmsg import PointCloud2
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.header import HEADER_SIZE, TICKS_AT
@@ -32,9 +36,13 @@ from igtl_gateway.wire.transform import Transform
 #: Seconds of the stamp of message 0: a time long ago, which no program takes for "unset".
 EPOCH_S = 1_000_000_000
 
+#: The header of ROS messages without a stamp.
+_UNSET = rosmsg.Header(0, "Base")
+
 _DIGITS = 10
 _CDR_AT = 4  # behind the encapsulation
 _MESH_HEAD = 40  # of POLYDATA, before its points
+_POINT_AT = 100  # of POINT, before the coordinates of the first: its name, group and colour
 
 #: So much is sent at once in a flood of small messages.
 _BATCH_BYTES = 16 << 10
@@ -54,8 +62,8 @@ class Form:
     """How a number is written, and where.
 
     Attributes:
-        at, size: its bytes in the message.
-        layout: of ``struct``, or "text".
+        at, size: its bytes in the message; ``at`` below 0 counts from the end.
+        layout: of ``struct``, "text", or "cloud": float32 in metres at the first point of a PointCloud2.
         write: those bytes.
         number: of a message.
         numbers: of many: from an array with a row of those bytes for each.
@@ -67,6 +75,35 @@ class Form:
     write: Callable[[int], bytes]
     number: Number
     numbers: Callable[[Bytes], Numbers]
+
+    def place(self, message: Buffer) -> int:
+        """Return the offset of the number in a message."""
+        if self.layout == "cloud":
+            return _first_point(message)
+        return self.at if self.at >= 0 else len(message) + self.at
+
+    @property
+    def is_in_body(self) -> bool:
+        """Whether the number is in the body of an OpenIGTLink message: its CRC changes with it."""
+        return self.at < 0 or self.at >= HEADER_SIZE
+
+
+def _first_point(cdr: Buffer) -> int:
+    """Return the offset of the first point of a PointCloud2 in CDR."""
+    data = PointCloud2.unpack(cdr).data
+    return len(cdr) - memoryview(data).nbytes - 1  # behind the data: whether it is dense
+
+
+def _of_cloud() -> Form:
+    packing = struct.Struct("<f")
+    return Form(
+        0,
+        packing.size,
+        "cloud",
+        lambda number: packing.pack(number * 1e-3),
+        lambda message: round(packing.unpack_from(message, _first_point(message))[0] * 1e3),
+        lambda rows: np.rint(rows.view("<f4")[:, 0].astype(np.float64) * 1e3).astype(np.int64),
+    )
 
 
 def _of_struct(at: int, layout: str, start: int = 0, unit: float = 1) -> Form:
@@ -126,7 +163,7 @@ class Payload:
         # number is written into the one object, which has no other owner: rclpy has copied it when ``publish`` returns.
         address = ctypes.cast(ctypes.c_char_p(cdr), ctypes.c_void_p).value
         assert address is not None
-        place = address + form.at
+        place = address + form.place(cdr)
 
         def make(number: int) -> bytes:
             ctypes.memmove(place, form.write(number), form.size)
@@ -137,7 +174,7 @@ class Payload:
     def igtl_maker(self, device: str) -> Make:
         """Makes OpenIGTLink messages, as ``ros_maker`` does."""
         _, form = self.forms
-        if form.at >= HEADER_SIZE:  # in the body: the CRC is another one each time
+        if form.is_in_body:  # the CRC is another one each time
             return lambda number: join(encode(Message(self.igtl_type, device, self.content(number))))
         data = bytearray(join(encode(Message(self.igtl_type, device, self.content(0)))))
 
@@ -153,7 +190,7 @@ class Payload:
         make = self.igtl_maker(device)
         one = np.frombuffer(bytes(make(0)), np.uint8)
         most = max(1, _BATCH_BYTES // len(one))
-        if most == 1 or form.at >= HEADER_SIZE:
+        if most == 1 or form.is_in_body:
             return most, lambda first, count: b"".join(make(first + more) for more in range(count))
         block = np.tile(one, (most, 1))
 
@@ -170,10 +207,22 @@ class Payload:
         return len(self.ros_maker()(0))
 
 
-def transform() -> Payload:
+def transform(*, stamped: bool = True) -> Payload:
     """A pose that is not the identity."""
     cos, sin = math.cos(0.3), math.sin(0.3)
     half = (0.0, 0.0, math.sin(0.15), math.cos(0.15))
+    if not stamped:
+        # far from the origin: the guard would take a coordinate that grows a hundredfold for another unit
+        return Payload(
+            rosmsg.TransformStamped.TYPE,
+            "transform",
+            "TRANSFORM",
+            lambda _header: rosmsg.TransformStamped(_UNSET, "Tool", (0.0, -2.0, 3.05), half),
+            lambda number: Transform.from_rows(
+                [[cos, -sin, 0.0, number], [sin, cos, 0.0, -2000.0], [0.0, 0.0, 1.0, 3050.0]]
+            ),
+            (_of_struct(-56, "<d", unit=1e-3), _of_struct(-12, ">f")),  # both end with it
+        )
     rows = [[cos, -sin, 0.0, 10.0], [sin, cos, 0.0, -20.0], [0.0, 0.0, 1.0, 30.5]]
     return Payload(
         rosmsg.TransformStamped.TYPE,
@@ -197,9 +246,18 @@ def string(length: int) -> Payload:
     )
 
 
-def points(count: int) -> Payload:
+def points(count: int, *, stamped: bool = True) -> Payload:
     """Landmarks: POINT, 136 bytes each; a cloud on the side of ROS."""
     xyz = _positions(count)
+    if not stamped:
+        return Payload(
+            rosmsg.PointCloud2.TYPE,
+            "points",
+            "POINT",
+            lambda _header: _cloud(_UNSET, np.vstack([[0.0, 0.0, 0.0], xyz[1:] / 1000])),
+            lambda number: Points.of(np.vstack([[float(number), 0.0, 0.0], xyz[1:]])),
+            (_of_cloud(), _of_struct(HEADER_SIZE + _POINT_AT, ">f")),
+        )
     return Payload(
         rosmsg.PointCloud2.TYPE,
         "points",
@@ -245,10 +303,20 @@ def surface(count: int, triangles: int) -> Payload:
     )
 
 
-def image(width: int, height: int) -> Payload:
+def image(width: int, height: int, *, stamped: bool = True) -> Payload:
     """An RGB picture of noise."""
     pixels = (np.arange(width * height * 3, dtype=np.uint32) * np.uint32(2_654_435_761) >> np.uint32(24)).astype("u1")
     data = pixels.tobytes()
+    if not stamped:
+        number_at = _of_struct(-len(data), "<I")
+        return Payload(
+            rosmsg.Image.TYPE,
+            "image",
+            "IMAGE",
+            lambda _header: rosmsg.Image(_UNSET, height, width, "rgb8", 0, 3 * width, bytes(4) + data[4:]),
+            lambda number: Image((width, height, 1), 3, number.to_bytes(4, "little") + data[4:], 3),
+            (number_at, number_at),
+        )
     return Payload(
         rosmsg.Image.TYPE,
         "image",

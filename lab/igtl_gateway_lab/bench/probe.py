@@ -30,7 +30,7 @@ _COMPILE_S = 120.0
 _DEVICE_SIZE, _INITIAL_SIZE = 20, 16
 
 #: How a number is written, in the order of the enumeration in ``_probe.c``.
-_LAYOUTS = ("<i", ">I", "text", "<d", ">f")
+_LAYOUTS = ("<i", ">I", "text", "<d", ">f", "<I", "cloud")
 
 #: The functions of rcl, in the order of ``struct probe_rcl``.
 _RCL = (
@@ -70,7 +70,7 @@ def compile_probe(folder: Path) -> Path:
 
 
 class _Form(Structure):
-    _fields_ = (("at", c_size_t), ("kind", c_uint32), ("size", c_uint32))
+    _fields_ = (("at", c_int64), ("kind", c_uint32), ("size", c_uint32))
 
 
 class _Message(Structure):
@@ -140,7 +140,7 @@ class OutStream:
         self.data = np.frombuffer(data, np.uint8).copy()
         self._progress: memoryview | None = None
         # a message of OpenIGTLink whose number is in its body: the CRC changes with each
-        self._flips = _crc_flips(self.data, form) if not publisher and form.at >= HEADER_SIZE else None
+        self._flips = _crc_flips(self.data, form) if not publisher and form.is_in_body else None
         self.struct = _Out(publisher=publisher, link=link)
         message = self.struct.message
         message.bytes, message.size, message.form = self.data.ctypes.data, self.data.nbytes, _form(form)
@@ -281,7 +281,7 @@ def _form(form: Form) -> _Form:
 def _crc_flips(data: npt.NDArray[np.uint8], form: Form) -> npt.NDArray[np.uint64]:
     """Which bits of the CRC change with each bit of the number."""
     body = data[HEADER_SIZE:].copy()
-    at = form.at - HEADER_SIZE
+    at = form.place(data.data) - HEADER_SIZE
     crc = crc64(body.data)
     flips = []
     for bit in range(8 * form.size):

@@ -8,6 +8,7 @@ import pytest
 from igtl_gateway.config.configuration import Config, ToIgtlRow
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.wire import decode
+from igtl_gateway.wire.header import TICKS_AT
 from igtl_gateway_lab.bench.cases import PAYLOADS, BenchStream, Direction, payload
 from tests.script import Script
 from tests.tables import table
@@ -45,6 +46,19 @@ def test_the_number_goes_to_ros(kind: str) -> None:
         (entry,) = [entry for entry in gateway.last if entry.kind is Kind.ROS_OUT and entry.channel == topic]
         assert entry.type == made.ros_type
         assert made.forms[0].number(entry.data()) == number
+
+
+@table("kind", [kind for kind in KINDS if kind.endswith("-n")])
+def test_a_bridge_that_keeps_no_stamp_keeps_the_number(kind: str) -> None:
+    made = payload(kind)
+    for form, message, stamp in (
+        (made.forms[0], made.ros_maker()(4_321), slice(4, 12)),
+        (made.forms[1], made.igtl_maker("Tool")(4_321), slice(TICKS_AT, TICKS_AT + 8)),
+    ):
+        changed = bytearray(message)
+        assert not any(changed[stamp])
+        changed[stamp] = bytes(range(1, 9))
+        assert form.number(changed) == 4_321
 
 
 @table("kind", KINDS)

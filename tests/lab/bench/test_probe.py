@@ -29,7 +29,7 @@ from igtl_gateway_lab.bench.processes import BenchError
 pytestmark = pytest.mark.skipif(bool(lacks_probe()), reason=lacks_probe())
 
 #: One of each form of a number.
-KINDS = ["transform", "string-100", "points-10", "polydata-600k"]
+KINDS = ["transform", "string-100", "points-10", "polydata-600k", "transform-n", "points-1000-n"]
 
 
 @pytest.fixture(scope="module")
@@ -127,8 +127,9 @@ def test_a_flood_keeps_its_window(loops: Probe) -> None:
     assert not sending.is_alive()
 
 
-def test_a_message_is_sent_on_with_its_number(loops: Probe) -> None:
-    made = payload("transform")
+@pytest.mark.parametrize("kind", ["transform", "transform-n", "points-1000-n", "image-vga-n"])
+def test_a_message_is_sent_on_with_its_number(kind: str, loops: Probe) -> None:
+    made = payload(kind)
     (a, b), (c, d) = socket.socketpair(), socket.socketpair()
     onward = OutStream(igtl_bytes(made, "There"), made.forms[1], link=loops.link(c.fileno()))
     passing = InStream(made.forms[1], device="Here", forward=onward)
