@@ -262,7 +262,7 @@ _LIMITS_OF_A_PEER = (
     ),
     Setting(
         "max_messages",
-        50_000,
+        100_000,
         "maximum rate of messages; a peer that sends faster is slowed down",
         IGTL,
         metavar="HZ",

@@ -61,7 +61,7 @@ class PeerLimits:
     handshake_s: float = 10.0
     max_body: int = DEFAULT_MAX_BODY
     bodies: tuple[tuple[str, int], ...] = ()
-    messages_per_s: int = 50_000
+    messages_per_s: int = 100_000
 
     def __post_init__(self) -> None:
         for name in set(self.__slots__) - {"bodies", "idle_s"}:
