@@ -3,12 +3,15 @@
     python tools/fair_shares.py                         every attack, one attacker and 20, without ROS
     python tools/fair_shares.py --ros --record          the same with a ROS stream of 1 kHz, recorded
     python tools/fair_shares.py --ros --record --elsewhere      what of it the attackers' own programs cost
+    python tools/fair_shares.py --ros --record --control        the attackers also at a program that only reads
     python tools/fair_shares.py --attack GET_STATUS --attack COMMAND --rate 12500
 
 Every program is a process of its own (``attacks`` for the attackers).  The good peer sends a GET_STATUS, waits for the
 answer, does the same at a server that only echoes, and pauses for some ms: the echo shows what the machine itself costs
-at that moment.  Each row is measured against an idle phase directly before it.  The last line states whether the bound
-held: p99 below 3 × idle + 5 ms, a newcomer below 1 s, ROS below 2 × idle + what the echo lost.
+at that moment.  Each row is measured against an idle phase directly before it; with ``--control`` also against a phase
+in which the attackers send to a sink, and the bridge has only its good programs: the floor that the cores give.  The
+last line states whether the bound held: p99 below 3 × idle + 5 ms, a newcomer below 1 s, ROS below 2 × idle + what the
+echo lost.  ``<<<`` marks where it does not, ``<`` where it holds with the control in place of idle.
 """
 
 from __future__ import annotations
@@ -17,6 +20,7 @@ import argparse
 import json
 import os
 import select
+import selectors
 import socket
 import subprocess
 import sys
@@ -57,6 +61,25 @@ def echo() -> None:
     with suppress(ConnectionError):
         while data := sock.recv(1 << 16):
             sock.sendall(data)
+
+
+def sink() -> None:
+    """A server that reads all that any peer sends, and does nothing with it."""
+    server = socket.create_server(("127.0.0.1", 0), backlog=_MANY)
+    _say(server.getsockname()[1])
+    peers = selectors.DefaultSelector()
+    peers.register(server, selectors.EVENT_READ)
+    while True:
+        for key, _ in peers.select():
+            if key.fileobj is server:
+                peers.register(server.accept()[0], selectors.EVENT_READ)
+                continue
+            assert isinstance(key.fileobj, socket.socket)
+            with suppress(OSError):
+                if key.fileobj.recv(1 << 16):
+                    continue
+            peers.unregister(key.fileobj)
+            key.fileobj.close()
 
 
 def good(port: int, echo_port: int) -> None:
@@ -220,27 +243,53 @@ def _phase(roles: dict[str, _Role], seconds: float) -> Figures:
     return found
 
 
-def _row(name: str, links: int, idle: Figures, beside: Figures, sent: float, log_mb: float) -> tuple[str, bool]:
+def _row(name: str, links: int, phases: Sequence[Figures], sent: float, log_mb: float) -> tuple[str, bool]:
+    """Cells of the phases (idle, with the control, beside the attackers), and whether the bound held."""
+    beside, whats = phases[-1], [what for what in ("trip", "echo", "ros") if what in phases[-1]]
     cells = [f"{name:26}", f"{links:3}", f"{sent:9,.0f}"]
-    for what in ("trip", "echo"):
-        cells += [f"{_p(figures[what], share):7.2f}" for figures in (idle, beside) for share in (0.5, 0.99)]
+    cells += [f"{_p(figures[what], share):7.2f}" for what in whats for figures in phases for share in (0.5, 0.99)]
     cells.append(f"{max(beside['new'], default=float('nan')):8.1f}")
-    machine = max(0.0, _p(beside["echo"], 0.99) - _p(idle["echo"], 0.99))
-    held = _p(beside["trip"], 0.99) < 3 * _p(idle["trip"], 0.99) + 5 + machine and max(beside["new"], default=0) < 1000
-    if "ros" in beside:
-        cells += [f"{_p(figures['ros'], share):7.2f}" for figures in (idle, beside) for share in (0.5, 0.99)]
-        held &= _p(beside["ros"], 0.99) < 2 * _p(idle["ros"], 0.99) + machine
-    cells += [f"{log_mb:6.2f}", "" if held else "<<<"]
-    return " ".join(cells), held
+    held = [_is_held(before, beside) for before in phases[:-1]]
+    cells += [f"{log_mb:6.2f}", "" if held[0] else "<" if held[-1] else "<<<"]
+    return " ".join(cells), held[0]
 
 
-def _titles(ros: bool) -> str:
-    four = "   idle50   idle99    p50     p99"
+def _is_held(before: Figures, beside: Figures) -> bool:
+    """Whether the bound holds against another phase."""
+
+    def p99(figures: Figures, what: str) -> float:
+        return _p(figures.get(what, [0.0]), 0.99)
+
+    machine = max(0.0, p99(beside, "echo") - p99(before, "echo"))
     return (
-        f"{'attacker':26} {'n':>3} {'msgs/s':>9} trip:{four} echo:{four} new max"
-        + (f" ros:{four}" if ros else "")
-        + "  log MB"
+        p99(beside, "trip") < 3 * p99(before, "trip") + 5 + machine
+        and max(beside["new"], default=0) < 1000
+        and ("ros" not in beside or p99(beside, "ros") < 2 * p99(before, "ros") + machine)
     )
+
+
+def _titles(ros: bool, control: bool) -> str:
+    each = "   idle50   idle99" + ("   ctl50   ctl99" if control else "") + "    p50     p99"
+    return (
+        f"{'attacker':26} {'n':>3} {'msgs/s':>9} trip:{each} echo:{each}"
+        + (f" ros:{each}" if ros else "")
+        + "  new max  log MB"
+    )
+
+
+def _attacked(
+    roles: dict[str, _Role], options: argparse.Namespace, name: str, port: int, links: int
+) -> tuple[Figures, float]:
+    """Attack a port for a phase; return its figures and the number of messages a second that were sent."""
+    rate = options.rate * (links if options.each else 1)
+    words = [str(ROOT / "tools/attacks.py"), name, port, links, rate, options.seconds + 0.5]
+    command = [*(["chrt", "--idle", "0"] if options.elsewhere else []), sys.executable, *map(str, words)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as attacker:
+        assert attacker.stdout
+        attacker.stdout.readline()
+        time.sleep(0.4)
+        beside = _phase(roles, options.seconds)
+        return beside, float(attacker.stdout.readline() or 0) / (options.seconds + 0.5)
 
 
 def measure(options: argparse.Namespace, folder: Path) -> bool:
@@ -250,7 +299,7 @@ def measure(options: argparse.Namespace, folder: Path) -> bool:
     words += ["--record", str(folder / "fair.mcap")] if options.record else []
     words += options.bridge
     log, held = folder / "bridge.log", []
-    print(_titles(options.ros), flush=True)
+    print(_titles(options.ros, options.control), flush=True)
     for name in options.attack or attacks.names():
         for links in options.links:
             with _bridge(words, log) as (port, _), ExitStack() as stack:
@@ -263,24 +312,12 @@ def measure(options: argparse.Namespace, folder: Path) -> bool:
                     stack.enter_context(role)
                 time.sleep(1.0)
                 idle, before = _phase(roles, options.seconds), log.stat().st_size
-                rate = options.rate * (links if options.each else 1)
-                command = [
-                    *(["chrt", "--idle", "0"] if options.elsewhere else []),
-                    sys.executable,
-                    str(ROOT / "tools/attacks.py"),
-                    name,
-                    port,
-                    links,
-                    rate,
-                    options.seconds + 0.5,
-                ]
-                with subprocess.Popen(list(map(str, command)), stdout=subprocess.PIPE, text=True) as attacker:
-                    assert attacker.stdout
-                    attacker.stdout.readline()
-                    time.sleep(0.4)
-                    beside = _phase(roles, options.seconds)
-                    sent = float(attacker.stdout.readline() or 0) / (options.seconds + 0.5)
-                row, fine = _row(name, links, idle, beside, sent, (log.stat().st_size - before) / 1e6)
+                phases = [idle]
+                if options.control:
+                    with _Role("sink") as target:
+                        phases.append(_attacked(roles, options, name, target.first, links)[0])
+                beside, sent = _attacked(roles, options, name, port, links)
+                row, fine = _row(name, links, [*phases, beside], sent, (log.stat().st_size - before) / 1e6)
                 held.append(fine)
                 print(row, flush=True)
             for path in folder.glob("fair*.mcap*"):
@@ -300,12 +337,14 @@ def main() -> int:
     parser.add_argument("--ros", action="store_true", help="with ROS, and a pose at 1 kHz to the peers")
     parser.add_argument("--record", action="store_true")
     parser.add_argument("--elsewhere", action="store_true", help="attackers take only CPU time that nothing else wants")
+    parser.add_argument("--control", action="store_true", help="the attackers at a sink as well, beside an idle bridge")
     parser.add_argument("--bridge", action="append", default=[], help="a further word for the bridge")
     options = parser.parse_args()
     if options.role:
         name, *arguments = options.role
         roles: dict[str, Callable[..., None]] = {
             "echo": echo,
+            "sink": sink,
             "good": good,
             "newcomer": newcomer,
             "listener": listener,

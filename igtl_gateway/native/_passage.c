@@ -1049,6 +1049,26 @@ static int pass_all(Subscription *self, int is_of_middleware)
     }
 }
 
+/* Pass on what waits, in a thread without locks of the middleware that has taken over; the last code of pass_all. */
+static int pass_waiting(Subscription *self)
+{
+    for (;;) {
+        pthread_mutex_lock(&self->state);
+        self->is_pending = 0;
+        pthread_mutex_unlock(&self->state);
+        int code = pass_all(self, 0);
+        if (code != RCL_RET_SUBSCRIPTION_TAKE_FAILED)
+            return code;
+        pthread_mutex_lock(&self->state);
+        int idle = !self->is_pending;
+        if (idle)
+            self->taker = IDLE;
+        pthread_mutex_unlock(&self->state);
+        if (idle)
+            return code;
+    }
+}
+
 /* A thread of the middleware has a message for the subscription: take it here if its stream is compiled. */
 static void on_message(const void *user_data, size_t events)
 {
@@ -1840,21 +1860,7 @@ static PyObject *subscription_take(Subscription *self, PyObject *nothing)
     self->failure = 0;
     if (!code) {
         Py_BEGIN_ALLOW_THREADS
-        for (;;) {
-            pthread_mutex_lock(&self->state);
-            self->is_pending = 0;
-            pthread_mutex_unlock(&self->state);
-            code = pass_all(self, 0);
-            if (code != RCL_RET_SUBSCRIPTION_TAKE_FAILED)
-                break;
-            pthread_mutex_lock(&self->state);
-            int idle = !self->is_pending;
-            if (idle)
-                self->taker = IDLE;
-            pthread_mutex_unlock(&self->state);
-            if (idle)
-                break;
-        }
+        code = pass_waiting(self);
         Py_END_ALLOW_THREADS
     }
     if (code == RCL_RET_SUBSCRIPTION_TAKE_FAILED)
@@ -2006,28 +2012,40 @@ static PyObject *passage_wait_links(Passage *self, PyObject *nothing)
     return found;
 }
 
+/* A thread of the middleware that has waited too long for the sequence lock leaves its messages to this thread.  They pass
+ * here without the GIL, for which a thread waits long where others compute; only what does not fit is Python's. */
 static PyObject *passage_wait_subscriptions(Passage *self, PyObject *nothing)
 {
     (void)nothing;
+    Subscription *left = NULL, **left_end = &left;
     Py_BEGIN_ALLOW_THREADS
     pthread_mutex_lock(&self->events);
-    while (!self->ready && !self->woken_subscriptions)
-        pthread_cond_wait(&self->taken_over, &self->events);
+    while (!self->woken_subscriptions && (self->ready || !left)) {
+        Subscription *one = self->ready;
+        if (!one) {
+            pthread_cond_wait(&self->taken_over, &self->events);
+            continue;
+        }
+        if (!(self->ready = one->next_ready))
+            self->ready_end = &self->ready;
+        one->is_ready = 0;
+        pthread_mutex_unlock(&self->events);
+        int code = one->failure ? one->failure : pass_waiting(one);
+        pthread_mutex_lock(&self->events);
+        if (code == RCL_RET_SUBSCRIPTION_TAKE_FAILED)
+            continue;
+        one->failure = code == RCL_RET_OK ? 0 : code;
+        one->next_ready = NULL;
+        *left_end = one;
+        left_end = &one->next_ready;
+    }
     self->woken_subscriptions = 0;
     pthread_mutex_unlock(&self->events);
     Py_END_ALLOW_THREADS
     PyObject *found = PyList_New(0);
-    pthread_mutex_lock(&self->events);
-    while (found && self->ready) {
-        Subscription *one = self->ready;
-        self->ready = one->next_ready;
-        one->is_ready = 0;
-        if (PyList_Append(found, (PyObject *)one))
+    for (; found && left; left = left->next_ready)
+        if (PyList_Append(found, (PyObject *)left))
             Py_CLEAR(found);
-    }
-    if (!self->ready)
-        self->ready_end = &self->ready;
-    pthread_mutex_unlock(&self->events);
     return found;
 }
 

@@ -32,6 +32,7 @@ from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.arms import ArmsRow
 from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.rosmsg import Header, TransformStamped
+from igtl_gateway.edges.ros.receiver import NativeReceiver
 from igtl_gateway.edges.tcp import PeerLimits
 from igtl_gateway.gateway import Session, guarded_stream, make_core
 from igtl_gateway.gateway.live_settings import LiveSettings
@@ -630,6 +631,10 @@ def test_a_link_that_takes_nothing_any_more_leaves_the_others_native(monkeypatch
 
 
 def test_poses_that_waited_for_a_lock_pass_natively(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Python's thread takes none of them: it would wait for the GIL, and they with it."""
+    taken: list[object] = []
+    take = NativeReceiver._take
+    monkeypatch.setattr(NativeReceiver, "_take", lambda self, native: (taken.append(native), take(self, native)))
     with scene(monkeypatch) as here:
         peer = here.connect()
         for number in range(20):
@@ -640,6 +645,7 @@ def test_poses_that_waited_for_a_lock_pass_natively(monkeypatch: pytest.MonkeyPa
             for number in range(20, 50):
                 here.send_ros(pose(number))
 
+        before = len(taken)
         with counted_by_python(here) as handled:
             with here.bridge.hub.sequence:
                 sending = threading.Thread(target=send_rest)
@@ -648,6 +654,7 @@ def test_poses_that_waited_for_a_lock_pass_natively(monkeypatch: pytest.MonkeyPa
             sending.join(TIMEOUT_S)
             wait_for(lambda: len(peer.received) == 50)
         assert handled == []
+        assert len(taken) == before
         places = [struct.unpack_from(">f", message, len(message) - 12)[0] for message in peer.received]
         assert places == sorted(places), "the order of the messages has changed"
 
