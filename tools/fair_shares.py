@@ -255,7 +255,7 @@ def _row(name: str, links: int, phases: Sequence[Figures], sent: float, log_mb: 
 
 
 def _is_held(before: Figures, beside: Figures) -> bool:
-    """Whether the bound holds against another phase."""
+    """Whether the bound holds, compared with another phase."""
 
     def p99(figures: Figures, what: str) -> float:
         return _p(figures.get(what, [0.0]), 0.99)
