@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from igtl_gateway.app.bridge_options import Address, BridgeOptions
 from igtl_gateway.app.diagnostics import DiagnosticsTopic
-from igtl_gateway.app.hub import LARGE_BYTES, DeferredSend, Hub, Sink
+from igtl_gateway.app.hub import DeferredSend, Hub, Sink
 from igtl_gateway.app.live_changes import LiveChanges
 from igtl_gateway.app.note_rate import Event
 from igtl_gateway.app.part import Parts, Step
@@ -31,6 +31,7 @@ from igtl_gateway.edges.interface import RosSide
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.tcp import TcpEdge
 from igtl_gateway.gateway import CUT, Session, make_core
+from igtl_gateway.gateway.fastpath import LARGE_BYTES
 from igtl_gateway.gateway.fastpath.passage_streams import OnPassed
 from igtl_gateway.gateway.live_settings import LiveSettings
 from igtl_gateway.gateway.log.entry import Entry, Kind

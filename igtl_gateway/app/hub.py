@@ -25,10 +25,6 @@ from igtl_gateway.gateway.log.note import Level, Note
 DeferredSend = Callable[[], None]
 Sink = Callable[[Entry], DeferredSend | None]
 
-#: Payloads of this size on are converted before their input has its number, and sent after that: then small messages do
-#: not wait for them.
-LARGE_BYTES = 64 << 10
-
 #: Longest time between two readings of the clocks that are compared: the thread might be interrupted in between.
 _AT_ONCE_NS = LEAST_NS // 10
 
@@ -168,9 +164,7 @@ class Hub:
         if self._owner == me:
             self._waiting.append((kind, payload, channel, type_name, links, source_ns))
             return
-        prepared = None
-        if len(payload) >= LARGE_BYTES:
-            prepared = self._session.prepare(kind, payload, channel, type_name, links, source_ns)
+        prepared = self._session.prepare(kind, payload, channel, type_name, links, source_ns)
         with self.sequence:
             self._owner = me
             try:

@@ -38,6 +38,7 @@ from igtl_gateway.gateway.to_igtl.receive import RosReceiver
 from igtl_gateway.gateway.to_igtl.tf_out import TF_QOS, TfOut
 from igtl_gateway.gateway.to_igtl.tf_receive import TfReceiver
 from igtl_gateway.gateway.to_igtl.tracking import Tracking
+from igtl_gateway.gateway.to_ros.beforehand import Beforehand
 from igtl_gateway.gateway.to_ros.convert import RAW_QOS, Converter
 from igtl_gateway.gateway.to_ros.receive import IgtlReceiver
 from igtl_gateway.gateway.to_ros.route import Router
@@ -82,13 +83,14 @@ class Gateway:
         self._tf = tf = TfOut(config, tuple(streams.device(row.request().device) for row in config.tf_out))
         self._subscribers = subscribers = Subscribers(needs_tf=bool(tf))
         volumes = Volumes()
+        beforehand = Beforehand(config, subscribers)
 
         composer = Composer(config, streams)
         latest = Latest(streams, guard, tf, composer, forms=config.knows_peers)
         delivery = Delivery(denied_out, tf.tree)
         tracking = Tracking(peers, latest, delivery)
         self._frames = frames = TfReceiver(tf, guard, peers, delivery, tracking)
-        self._converter = Converter(streams, subscribers, frames)
+        self._converter = Converter(streams, subscribers, frames, beforehand)
         robots = CommandGuard(config, latest.entries.get)
         router = Router(config, streams, guard, volumes, self._converter, robots)
 
@@ -109,7 +111,15 @@ class Gateway:
             activity=activity,
         )
         igtl_receiver = IgtlReceiver(
-            config, peers, denied_in, router, links=links, queries=queries, commands=commands, activity=activity
+            config,
+            peers,
+            denied_in,
+            router,
+            beforehand,
+            links=links,
+            queries=queries,
+            commands=commands,
+            activity=activity,
         )
         ros_receiver = RosReceiver(
             config,
@@ -132,7 +142,15 @@ class Gateway:
             Kind.EDGE_NOTE: self._on_edge_note,
         }
         self.fast_path = FastPath(
-            config, self.ledger, peers, streams.qos, subscribers, volumes, latest.entries, enabled=fast_path
+            config,
+            self.ledger,
+            peers,
+            streams.qos,
+            subscribers,
+            volumes,
+            latest.entries,
+            beforehand,
+            enabled=fast_path,
         )
         self.fast: FastHandler = self.fast_path.take
         self.prepare: PrepareMessage = self.fast_path.prepare

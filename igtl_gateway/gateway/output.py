@@ -36,7 +36,22 @@ class Output:
         )
 
 
-def ros_output(topic: str, message: RosMessage, stamp_ns: int) -> Output:
+@value(frozen=True, slots=True)
+class Packed:
+    """A ROS message as CDR, with its type."""
+
+    TYPE: str
+    cdr: bytes
+
+    @classmethod
+    def of(cls, message: RosMessage) -> Packed:
+        return cls(message.TYPE, message.pack())
+
+    def pack(self) -> bytes:
+        return self.cdr
+
+
+def ros_output(topic: str, message: RosMessage | Packed, stamp_ns: int) -> Output:
     """Return the output of a ROS message on a topic; ``stamp_ns`` is the stamp of its header, UTC ns."""
     return Output(Kind.ROS_OUT, topic, message.TYPE, (message.pack(),), (), stamp_ns)
 

@@ -10,6 +10,13 @@ The only entry is ``FastPath.take``, before a message gets its entry; the only e
 disconnects, shows its version or profile, or requests streams.
 """
 
-from igtl_gateway.gateway.fastpath.cache import FastHandler, FastPath, Prepared, PrepareMessage, no_fast_path
+from igtl_gateway.gateway.fastpath.cache import (
+    LARGE_BYTES,
+    FastHandler,
+    FastPath,
+    Prepared,
+    PrepareMessage,
+    no_fast_path,
+)
 
-__all__ = ["FastHandler", "FastPath", "PrepareMessage", "Prepared", "no_fast_path"]
+__all__ = ["LARGE_BYTES", "FastHandler", "FastPath", "PrepareMessage", "Prepared", "no_fast_path"]

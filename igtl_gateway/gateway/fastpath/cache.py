@@ -19,6 +19,7 @@ from igtl_gateway.gateway.log.ledger import Ledger
 from igtl_gateway.gateway.outcome import Outcome
 from igtl_gateway.gateway.peers import Peers
 from igtl_gateway.gateway.to_igtl.origin import IgtlOrigin
+from igtl_gateway.gateway.to_ros.beforehand import Beforehand, Results
 from igtl_gateway.gateway.to_ros.route import RosOrigin
 from igtl_gateway.gateway.to_ros.subscribers import Subscribers
 from igtl_gateway.gateway.to_ros.volumes import Volumes
@@ -35,8 +36,11 @@ MAX_COMPILED = 8
 _LARGEST_LEARNED = 32 << 10
 _MOST_LEARNED = 32
 
-#: A compiled stream, and what it has converted a message to.
-Prepared = tuple[CompiledToIgtl | CompiledToRos | None, Any]
+#: Messages of compiled streams are converted before they have a number from this size on: then small ones do not wait.
+LARGE_BYTES = 64 << 10
+
+#: A compiled stream, and what it has converted a message to; or what is done beforehand for the full path.
+Prepared = tuple[CompiledToIgtl | CompiledToRos, Any] | Results
 
 #: See ``FastPath.prepare``.
 PrepareMessage = Callable[[Kind, Buffer, str, str, tuple[int, ...], int], Prepared | None]
@@ -68,6 +72,7 @@ class FastPath:
         subscribers: Subscribers,
         volumes: Volumes,
         latest: dict[str, Entry],
+        beforehand: Beforehand,
         *,
         enabled: bool,
     ) -> None:
@@ -83,6 +88,7 @@ class FastPath:
         self._subscribers = subscribers
         self._volumes = volumes
         self._latest = latest
+        self._beforehand = beforehand
         self._frames_go_out = bool(config.tf_out)
         self._enabled = enabled
         peers.changed = self._peer_changed
@@ -102,7 +108,8 @@ class FastPath:
         """Return the entries of the compiled stream, if there is one that fits the message; see ``Fast``."""
         entries: list[Entry] | None = None
         native = self.native
-        stream, made = prepared or (None, None)
+        self._beforehand.results = prepared if isinstance(prepared, Results) else None
+        stream, made = prepared if isinstance(prepared, tuple) else (None, None)
         if kind is Kind.ROS_IN:
             topic_key = (channel, type_name)
             if to_igtl := self.to_igtl.get(topic_key):
@@ -138,19 +145,23 @@ class FastPath:
         links: tuple[int, ...],
         source_ns: int,
     ) -> Prepared | None:
-        """Convert a message without the sequence lock, from any thread; None if that is not possible.
+        """Convert a message without the sequence lock, from any thread; None if nothing is gained by that.
 
         The result is for ``take``, which uses it if the stream is the same then.
         """
-        made: tuple[Any, ...] | None = None
-        stream: CompiledToIgtl | CompiledToRos | None = None
+        is_large = len(payload) >= LARGE_BYTES
         if kind is Kind.ROS_IN:
-            if to_igtl := self.to_igtl.get((channel, type_name)):
-                stream, made = to_igtl, to_igtl.prepare((payload,), source_ns)
+            to_igtl = self.to_igtl.get((channel, type_name)) if is_large else None
+            if to_igtl and (for_igtl := to_igtl.prepare((payload,), source_ns)):
+                return to_igtl, for_igtl
         elif kind is Kind.IGTL_IN and len(payload) >= HEADER_SIZE:
-            if to_ros := self.to_ros.get((links[0], bytes(payload[NAMES]))):
-                stream, made = to_ros, to_ros.prepare((payload,), self._subscribers.ask)
-        return (stream, made) if made else None
+            to_ros = self.to_ros.get((links[0], bytes(payload[NAMES])))
+            if to_ros is None:
+                with suppress(Exception):  # the full path meets it as well, and notes it
+                    return self._beforehand.work(payload, links[0])
+            elif is_large and (for_ros := to_ros.prepare((payload,), self._subscribers.ask)):
+                return to_ros, for_ros
+        return None
 
     def collect(self) -> None:
         """Take over what the native passage has counted."""
@@ -159,6 +170,7 @@ class FastPath:
 
     def end_full_path(self) -> None:
         """Compile again what the input has made outdated, and inform the native passage of it."""
+        self._beforehand.results = None
         for key in self._outdated:
             self._compile_again(key)
         self._outdated.clear()
@@ -225,6 +237,7 @@ class FastPath:
         Those from the other peers stay, and small streams to peers are compiled again at once: otherwise all of them
         would take the full path at the same time, whenever a peer comes or goes.
         """
+        self._beforehand.forget(link)
         if len(self._compiled) >= MAX_STREAMS:  # others have their chance
             self.drop_compiled()
             return
@@ -240,6 +253,7 @@ class FastPath:
 
     def drop_compiled(self) -> None:
         """Drop all compiled streams, because settings have changed."""
+        self._beforehand.forget()
         self.to_ros.clear()
         self.to_igtl.clear()
         self._compiled.clear()

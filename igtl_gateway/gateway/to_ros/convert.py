@@ -18,9 +18,10 @@ from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.fates import CONVERTED, UNSUBSCRIBED
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.outcome import Finding, Item, Outcome, conversion_failure, warning_findings
-from igtl_gateway.gateway.output import ros_output
+from igtl_gateway.gateway.output import Packed, ros_output
 from igtl_gateway.gateway.streams import Streams, ToRosStream
 from igtl_gateway.gateway.to_igtl.tf_receive import TfReceiver
+from igtl_gateway.gateway.to_ros.beforehand import Beforehand
 from igtl_gateway.gateway.to_ros.subscribers import Subscribers
 from igtl_gateway.wire import Message, Raw, decode, encode
 
@@ -31,10 +32,11 @@ _METADATA_QOS = Qos(depth=100)
 class Converter:
     """Converts decoded messages to ROS."""
 
-    def __init__(self, streams: Streams, subscribers: Subscribers, frames: TfReceiver) -> None:
+    def __init__(self, streams: Streams, subscribers: Subscribers, frames: TfReceiver, beforehand: Beforehand) -> None:
         self._streams = streams
         self._subscribers = subscribers
         self._frames = frames
+        self._beforehand = beforehand
 
     def convert(
         self, entry: Entry, message: Message, content: object, stream: ToRosStream, to: ToRosContext
@@ -101,10 +103,10 @@ class Converter:
 
     def _built(
         self, topic: str, entry: Entry, row: ConversionToRos, content: object, to: ToRosContext
-    ) -> Sequence[RosMessage]:
+    ) -> Sequence[RosMessage | Packed]:
         """Return the outputs of a row; none without a subscriber.  Raises ConversionError."""
         if self._subscribers.has(topic, row.message.TYPE):
-            messages = _converted(row, content, to)
+            messages = self._beforehand.converted(entry, row, content, to) or _converted(row, content, to)
             self._subscribers.waiting.pop(topic, None)
             return messages
         qos = self._streams.qos(topic)

@@ -17,8 +17,9 @@ from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.metadata import restore_metadata
 from igtl_gateway.gateway.outcome import Finding, Item, Outcome, conversion_failure
 from igtl_gateway.gateway.peers import Peer, Peers
+from igtl_gateway.gateway.to_ros.beforehand import Beforehand
 from igtl_gateway.gateway.to_ros.route import Router
-from igtl_gateway.wire import Message, decode
+from igtl_gateway.wire import Message
 from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.query import split_query
@@ -37,6 +38,7 @@ class IgtlReceiver:
         peers: Peers,
         denied: Denials,
         router: Router,
+        beforehand: Beforehand,
         *,
         links: Links,
         queries: Queries,
@@ -47,6 +49,7 @@ class IgtlReceiver:
         self._peers = peers
         self._denied = denied
         self._router = router
+        self._beforehand = beforehand
         self._links = links
         self._queries = queries
         self._commands = commands
@@ -55,7 +58,7 @@ class IgtlReceiver:
     def take(self, entry: Entry) -> Outcome:
         """Process a message of any type."""
         try:
-            message = decode(entry.payload[0], check_crc=self._config.check_crc)
+            message = self._beforehand.decode(entry)
         except WireError as error:
             return Outcome([conversion_failure(error, "message refused", entry, error.code)], error.code)
         peer = self._peers.get(entry.links[0])
@@ -72,6 +75,8 @@ class IgtlReceiver:
             return Outcome([*news, *answer], "command_refused", decoded=True)
         outcome = self._router.route(entry, message, restore_metadata(message))
         outcome.decoded = True
+        if outcome.origin:
+            self._beforehand.learn(entry, outcome.origin.stream, outcome.origin.to)
         if peer is None:
             outcome.origin = None
             return outcome

@@ -1,0 +1,118 @@
+"""What is done before a message has its number: the same outputs, and others do not wait for it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from itertools import count
+
+import pytest
+
+from igtl_gateway.app.hub import Hub
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.convert import surfaces
+from igtl_gateway.gateway import Session
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.gateway.session import make_core
+from igtl_gateway.gateway.to_ros.beforehand import LONG
+from igtl_gateway.wire import Message, encode
+from igtl_gateway.wire.message import Item
+from igtl_gateway.wire.polydata import PolyData
+from igtl_gateway_lab.simulate.every_igtl import contents
+
+TIMEOUT_S = 20.0
+T0_NS = 1_800_000_000 * NS_PER_S
+
+
+def message(igtl_type: str, device: str, content: object, number: int = 0) -> bytes:
+    """A message; odd ones are of header version 2, with metadata."""
+    version, items = (2, (Item("note", b"n%d" % (number % 3)),)) if number % 2 else (1, ())
+    ticks = (1_700_000_000 << 32) * (number % 4 > 1)
+    return join(encode(Message(igtl_type, device, content, ticks, version, number, items)))  # type: ignore[arg-type]
+
+
+def link_up(session: Session, link: int) -> None:
+    note = Note(Level.INFO, "link_up", "up", data={"peer": f"127.0.0.1:{link}"})
+    session.input(T0_NS, Kind.LINK, (note.pack(),), links=(link,))
+
+
+def inputs() -> Iterator[tuple[int, bytes]]:
+    """Every type of content four times from two links, with a wrong CRC and other contents in between."""
+    numbers = count()
+    for turn in range(4):
+        for igtl_type, device, content in contents():
+            number = next(numbers)
+            data = message(igtl_type, device if number % 5 else "Shared", content, number // 3)
+            yield 1 + turn % 2, data
+            if number % 7 == 0:
+                yield 1, data[:-1] + bytes([data[-1] ^ 1])
+
+
+@pytest.mark.parametrize("with_subscribers", [False, True], ids=["recorded", "live"])
+def test_outputs_are_those_of_the_full_path(with_subscribers: bool) -> None:
+    """Also where the context has changed since the last message: other metadata, id, link, stamp."""
+    used = 0
+    logs: list[list[Entry]] = []
+    for early in (False, True):
+        core = make_core(Config())
+        if with_subscribers:
+            core.has_subscriber = lambda topic, _type: "marker" not in topic
+        session, log = Session(core), []
+        for link in (1, 2):
+            link_up(session, link)
+        for step, (link, data) in enumerate(inputs()):
+            prepared = session.prepare(Kind.IGTL_IN, data, "", "", (link,), 0) if early else None
+            used += len(getattr(prepared, "made", ()))
+            log += session.input(T0_NS + step * 1_000_000, Kind.IGTL_IN, (data,), links=(link,), prepared=prepared)
+        logs.append(log)
+    assert logs[0] == logs[1]
+    assert used > len(LONG)  # not nothing
+
+
+def test_results_for_another_message_are_not_used() -> None:
+    one, other, *_ = (
+        message("POLYDATA", device, content) for igtl_type, device, content in contents() if igtl_type == "POLYDATA"
+    )
+    logs = []
+    for early in (False, True):
+        session = Session(make_core(Config()))
+        link_up(session, 1)
+        prepared = session.prepare(Kind.IGTL_IN, one, "", "", (1,), 0) if early else None
+        logs.append(session.input(T0_NS, Kind.IGTL_IN, (other,), links=(1,), prepared=prepared))
+    assert logs[0] == logs[1]
+
+
+def test_a_pose_does_not_wait_for_the_surface_of_another_peer(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before, a surface had the sequence lock until it was converted."""
+    log: list[Entry] = []
+    hub = Hub(Session(make_core(Config())), SystemClock(), [log.append])
+    for link in (1, 2):
+        hub.link(link, Note(Level.INFO, "link_up", "up", data={"peer": f"127.0.0.1:{link}"}))
+    kinds = {igtl_type: (device, content) for igtl_type, device, content in reversed(list(contents()))}
+    surface, pose = (message(name, *kinds[name]) for name in ("POLYDATA", "TRANSFORM"))
+    hub.igtl(1, surface)  # the first one opens its streams
+    begun, go_on, triangles = threading.Event(), threading.Event(), surfaces._triangles
+
+    def waits(content: PolyData) -> object:
+        begun.set()
+        assert go_on.wait(TIMEOUT_S)
+        return triangles(content)
+
+    monkeypatch.setattr(surfaces, "_triangles", waits)
+    sending = threading.Thread(target=hub.igtl, args=(1, surface))
+    sending.start()
+    assert begun.wait(TIMEOUT_S)
+    passing = threading.Thread(target=hub.igtl, args=(2, pose))
+    passing.start()
+    passing.join(TIMEOUT_S / 4)
+    has_passed = not passing.is_alive()
+    go_on.set()
+    for thread in (sending, passing):
+        thread.join(TIMEOUT_S)
+    assert has_passed
+    types = [entry.type for entry in log if entry.kind is Kind.IGTL_IN]
+    assert types == ["POLYDATA", "TRANSFORM", "POLYDATA"]
