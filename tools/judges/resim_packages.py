@@ -70,6 +70,7 @@ def rows(prefixes: Sequence[Path], tests: Sequence[str]) -> list[Row]:
     if any((prefix / "include" / "rclcpp").is_dir() for prefix in prefixes):
         found.append(Row("rclcpp, one thread", texts(50), rclcpp(prefixes)))
         found.append(Row("rclcpp, several threads", texts(50), rclcpp(prefixes, "multi")))
+        found.append(Row("rclcpp, EventsExecutor", texts(50), rclcpp(prefixes, "events")))
     if tests:
         found.append(Row("tests of a package", texts(50), python("package_tests", *tests)))
     return found

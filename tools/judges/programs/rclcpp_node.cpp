@@ -1,10 +1,12 @@
 // A node of rclcpp: a timer, a subscription and a publisher; with the argument "multi" four threads and reentrant
-// callbacks, of which one sleeps.
+// callbacks, of which one sleeps; with "events" the EventsExecutor, whose timers have a thread.
+#include <atomic>
 #include <chrono>
 #include <memory>
 #include <string>
 #include <thread>
 
+#include "rclcpp/experimental/executors/events_executor/events_executor.hpp"
 #include "rclcpp/rclcpp.hpp"
 #include "std_msgs/msg/string.hpp"
 
@@ -46,14 +48,16 @@ private:
 
 int main(int count, char ** words) {
   rclcpp::init(count, words);
-  const bool is_multi = count > 1 && std::string(words[1]) == "multi";
-  const auto node = std::make_shared<Counter>(is_multi);
-  if (is_multi) {
-    rclcpp::executors::MultiThreadedExecutor executor(rclcpp::ExecutorOptions(), 4);
-    executor.add_node(node);
-    executor.spin();
-  } else {
-    rclcpp::spin(node);
-  }
+  const std::string kind = count > 1 ? words[1] : "";
+  const auto node = std::make_shared<Counter>(kind == "multi");
+  std::unique_ptr<rclcpp::Executor> executor;
+  if (kind == "multi")
+    executor = std::make_unique<rclcpp::executors::MultiThreadedExecutor>(rclcpp::ExecutorOptions(), 4);
+  else if (kind == "events")
+    executor = std::make_unique<rclcpp::experimental::executors::EventsExecutor>();
+  else
+    executor = std::make_unique<rclcpp::executors::SingleThreadedExecutor>();
+  executor->add_node(node);
+  executor->spin();
   rclcpp::shutdown();
 }
