@@ -553,7 +553,7 @@ struct Link {
     PyObject_HEAD
     Passage *passage;
     int fd, number;
-    Stream *streams[BUCKETS];
+    Stream *streams[BUCKETS]; /* owns a reference to each */
     int stream_count;
     /* reading; guarded by `reading` */
     pthread_mutex_t reading;
@@ -964,7 +964,7 @@ struct Subscription {
     PyObject_HEAD
     Passage *passage;
     const void *pointer; /* rcl_subscription_t */
-    Stream *stream;      /* guarded by the sequence lock; NULL: all messages are Python's */
+    Stream *stream;      /* owned; guarded by the sequence lock; NULL: all messages are Python's */
     pthread_mutex_t state;
     int taker, is_pending, is_ready, failure;
     struct rcl_serialized message; /* of the taker */
@@ -1139,9 +1139,11 @@ static PyObject *stream_remove(Stream *self, PyObject *nothing)
         if (*at) {
             *at = self->next;
             self->link->stream_count--;
+            Py_DECREF(self);
         }
     } else if (self->subscription && self->subscription->stream == self) {
         __atomic_store_n(&self->subscription->stream, NULL, __ATOMIC_RELAXED);
+        Py_DECREF(self);
     }
     Py_RETURN_NONE;
 }
@@ -1314,13 +1316,38 @@ static struct output *new_output(Stream *self, const char *template, Py_ssize_t 
     return output;
 }
 
+/* Have the link pass messages of a stream, until it is removed or the link is closed: it owns a reference till then. */
 static PyObject *add_to_link(Stream *stream)
 {
     Stream **bucket = &stream->link->streams[bucket_of(stream->names)];
     stream->next = *bucket;
     *bucket = stream;
     stream->link->stream_count++;
-    return (PyObject *)stream;
+    return Py_NewRef((PyObject *)stream);
+}
+
+/* The same for a subscription, whose stream before it, if any, ends. */
+static PyObject *set_stream(Subscription *subscription, Stream *stream)
+{
+    Stream *before = subscription->stream;
+    __atomic_store_n(&subscription->stream, stream, __ATOMIC_RELAXED);
+    Py_XDECREF((PyObject *)before);
+    return Py_NewRef((PyObject *)stream);
+}
+
+/* What is left of the streams of a link that no thread reads any more. */
+static void release_streams(Link *link)
+{
+    for (int i = 0; i < BUCKETS; i++) {
+        Stream *stream = link->streams[i];
+        link->streams[i] = NULL;
+        while (stream) {
+            Stream *next = stream->next;
+            Py_DECREF((PyObject *)stream);
+            stream = next;
+        }
+    }
+    link->stream_count = 0;
 }
 
 static PyObject *passage_to_ros(Passage *self, PyObject *args)
@@ -1479,8 +1506,7 @@ static PyObject *passage_to_igtl(Passage *self, PyObject *args)
         if (!output || !add_links(output, channel, links))
             goto failed;
     }
-    __atomic_store_n(&subscription->stream, stream, __ATOMIC_RELAXED);
-    return (PyObject *)stream;
+    return set_stream(subscription, stream);
 failed:
     Py_DECREF(stream);
     return NULL;
@@ -1534,8 +1560,7 @@ static PyObject *passage_to_igtl_bulk(Passage *self, PyObject *args)
             goto failed;
         }
     }
-    __atomic_store_n(&subscription->stream, stream, __ATOMIC_RELAXED);
-    return (PyObject *)stream;
+    return set_stream(subscription, stream);
 failed:
     Py_DECREF(stream);
     return NULL;
@@ -2006,6 +2031,7 @@ static PyObject *passage_wait_links(Passage *self, PyObject *nothing)
     while (closed) {
         Link *next = closed->next_closed;
         leave_turns(self, closed);
+        release_streams(closed);
         Py_DECREF(closed);
         closed = next;
     }

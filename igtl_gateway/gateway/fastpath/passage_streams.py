@@ -182,9 +182,13 @@ class PassageStreams:
             self._missing[key] = stream, copied
             return
         self._missing.pop(key, None)
-        if stream.watched:
-            copied.native.guard_with(self._guards.of(stream.watched))
-            self._guards.set(stream.watched)
+        try:
+            if stream.watched:
+                copied.native.guard_with(self._guards.of(stream.watched))
+                self._guards.set(stream.watched)
+        except BaseException:  # nothing may pass that is not checked and counted
+            copied.native.remove()
+            raise
         self._copies[key] = copied
 
     def handled_in_full(self) -> None:
@@ -197,12 +201,14 @@ class PassageStreams:
         self._tries.pop(key, None)
         self._missing.pop(key, None)
         old = self._copies.pop(key, None)
-        if old:
+        if old is None:
+            return
+        try:
             self._collect(old)
             self._guards.collect(old.compiled.watched)
-        if old and stream:
-            self._copy(key, stream)
-        if old:  # after the copy: a message that comes meanwhile waits for it, and does not go to Python
+            if stream:
+                self._copy(key, stream)
+        finally:  # after the copy: a message that comes meanwhile waits for it, and does not go to Python
             old.native.remove()
 
     def drop_all(self) -> None:

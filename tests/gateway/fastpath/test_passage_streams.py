@@ -7,6 +7,7 @@ import os
 import random
 import socket
 import struct
+import sys
 import tempfile
 import threading
 import time
@@ -35,6 +36,7 @@ from igtl_gateway.convert.rosmsg import Header, TransformStamped
 from igtl_gateway.edges.ros.receiver import NativeReceiver
 from igtl_gateway.edges.tcp import PeerLimits
 from igtl_gateway.gateway import Session, guarded_stream, make_core
+from igtl_gateway.gateway.fastpath import passage_streams
 from igtl_gateway.gateway.live_settings import LiveSettings
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Note
@@ -967,3 +969,36 @@ def test_a_burst_of_commands_beside_native_streams_moves_the_robot_at_its_limit(
     for number, (at_ns, x) in enumerate(points):
         for before_ns, before in points[:number]:
             assert abs(x - before) <= 0.25 * (at_ns - before_ns) / NS_PER_S * (1 + 1e-9) + 1e-12
+
+
+def test_a_copy_whose_guard_fails_passes_no_message(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing may pass that is not checked and counted, and the reading thread knows no stream that is gone."""
+
+    def fail(*_: object) -> None:
+        raise ValueError("planted")
+
+    with scene(monkeypatch) as here:
+        peer = here.connect()
+        monkeypatch.setattr(passage_streams._Guards, "set", fail)
+        for number in range(40):
+            peer.send(transform(float(number)))
+        wait_for(lambda: here.received("igtl_in") == 40)
+        link = here.bridge.tcp.native_link(1)
+        assert here.native == 0 and link is not None and link.stream_count == 0
+
+
+def test_a_stream_that_python_has_lost_lives_as_long_as_its_link(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The reading thread may be at it: without a reference of the link, that is the end of the process."""
+    with scene(monkeypatch) as here:
+        peer = here.connect()
+        for number in range(40):
+            peer.send(transform(float(number)))
+        wait_for(lambda: here.native == 1)
+        assert here.bridge._passage
+        with here.bridge.hub.sequence:
+            (copy,) = here.bridge._passage.streams._copies.values()
+            before = sys.getrefcount(copy.native)
+            copy.native.remove()
+            assert sys.getrefcount(copy.native) == before - 1
+            copy.native.remove()  # as the drop of the copy will
+            assert sys.getrefcount(copy.native) == before - 1
