@@ -63,6 +63,8 @@ _EARLY_NS = 100_000_000
 _HURRY_PART, _CALM_PART = 8, 64
 #: Also where that took longer which should take less than two looks: others leave it too little time.
 _LATE_NS = 200_000_000
+#: Of the greatest lateness, which flushes expect again, this part is forgotten at each look.
+_FORGOTTEN_PART = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,7 +241,9 @@ class _RecorderWorker:
         self._pipe = pipe
         self._clock = clock
         flush_ns = int(self.options.flush_s * 1_000_000_000)
+        self._interval_ns = flush_ns
         self._flush_ns = flush_ns - min(_EARLY_NS, flush_ns // 4)
+        self._expected_late_ns = 0
         self._types = RosTypes()
         self._seals = _seal_series(self.options, clock)
         self._gate = SelectionFilter(self.options.selection, settings.rule)
@@ -486,17 +490,30 @@ class _RecorderWorker:
         """What time brings."""
         now_ns = self._clock.monotonic_ns()
         self._seen_refused = self._queue.refused
+        late_ns = max(self._late_ns, now_ns - self._empty_ns)
+        looks = now_ns - self._stated_ns >= _LOOK_NS
+        if looks:
+            self._expect_late(late_ns)
         self._flush_if_due(now_ns)
         self._report_drops(now_ns)
         self._report_retention()
-        if now_ns - self._stated_ns >= _LOOK_NS:
+        if looks:
             self._stated_ns = now_ns
             self._send_state()
             if self._ledger is None:
                 part = _CALM_PART if self._hurried else _HURRY_PART
-                late_ns = max(self._late_ns, now_ns - self._empty_ns)
                 self._set_hurried(late_ns > _LATE_NS or self._queue.waiting_bytes > self.options.queue_bytes // part)
         self._due_ns = min(self._flushed_ns + self._flush_ns, self._stated_ns + _LOOK_NS)
+
+    def _expect_late(self, late_ns: int) -> None:
+        """Flush so early that the interval holds where the next look is as late as the latest ones were.
+
+        At least a quarter of the interval remains: more flushes would take the time that is missing.
+        """
+        kept_ns = self._expected_late_ns - self._expected_late_ns // _FORGOTTEN_PART
+        self._expected_late_ns = late_ns = max(late_ns, kept_ns)
+        interval_ns = self._interval_ns
+        self._flush_ns = interval_ns - max(min(_EARLY_NS, interval_ns // 4), min(late_ns, interval_ns * 3 // 4))
 
     def _set_hurried(self, hurried: bool) -> None:
         """Go behind all others, as long as that does not cost entries."""

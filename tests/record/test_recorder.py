@@ -972,6 +972,17 @@ def test_it_is_flushed_before_the_interval_ends(path: Path, flush_s: float, pass
     bench.recorder.close({})
 
 
+def test_a_recorder_that_is_late_flushes_earlier(path: Path) -> None:
+    """Without processor time for 0.3 s of an interval of 0.5 s, another 0.1 s might be another 0.3 s."""
+    bench = Bench(path, compression="none")
+    empty = path.stat().st_size
+    bench.recorder(samples.igtl(1, body=bytes(5000)))
+    bench.wait_drained()
+    bench.clock.advance(300_000_000)
+    wait_until(lambda: path.stat().st_size > empty + 5000)
+    bench.recorder.close({})
+
+
 # --- pause -----------------------------------------------------------------------------------------------------
 
 
