@@ -8,6 +8,7 @@ that never reads in ``test_hostile``.
 
 from __future__ import annotations
 
+import faulthandler
 import logging
 import os
 import re
@@ -567,9 +568,11 @@ def killed(folder: Path) -> Killed:
         stack.callback(client.close)
         bridge.wait_code("stream", stream="STRING/Back")
         late = stack.enter_context(RawPeer(port))
+        bridge.wait_until(lambda: bool(told(bridge.events, "link_up", late.name)), "link of the late peer")
         text = string("1", device="Late")
         late.send(text[:HEADER_SIZE])
-        wait_for(lambda: client.talkers[0].sent >= 5, lambda: client.talkers)
+        sent = client.talkers[0].sent  # half a message lasts for STALL_S only, so few numbers have to do
+        wait_for(lambda: client.talkers[0].sent >= sent + 2, lambda: client.talkers)
 
         bridge.process.send_signal(signal.SIGSTOP)
         stopped_ns = time.time_ns()
@@ -669,7 +672,12 @@ def scenes(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Futur
 
 
 def outcome(scene: Future[Any]) -> Any:
-    """Return its observations, or raise its error: a new one for each test, so that no traceback grows."""
+    """Return its observations, or raise its error: a new one for each test, so that no traceback grows.
+
+    Scenes start their programs one after another, and each step has a limit of its own.  On a busy machine all of them
+    together take longer than the limit of one test, which would end the test run.
+    """
+    faulthandler.cancel_dump_traceback_later()
     error = scene.exception()
     if isinstance(error, NotHereError):
         pytest.skip(f"{error}")
