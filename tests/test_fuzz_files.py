@@ -70,6 +70,16 @@ def test_what_takes_too_much_is_found(tmp_path: Path, monkeypatch: pytest.Monkey
     assert found(tmp_path, lambda _path, _rng: "read") == ["memory"]
 
 
+@pytest.mark.skipif(not Path("/proc/self/clear_refs").exists(), reason="the system does not reset the peak")
+def test_what_others_keep_is_not_of_a_batch(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of many readers in one process, each was blamed for the libraries that the others load."""
+    monkeypatch.setattr(fuzz_files, "GROWTH_MB", 30)
+    fuzzer = Fuzzer(Reader(lambda _seed: iter([Case("case", {"a": b"a"})]), lambda _path, _rng: "read"), 0, None)
+    kept = bytearray(b"1") * (90 << 20)
+    fuzzer.batch(tmp_path, 1)
+    assert kept and not fuzzer.report.broken
+
+
 def test_what_is_printed_raw_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert verb(tmp_path / "a\x1b\n", "info F") == f"info {main(['info', str(tmp_path / 'none')])}"
 

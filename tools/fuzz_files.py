@@ -196,19 +196,19 @@ class Fuzzer:
         self.report = Report()
         self._reader, self._out = reader, out
         self._cases, self._rng = reader.cases(seed), Random(seed)
-        _reset_peak()
-        self._resident_mb = _peak_mb()
 
     def batch(self, folder: Path, size: int = _BATCH) -> None:
         """Read ``size`` cases."""
         began = time.monotonic()
         _reset_peak()
+        # of now: other readers in this process have loaded libraries since this one was made
+        resident_mb = _peak_mb()
         for case in islice(self._cases, size):
             self._one(case, folder)
             self.report.cases += 1
         peak = _peak_mb()
         self.report.peak_mb = max(self.report.peak_mb, peak)
-        if peak > self._resident_mb + GROWTH_MB:
+        if peak > resident_mb + GROWTH_MB:
             self._note("memory", f"a batch before case {self.report.cases} took {peak:.0f} MB", None)
         self.report.seconds += time.monotonic() - began
 
