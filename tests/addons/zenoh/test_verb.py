@@ -15,7 +15,7 @@ from igtl_gateway.convert.rosmsg import String
 from tests.addons.zenoh.routers import free_port
 from tests.addons.zenoh.test_connection import as_client, pem
 from tests.addons.zenoh.test_edge import counts, port, sides, started, text
-from tests.integration.bridge import gateway
+from tests.integration.bridge import START_S, gateway
 from tests.places import ROOT
 
 __all__ = ["port", "sides"]
@@ -28,6 +28,7 @@ def test_the_program(port: int) -> None:
     try:
         program.wait_until(lambda: len(program.lines) > 1, "start")
         bridge = gateway("bridge", "--listen", "127.0.0.1:0", "--ros", f"zenoh:127.0.0.1:{port}", "--duration", "0.1")
+        bridge.wait_until(lambda: bool(bridge.lines), "start", START_S)  # its end has a limit of its own
         told = bridge.end(None)
         assert (told.code, told.err) == (0, "")
         assert "= connected to router" in told.out
