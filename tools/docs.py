@@ -30,6 +30,7 @@ from igtl_gateway.app.metrics import METRICS
 from igtl_gateway.app.recording import PAUSE, RESUME, SNAPSHOT
 from igtl_gateway.app.recording import TYPE as TRIGGER
 from igtl_gateway.app.replay_options import REPLAY
+from igtl_gateway.app.ros_traffic import MARKS
 from igtl_gateway.base.extras import PURPOSES
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.stamp import NS_PER_MS
@@ -1016,6 +1017,7 @@ def topics() -> str:
                 ("`/igtl/out/**`", "sent to the peers as the device that the rest of the name gives"),
                 ("topics of `--send` and `[[to_igtl]]`", "sent to the peers"),
                 ("`/tf`, `/tf_static`", "only for `--tf-out` and `[[tf_out]]`"),
+                (f"`~/{MARKS}`", "std_msgs/String: [marks](../how-to/marks.md)"),
                 ("topics of `--record-topics`, `--record-all`", "recorded, not sent"),
             ),
         ),

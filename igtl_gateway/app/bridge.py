@@ -123,6 +123,7 @@ class Bridge:
         self._passage: BridgePassage | None = None
         if passage:
             self._passage = BridgePassage(passage, self.gateway, self.tcp, self.ros, on_passed or _ignore)
+        self.gateway.on_mark = self.hub.note
         self._changes = LiveChanges(config, self.hub, self.ros)
         self._recording: BridgeRecording | None = None
         if options.record:
@@ -139,6 +140,7 @@ class Bridge:
         self._diagnostics: DiagnosticsTopic | None = None
         if self._traffic:
             self._traffic.recording = self._recording
+            self._traffic.mark = self.mark
             if options.diagnostics:
                 self._diagnostics = DiagnosticsTopic(
                     self._traffic.side,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from igtl_gateway.app.bridge_options import BridgeOptions
 from igtl_gateway.app.commands import CommandService
 from igtl_gateway.app.hub import Hub
@@ -10,18 +12,23 @@ from igtl_gateway.app.ros_log import NOTED, RosLog
 from igtl_gateway.app.subscriptions import RECORDED, Subscriptions
 from igtl_gateway.app.video import VideoCodecs
 from igtl_gateway.base.addons import part_of
+from igtl_gateway.base.errors import GatewayError
 from igtl_gateway.convert.common_msgs import CompressedImage, TFMessage
 from igtl_gateway.convert.igtl_msgs import CommandReply, LinkStatusList
+from igtl_gateway.convert.rosmsg import String
 from igtl_gateway.edges.interface import RosSide
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.gateway import LINKS_TOPIC, LISTENED, Core
 from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.marks import MarkNote
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.to_igtl.tf_out import TF_QOS
 from igtl_gateway.native.passage import Passage
 
 #: Types of messages to ROS that the bridge itself reads: replies for the service, video frames for the decoder.
+#: Topic of the node for marks: a line of text each.
+MARKS = "mark"
 _OWN_USE = frozenset({CommandReply.TYPE, CompressedImage.TYPE})
 
 
@@ -41,6 +48,7 @@ class RosTraffic:
         video: the codecs; None: images are neither encoded nor decoded.
         commands: the service for commands.
         recording: whose services the node offers; None: there is none.
+        mark: makes a mark, see ``Bridge.mark``; None: there is no topic for marks.
     """
 
     def __init__(
@@ -62,6 +70,7 @@ class RosTraffic:
         self.side = self._make_side(host, passage)
         self.commands = CommandService(self.side, self._send_command, gateway.config.command_timeout_s, hub.note)
         self.recording: BridgeRecording | None = None
+        self.mark: Callable[[MarkNote], None] | None = None
         self._log = RosLog(self.side.log)
         self.video: VideoCodecs | None = None
         if options.video:
@@ -107,6 +116,8 @@ class RosTraffic:
             self.side.advertise("/tf", TFMessage.TYPE, TF_QOS["/tf"])
         if self.recording and self.recording.recorder:
             serve_recording(self.side, self.recording.recorder)
+        if self.mark:
+            self.side.subscribe(self._marks_topic, String.TYPE, RECORDED)
 
     def stop(self) -> None:
         """Publish what the log has left, and leave the graph."""
@@ -132,9 +143,25 @@ class RosTraffic:
         self._log.flush(self._hub.now_ns())
 
     def _received(self, topic: str, ros_type: str, cdr: bytes, source_ns: int) -> None:
-        """Pass a message of the graph to the encoder if its topic is sent as VIDEO, otherwise to the hub."""
+        """Pass a message of the graph to the encoder if its topic is sent as VIDEO, otherwise to the hub.
+
+        A text on the topic of marks is a mark.
+        """
+        if self.mark and topic == self._marks_topic and ros_type == String.TYPE:
+            self._take_mark(cdr, self.mark)
+            return
         if not (self.video and self.video.encode(topic, ros_type, cdr, source_ns)):
             self._hub.ros(topic, ros_type, cdr, source_ns)
+
+    @property
+    def _marks_topic(self) -> str:
+        return f"{self.side.full_name}/{MARKS}"
+
+    def _take_mark(self, cdr: bytes, mark: Callable[[MarkNote], None]) -> None:
+        try:
+            mark(MarkNote.parse(String.unpack(cdr).data, "ros"))
+        except GatewayError as error:
+            self._hub.note(Note(Level.WARN, "mark_refused", str(error), self._marks_topic))
 
     def _send_command(self, topic: str, ros_type: str, cdr: bytes) -> None:
         self._hub.ros(topic, ros_type, cdr, 0)

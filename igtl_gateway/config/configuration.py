@@ -22,6 +22,7 @@ replay and verification use the settings of the recorded session.
     deny_out = []                  # types that are not sent to peers
     allow_in = []                  # CRTK devices that peers may send to ROS, such as ["PSM1/servo_cp", "ECM/move_*"]
     allow_out = []                 # CRTK commands of ROS that are sent to peers
+    mark_from = []                 # devices whose STRING and COMMAND "Mark" make marks, see docs/how-to/marks.md
     max_age_s = 0.0                # default of the rows: messages that are older on arrival are withheld; 0: no limit
     kinds = []                     # default of the rows of [[to_ros]], see there
     watch = true                   # report jumps of units, decreasing stamps …; by default in live sessions only
@@ -194,6 +195,7 @@ class Config:
     deny_out: tuple[str, ...] = ()
     allow_in: tuple[str, ...] = ()
     allow_out: tuple[str, ...] = ()
+    mark_from: tuple[str, ...] = ()
     max_age_s: float = 0.0
     kinds: tuple[str, ...] = ()
     watch: bool | None = None
@@ -366,7 +368,7 @@ class Config:
         Settings that older programs do not know are left out if they are not set: these can then read the recording.
         """
         values = dataclasses.asdict(self)
-        for name in ("max_age_s", "kinds", "allow_in", "allow_out", "crtk"):
+        for name in ("max_age_s", "kinds", "allow_in", "allow_out", "mark_from", "crtk"):
             if not values[name]:
                 del values[name]
         if self.cautious is None:
@@ -577,8 +579,8 @@ def _pairs(place: str, value: Any) -> tuple[tuple[str, str], ...]:
 
 #: The settings that are globs: of the rows of a table, and lists of them.
 _GLOBS = {"to_igtl": ("topic",), "to_ros": ("device", "type"), "peers": ("at",), "crtk": ("arms",)}
-_GLOB_LISTS = ("deny_in", "deny_out", "allow_in", "allow_out")
+_GLOB_LISTS = ("deny_in", "deny_out", "allow_in", "allow_out", "mark_from")
 _NUMBER_LISTS = frozenset({"workspace", "joint_min", "joint_max", "joint_speed"})
 _TEXT_LISTS = frozenset(
-    {"allow", "allow_in", "allow_out", "connect", "deny_in", "deny_out", "frames", "kinds", "listen"}
+    {"allow", "allow_in", "allow_out", "connect", "deny_in", "deny_out", "frames", "kinds", "listen", "mark_from"}
 )

@@ -145,6 +145,13 @@ def device_glob(text: str) -> str:
     return text
 
 
+def any_device(text: str) -> str:
+    """Return the name of a device or a glob of names: printable, not empty."""
+    if not text.isprintable() or not text.strip():
+        raise ConfigError(f"found {text!r}, expected a device or a glob such as Marks, Nurse*")
+    return text
+
+
 def key_value(text: str) -> tuple[str, str]:
     """Parse ``KEY=VALUE``."""
     key, equals, value = text.partition("=")

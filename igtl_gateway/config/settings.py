@@ -228,6 +228,15 @@ _SECURITY = (
         )
     ),
     Setting(
+        "mark_from",
+        (),
+        "STRING and COMMAND Mark of this device make marks, such as 'suture-3: begins'",
+        GATEWAY,
+        metavar="DEVICE",
+        reads=notations.any_device,
+        adds=True,
+    ),
+    Setting(
         "cautious",
         True,
         "send peers that are not recognised, and show header version 1 only, no type at which common programs lose the "

@@ -19,6 +19,7 @@ from igtl_gateway.gateway.command_guard import CommandGuard
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.commanding import Commands
 from igtl_gateway.gateway.dialogue.links import LINKS_QOS, LINKS_TOPIC, Links
+from igtl_gateway.gateway.dialogue.marking import Marking
 from igtl_gateway.gateway.dialogue.querying import Queries
 from igtl_gateway.gateway.fastpath import FastHandler, FastPath, PrepareMessage
 from igtl_gateway.gateway.guard import Guard
@@ -66,6 +67,7 @@ class Gateway:
 
     Attributes:
         phases: those that marks have begun.
+        on_mark: takes the note of each mark of a peer; None in a session that is computed again, whose inputs have it.
         fast, prepare, collect: entry points of the fast path; see ``FastPath``.
         deadline_set: called after each input that may have set ``due_ns`` to an earlier time; see ``app.timer``.
     """
@@ -76,6 +78,7 @@ class Gateway:
         self._peers = peers = Peers(config)
         self._accounts = Bookkeeper(peers)
         self.phases = OpenPhases()
+        self.on_mark: Callable[[Note], None] | None = None
         self._streams = streams = Streams(config)
         self._guard = guard = Guard(watch=config.watch is True)
         self._denied_in, self._denied_out = denied_in, denied_out = Denials(config.deny_in), Denials(config.deny_out)
@@ -120,6 +123,7 @@ class Gateway:
             queries=queries,
             commands=commands,
             activity=activity,
+            marking=Marking(config, self.phases, self._mark),
         )
         ros_receiver = RosReceiver(
             config,
@@ -242,6 +246,10 @@ class Gateway:
         if step := ClockStep.of(entry):
             self._guard.clock_stepped(step.ahead_ns)
         return Outcome(tallies=[Tally("edges", event.stream, event.code)])
+
+    def _mark(self, note: Note) -> None:
+        if self.on_mark:
+            self.on_mark(note)
 
     def _change(self, entry: Entry, settings: LiveSettings) -> list[Item]:
         """Use other settings from now on; ``entry`` is the note about them."""

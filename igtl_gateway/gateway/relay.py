@@ -61,6 +61,7 @@ class RelayGateway:
         self.guard = Guard(watch=False)
         self.ledger = Ledger()
         self.phases = OpenPhases()
+        self.on_mark: Callable[[Note], None] | None = None
         self._partners: dict[int, int] = {}
         self._servers: set[int] = set()  # links to the server
         self._denied_in, self._denied_out = Denials(config.deny_in), Denials(config.deny_out)

@@ -98,6 +98,34 @@ def test_marks_are_recorded_also_while_the_recording_is_paused(tmp_path: Path) -
     assert igtl_gateway.verify(out).good
 
 
+def test_marks_of_peers(tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    with Bridge(listen=LOCAL, ros=False, record=out, mark_from=["Nurse*"]) as bridge:
+        with igtl_gateway.connect(*bridge.addresses[0], header_version=2) as peer:
+            bridge.wait_peers()
+            peer.send("STRING", "NurseNotes", "+suture: first")
+            peer.send("STRING", "Other", "no mark")
+            peer.send("STRING", "NurseNotes", "+suture")  # open already
+            peer.command("Mark", "-suture", device="NurseNotes")
+            answer = peer.command("Mark", "-suture", device="NurseNotes")
+            assert not answer.succeeded and answer.reason.startswith("mark: found the end of 'suture'")
+    with igtl_gateway.open(out) as recording:
+        assert [(mark.label, mark.text, mark.who, mark.is_open) for mark in recording.marks] == [
+            ("suture", "first", "NurseNotes", False)
+        ]
+        assert [note.code for note in recording.notes if "mark" in note.code] == [
+            "mark",
+            "mark_refused",
+            "mark",
+            "mark_refused",
+        ]
+        assert recording.ledger is not None
+        counts = recording.ledger["streams"]["igtl_in"]
+        assert counts["STRING/NurseNotes"]["converted"] == 2
+        assert not recording.ledger["gaps"]
+    assert igtl_gateway.verify(out).good
+
+
 def test_a_relay_has_marks(tmp_path: Path) -> None:
     out = tmp_path / "out.mcap"
     target = ["127.0.0.1:1"]

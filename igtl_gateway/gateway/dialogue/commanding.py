@@ -94,10 +94,12 @@ class Commands:
 
     def deny(self, entry: Entry, peer: Peer, message: Message, why: str) -> list[Item]:
         """Return the reply to a COMMAND that is refused."""
-        assert isinstance(message.content, Command)
-        name, device = visible(message.content.name), visible(message.device_name)
-        pending = PendingCommand(peer.link, message.content.command_id, device, name, entry.stamp_ns)
-        return self._reply(entry, pending, CommandReply.FAIL, f"COMMAND is {why}")
+        return self._reply(entry, _asked(entry, peer, message), CommandReply.FAIL, f"COMMAND is {why}")
+
+    def marked(self, entry: Entry, peer: Peer, message: Message, refused: str) -> list[Item]:
+        """Return the reply to a COMMAND that made a mark, or the reason why it made none."""
+        status = CommandReply.FAIL if refused else CommandReply.SUCCESS
+        return self._reply(entry, _asked(entry, peer, message), status, refused)
 
     def on_reply(self, peer: Peer, message: Message) -> None:
         """A peer has replied to a command from ROS: it waits no longer."""
@@ -195,6 +197,13 @@ def _replying(entry: Entry, pending: PendingCommand, message: CommandReply) -> O
     outgoing = conversions.reply_to_igtl(named, ToIgtlContext())
     stamp_ns = message.header.stamp_ns or entry.stamp_ns
     return OutboundMessage("RTS_COMMAND", device, outgoing.content, stamp_ns, metadata=outgoing.metadata)
+
+
+def _asked(entry: Entry, peer: Peer, message: Message) -> PendingCommand:
+    """Return the command of a peer that is answered at once."""
+    assert isinstance(message.content, Command)
+    name, device = visible(message.content.name), visible(message.device_name)
+    return PendingCommand(peer.link, message.content.command_id, device, name, entry.stamp_ns)
 
 
 def _timeout(pending: PendingCommand, text: str) -> Finding:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 CONVERTED, UNSUBSCRIBED, RECORDED_ONLY = "converted", "unheard", "recorded_only"
-PROBED, RELAYED = "probed", "relayed"
+PROBED, RELAYED, MARKED = "probed", "relayed", "marked"
 
 #: Fate of a message that was not dropped → its text for people.  Every other word is the reason of a loss.
 KEPT = {
@@ -12,6 +12,7 @@ KEPT = {
     RECORDED_ONLY: "of a topic that is recorded and not bridged",
     PROBED: "the test message of `igtl-gateway doctor`",
     RELAYED: "forwarded by a relay",
+    MARKED: "a COMMAND Mark, which the gateway answered",
 }
 
 #: Reason why a message was dropped → its text for people, besides the codes of ``robot_command`` and NOT_FOR.
@@ -37,6 +38,7 @@ DROPPED = {
     "wire_error": "invalid OpenIGTLink",
     "internal_error": "dropped by a defect of the gateway",
     "command_refused": "a command that cannot be passed on",
+    "mark_refused": "a COMMAND Mark that cannot be a mark",
     "no_partner": "the other side of the relay was disconnected",
     "fault_loss": "lost by fault injection",
     "fault_disconnect": "its link was closed by fault injection",

@@ -9,10 +9,11 @@ from igtl_gateway.gateway.activity import INACTIVE, Activity
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.commanding import Commands
 from igtl_gateway.gateway.dialogue.links import Links
+from igtl_gateway.gateway.dialogue.marking import Marking
 from igtl_gateway.gateway.dialogue.probing import is_probe
 from igtl_gateway.gateway.dialogue.querying import Queries
 from igtl_gateway.gateway.log.entry import Entry
-from igtl_gateway.gateway.log.fates import PROBED
+from igtl_gateway.gateway.log.fates import MARKED, PROBED
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.metadata import restore_metadata
 from igtl_gateway.gateway.outcome import Finding, Item, Outcome, conversion_failure
@@ -44,6 +45,7 @@ class IgtlReceiver:
         queries: Queries,
         commands: Commands,
         activity: Activity,
+        marking: Marking,
     ) -> None:
         self._config = config
         self._peers = peers
@@ -54,6 +56,7 @@ class IgtlReceiver:
         self._queries = queries
         self._commands = commands
         self._activity = activity
+        self._marking = marking
 
     def take(self, entry: Entry) -> Outcome:
         """Process a message of any type."""
@@ -71,6 +74,14 @@ class IgtlReceiver:
             finding = self._activity.refuse(entry)
             items = self._rejected(entry, peer, message, finding, "refused: the gateway is not active")
             return Outcome([*news, *items], INACTIVE, decoded=True)
+        makes_mark = self._marking.takes(message)
+        if makes_mark:
+            refused = self._marking.make(entry, message)
+            if refused:
+                news.append(Finding(Level.WARN, "mark_refused", refused, entry.channel, entry.links))
+            if isinstance(message.content, Command):
+                answer = self._commands.marked(entry, peer, message, refused) if peer else []
+                return Outcome([*news, *answer], "mark_refused" if refused else MARKED, decoded=True)
         if peer and (answer := self._commands.accept(entry, peer, message)):
             return Outcome([*news, *answer], "command_refused", decoded=True)
         outcome = self._router.route(entry, message, restore_metadata(message))
@@ -82,7 +93,7 @@ class IgtlReceiver:
             return outcome
         if news:
             outcome.items[:0] = news
-        if news or peer.held_until_ns or peer.must_see(message):
+        if makes_mark or news or peer.held_until_ns or peer.must_see(message):
             outcome.origin = None
         outcome.items += self._links.on_message(entry, peer, message)
         if isinstance(message.content, Command):

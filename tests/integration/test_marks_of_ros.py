@@ -1,0 +1,39 @@
+"""Marks on the topic of the node."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import igtl_gateway
+from igtl_gateway import Bridge
+from tests import domains
+from tests.integration.bridge import RosClient
+
+LOCAL = ["127.0.0.1:0"]
+TOPIC = "/or1/igtl_gateway/mark"
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_a_text_on_the_topic_is_a_mark(tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    arguments = ["-r", "__ns:=/or1"]
+    with (
+        RosClient("other", domain=domains.OWN) as other,
+        Bridge(listen=LOCAL, record=out, record_all=True, ros_args=arguments) as bridge,
+    ):
+        other.advertise(TOPIC, "std_msgs/msg/String")
+        other.wait_readers(TOPIC)
+        for text in ("+suture: first", "-other", "-suture", ""):
+            other.publish(TOPIC, {"data": text})
+        other.wait_until(lambda: sum("mark" in note.code for note in bridge.notes) == 4, "marks")
+    with igtl_gateway.open(out) as recording:
+        assert [(mark.label, mark.text, mark.who, mark.is_open) for mark in recording.marks] == [
+            ("suture", "first", "ros", False)
+        ]
+        refused = [note.text for note in recording.notes if note.code == "mark_refused"]
+        assert refused[0].startswith("mark: found the end of 'other'")
+        assert refused[1].startswith("mark: found label ''")
+    assert igtl_gateway.verify(out).good
