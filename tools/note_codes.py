@@ -158,7 +158,7 @@ NOTES: dict[str, dict[str, str]] = {
         "stamps_corrected": "`sync` wrote this copy with corrected stamps; the data have the lag of the stream",
         "setting": "a setting was changed while the bridge runs",
         "mark": "a person or a program marked this moment, or the begin or end of a phase; the data have the label",
-        "mark_refused": "a text of a peer or of ROS cannot be a mark; the text has the reason",
+        "mark_refused": "what a peer or a node sent cannot be a mark; the text has the reason",
         "fault": "fault injection of `--relay` changed a message",
         "fault_disconnect": "fault injection of `--relay` closed a link",
     },

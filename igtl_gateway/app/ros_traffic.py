@@ -145,7 +145,7 @@ class RosTraffic:
     def _received(self, topic: str, ros_type: str, cdr: bytes, source_ns: int) -> None:
         """Pass a message of the graph to the encoder if its topic is sent as VIDEO, otherwise to the hub.
 
-        A text on the topic of marks is a mark.
+        Each string on the topic of marks is a mark.
         """
         if self.mark and topic == self._marks_topic and ros_type == String.TYPE:
             self._take_mark(cdr, self.mark)
