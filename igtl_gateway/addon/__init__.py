@@ -169,6 +169,7 @@ if TYPE_CHECKING:
     from igtl_gateway.gateway.log.entry import Entry as Entry
     from igtl_gateway.gateway.log.entry import Kind as Kind
     from igtl_gateway.gateway.log.marks import MarkNote as MarkNote
+    from igtl_gateway.gateway.log.marks import joined as joined_marks
     from igtl_gateway.gateway.log.note import Level as Level
     from igtl_gateway.gateway.log.note import Note as Note
     from igtl_gateway.record.sessionfile import layout as layout
@@ -196,7 +197,7 @@ if TYPE_CHECKING:
     from igtl_gateway.replay.recorded_config import recorded_units as recorded_units
 
 #: Names that are others there; the rest of the surface is above.
-__all__ = ["VIDEO_THREADS", "open_recording", "ros_definitions"]
+__all__ = ["VIDEO_THREADS", "joined_marks", "open_recording", "ros_definitions"]
 
 #: Modules, and their names here with spaces between; a name that is a module below it is that module.
 HOMES: tuple[tuple[str, str], ...] = (
@@ -227,7 +228,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("gateway", "LINK_DOWN LINK_UP LISTENED PARTNER TICK Session header_names make_core"),
     ("gateway.log.changes", "SETTING SETTINGS"),
     ("gateway.log.clocksteps", "CLOCK_STEP"),
-    ("gateway.log.marks", "MarkNote"),
+    ("gateway.log.marks", "MarkNote joined_marks"),
     # Conversions of pictures and geometry, one message at a time
     ("convert.context", "ConvertedMessage ToIgtlContext ToRosContext"),
     ("convert.images", "image_to_igtl pixel_layout"),
@@ -290,7 +291,12 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("base.version", "__version__"),
 )
 #: Name here → name there, where the latter alone would be unclear.
-_RENAMED = {"open_recording": "open", "VIDEO_THREADS": "THREADS", "ros_definitions": "definitions"}
+_RENAMED = {
+    "open_recording": "open",
+    "joined_marks": "joined",
+    "VIDEO_THREADS": "THREADS",
+    "ros_definitions": "definitions",
+}
 _MODULE_OF = {name: module for module, names in HOMES for name in names.split()}
 
 

@@ -108,6 +108,15 @@ TABLES: Mapping[str, Mapping[str, str]] = {
         "future": "int",
         "backwards": "int",
     },
+    "marks": {
+        **_EACH,
+        "label": "text",
+        "text": "text",
+        "who": "text",
+        "time": "time",
+        "end": "time",
+        "is_open": "truth",
+    },
     "reviews": {
         **_EACH,
         "plans": "int",

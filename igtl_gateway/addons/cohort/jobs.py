@@ -19,10 +19,12 @@ from igtl_gateway.addon import (
     ConfigError,
     DamagedRecording,
     GatewayError,
+    Kind,
     SessionFile,
     UnsupportedRecording,
     WireError,
     files,
+    joined_marks,
     layout,
     limits,
     named,
@@ -213,7 +215,20 @@ def _lint(file: SessionFile, settings: Mapping[str, Any]) -> Rows:
         }
         for each in report.findings
     ]
-    return {"findings": findings, "latencies": list(_latencies(content))}
+    return {"findings": findings, "latencies": list(_latencies(content)), "marks": list(_marks(file, content))}
+
+
+def _marks(file: SessionFile, content: ContentSummary) -> Iterator[Row]:
+    notes = [(stamp_ns, note) for stamp_ns, kind, note in content.notes if kind is Kind.EDGE_NOTE]
+    for mark in joined_marks(notes, file.start_ns, file.end_ns):
+        yield {
+            "label": mark.label,
+            "text": mark.text,
+            "who": mark.who,
+            "time": mark.time_ns,
+            "end": mark.end_ns,
+            "is_open": mark.is_open,
+        }
 
 
 def _latencies(content: ContentSummary) -> Iterator[Row]:
@@ -365,7 +380,9 @@ def _ms(seconds: float, known: bool) -> float | None:
 #: Verb → what it does.
 VERBS: Mapping[str, CohortVerb] = {
     "info": CohortVerb("index: streams, rates, links", _info, ("recordings", "streams")),
-    "lint": CohortVerb("the rules of doctor; the clocks of peers", _lint, ("findings", "latencies"), _damaged),
+    "lint": CohortVerb(
+        "the rules of doctor; clocks of peers; marks", _lint, ("findings", "latencies", "marks"), _damaged
+    ),
     "verify": CohortVerb("whether outputs follow from inputs", _verify, ("verifications",)),
     "review": CohortVerb("each stitch of each plan", _review, ("reviews", "stitches")),
     "sync": CohortVerb("lags between moving streams", _sync, ("lags",)),

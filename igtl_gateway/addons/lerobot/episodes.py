@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import NS_PER_S, ConfigError, Recording
+from igtl_gateway.addon import NS_PER_S, ConfigError, Recording, matches
 from igtl_gateway.addons.lerobot.recipe import Cuts, Recipe
 from igtl_gateway.addons.lerobot.samples import columns_of, stream_of, times_of
 
@@ -65,6 +66,8 @@ def spans_of(recording: Recording, recipe: Recipe, clock: str, offset_ns: int) -
         case "notes":
             notes = [Event(each.time - offset_ns, each.text) for each in recording.notes]
             return _between(notes, recipe, "notes")
+        case "marks":
+            return _phases(recording, recipe, offset_ns)
     stream = stream_of(recording, cuts.stream, "episodes.stream")
     times = np.sort(times_of(stream, clock))
     if cuts.by == "gap":
@@ -112,6 +115,24 @@ def _markers(recording: Recording, cuts: Cuts, clock: str, offset_ns: int) -> li
     times = np.where(sources > 0, sources, gateway) if clock == "source" else gateway
     found = [Event(int(at), text) for at, text in zip(times, table[texts[0]].to_pylist(), strict=True) if text]
     return sorted(found, key=lambda each: each.time_ns)
+
+
+def _phases(recording: Recording, recipe: Recipe, offset_ns: int) -> list[Span]:
+    """Return the phases with a label that matches, without their ends: those of one moment would be empty."""
+    found = [
+        Span(mark.time_ns - offset_ns, mark.end_ns - 1 - offset_ns, mark.text or recipe.task)
+        for mark in recording.marks
+        if mark.end_ns is not None and mark.end_ns > mark.time_ns and matches(recipe.episodes.label, mark.label)
+    ]
+    if not found:
+        raise ConfigError(f"episodes.label: found no phase with a label like {recipe.episodes.label!r}, expected one")
+    for one, two in pairwise(found):
+        if two.start_ns <= one.end_ns:
+            at_s = (two.start_ns + offset_ns - recording.start_time) / NS_PER_S
+            raise ConfigError(
+                f"episodes.label: found a phase at {at_s:.3f} s before the end of the one before, expected one by one"
+            )
+    return found
 
 
 def _between(events: Iterable[Event], recipe: Recipe, what: str) -> list[Span]:

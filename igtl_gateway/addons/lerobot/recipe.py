@@ -11,7 +11,7 @@ CODECS = ("h264", "av1")
 RULES = ("nearest", "hold", "interpolate")
 FILLS = ("cut", "hold")
 ORIENTATIONS = ("quaternion", "rotation_vector", "rotation_6d", "none")
-CUTS = ("whole", "ranges", "markers", "notes", "gap", "still")
+CUTS = ("whole", "ranges", "markers", "notes", "marks", "gap", "still")
 IMAGES = "observation.images."
 STATE, ACTION = "observation.state", "action"
 #: Columns that every data set has; no feature can have these names.
@@ -74,9 +74,11 @@ class Cuts:
     """The table ``[episodes]``.
 
     Attributes:
-        by: ``whole``, ``ranges``, ``markers`` (strings of a stream), ``notes``, ``gap`` or ``still`` (of a stream).
+        by: ``whole``, ``ranges``, ``markers`` (strings of a stream), ``notes``, ``marks`` (phases), ``gap`` or
+            ``still`` (of a stream).
         stream: the stream of the markers, of the gaps or of the movement.
         start, stop: what the strings that start and stop an episode begin with; the rest of the start is the task.
+        label: glob of the labels of the phases; the text of the mark is the task.
         pause_s: length of a gap, or of a time without movement, that ends an episode.
         still_mm: movement below this within ``pause_s`` does not count.
         range: the rows of ``ranges``.
@@ -86,6 +88,7 @@ class Cuts:
     stream: str = ""
     start: str = "start"
     stop: str = "stop"
+    label: str = "**"
     pause_s: float = 1.0
     still_mm: float = 1.0
     range: tuple[Range, ...] = ()

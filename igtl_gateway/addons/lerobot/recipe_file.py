@@ -123,6 +123,7 @@ _CUTS: dict[str, Check] = {
     "stream": (_foreign, f"a string of 1 to {_MAX_TEXT} characters"),
     "start": (_foreign, f"a string of 1 to {_MAX_TEXT} characters"),
     "stop": (_foreign, f"a string of 1 to {_MAX_TEXT} characters"),
+    "label": (_foreign, f"a string of 1 to {_MAX_TEXT} characters"),
     "pause_s": _number(1e-3, 1e6),
     "still_mm": _number(1e-6, 1e6),
 }

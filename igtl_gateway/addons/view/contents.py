@@ -11,7 +11,7 @@ from enum import Enum
 from igtl_gateway.addon import NS_PER_S
 
 #: Entities that belong to no topic.
-LOG, LINKS, DROPS = "session/log", "session/links", "session/drops"
+LOG, LINKS, DROPS, MARKS = "session/log", "session/links", "session/drops", "session/marks"
 RATES, LATENCIES = "plots/rate", "plots/latency"
 #: The lag between two streams.
 LAG = "lag"

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import rerun as rr
 
-from igtl_gateway.addon import NS_PER_S, ConversionError, Entry, Kind, Level, Note, read_bytes
+from igtl_gateway.addon import NS_PER_S, ConversionError, Entry, Kind, Level, MarkNote, Note, read_bytes
 from igtl_gateway.addons.view.blueprints import is_camera, target_frame
 from igtl_gateway.addons.view.canvas import Canvas, Options
 from igtl_gateway.addons.view.colours import ERROR, INFO, WARN
@@ -25,6 +25,7 @@ from igtl_gateway.addons.view.contents import (
     LATENCIES,
     LINKS,
     LOG,
+    MARKS,
     PLACES,
     RATES,
     REVIEW,
@@ -267,6 +268,8 @@ class SessionView:
         stream = f"{note.stream}: " if note.stream and note.stream not in note.text else ""
         text = f"{stream}{note.text}{links}"
         self._pen.text(LOG, text, note.level.name, _COLOURS[note.level])
+        if MarkNote.of(note):
+            self._pen.text(MARKS, text, note.level.name, _COLOURS[note.level])
         if entry.kind is Kind.LINK:
             self._pen.text(LINKS, text, note.level.name, _COLOURS[note.level])
         if any(word in note.code for word in _DROP_WORDS):

@@ -16,6 +16,7 @@ from igtl_gateway.addons.view.blueprints import NAMES, blueprint
 from igtl_gateway.convert.igtl_msgs import PolyData
 from igtl_gateway.convert.rosmsg import Header, Mesh, String, TransformStamped
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.marks import MarkNote
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from tests.places import FIXTURES
@@ -151,6 +152,7 @@ def test_notes_links_and_drops_have_their_places(draw: Draw) -> None:
             note(1, Kind.LINK, Note(Level.INFO, "link_up", "10.0.0.7:18944 connected"), (4,)),
             note(2, Kind.EDGE_NOTE, Note(Level.WARN, "queue_drop", "5 messages dropped", data={"count": 5})),
             note(3, Kind.NOTE, Note(Level.ERROR, "bad_crc", "refused", "TRANSFORM/Probe")),
+            note(4, Kind.EDGE_NOTE, MarkNote("suture", "first", phase="begin").note()),
         ]
     )
     assert [without_time(row["TextLog:text"][0]) for row in drawn.rows("session/links")] == [
@@ -162,6 +164,10 @@ def test_notes_links_and_drops_have_their_places(draw: Draw) -> None:
         ("INFO", "10.0.0.7:18944 connected [link 4]"),
         ("WARN", "5 messages dropped"),
         ("ERROR", "TRANSFORM/Probe: refused"),
+        ("INFO", "mark suture begins: first"),
+    ]
+    assert [without_time(row["TextLog:text"][0]) for row in drawn.rows("session/marks")] == [
+        "mark suture begins: first"
     ]
 
 
