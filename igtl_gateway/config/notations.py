@@ -146,9 +146,9 @@ def device_glob(text: str) -> str:
 
 
 def any_device(text: str) -> str:
-    """Return the name of a device or a glob of names: printable, not empty."""
-    if not text.isprintable() or not text.strip():
-        raise ConfigError(f"found {text!r}, expected a device or a glob such as Marks, Nurse*")
+    """Return the name of a device or a glob of names: printable, without blanks, for which ``?`` stands."""
+    if not text.isprintable() or not text or " " in text:
+        raise ConfigError(f"found {text!r}, expected a device or a glob without blanks such as Marks, Nurse*")
     return text
 
 
