@@ -425,8 +425,8 @@ class _Watch:
                 del self._children[pid]
             elif now_ns - since_ns > min(_CHILD_NS, self._options.wall_s * 1e9):
                 raise ProgramFault(
-                    f"{name}: started another process, which still runs: {command}; run it as a program of its own, "
-                    "or not at all"
+                    f"{name}: started another process, which still runs: {command}; "
+                    "run each as a program of its own (--recipe), or not at all"
                 )
         options = self._options
         waited_s = (now_ns - self._since_ns) / 1e9

@@ -43,7 +43,10 @@ def _processes(mark: str) -> list[str]:
         ("hangs", "faulty: did not come to rest within 2 s (the wall limit)"),
         ("loops", "faulty: did not come to rest within 1 s of CPU time (the CPU limit): thread 'python"),
         ("forks", "faulty: started another process, which still runs: "),
-        ("spawns", "faulty: started another process, which still runs: sleep 1000; run it as a program of its own"),
+        (
+            "spawns",
+            "faulty: started another process, which still runs: sleep 1000; run each as a program of its own (--recipe)",
+        ),
         ("floods", "faulty: flooded the session with messages, the last one of /out; expected at most 5,000"),
     ],
 )
