@@ -90,7 +90,7 @@ static pid_t tid_of_this(void)
  * holds the loader's lock, as those of LTTng do.  GLIBC_2.3.2 is x86-64's version of the condition variables of today. */
 #define REPLACED(row)                                                                                                  \
     row(clock_gettime) row(gettimeofday) row(clock_nanosleep) row(nanosleep) row(sem_timedwait) row(sem_clockwait)     \
-    row(pthread_cond_timedwait) row(pthread_cond_clockwait) row(poll) row(epoll_wait) row(select) row(fork)            \
+    row(pthread_cond_timedwait) row(pthread_cond_clockwait) row(poll) row(epoll_wait) row(select) row(ppoll) row(epoll_pwait) row(pselect) row(fork)            \
     row(posix_spawn) row(posix_spawnp) row(system) row(socket) row(pthread_create)       \
     row(sem_wait) row(getrandom) row(getentropy)
 static struct {
@@ -724,6 +724,14 @@ int epoll_wait(int file, struct epoll_event *events, int most, int timeout_ms)
     return POLLED(NEXT(epoll_wait)(file, events, most, -1), (int64_t)timeout_ms * 1000000);
 }
 
+static void clear_sets(int count, fd_set *readable, fd_set *writable, fd_set *failed)
+{
+    fd_set *const sets[] = {readable, writable, failed};
+    for (int i = 0; i < 3; i++)
+        if (sets[i])
+            memset(sets[i], 0, (size_t)(count + 63) / 64 * 8);
+}
+
 int select(int count, fd_set *restrict readable, fd_set *restrict writable, fd_set *restrict failed,
            struct timeval *restrict timeout)
 {
@@ -737,14 +745,52 @@ int select(int count, fd_set *restrict readable, fd_set *restrict writable, fd_s
         return 0;
     }
     int result = POLLED(NEXT(select)(count, readable, writable, failed, NULL), left_ns);
-    if (!result) {
-        size_t size = (size_t)(count + 63) / 64 * 8;
-        for (int i = 0; i < 3; i++) {
-            fd_set *set = i == 0 ? readable : i == 1 ? writable : failed;
-            if (set)
-                memset(set, 0, size);
-        }
-    }
+    if (!result)
+        clear_sets(count, readable, writable, failed);
+    return result;
+}
+
+/* A signal mask that lets the signal of a deadline through. */
+static const sigset_t *open_mask(const sigset_t *mask, sigset_t *copy)
+{
+    if (!mask)
+        return NULL;
+    *copy = *mask;
+    sigdelset(copy, WAKE_SIGNAL);
+    return copy;
+}
+
+int ppoll(struct pollfd *files, nfds_t count, const struct timespec *timeout, const sigset_t *mask)
+{
+    if (!timeout || ns_of(timeout) <= 0)
+        return NEXT(ppoll)(files, count, timeout, mask);
+    if (!is_on())
+        return REALLY(NEXT(ppoll)(files, count, timeout, mask));
+    sigset_t copy;
+    return POLLED(NEXT(ppoll)(files, count, NULL, open_mask(mask, &copy)), ns_of(timeout));
+}
+
+int epoll_pwait(int file, struct epoll_event *events, int most, int timeout_ms, const sigset_t *mask)
+{
+    if (timeout_ms <= 0)
+        return NEXT(epoll_pwait)(file, events, most, timeout_ms, mask);
+    if (!is_on())
+        return REALLY(NEXT(epoll_pwait)(file, events, most, timeout_ms, mask));
+    sigset_t copy;
+    return POLLED(NEXT(epoll_pwait)(file, events, most, -1, open_mask(mask, &copy)), (int64_t)timeout_ms * 1000000);
+}
+
+int pselect(int count, fd_set *restrict readable, fd_set *restrict writable, fd_set *restrict failed,
+            const struct timespec *restrict timeout, const sigset_t *restrict mask)
+{
+    if (!timeout || ns_of(timeout) <= 0)
+        return NEXT(pselect)(count, readable, writable, failed, timeout, mask);
+    if (!is_on())
+        return REALLY(NEXT(pselect)(count, readable, writable, failed, timeout, mask));
+    sigset_t copy;
+    int result = POLLED(NEXT(pselect)(count, readable, writable, failed, NULL, open_mask(mask, &copy)), ns_of(timeout));
+    if (!result)
+        clear_sets(count, readable, writable, failed);
     return result;
 }
 

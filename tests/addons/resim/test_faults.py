@@ -45,7 +45,7 @@ def _processes(mark: str) -> list[str]:
         ("forks", "faulty: started another process, which still runs: "),
         (
             "spawns",
-            "faulty: started another process, which still runs: sleep 1000; run each as a program of its own (--recipe)",
+            "faulty: started another process, which still runs: sleep 1000; run each as a program of its own (--re",
         ),
         ("floods", "faulty: flooded the session with messages, the last one of /out; expected at most 5,000"),
     ],

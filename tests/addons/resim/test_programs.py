@@ -158,6 +158,13 @@ def test_the_wall_clock_can_be_session_time(tmp_path: Path) -> None:
     assert verdict.exit_code == 0
 
 
+def test_waits_of_c_end_in_session_time(tmp_path: Path) -> None:
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(40))
+    result, verdict = judged(recording, tmp_path, "planted waits")
+    assert verdict.line() == f"deterministic: {RUNS} of {RUNS} runs equal"
+    assert strings(result.runs[0].outputs, "/out")[20] == "m20 [0, 3.0, 0, 3.0, 0, 3.0]"
+
+
 def test_a_timer_that_races_a_topic(tmp_path: Path) -> None:
     """At equal times, messages come before timers; the other order shows that the outputs depend on it."""
     rows = [(7_000_000 * number, *row[1:]) for number, row in enumerate(sessions.texts(40), 1)]

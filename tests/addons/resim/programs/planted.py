@@ -1,6 +1,8 @@
 """A node with one thing that is not the same in every run; the argument states which."""
 
+import ctypes
 import random
+import select
 import sys
 import threading
 import time
@@ -53,6 +55,22 @@ class Planted(Node):
         for thread in threads:
             thread.join()
         return f"{text} {found[150:250]}"
+
+    def waits(self, text):
+        """Waits of C with a timeout of 3 ms, and what the steady clock shows of each, in ms."""
+        libc = ctypes.CDLL(None)
+        limit = (ctypes.c_long * 2)(0, 3_000_000)
+        epoll = select.epoll()
+        found = []
+        for wait in (
+            lambda: libc.ppoll(None, ctypes.c_ulong(0), limit, None),
+            lambda: libc.pselect(0, None, None, None, limit, None),
+            lambda: libc.epoll_pwait(epoll.fileno(), (ctypes.c_char * 12)(), 1, 3, None),
+        ):
+            began = time.monotonic_ns()
+            found.append(wait())
+            found.append((time.monotonic_ns() - began) / 1e6)
+        return f"{text} {found}"
 
     def tick(self):
         self.ticks += 1
