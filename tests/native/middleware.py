@@ -157,6 +157,7 @@ class RosEdge:
             self._receiver.start()
 
     changing = nullcontext()
+    full_name = "/igtl_gateway"
 
     def show(self, _values: object) -> None:
         """No parameters."""
@@ -172,7 +173,7 @@ class RosEdge:
             self._receiver.stop()
             self._receiver = None
 
-    def subscribe(self, topic: str, type_name: str) -> None:
+    def subscribe(self, topic: str, type_name: str, *_: object) -> None:
         counts = self._counts.setdefault(topic, TopicCounts())
         subscription = self._subscriptions[topic] = TopicSubscription(topic, type_name, counts, None)
         subscription.matched(1)

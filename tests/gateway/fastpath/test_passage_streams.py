@@ -40,7 +40,7 @@ from igtl_gateway.gateway.fastpath import passage_streams
 from igtl_gateway.gateway.live_settings import LiveSettings
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Note
-from igtl_gateway.native.passage import is_compiled
+from igtl_gateway.native.passage import Subscription, is_compiled
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.verify import DeclaredLosses, verify
@@ -636,7 +636,12 @@ def test_poses_that_waited_for_a_lock_pass_natively(monkeypatch: pytest.MonkeyPa
     """Python's thread takes none of them: it would wait for the GIL, and they with it."""
     taken: list[object] = []
     take = NativeReceiver._take
-    monkeypatch.setattr(NativeReceiver, "_take", lambda self, native: (taken.append(native), take(self, native)))
+
+    def counted(self: NativeReceiver, native: Subscription) -> None:
+        taken.append(native)
+        take(self, native)
+
+    monkeypatch.setattr(NativeReceiver, "_take", counted)
     with scene(monkeypatch) as here:
         peer = here.connect()
         for number in range(20):
