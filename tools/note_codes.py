@@ -101,6 +101,7 @@ NOTES: dict[str, dict[str, str]] = {
     },
     "ROS 2": {
         "ros_subscribed": "the gateway subscribed to a topic",
+        "native_passage": "a stream passes natively, or the cause why Python passes it; not recorded",
         "ros_incompatible_qos": "publisher and subscriber of a topic have incompatible qualities of service",
         "ros_type_hash": "over Zenoh: a publisher has another definition of the type, so its messages do not arrive",
         "ros_bad_attachment": "over Zenoh: a message without the number, time and sender of ROS was refused",
