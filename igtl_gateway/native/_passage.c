@@ -28,6 +28,7 @@
 
 #define NAMES_BYTES 34 /* of a header: version, type, device name */
 #define BUCKETS 64
+#define MAX_TURNS 64 /* of subscriptions, at once */
 #define MAX_OUTPUTS 8
 #define MAX_LINKS 64
 #define CHUNK_BYTES (64 * 1024)
@@ -2044,9 +2045,10 @@ static PyObject *passage_wait_subscriptions(Passage *self, PyObject *nothing)
 {
     (void)nothing;
     Subscription *left = NULL, **left_end = &left;
+    int turns = MAX_TURNS; /* of others, while Python's messages wait */
     Py_BEGIN_ALLOW_THREADS
     pthread_mutex_lock(&self->events);
-    while (!self->woken_subscriptions && (self->ready || !left)) {
+    while (!self->woken_subscriptions && (!left || (self->ready && turns--))) {
         Subscription *one = self->ready;
         if (!one) {
             pthread_cond_wait(&self->taken_over, &self->events);
