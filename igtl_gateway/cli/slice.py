@@ -44,8 +44,9 @@ EXAMPLES = """\
   igtl-gateway slice out.mcap -o probe.mcap --streams 'TRANSFORM/**'
 
 TIME is in seconds from the beginning, in UTC seconds, a date and time such as
-2026-11-21T08:30:00Z, or a mark such as mark:suture-3.  The part begins with the few inputs that restore the
-state of the gateway at its start, so that it verifies like the recording."""
+2026-11-21T08:30:00Z, or a mark such as mark:suture-3.  The part begins with
+the few inputs that restore the state of the gateway at its start, so that it
+verifies like the recording."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

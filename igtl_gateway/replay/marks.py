@@ -7,6 +7,7 @@ from itertools import chain
 
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.near import did_you_mean, near_names
+from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.marks import Mark, joined
 from igtl_gateway.gateway.log.note import Note
@@ -56,7 +57,7 @@ def marked_moment(text: str, start_ns: int, option: str, marks: Callable[[], Seq
 def find_mark(name: str, marks: Sequence[Mark], option: str) -> Mark:
     """Return the mark ``LABEL``, the first of several, or ``LABEL#N``.  Raises ConfigError, with near labels."""
     label, _, number = name.rpartition("#")
-    for wanted, place in ((name, 1), (label, int(number) if number.isdecimal() and number.isascii() else 0)):
+    for wanted, place in ((name, 1), (label, whole_number(number) or 0)):
         found = [mark for mark in marks if mark.label == wanted]
         if 0 < place <= len(found):
             return found[place - 1]

@@ -168,7 +168,7 @@ def test_an_interrupt_leaves_nothing(place: Path) -> None:
             assert clock.monotonic_ns() < end_ns and process.poll() is None
         process.send_signal(signal.SIGINT)
         _, error = process.communicate(timeout=30)
-    assert "interrupted" in error and process.returncode == 1
+    assert "interrupted" in error and process.returncode == 2
     pid = int((place / "pid").read_text("utf-8"))
     end_ns = clock.monotonic_ns() + 10_000_000_000
     while _runs(pid):  # one that was just being started ends with its parent

@@ -139,7 +139,7 @@ def test_the_quality_of_service_of_the_recording_applies(tmp_path: Path) -> None
     [
         ("wall", "data is 'm20 at 1700000000"),
         ("chance", "data is 'm20 0."),
-        ("hashed", "data is 'm20"),
+        ("hashed", "data is 'm"),
         ("race", 'data is "m20 ['),
     ],
 )
@@ -148,7 +148,9 @@ def test_what_is_not_the_same_in_every_run_is_found(tmp_path: Path, what: str, f
     _, verdict = judged(recording, tmp_path, f"planted {what}", runs=5)
     assert verdict.exit_code == 1
     assert verdict.first
-    assert (verdict.first.stream, verdict.first.number) == ("/out", 21)
+    assert verdict.first.stream == "/out"
+    # the order of a set may be the same in all runs by chance
+    assert verdict.first.number in (range(21, 26) if what == "hashed" else (21,))
     assert first in verdict.line()
 
 

@@ -17,8 +17,9 @@ def test_callbacks_that_raise_are_noted_and_harm_nothing(world: World) -> None:
     seen.on_frame_hook = fail
     peer = world.peer(port)
     peer.send(message(1) + message(2))
-    (note,) = seen.wait("callback_failed")
-    assert note.data == {"callback": "on_frame", "error": "KeyError: 'no such stream'", "count": 2}
+    note = seen.wait("callback_failed")[0]
+    count = note.data.pop("count")  # of one turn, which may have ended between the two
+    assert note.data == {"callback": "on_frame", "error": "KeyError: 'no such stream'"} and count in (1, 2)
     assert seen.wait("frame", 2) == [message(1), message(2)]
     peer.send(message(3))
     seen.wait("frame", 3)
