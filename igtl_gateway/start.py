@@ -25,14 +25,17 @@ def main() -> int:
     if is_usual:
         signal.signal(signal.SIGINT, _leave)
     try:
+        from igtl_gateway.base.systems.leaving import leave_beside_threads
         from igtl_gateway.cli import main as run
 
-        return run(ready=_interrupt_normally if is_usual else None)
+        code = run(ready=_interrupt_normally if is_usual else None)
     except KeyboardInterrupt:
         _leave()
     finally:
         if is_usual:  # the result stands: no interrupt changes it
             signal.signal(signal.SIGINT, signal.SIG_IGN)
+    leave_beside_threads(code)
+    return code
 
 
 def _interrupt_normally() -> None:

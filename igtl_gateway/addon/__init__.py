@@ -62,6 +62,7 @@ if TYPE_CHECKING:
     from igtl_gateway.base.stamp import NS_PER_S as NS_PER_S
     from igtl_gateway.base.stamp import ns_to_ros as ns_to_ros
     from igtl_gateway.base.stamp import ros_to_ns as ros_to_ns
+    from igtl_gateway.base.systems.leaving import expect_threads_of as expect_threads_of
     from igtl_gateway.base.untrusted import definitions as ros_definitions
     from igtl_gateway.base.untrusted import files as files
     from igtl_gateway.base.untrusted import limits as limits
@@ -287,6 +288,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("base.addons", "ADDONS check_present is_present part_of"),
     ("base.globs", "matches"),
     ("base.once", "Once"),
+    ("base.systems.leaving", "expect_threads_of"),
     ("base.child", "Child"),
     ("base.version", "__version__"),
 )

@@ -99,13 +99,18 @@ def test_a_peer_that_does_not_read_leaves_the_others_native(monkeypatch: pytest.
         slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         slow.connect(here.bridge.addresses[0])
         wait_for(lambda: len([one for one in here.bridge.tcp.links() if one.connected]) == 2)
-        for text in texts:
+        first = 0
+        while here.native == 0 and first < 100:  # these pass in Python, until the stream is copied
+            here.send_ros(String(texts[first]), "/igtl/out/text")
+            first += 1
+            wait_for(lambda sent=first: len(strings(good.received)) == sent)
+        for text in texts[first:]:
             here.send_ros(String(text), "/igtl/out/text")
         wait_for(lambda: len(strings(good.received)) == len(texts))
         wait_for(lambda: here.bridge.tcp.counters()[2].queued_messages > 100)
         assert here.native == 1
         links = [here.bridge.tcp.native_link(number) for number in (1, 2)]
-        assert [bool(link and link.sent_messages > 400) for link in links] == [True, False]
+        assert [bool(link and link.sent_messages >= 400) for link in links] == [True, False]
         framer = Framer()
         received: list[bytes] = []
         while len(strings(received)) < len(texts):

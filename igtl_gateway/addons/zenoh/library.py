@@ -6,7 +6,7 @@ import importlib
 import re
 from typing import Any
 
-from igtl_gateway.addon import RosError, missing
+from igtl_gateway.addon import RosError, expect_threads_of, missing
 from igtl_gateway.addon import first_line as whole_first_line
 
 #: Zenoh ends its errors with the place in its source.
@@ -21,6 +21,7 @@ def import_zenoh() -> Any:
         importlib.import_module("zenoh.ext")
     except ImportError as error:
         raise RosError(missing("zenoh", error)) from error
+    expect_threads_of("zenoh")
     return zenoh
 
 
