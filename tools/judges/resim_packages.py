@@ -2,7 +2,7 @@
 
 ``python tools/judges/resim_packages.py --prefix DIR``: DIR has ``include/PACKAGE`` and ``lib`` of rclcpp, as an
 installed ROS 2 has; Python packages are those that this Python imports.  ``--tests FILE...`` runs tests of a package,
-whose outcomes are compared.  What is not there is left out.  Exit code 1 if any run differs.
+whose outcomes are compared.  A package that is not installed is left out.  Exit code 1 if any run differs.
 """
 
 from __future__ import annotations
