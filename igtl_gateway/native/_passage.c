@@ -34,8 +34,10 @@
 #define CHUNK_BYTES (64 * 1024)
 #define MOST_UNSENT (1024 * 1024) /* that Python has not queued yet */
 #define LARGEST_RECEIPT (1024 * 1024) /* of a turn */
-#define LARGEST_OUTPUT (64 * 1024)
-#define LARGEST_INPUT (32 * 1024) /* what is larger takes too long for a thread of the middleware */
+#define LARGEST_OUTPUT (256 * 1024)
+#define LARGEST_INPUT (32 * 1024)   /* what is larger takes too long for a thread of the middleware */
+#define LARGEST_RECEIVED (256 * 1024) /* what is larger takes too long for the thread that reads the links */
+#define LARGEST_RECORDED (512 * 1024) /* an input and its outputs, which are copied under the locks */
 #define MAX_PLACES 70             /* of a sample, see express.py */
 #define OBSERVATIONS 256
 #define EVENTS 32
@@ -404,7 +406,7 @@ static int begin_record(Passage *self, Stream *stream, struct output *const *out
     for (int i = 0; i < count; i++)
         known &= queue_knows(&self->queue, outputs[i]->number);
     stream->is_stale |= !known;
-    if (known && bytes < QUEUE_LARGE_BYTES && queue_fits(&self->queue, (uint64_t)count + 1, (uint64_t)bytes))
+    if (known && bytes <= LARGEST_RECORDED && queue_fits(&self->queue, (uint64_t)count + 1, (uint64_t)bytes))
         return 1;
     pthread_mutex_unlock(&self->queue_lock->mutex);
     return 0;
@@ -470,7 +472,7 @@ static int pass_to_ros(Passage *self, Stream *stream, const uint8_t *data, ssize
     int64_t stamp_ns, now_ns = time_of_input(self, &stamp_ns), locked_ns = clock_ns(CLOCK_MONOTONIC);
     double pose[7], place[3];
     int is_bulk = stream->is_bulk;
-    if (!now_ns || (is_bulk ? size > LARGEST_INPUT || !bulk_from_igtl_fits(&stream->bulk_from_igtl, data, size)
+    if (!now_ns || (is_bulk ? size > LARGEST_RECEIVED || !bulk_from_igtl_fits(&stream->bulk_from_igtl, data, size)
                             : !pose_from_igtl(&stream->from_igtl, data, size, pose)))
         return 0;
     int64_t source_ns = ticks_to_ns(get_u64(data + TICKS_AT));
@@ -647,6 +649,24 @@ static ssize_t most_of_large(const Link *self, const uint8_t *names)
     return 0;
 }
 
+/* Pass on a large message that was read whole, if it takes no longer than others may wait; the caller has `reading`. */
+static int pass_body(Link *self)
+{
+    if (self->body_size > LARGEST_RECEIVED)
+        return 0;
+    wait_for_sequence(self->passage);
+    Stream *stream = self->large_waiting ? NULL : stream_of(self, self->body); /* perhaps for one of its stream */
+    int passed = stream && pass_to_ros(self->passage, stream, self->body, self->body_size, self->heard_ns);
+    unlock_sequence(self->passage);
+    if (!passed)
+        return 0;
+    free(self->body);
+    self->body = NULL;
+    self->received_messages++;
+    self->room--;
+    return 1;
+}
+
 /* Leave a large message that was read whole to Python, and go on reading; the caller has `reading`. */
 static void end_large(Link *self)
 {
@@ -725,7 +745,7 @@ static int receive(Link *self)
         return has_message(self);
     }
     self->body_filled += count;
-    if (self->body_filled == self->body_size)
+    if (self->body_filled == self->body_size && !pass_body(self))
         end_large(self);
     return 0;
 }

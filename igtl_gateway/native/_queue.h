@@ -64,7 +64,7 @@
 #define QUEUE_ENTRY_BYTES 500      /* what an entry counts beside its payload */
 #define QUEUE_WAKE_BYTES (8 << 20) /* the reader's attention is asked for when so much waits */
 #define QUEUE_WAKE_ENTRIES 2000
-#define QUEUE_LARGE_BYTES (64 << 10) /* payloads from here on are put by Python, which copies them without the lock */
+#define QUEUE_LARGE_BYTES (64 << 10) /* payloads from here on give way first; Python copies them without the lock */
 
 struct queue {
     uint64_t *counters; /* the page */
@@ -89,7 +89,7 @@ static inline int queue_knows(const struct queue *queue, uint64_t stream)
     return stream >> 32 == queue->counters[QUEUE_GENERATION];
 }
 
-/* Whether there is room for all of these entries at once, each below QUEUE_LARGE_BYTES.
+/* Whether there is room for all of these entries at once.
  *
  * If not, Python puts them: it finds more room, wakes the reader, or counts them as dropped.  The caller has the lock.
  */
@@ -99,7 +99,10 @@ static inline int queue_fits(const struct queue *queue, uint64_t entries, uint64
     uint64_t before = counters[QUEUE_ENTRIES] - __atomic_load_n(&counters[QUEUE_DONE_ENTRIES], __ATOMIC_ACQUIRE);
     uint64_t bytes = counters[QUEUE_TAKEN] - __atomic_load_n(&counters[QUEUE_DONE_BYTES], __ATOMIC_ACQUIRE);
     bytes += payload_bytes + entries * QUEUE_ENTRY_BYTES;
-    if (counters[QUEUE_CLOSED] || before + entries > counters[QUEUE_MAX_ENTRIES] || bytes > counters[QUEUE_MAX_BYTES])
+    uint64_t most = counters[QUEUE_MAX_BYTES];
+    if (payload_bytes >= QUEUE_LARGE_BYTES) /* one of them might be large: these give way first */
+        most -= most / 8;
+    if (counters[QUEUE_CLOSED] || before + entries > counters[QUEUE_MAX_ENTRIES] || bytes > most)
         return 0;
     if ((bytes > QUEUE_WAKE_BYTES || before + entries > QUEUE_WAKE_ENTRIES) &&
         !__atomic_load_n(&counters[QUEUE_BELL], __ATOMIC_RELAXED))

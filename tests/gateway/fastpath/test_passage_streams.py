@@ -438,6 +438,36 @@ def test_texts_points_and_small_clouds_pass_natively(
     check_recording(path, config, here.bridge.losses)
 
 
+def test_clouds_of_thousands_of_points_pass_natively(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    path, point, cloud = tmp_path / "session.mcap", "/igtl/out/point", "/igtl/out/cloud"
+    config = Config(to_igtl=(ToIgtlRow(topic=point, type="POINT"),)).watched()
+    with scene(monkeypatch, config, path) as here:
+        peer = here.connect()
+        for number in range(30):
+            places = np.full((1_000 if number % 3 else 1_500, 3), number, np.float32)
+            if number == 20:
+                places[999, 1] = math.inf
+            header, size = Header(time.time_ns(), "base"), places.nbytes
+            cdr = rosmsg.PointCloud2(header, 1, len(places), XYZ, False, 12, size, places.tobytes(), True)
+            here.send_ros(cdr, point)
+            here.send_ros(cdr, cloud)
+            swapped: Any = np.repeat(places, 5, axis=0).astype(">f4")
+            message = Message("POLYDATA", "Cloud", PolyData(swapped), ns_to_ticks(time.time_ns()))
+            data = bytearray(join(encode(message)))
+            if number == 25:
+                data[-1] ^= 1
+            peer.send(bytes(data))
+            wait_for(lambda number=number: here.received("igtl_in") > number)
+        wait_for(lambda: here.received("ros_in") == 60)
+        with counted_by_python(here) as handled:
+            here.send_ros(cdr, point)
+            here.send_ros(cdr, cloud)
+            peer.send(join(encode(message)))
+            wait_for(lambda: here.received("ros_in") == 62 and here.received("igtl_in") == 31)
+        assert handled == []
+    check_recording(path, config, here.bridge.losses)
+
+
 def _is_possible(step: Any) -> bool:
     """Return whether a step does not break the stream of bytes, and has a stamp that a recording can hold."""
     if step[0] == "igtl":
