@@ -107,6 +107,7 @@ LONG = (
     "addons/exchange/test_targets.py",
     "addons/review/test_assess.py",
     "addons/resim/test_causes.py",
+    "addons/resim/test_programs.py::test_nodes_of_scenarios",
     "addons/resim/test_api.py::TestTheFixture::test_in_a_project",
     "addons/resim/test_igtl_peer.py::test_beside_a_client_and_a_node",
     "addons/resim/test_igtl_peer.py::test_the_command_line",

@@ -18,19 +18,22 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from igtl_gateway.addons.resim.engine import Program, ResimOptions, Run, run
+from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, Run, run
 from igtl_gateway.addons.resim.igtl_peer import IgtlRole
 from igtl_gateway.addons.resim.verdict import compare, is_judged
 from tests.addons.resim import sessions, test_igtl_peer
 from tests.addons.resim.runs import PROGRAMS, compiled, program
 from tests.peers import reference
+from tests.places import FIXTURES
 
+#: Scenario → its ROS actors.
+SCENARIOS = {"ultrasound": "navigator", "lego": "lego_robot", "star": "star_sensors star_robot"}
 SERVER = IgtlRole(is_server=True)
 HEADER = "| kind | runs | messages | hashes | wrong turns | load | s a run |\n|---|---|---|---|---|---|---|"
 
@@ -42,7 +45,7 @@ class Row:
     name: str
     record: Callable[[Path], Path]
     programs: Callable[[Path], Sequence[Program]]
-    latency_ns: int = 0
+    options: ResimOptions = ResimOptions()
     runs: int = 0
     messages: int = 0
     seconds: float = 0.0
@@ -69,7 +72,7 @@ class Row:
 
         folder.mkdir()
         recording = self.record(folder / "in.mcap")
-        options = ResimOptions(runs=count, latency_ns=self.latency_ns)
+        options = replace(self.options, runs=count)
         before = set(self.hashes)
         result = run(recording, self.programs(folder), options, folder, on_run=take)
         verdict = compare(result)
@@ -92,6 +95,10 @@ def transforms(path: Path) -> Path:
 
 def pairs(path: Path) -> Path:
     return sessions.write(path, [*sessions.poses(100), *sessions.images(20)])
+
+
+def scenario(name: str) -> Callable[[Path], Path]:
+    return lambda path: FIXTURES / f"{name}.mcap"
 
 
 def named(*lines: str) -> Callable[[Path], Sequence[Program]]:
@@ -125,8 +132,13 @@ def rows() -> list[Row]:
             Row("tf2", transforms, named("frames")),
             Row("image and pose", pairs, named("pairs")),
             Row("lifecycle", texts(60), named("lifecycle", "manager")),
-            Row("service", texts(40), named("caller", "switch"), latency_ns=1_000_000),
+            Row("service", texts(40), named("caller", "switch"), ResimOptions(latency_ns=1_000_000)),
             Row("C on rcl", texts(50), in_c),
+        ]
+        as_they_are = ResimOptions(lead_ns=1_000_000_000, clocks=Clocks.SESSION)
+        found += [
+            Row(each, scenario(each), named(*(f"actor {each} {actor}" for actor in actors.split())), as_they_are)
+            for each, actors in SCENARIOS.items()
         ]
     if find_spec("pyigtl"):
         found.append(Row("pyigtl client", test_igtl_peer.recording, pyigtl(IgtlRole(), "igtl_answer")))

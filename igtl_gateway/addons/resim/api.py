@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from math import inf
 from pathlib import Path
 
-from igtl_gateway.addon import NS_PER_MS, ConfigError, SessionFile
+from igtl_gateway.addon import NS_PER_MS, NS_PER_S, ConfigError, SessionFile
 from igtl_gateway.addons.resim.causes import likely_cause
 from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, RunResult, run
 from igtl_gateway.addons.resim.recipe import command_of
@@ -72,6 +72,7 @@ def resim(
     outputs: Sequence[str] = (),
     without: Sequence[str] = (),
     latency_ms: float = 0.0,
+    lead_s: float = 0.0,
     clocks: str = "shifted",
     wall_limit_s: float = 30.0,
     cpu_limit_s: float = 60.0,
@@ -91,6 +92,7 @@ def resim(
         outputs: topics that it does not drive; globs.
         without: topics that programs may ask for although nothing has them; globs.
         latency_ms: of messages from program to program, in session time.
+        lead_s: session time from the start of the programs to that of the recording.
         clocks: what the clocks outside of ROS show: "shifted" (session time, but ``time.time()`` is on another day in
             each run), "session" or "real".
         wall_limit_s: real time in which a program has to come to rest.
@@ -106,7 +108,8 @@ def resim(
         Unavailable: the library is not built on this machine.
         RecordingError: the recording or the baseline cannot be read.
     """
-    for name, value in (("tolerance_mm", tolerance_mm), ("tolerance_deg", tolerance_deg), ("latency_ms", latency_ms)):
+    distances = ("tolerance_mm", tolerance_mm), ("tolerance_deg", tolerance_deg)
+    for name, value in (*distances, ("latency_ms", latency_ms), ("lead_s", lead_s)):
         if not 0 <= value < inf:
             raise ConfigError(f"{name}: found {value!r}, expected 0 or more")
     for name, value in (("wall_limit_s", wall_limit_s), ("cpu_limit_s", cpu_limit_s)):
@@ -118,6 +121,7 @@ def resim(
         runs=runs,
         without=tuple(without),
         latency_ns=round(latency_ms * NS_PER_MS),
+        lead_ns=round(lead_s * NS_PER_S),
         clocks=Clocks(clocks),
         inputs=tuple(inputs),
         outputs=tuple(outputs),

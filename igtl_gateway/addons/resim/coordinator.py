@@ -165,6 +165,8 @@ class Coordinator:
 
     def run(self) -> None:
         """Drive the programs to the end of the session.  Raises ProgramFault."""
+        for topic in self._topics.values():
+            self._announce(topic)
         for peer in self._peers:
             self._receive(peer)
         for peer in self._peers:  # what became known since a program's own first frame
@@ -387,13 +389,19 @@ class Coordinator:
                 is_routed = any(other is not each and other.named("s", frame.name) for other in self._peers)
                 each.outbox.append(frames.routed(publisher.frame.number, is_routed))
         topic = self._topics.get(frame.name)
-        if frame.kind == "s" and frame.is_made:
-            if topic and frame.name not in self._announced and self._is_recorded_input(topic):
-                self._announced.add(frame.name)
-                for each in self._peers if frame.is_ros else ():
-                    each.outbox.append(frames.elsewhere("p", True, topic.name, topic.type))
-            if frame.latched:
-                self._send_latched(peer, frame)
+        if frame.kind == "p" and topic:
+            self._announce(topic)
+        if frame.kind == "s" and frame.is_made and frame.latched:
+            self._send_latched(peer, frame)
+
+    def _announce(self, topic: RecordedTopic) -> None:
+        """Have the graph of the programs show a publisher of a recorded topic exactly while the recording drives it."""
+        is_driven = topic.name.startswith("/") and self._is_recorded_input(topic)
+        if is_driven == (topic.name in self._announced):
+            return
+        self._announced ^= {topic.name}
+        for each in self._peers:
+            each.outbox.append(frames.elsewhere("p", is_driven, topic.name, topic.type))
 
     def _send_latched(self, peer: Peer, frame: EntityFrame) -> None:
         """What a new subscription with durability TRANSIENT_LOCAL gets at once: the last messages of latched topics."""

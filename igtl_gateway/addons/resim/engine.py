@@ -40,12 +40,12 @@ from igtl_gateway.addons.resim.inputs import Inputs, topics_of
 from igtl_gateway.addons.resim.library import library_path
 from igtl_gateway.addons.resim.link import Gone, Listener
 from igtl_gateway.addons.resim.outputs import OutputFile, OutputStream
-from igtl_gateway.addons.resim.processes import Process, command_of
+from igtl_gateway.addons.resim.processes import Process, command_of, cpu_with_children_s
 
 #: Nothing traces the program, so it does not wait for LTTng.
 _ENVIRONMENT = {"LTTNG_UST_REGISTER_TIMEOUT": "0"}
-#: A process that a program starts has to end within this real time, while the program waits for it.
-_CHILD_NS = 3_000_000_000
+#: A process that a program has started, such as a compiler, has to compute or end: it may idle for this real time.
+_CHILD_IDLE_NS = 3_000_000_000
 #: Real time that a process may take from closing its connection to its end.
 _ENDING_NS = 5_000_000_000
 #: A process that uses less of a processor than one part in this number waits for something.
@@ -110,6 +110,7 @@ class ResimOptions:
     Attributes:
         runs: how often.
         latency_ns: from the sending of a message of a program to its arrival at another one, or at itself.
+        lead_ns: session time from the start of the programs to that of the recording.
         clocks: what the clocks of libc are.
         inputs: recorded topics that are inputs although a program publishes them; globs.
         outputs: recorded topics that do not drive programs; globs.
@@ -124,6 +125,7 @@ class ResimOptions:
 
     runs: int = 3
     latency_ns: int = 0
+    lead_ns: int = 0
     clocks: Clocks = Clocks.SHIFTED
     inputs: tuple[str, ...] = ()
     outputs: tuple[str, ...] = ()
@@ -286,6 +288,7 @@ def _run_once(
         outputs = OutputFile(one.outputs, recording.name, overwrite=True)
         stack.callback(outputs.close)
         one.start_ns, one.end_ns = file.start_ns, min(file.end_ns, options.until_ns)
+        begin_ns = one.start_ns - options.lead_ns
         place = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="igtl-resim-")))
         listener = Listener(place)
         stack.callback(listener.close)
@@ -320,7 +323,7 @@ def _run_once(
                 is_real = options.clocks is Clocks.REAL
                 link.send(
                     welcome(
-                        one.start_ns,
+                        begin_ns,
                         options.latency_ns,
                         shift_ns,
                         index,
@@ -330,7 +333,7 @@ def _run_once(
                 )
                 if side:
                     watch.remarks.add(f"{program.title}: {WEAKER}")
-                    igtl = IgtlLink(program.title, side, link, replaced[index], one.start_ns)
+                    igtl = IgtlLink(program.title, side, link, replaced[index], begin_ns)
                     stack.callback(igtl.close)
                 peers.append(Peer(index, program.title, igtl if side else link))
             coordinator = Coordinator(
@@ -338,7 +341,7 @@ def _run_once(
                 Inputs(file, {each.number for each in replaced.values()}),
                 topics_of(file) | {name: topic for each in replaced.values() for name, topic in each.topics().items()},
                 outputs,
-                start_ns=one.start_ns,
+                start_ns=begin_ns,
                 end_ns=one.end_ns,
                 latency_ns=options.latency_ns,
                 is_input=lambda topic: _chosen(topic, options),
@@ -373,6 +376,15 @@ def _chosen(topic: str, options: ResimOptions) -> bool | None:
     return False if any(matches(glob, topic) for glob in options.outputs) else None
 
 
+@dataclass(slots=True)
+class _Started:
+    """A process that a program has started: since when it has not computed, and its CPU seconds until then."""
+
+    program: str
+    idle_since_ns: int
+    cpu_s: float = 0.0
+
+
 class _Watch:
     """Looks after the processes while they are waited for: whether they run, and what time they use."""
 
@@ -380,7 +392,7 @@ class _Watch:
         self._processes, self._clock, self._options = processes, clock, options
         self._since_ns = 0
         self._cpu_s: dict[int, float] = {}
-        self._children: dict[int, tuple[str, int]] = {}
+        self._children: dict[int, _Started] = {}
         #: Whether the last process is expected to connect.
         self.is_joining = False
         #: Of an OpenIGTLink program that is expected to connect.
@@ -395,7 +407,7 @@ class _Watch:
     def take(self, peer: Peer, remark: Remark) -> None:
         """Take a remark of a program."""
         if remark.code == "f":
-            self._children[int(remark.text)] = (peer.name, self._clock.monotonic_ns())
+            self._children[int(remark.text)] = _Started(peer.name, self._clock.monotonic_ns())
         elif remark.code == "s":
             self.remarks.add(f"{peer.name}: has a socket of its own: what it receives there comes in real time")
 
@@ -410,6 +422,7 @@ class _Watch:
 
     def look(self) -> None:
         """Raise ProgramFault if a process has ended, hangs, or is busy without end."""
+        options = self._options
         now_ns = self._clock.monotonic_ns()
         if not self._since_ns:
             self._since_ns = now_ns
@@ -420,15 +433,18 @@ class _Watch:
             raise ProgramFault(f"{ended}; {absent}" if is_absent else ended)
         if self.is_joining and self.side:
             self.side.look()
-        for pid, (name, since_ns) in list(self._children.items()):
+        for pid, child in list(self._children.items()):
             if not (command := command_of(pid)):
                 del self._children[pid]
-            elif now_ns - since_ns > min(_CHILD_NS, self._options.wall_s * 1e9):
+                continue
+            if (cpu_s := cpu_with_children_s(pid)) > child.cpu_s:
+                child.cpu_s, child.idle_since_ns = cpu_s, now_ns
+                self._since_ns = now_ns  # the program waits for it
+            if now_ns - child.idle_since_ns > min(_CHILD_IDLE_NS, options.wall_s * 1e9) or cpu_s > options.cpu_s:
                 raise ProgramFault(
-                    f"{name}: started another process, which still runs: {command}; "
+                    f"{child.program}: started another process, which still runs: {command}; "
                     "run each as a program of its own (--recipe), or not at all"
                 )
-        options = self._options
         waited_s = (now_ns - self._since_ns) / 1e9
         used = {each: each.cpu_s() - self._cpu_s.get(each.pid, 0.0) for each in self._processes}
         busy = max(used, key=lambda each: used[each], default=None)

@@ -18,11 +18,15 @@ _END_S = 2.0
 
 @dataclass(frozen=True, slots=True)
 class ThreadUse:
-    """A thread: its name, its state (a letter of the kernel) and the CPU seconds that it has used."""
+    """A thread or process: its name, its state (a letter of the kernel) and the CPU seconds that it has used.
+
+    ``children_s``: those of processes that it started, and that have ended.
+    """
 
     name: str
     state: str
     cpu_s: float
+    children_s: float = 0.0
 
 
 class Process:
@@ -120,6 +124,19 @@ def command_of(pid: int) -> str:
     return ""
 
 
+def cpu_with_children_s(pid: int) -> float:
+    """CPU seconds that a process, and those that it has started, have used; 0 if it has ended."""
+    total, coming = 0.0, [pid]
+    while coming:
+        place = Path(f"/proc/{coming.pop()}")
+        use = _use(place / "stat")
+        total += use.cpu_s + use.children_s
+        with suppress(OSError):
+            for task in (place / "task").iterdir():
+                coming += map(int, (task / "children").read_text("ascii").split())
+    return total
+
+
 def _use(stat: Path) -> ThreadUse:
     try:
         text = stat.read_text("utf-8", "replace")
@@ -127,4 +144,6 @@ def _use(stat: Path) -> ThreadUse:
         return ThreadUse("", "", 0.0)
     name, _, rest = text.partition("(")[2].rpartition(")")
     fields = rest.split()
-    return ThreadUse(name, fields[0], (int(fields[11]) + int(fields[12])) / ticks_per_second())
+    user, system, user_of_children, system_of_children = map(int, fields[11:15])
+    ticks = ticks_per_second()
+    return ThreadUse(name, fields[0], (user + system) / ticks, (user_of_children + system_of_children) / ticks)

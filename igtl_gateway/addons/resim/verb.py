@@ -117,6 +117,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--latency", type=float, default=0.0, metavar="MS",
         help="of messages from program to program, in session time " + default(0),
     )  # fmt: skip
+    parser.add_argument(
+        "--lead", type=float, default=0.0, metavar="S",
+        help="session time in which the programs start, before the recording begins " + default(0),
+    )  # fmt: skip
     clocks = parser.add_mutually_exclusive_group()
     clocks.add_argument(
         "--libc-clock", action="store_true", help="time.time() is session time, not that of another day in each run"
@@ -163,8 +167,9 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError("found --recipe and a program behind --, expected one of them")
     programs = _programs_of(options)
     tolerance = _tolerance(options.tolerance)
-    if not 0 <= options.latency < math.inf:
-        raise ConfigError(f"--latency: found {options.latency:g}, expected 0 or more")
+    for name in ("latency", "lead"):
+        if not 0 <= getattr(options, name) < math.inf:
+            raise ConfigError(f"--{name}: found {getattr(options, name):g}, expected 0 or more")
     for name in ("wall_limit", "cpu_limit"):
         if not 0 < getattr(options, name) < math.inf:
             raise ConfigError(f"--{name.replace('_', '-')}: found {getattr(options, name):g}, expected more than 0")
@@ -176,6 +181,7 @@ def run(options: argparse.Namespace) -> int:
     settings = ResimOptions(
         runs=options.runs,
         latency_ns=round(options.latency * 1e6),
+        lead_ns=round(options.lead * 1e9),
         clocks=clocks,
         inputs=tuple(options.input),
         outputs=tuple(options.output),

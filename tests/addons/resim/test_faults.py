@@ -10,10 +10,11 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.addon import ConfigError
+from igtl_gateway.addons.resim import engine
 from igtl_gateway.addons.resim.engine import Program, ResimOptions, run
 from igtl_gateway.addons.resim.verdict import compare
 from tests.addons.resim import sessions
-from tests.addons.resim.runs import judged, published
+from tests.addons.resim.runs import judged, published, strings
 
 pytestmark = [pytest.mark.ros, pytest.mark.skipif(not find_spec("rclpy"), reason="needs ROS 2")]
 
@@ -73,6 +74,17 @@ def test_a_process_that_ends_is_no_fault(tmp_path: Path) -> None:
     result, verdict = judged(recording, tmp_path, "faulty asks_git", runs=2)
     assert verdict.exit_code == 0
     assert result.runs[0].remarks == []
+
+
+def test_a_compiler_that_takes_long_is_no_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(engine, "_CHILD_IDLE_NS", 1_000_000_000)
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(40))
+    result, verdict = judged(recording, tmp_path, "faulty compiles", runs=1, wall_s=1.5)
+    assert (verdict.exit_code, verdict.fault) == (0, "")
+    times = dict(zip(strings(result.runs[0].outputs, "/out"), published(result.runs[0].outputs, "/out"), strict=True))
+    assert times["compiled"][0] == times["m19"][0]
+    _, verdict = judged(recording, tmp_path, "faulty compiles", runs=1, cpu_s=1.0)
+    assert verdict.fault.startswith("faulty: started another process, which still runs: sh -c ")
 
 
 def test_a_socket_of_the_programs_own_weakens_the_guarantee(tmp_path: Path) -> None:

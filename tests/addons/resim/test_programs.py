@@ -10,11 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from igtl_gateway.addon import Qos
+from igtl_gateway.addon import Kind, Qos
 from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, run
 from igtl_gateway.addons.resim.verdict import compare
 from tests.addons.resim import sessions
 from tests.addons.resim.runs import PROGRAMS, RUNS, compiled, judged, published, strings
+from tests.places import FIXTURES
 
 pytestmark = [pytest.mark.ros, pytest.mark.skipif(not find_spec("rclpy"), reason="needs ROS 2")]
 
@@ -121,6 +122,32 @@ def test_latched_inputs_reach_subscriptions_that_come_later(tmp_path: Path) -> N
     result, verdict = judged(recording, tmp_path, "late", runs=2)
     assert verdict.line() == "deterministic: 2 of 2 runs equal"
     assert strings(result.runs[0].outputs, "/out") == ["map m2", "in m0"]
+
+
+def test_recorded_topics_are_in_the_graph_before_the_program_asks_for_them(tmp_path: Path) -> None:
+    rows = [*sessions.texts(20), *sessions.texts(20, "/own_in")]
+    recording = sessions.write(tmp_path / "in.mcap", rows, kind=Kind.ROS_IN)
+    result, verdict = judged(recording, tmp_path, "finder", runs=2, lead_ns=1_000_000_000)
+    assert verdict.line() == "deterministic: 2 of 2 runs equal"
+    assert strings(result.runs[0].outputs, "/out") == [
+        "/in ['std_msgs/msg/String'] 1",
+        "/own_in ['std_msgs/msg/String'] 1",  # its own: what a program publishes, the recording does not drive
+        *(f"m{number}" for number in range(20)),
+    ]
+    first_ns, _ = published(result.runs[0].outputs, "/out")[0]
+    assert first_ns - result.runs[0].start_ns == -900_000_000
+
+
+@pytest.mark.parametrize(
+    ("scenario", "actors"),
+    [("ultrasound", ["navigator"]), ("lego", ["lego_robot"]), ("star", ["star_sensors", "star_robot"])],
+)
+def test_nodes_of_scenarios_as_they_are(tmp_path: Path, scenario: str, actors: list[str]) -> None:
+    names = [f"actor {scenario} {actor}" for actor in actors]
+    recording = FIXTURES / f"{scenario}.mcap"
+    result, verdict = judged(recording, tmp_path, *names, clocks=Clocks.SESSION, lead_ns=1_000_000_000)
+    assert verdict.line() == f"deterministic: {RUNS} of {RUNS} runs equal"
+    assert result.runs[0].messages > 10
 
 
 def test_the_quality_of_service_of_the_recording_applies(tmp_path: Path) -> None:

@@ -55,6 +55,12 @@ class Faulty(Node):
         text = subprocess.run(["echo", "v1.2"], capture_output=True, text=True, check=True).stdout
         self.publisher.publish(String(data=text.strip()))
 
+    def compiles(self):
+        """Nor is one that computes for longer."""
+        busy = "import time\nuntil = time.process_time() + 2\nwhile time.process_time() < until: pass"
+        subprocess.run(["sh", "-c", '"$0" -c "$1"; true', sys.executable, busy], check=True)
+        self.publisher.publish(String(data="compiled"))
+
     def floods(self):
         while True:
             self.publisher.publish(String(data="flood"))
