@@ -45,7 +45,7 @@ class Row:
     name: str
     record: Callable[[Path], Path]
     programs: Callable[[Path], Sequence[Program]]
-    options: ResimOptions = ResimOptions()
+    options: ResimOptions = field(default_factory=ResimOptions)
     runs: int = 0
     messages: int = 0
     seconds: float = 0.0

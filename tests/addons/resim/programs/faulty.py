@@ -10,62 +10,62 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 
-class Faulty(Node):
-    def __init__(self, what):
+class Faulty(Node):  # type: ignore[misc]
+    def __init__(self, what: str) -> None:
         super().__init__("faulty")
         self.publisher = self.create_publisher(String, "/out", 10)
         self.count = 0
         self.fail = getattr(self, what)
         self.create_subscription(String, "/other" if what == "asks" else "/in", self.take, 10)
 
-    def take(self, message):
+    def take(self, message: String) -> None:
         self.count += 1
         self.publisher.publish(message)
         if self.count == 20:
             self.fail()
 
-    def asks(self):
+    def asks(self) -> None:
         pass
 
-    def ends(self):
+    def ends(self) -> None:
         sys.exit(0)
 
-    def raises(self):
+    def raises(self) -> None:
         raise ValueError("found 3 wheels, expected 4")
 
-    def crashes(self):
+    def crashes(self) -> None:
         os.kill(os.getpid(), 11)
 
-    def hangs(self):
+    def hangs(self) -> None:
         threading.Lock().acquire() and threading.Event().wait()
 
-    def loops(self):
+    def loops(self) -> None:
         while True:
             pass
 
-    def forks(self):
+    def forks(self) -> None:
         if not os.fork():
             threading.Event().wait()
 
-    def spawns(self):
+    def spawns(self) -> None:
         self.child = subprocess.Popen(["sleep", "1000"])
 
-    def asks_git(self):
+    def asks_git(self) -> None:
         """A process that ends is no fault."""
         text = subprocess.run(["echo", "v1.2"], capture_output=True, text=True, check=True).stdout
         self.publisher.publish(String(data=text.strip()))
 
-    def compiles(self):
+    def compiles(self) -> None:
         """Nor is one that computes for longer."""
         busy = "import time\nuntil = time.process_time() + 2\nwhile time.process_time() < until: pass"
         subprocess.run(["sh", "-c", '"$0" -c "$1"; true', sys.executable, busy], check=True)
         self.publisher.publish(String(data="compiled"))
 
-    def floods(self):
+    def floods(self) -> None:
         while True:
             self.publisher.publish(String(data="flood"))
 
-    def talks(self):
+    def talks(self) -> None:
         import socket
 
         socket.create_server(("127.0.0.1", 0)).close()

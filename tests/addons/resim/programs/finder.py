@@ -1,4 +1,4 @@
-"""A node that looks at the graph every 100 ms, and subscribes to what others publish on topics whose name ends with "in".
+"""A node that looks at the graph every 100 ms, and subscribes to the topics of others whose name ends with "in".
 
 It publishes on /own_in, too, and reports how many publishers each topic has.
 """
@@ -8,15 +8,15 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 
-class Finder(Node):
-    def __init__(self):
+class Finder(Node):  # type: ignore[misc]
+    def __init__(self) -> None:
         super().__init__("finder")
         self.publisher = self.create_publisher(String, "/out", 10)
         self.own = self.create_publisher(String, "/own_in", 10)
-        self.found = set()
+        self.found: set[str] = set()
         self.create_timer(0.1, self.look)
 
-    def look(self):
+    def look(self) -> None:
         for topic, types in self.get_topic_names_and_types():
             if topic.endswith("in") and topic not in self.found:
                 self.found.add(topic)
