@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from igtl_gateway.addon import Config, Entry, Kind, Qos, SessionWriter, __version__
+from igtl_gateway.addons.resim.goals import numbering
 
 #: Topics that every node has: kept in the session, but not part of the verdict.
 OF_EVERY_NODE = ("/rosout", "/parameter_events")
@@ -22,7 +24,7 @@ class OutputStream:
         qos: as its publisher offers it.
         messages: their number.
         first_ns, last_ns: session time of the first and the last one, UTC ns.
-        digest: SHA-256 of times and bytes, as hexadecimal digits; set at the end of the run.
+        digest: SHA-256 of times and bytes, with numbers for goal ids, as hexadecimal digits; set at the end of the run.
     """
 
     topic: str
@@ -33,6 +35,17 @@ class OutputStream:
     last_ns: int = 0
     digest: str = ""
     sum: hashlib._Hash = field(default_factory=hashlib.sha256, repr=False, compare=False)
+    _numbered: Callable[[bytes], bytes] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        self._numbered = numbering(self.topic)
+
+    def cover(self, time_ns: int, data: bytes) -> None:
+        """Have the digest cover a message."""
+        data = self._numbered(data)
+        self.sum.update(time_ns.to_bytes(8, "little"))
+        self.sum.update(len(data).to_bytes(8, "little"))
+        self.sum.update(data)
 
     @property
     def kind(self) -> Kind:
@@ -78,9 +91,7 @@ class OutputFile:
             stream.first_ns = time_ns
         stream.messages += 1
         stream.last_ns = time_ns
-        stream.sum.update(time_ns.to_bytes(8, "little"))
-        stream.sum.update(len(data).to_bytes(8, "little"))
-        stream.sum.update(data)
+        stream.cover(time_ns, data)
         links = (1,) if stream.kind is Kind.IGTL_IN else ()
         self._writer.write(
             Entry(self._seq, self._stamp_ns, stream.kind, stream.topic, stream.type, (data,), links, time_ns)

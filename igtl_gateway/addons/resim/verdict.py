@@ -19,6 +19,7 @@ from typing import Any
 
 from igtl_gateway.addon import Entry, Kind, SessionFile, matches, recorded_units
 from igtl_gateway.addons.resim.engine import Run, RunResult
+from igtl_gateway.addons.resim.goals import numbering
 from igtl_gateway.addons.resim.outputs import OF_EVERY_NODE
 from igtl_gateway.replay.compare import EXACT, Delta, LeafDecoder, Tolerance, Undecodable, compare_values, first_byte
 from igtl_gateway.replay.diff import DiffInput, StreamDiff, diff
@@ -253,7 +254,7 @@ def _name(kind: Kind, topic: str, stream: str) -> str:
 
 
 def _messages(file: SessionFile, topic: str, links: Set[int] = frozenset()) -> Iterator[Entry]:
-    """The messages of a topic; their stamp is the session time at which they were published.
+    """The messages of a topic, with numbers for goal ids; their stamp is the session time at which they were published.
 
     Of an OpenIGTLink stream of a live recording, only those that came by one of ``links``.
     """
@@ -262,12 +263,13 @@ def _messages(file: SessionFile, topic: str, links: Set[int] = frozenset()) -> I
             if entry.kind is Kind.IGTL_IN and entry.channel == topic and not links.isdisjoint(entry.links):
                 yield Entry(entry.seq, entry.stamp_ns, entry.kind, topic, entry.type, entry.payload)
         return
+    numbered = numbering(topic)
     for channel in file.channels:
         if _name(channel.kind, channel.topic, channel.stream) == topic:
             for block in file.blocks(channel):
                 for index in range(len(block)):
                     time_ns = int(block.source_times[index]) or int(block.times[index])
-                    data = (bytes(block.payload(index)),)
+                    data = (numbered(bytes(block.payload(index))),)
                     seq = int(block.numbers[index])
                     yield Entry(seq, time_ns, channel.kind, topic, channel.entry_type, data, (), time_ns)
 

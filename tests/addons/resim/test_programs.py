@@ -72,6 +72,30 @@ def test_a_service_and_its_client_in_two_programs(tmp_path: Path) -> None:
     assert [after - before for before, after in zip(sent, arrived, strict=True)] == [1_000_000] * len(sent)
 
 
+def test_goal_ids_of_actions_are_random_and_do_not_count(tmp_path: Path) -> None:
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(20))
+    result, verdict = judged(recording, tmp_path, "action server", "action client")
+    assert verdict.line() == f"deterministic: {RUNS} of {RUNS} runs equal"
+    assert len({one.streams["/drive/_action/status"].digest for one in result.runs}) == 1
+    said = strings(result.runs[0].outputs, "/out")
+    assert said == [f"{goal + 10 * step} True" for goal in range(1, 21) for step in range(2)]
+    (tmp_path / "wrong").mkdir()
+    good = result.runs[0].outputs
+    _, verdict = judged(recording, tmp_path / "wrong", "action server wrong", "action client", runs=1, reference=good)
+    assert [each.stream for each in verdict.streams if not each.is_equal] == ["/drive/_action/feedback", "/out"]
+    assert "/drive/_action/feedback, message 9 at " in verdict.line()
+
+
+@pytest.mark.skipif(not find_spec("test_msgs"), reason="needs test_msgs")
+def test_an_action_of_rclpy(tmp_path: Path) -> None:
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(20))
+    for names in (["fibonacci server", "fibonacci client"], ["fibonacci server client"]):
+        result, verdict = judged(recording, tmp_path, *names)
+        assert verdict.line() == f"deterministic: {RUNS} of {RUNS} runs equal"
+        said = strings(result.runs[0].outputs, "/out")
+        assert sum("accepted=True" in text for text in said) == 20
+
+
 def test_a_lifecycle_node_and_its_manager(tmp_path: Path) -> None:
     recording = sessions.write(tmp_path / "in.mcap", sessions.texts(150))
     result, verdict = judged(recording, tmp_path, "lifecycle", "manager")
