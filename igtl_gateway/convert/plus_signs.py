@@ -15,7 +15,7 @@ from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.text import String, text_of
 from igtl_gateway.wire.tracking import TrackingData
 
-#: Maximum number of messages in which tracked frames are searched; until then, streams of the peer are not compiled.
+#: Maximum number of messages in which tracked frames are searched; until then, streams of these types are not compiled.
 MAX_SEARCHED = 64
 #: Number of equal frames that show PLUS: of several messages each, and of a single one.
 _FRAMES, _SINGLE_FRAMES = 2, 8
@@ -85,6 +85,10 @@ class TrackedFrames:
     def is_over(self) -> bool:
         """Whether the search has ended without a result."""
         return self._searched >= MAX_SEARCHED
+
+    def must_see(self, message: Message) -> bool:
+        """Return whether later messages of this stream are searched."""
+        return message.type in _NAMES and not self.is_over
 
     def follow(self, message: Message) -> bool:
         """Return whether the messages up to this one are frames of PLUS."""

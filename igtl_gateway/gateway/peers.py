@@ -119,7 +119,7 @@ class Peer:
         """Return whether the next messages of a stream may show what the peer is, so that each must be seen."""
         if self.chosen or not self.recent:
             return False
-        return (self.frames is not None and not self.frames.is_over) or may_show_plus(message)
+        return (self.frames is not None and self.frames.must_see(message)) or may_show_plus(message)
 
     @property
     def requested_types(self) -> frozenset[str]:

@@ -44,6 +44,8 @@
 #define TIMED_PHASES 5
 #define TIME_BUCKETS 256
 #define MAX_LARGE_STREAMS 64
+#define REMEMBERED 64        /* own messages of a latched topic: more than a late subscription gets of them */
+#define REMEMBERED_BYTES 256 /* of their beginning, as in edges/ros/streams.py */
 #define MAX_LARGE_WAITING 3 /* messages; then TCP makes the peer wait */
 #define LOCK_NS 2000000 /* the longest wait of a thread of the middleware */
 #define BATCH_NS 3000000 /* messages of ROS that wait pass with one taking of the sequence lock, for this time at most */
@@ -272,10 +274,22 @@ typedef struct {
     int64_t observations[OBSERVATIONS][2];
 } Guard;
 
+/* How a message begins that was published, and when it was (UTC ns). */
+struct own_message {
+    int64_t begun_ns, ended_ns;
+    ssize_t size;
+    uint8_t bytes[REMEMBERED_BYTES];
+};
+
 typedef struct {
     PyObject_HEAD
     const void *pointer; /* rcl_publisher_t; NULL: nothing is published */
     long long published, unheard, failed;
+    char latched;          /* a later subscription of our own node might get its last messages */
+    _Atomic char by_python; /* its messages are Python's */
+    pthread_mutex_t publishing;       /* guards what follows, in a latched one, until the end of each call is known */
+    struct own_message *own_messages; /* of a latched one: the last REMEMBERED that Python has not taken over */
+    uint64_t begun, taken_over;       /* numbers of own messages so far */
 } Publisher;
 
 /* One output of a stream. */
@@ -452,10 +466,22 @@ static int has_subscriber(Passage *self, Publisher *publisher)
 static void publish(Passage *self, Publisher *publisher, uint8_t *cdr, ssize_t size)
 {
     struct rcl_serialized message = {.buffer = cdr, .length = (size_t)size, .capacity = (size_t)size};
+    struct own_message *own = NULL;
+    if (publisher->latched) {
+        pthread_mutex_lock(&publisher->publishing);
+        own = &publisher->own_messages[publisher->begun++ % REMEMBERED];
+        own->size = size < REMEMBERED_BYTES ? size : REMEMBERED_BYTES;
+        memcpy(own->bytes, cdr, (size_t)own->size);
+        own->begun_ns = clock_ns(CLOCK_REALTIME);
+    }
     if (self->publish(publisher->pointer, &message, NULL) == RCL_RET_OK)
         add(&publisher->published);
     else
         add(&publisher->failed);
+    if (own) {
+        own->ended_ns = clock_ns(CLOCK_REALTIME);
+        pthread_mutex_unlock(&publisher->publishing);
+    }
 }
 
 /* Build what is constant for a message of bulk; 0: it must go to Python. */
@@ -483,17 +509,25 @@ static int pass_to_ros(Passage *self, Stream *stream, const uint8_t *data, ssize
     int count = 0, wanted = 0, heard[MAX_OUTPUTS];
     for (int i = 0; i < stream->output_count; i++) {
         struct output *output = &stream->outputs[i];
+        if (is_bulk && !prepare_bulk(stream, &forms[count], output, data, size))
+            return 0;
+        sizes[count] = is_bulk ? forms[count].size : output->size; /* 0: the row does not apply */
+        if (output->publisher->by_python) {
+            if (!sizes[count])
+                continue;
+            stream->is_stale = 1; /* there might be another publisher now */
+            return 0;
+        }
         int hears = output->publisher->pointer && has_subscriber(self, output->publisher);
+        if (output->publisher->latched && !hears && !self->builds_all)
+            return 0; /* Python keeps it for the first subscriber */
         if (!hears && !self->builds_all)
             continue;
         wanted++;
-        if (is_bulk && !prepare_bulk(stream, &forms[count], output, data, size))
-            return 0;
-        sizes[count] = is_bulk ? forms[count].size : output->size;
         if (!sizes[count])
-            continue; /* the row does not apply */
+            continue;
         forms[count].out = scratch_of(self, count);
-        heard[count] = hears;
+        heard[count] = hears || output->publisher->latched;
         bytes += sizes[count];
         built[count++] = output;
     }
@@ -1593,12 +1627,59 @@ static PyObject *publisher_new(PyTypeObject *type, PyObject *args, PyObject *key
 {
     (void)keywords;
     unsigned long long pointer;
-    if (!PyArg_ParseTuple(args, "K", &pointer))
+    int latched = 0;
+    if (!PyArg_ParseTuple(args, "K|p", &pointer, &latched))
         return NULL;
     Publisher *self = (Publisher *)type->tp_alloc(type, 0);
-    if (self)
-        self->pointer = (const void *)(uintptr_t)pointer;
+    if (!self)
+        return NULL;
+    self->pointer = (const void *)(uintptr_t)pointer;
+    if (!latched)
+        return (PyObject *)self;
+    self->own_messages = calloc(REMEMBERED, sizeof *self->own_messages);
+    if (!self->own_messages || begin_mutex(&self->publishing)) {
+        Py_DECREF(self);
+        return PyErr_NoMemory();
+    }
+    self->latched = 1;
     return (PyObject *)self;
+}
+
+static void publisher_dealloc(Publisher *self)
+{
+    if (self->latched)
+        pthread_mutex_destroy(&self->publishing);
+    free(self->own_messages);
+    Py_TYPE(self)->tp_free((PyObject *)self);
+}
+
+static PyObject *publisher_take_own(Publisher *self, PyObject *nothing)
+{
+    (void)nothing;
+    PyObject *found = PyList_New(0);
+    if (!found || !self->latched)
+        return found;
+    lock_from_python(&self->publishing);
+    uint64_t first = self->begun - self->taken_over < REMEMBERED ? self->taken_over : self->begun - REMEMBERED;
+    for (; found && first < self->begun; first++) {
+        const struct own_message *own = &self->own_messages[first % REMEMBERED];
+        PyObject *one = Py_BuildValue("LLy#", (long long)own->begun_ns, (long long)own->ended_ns,
+                                      (const char *)own->bytes, (Py_ssize_t)own->size);
+        if (!one || PyList_Append(found, one))
+            Py_CLEAR(found);
+        Py_XDECREF(one);
+    }
+    if (found)
+        self->taken_over = self->begun;
+    pthread_mutex_unlock(&self->publishing);
+    return found;
+}
+
+static PyObject *publisher_leave(Publisher *self, PyObject *nothing)
+{
+    (void)nothing;
+    self->by_python = 1;
+    Py_RETURN_NONE;
 }
 
 static PyObject *publisher_collect(Publisher *self, PyObject *nothing)
@@ -1610,6 +1691,9 @@ static PyObject *publisher_collect(Publisher *self, PyObject *nothing)
 static PyMethodDef publisher_methods[] = {
     {"collect", (PyCFunction)publisher_collect, METH_NOARGS,
      "Return the numbers of messages since the last call: published, without a subscriber, failed."},
+    {"take_own", (PyCFunction)publisher_take_own, METH_NOARGS,
+     "Return begin and end (UTC ns) of the last calls for a latched topic since the last time, and the messages' first bytes."},
+    {"leave", (PyCFunction)publisher_leave, METH_NOARGS, "Leave all messages to Python, such as when our own node subscribes to the topic."},
     {NULL, NULL, 0, NULL},
 };
 
@@ -1617,8 +1701,9 @@ static PyTypeObject Publisher_Type = {
     PyVarObject_HEAD_INIT(NULL, 0).tp_name = "igtl_gateway.native._passage.Publisher",
     .tp_basicsize = sizeof(Publisher),
     .tp_flags = Py_TPFLAGS_DEFAULT,
-    .tp_doc = "A publisher by the address of its rcl_publisher_t; 0: nothing is published.",
+    .tp_doc = "A publisher by the address of its rcl_publisher_t (0: nothing is published), and whether it is latched.",
     .tp_new = publisher_new,
+    .tp_dealloc = (destructor)publisher_dealloc,
     .tp_methods = publisher_methods,
 };
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from igtl_gateway.base.buffers import join
+from igtl_gateway.base.stamp import ns_to_ticks
 from igtl_gateway.config.configuration import Config, PeerRow, ToIgtlRow
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.common_msgs import MultiArrayLayout
@@ -23,6 +24,7 @@ from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.wire import Message, Raw, encode
 from igtl_gateway.wire.capability import Capability
 from igtl_gateway.wire.client_info import ClientInfo
+from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.query import EmptyQuery
 from igtl_gateway.wire.registry import BODIES
 from igtl_gateway.wire.text import Status, String
@@ -192,6 +194,14 @@ def test_live_and_verified_are_equal_while_a_peer_is_searched() -> None:
     again = Session(Gateway(LIVE, fast_path=False))
     outputs = [out for entry in made.log if entry.kind.is_input for out in again.recorded(entry)]
     assert outputs == [entry for entry in made.log if not entry.kind.is_input]
+
+
+def test_streams_that_are_not_searched_are_compiled_at_once() -> None:
+    made = script()
+    made.igtl(frame(0, "ProbeToTracker")[0])
+    for number in range(2):
+        made.igtl(Message("POINT", "Marks", Points.of(np.full((3, 3), number, ">f4")), ns_to_ticks(T0_NS)))
+    assert [key[1][2:7] for key in made.gateway.fast_path.to_ros] == [b"POINT"]
 
 
 def test_the_reason_of_a_failed_command_arrives() -> None:

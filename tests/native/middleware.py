@@ -142,6 +142,7 @@ class RosEdge:
         self._receiver: Any = None
         self._subscriptions: dict[str, TopicSubscription] = {}
         self._native: dict[str, Publisher] = {}
+        self._latched: set[str] = set()
         self._counts: dict[str, TopicCounts] = {}
         self._reports: Any = SimpleNamespace(
             callback_failed=lambda what, error, *_: self.errors.append(f"{what}: {error}")
@@ -200,11 +201,13 @@ class RosEdge:
 
     def native_publisher(self, topic: str, type_name: str) -> Publisher | None:
         if topic not in self._native:
-            self._native[topic] = Publisher(self.middleware.pointer(topic))
+            self._native[topic] = Publisher(self.middleware.pointer(topic), topic in self._latched)
         return self._native[topic]
 
     def publish(self, topic: str, type_name: str, cdr: bytes, qos: Qos) -> str:
         self._counts.setdefault(topic, TopicCounts()).published += 1
+        if qos.latched:
+            self._latched.add(topic)
         self.middleware.published.append((topic, cdr))
         return ""
 

@@ -77,11 +77,14 @@ class Publishing(Publishers[TopicPublisher]):
     def native(self, topic: str, type_name: str) -> NativePublisher | None:
         """Return a publisher for the native passage; None: Python publishes, such as while messages are held."""
         publisher = self._publishers.get(topic)
-        if publisher is None or publisher.type_name != type_name or not publisher.ready or publisher.echo is not None:
+        if publisher is None or publisher.type_name != type_name or not publisher.ready:
             return None
         if publisher.native is None and (pointer := getattr(publisher.publisher, "pointer", 0)):
-            publisher.native = NativePublisher(pointer)
-        return publisher.native
+            publisher.native = NativePublisher(pointer, publisher.qos.latched)
+            if publisher.qos.latched and publisher.echo:
+                publisher.echo.add_native(publisher.native)
+        # asked last: a subscription that is made meanwhile sets it before it asks for the native publisher
+        return None if publisher.comes_back else publisher.native
 
     def sync(self) -> None:
         """Take over what the native passage has counted."""
@@ -227,6 +230,7 @@ class Publishing(Publishers[TopicPublisher]):
         publisher.in_graph = self._node.names.in_graph(topic)
         subscriptions = self._topics.subscriptions_at(publisher.in_graph)
         # a latched message might also reach a subscription that we make later
+        publisher.comes_back = bool(subscriptions)
         if subscriptions or publisher.qos.latched:
             publisher.echo = self._topics.echo(publisher.in_graph)
         for subscription in subscriptions:

@@ -45,22 +45,40 @@ class EchoFilter:
         self._sent: list[tuple[int, bytes]] = []  # (end of the call, how the message begins)
         # both, from before the host's clock was set back: messages on their way at that time have the old stamps
         self._before: tuple[list[int], list[tuple[int, bytes]]] = [], []
+        self._native: list[NativePublisher] = []
+
+    def add_native(self, publisher: NativePublisher) -> None:
+        """Recognise what a latched publisher of the native passage sends, too."""
+        with self._lock:
+            self._native.append(publisher)
 
     def publish(self, publisher: RclPublisher, cdr: bytes, clock: Clock) -> None:
         """Send, and remember; the lock makes the receiver wait until the end of the call is known."""
         with self._lock:
+            self._take_over()
             begun_ns = clock.utc_ns()
             publisher.publish(cdr)
-            if self._begun_ns and begun_ns < self._begun_ns[-1]:
-                self._before = self._begun_ns, self._sent
-                self._begun_ns, self._sent = [], []
-            self._begun_ns.append(begun_ns)
-            self._sent.append((clock.utc_ns(), cdr[:_ECHO_PREFIX]))
-            if len(self._sent) > 2 * _ECHO_MEMORY:
-                del self._begun_ns[:_ECHO_MEMORY], self._sent[:_ECHO_MEMORY]
+            self._remember(begun_ns, clock.utc_ns(), cdr[:_ECHO_PREFIX])
+
+    def _take_over(self) -> None:
+        """Remember what was sent natively; with the lock."""
+        for publisher in self._native:
+            for begun_ns, ended_ns, prefix in publisher.take_own():
+                self._remember(begun_ns, ended_ns, prefix)
+
+    def _remember(self, begun_ns: int, ended_ns: int, prefix: bytes) -> None:
+        """Remember a message; with the lock."""
+        if self._begun_ns and begun_ns < self._begun_ns[-1]:
+            self._before = self._begun_ns, self._sent
+            self._begun_ns, self._sent = [], []
+        self._begun_ns.append(begun_ns)
+        self._sent.append((ended_ns, prefix))
+        if len(self._sent) > 2 * _ECHO_MEMORY:
+            del self._begun_ns[:_ECHO_MEMORY], self._sent[:_ECHO_MEMORY]
 
     def is_own(self, cdr: Buffer, source_ns: int) -> bool:
         with self._lock:
+            self._take_over()
             return _is_echo(self._begun_ns, self._sent, cdr, source_ns) or _is_echo(*self._before, cdr, source_ns)
 
 
@@ -160,6 +178,7 @@ class TopicPublisher:
         self.counts = counts
         self.in_graph = topic
         self.echo: EchoFilter | None = None
+        self.comes_back = False  # to a subscription of our own node
         self.lock = threading.Lock()
         self.held: deque[bytes] = deque()
         self.held_bytes = 0

@@ -85,9 +85,11 @@ class Subscribing(Subscriptions[TopicSubscription]):
         echo = None
         for publisher in self._topics.publishers_at(in_graph):
             echo = self._topics.echo(in_graph)
-            if publisher.echo is None:
-                with publisher.lock:
-                    publisher.echo = echo
+            with publisher.lock:
+                publisher.echo = echo
+            publisher.comes_back = True
+            if publisher.native:
+                publisher.native.leave()
         subscription = TopicSubscription(topic, type_name, self._reports.counts(topic), echo)
         subscription.in_graph = in_graph
         events = rclpy.event_handler.SubscriptionEventCallbacks(

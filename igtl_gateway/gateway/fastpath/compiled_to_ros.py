@@ -51,7 +51,7 @@ class CompiledToRos:
         outputs: topic, ROS type, form and counts of each output.
         channel, type: of the stream.
         count: counts of the stream.
-        is_plain: no topic is latched, and no later message depends on it: the native passage can take it.
+        is_plain: no later message depends on it: the native passage can take it, except while it ``waits``.
     """
 
     def __init__(
@@ -88,7 +88,17 @@ class CompiledToRos:
         self._waiting, self._latched = waiting
         self._volume = volume
         self._defer = defer
-        self.is_plain = not self._latched and volume is None
+        self.is_plain = volume is None
+
+    @property
+    def is_latched(self) -> bool:
+        """Whether a topic is latched."""
+        return bool(self._latched)
+
+    @property
+    def waits(self) -> bool:
+        """Whether the last message of a latched topic waits for its first subscriber."""
+        return not self._latched.isdisjoint(self._waiting)
 
     def prepare(self, payload: Sequence[Buffer], ask: HasSubscriber | None) -> Prepared | None:
         """Convert a message before it has a number; None if the result depends on its gateway time, or on others."""

@@ -33,6 +33,7 @@ _RETRY_AFTER = 16
 _BY_PYTHON = "Python has the connection, as with TLS"
 _NO_NUMBER = "the recorder has no more streams"
 _LARGE = "images and surfaces are converted by Python"
+_WAITS = "a latched topic of it waits for its first subscriber"
 
 #: Kind, channel, type and links of entries → number of their stream in the recorder's queue; None: it has none.
 NumberOf = Callable[[Kind, str, str, tuple[int, ...]], int | None]
@@ -127,7 +128,10 @@ class PassageStreams:
         self._number_of = number_of
         self._on_passed = on_passed
         self._keep = keep
+        self._later = Publisher(0)
+        self._later.leave()
         self._copies: dict[Key, _Copy] = {}
+        self._latched: dict[Key, CompiledToRos] = {}  # those with a copy and a latched topic
         self._guards = _Guards()
         self._tries: dict[Key, int] = {}  # messages that Python has passed since the streams were compiled
         self._missing: dict[Key, tuple[CompiledToRos | CompiledToIgtl, str]] = {}  # those without a copy, and why
@@ -161,6 +165,7 @@ class PassageStreams:
 
     def handled(self, key: Key, stream: CompiledToRos | CompiledToIgtl) -> None:
         self._guards.set(stream.watched)
+        self._leave_waiting()
         if copy := self._copies.get(key):
             if not copy.native.is_stale:
                 return
@@ -190,9 +195,19 @@ class PassageStreams:
             copied.native.remove()
             raise
         self._copies[key] = copied
+        if isinstance(stream, CompiledToRos) and stream.is_latched:
+            self._latched[key] = stream
 
     def handled_in_full(self) -> None:
         self._guards.set_all()
+        self._leave_waiting()
+
+    def _leave_waiting(self) -> None:
+        """Drop the copies of streams with a message that waits for a subscriber: Python knows whether one is newer."""
+        for key in [key for key, compiled in self._latched.items() if compiled.waits]:
+            compiled = self._latched[key]
+            self.drop(key)
+            self._missing[key] = compiled, _WAITS
 
     def drop(self, key: Key) -> None:
         self.replace(key, None)
@@ -200,6 +215,7 @@ class PassageStreams:
     def replace(self, key: Key, stream: CompiledToRos | CompiledToIgtl | None) -> None:
         self._tries.pop(key, None)
         self._missing.pop(key, None)
+        self._latched.pop(key, None)
         old = self._copies.pop(key, None)
         if old is None:
             return
@@ -225,7 +241,9 @@ class PassageStreams:
             link.add_large(names, min(LARGEST_BYTES, HEADER_SIZE + self._edges.max_body(compiled.type)))
         number = self._number_of(Kind.IGTL_IN, compiled.channel, compiled.type, (link_number,))
         if not compiled.is_plain:
-            return "a topic of it is latched, or its images may be parts of a volume"
+            return "its images may be parts of a volume"
+        if compiled.waits:
+            return _WAITS
         if link is None:
             return _BY_PYTHON
         if number is None:
@@ -236,6 +254,8 @@ class PassageStreams:
             own_number = self._number_of(Kind.ROS_OUT, topic, ros_type, ())
             if not compiled.place_at and form[0] not in _FORMS:
                 return _LARGE
+            if publisher is None and form[0] == POINT and not compiled.place_at:
+                publisher = self._later  # most messages have no single point, and its topic has no publisher
             if publisher is None:
                 return f"{topic} waits for subscribers, or is subscribed to as well"
             if own_number is None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 
@@ -107,6 +108,22 @@ def test_echo_knows_own_messages_also_when_the_clock_was_set_back() -> None:
     *_, on_its_way, first, second, third = publisher.stamps
     assert [echo.is_own(b"behind", stamp) for stamp in (first, second, third, third)] == [True, True, True, False]
     assert echo.is_own(b"before", on_its_way) and not echo.is_own(b"behind", publisher.stamps[0])
+
+
+def test_echo_knows_what_the_native_passage_has_sent() -> None:
+    _, publisher, clock = writer_and_publisher()
+    echo, begun_ns = EchoFilter(), clock.utc_ns()
+    sent: Any = [(begun_ns, begun_ns + 5, b"native"), (begun_ns + 10, begun_ns + 15, b"later")]
+    echo.add_native(cast(Any, SimpleNamespace(take_own=lambda: [sent.pop(0) for _ in list(sent)])))
+    clock.advance(20)
+    echo.publish(publisher, b"by Python", clock)
+    assert not sent
+    assert not echo.is_own(b"native", begun_ns + 10)
+    assert echo.is_own(b"native, padded", begun_ns + 3)
+    assert not echo.is_own(b"native", begun_ns + 3)
+    sent.append((begun_ns + 10**6, begun_ns + 10**6 + 5, b"last"))
+    assert echo.is_own(b"last", begun_ns + 10**6 + 5)
+    assert echo.is_own(b"by Python", publisher.stamps[-1])
 
 
 def test_echo_forgets_the_oldest(monkeypatch: pytest.MonkeyPatch) -> None:

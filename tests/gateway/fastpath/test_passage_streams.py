@@ -457,15 +457,48 @@ def test_clouds_of_thousands_of_points_pass_natively(monkeypatch: pytest.MonkeyP
             if number == 25:
                 data[-1] ^= 1
             peer.send(bytes(data))
-            wait_for(lambda number=number: here.received("igtl_in") > number)
+            marks: Any = Points.of(places[: 1 if number == 28 else None].astype(">f4"))
+            if number == 22:
+                marks.elements["name"][-1] = b"label"
+            landmarks = join(encode(Message("POINT", "Marks", marks, ns_to_ticks(time.time_ns()))))
+            peer.send(landmarks)
+            wait_for(lambda number=number: here.received("igtl_in") == 2 * (number + 1))
         wait_for(lambda: here.received("ros_in") == 60)
         with counted_by_python(here) as handled:
             here.send_ros(cdr, point)
             here.send_ros(cdr, cloud)
-            peer.send(join(encode(message)))
-            wait_for(lambda: here.received("ros_in") == 62 and here.received("igtl_in") == 31)
+            peer.send(join(encode(message)) + landmarks)
+            wait_for(lambda: here.received("ros_in") == 62 and here.received("igtl_in") == 62)
         assert handled == []
     check_recording(path, config, here.bridge.losses)
+
+
+def test_a_latched_topic_keeps_its_last_message_for_the_first_subscriber(monkeypatch: pytest.MonkeyPatch) -> None:
+    topic = "/igtl/in/Marks/points"
+    with scene(monkeypatch) as here:
+        peer, sent = here.connect(), 0
+
+        def send(count: int) -> list[bytes]:
+            nonlocal sent
+            before = len(here.middleware.published)
+            for _ in range(count):
+                sent += 1
+                marks: Any = Points.of(np.full((1_000, 3), sent, ">f4"))
+                peer.send(join(encode(Message("POINT", "Marks", marks, ns_to_ticks(time.time_ns())))))
+                wait_for(lambda number=sent: here.received("igtl_in") == number)
+            return [cdr for name, cdr in here.middleware.published[before:] if name == topic]
+
+        assert len(send(20)) == 20
+        assert here.native == 1
+        here.middleware.subscribers[topic] = 0
+        assert send(3) == []
+        here.middleware.subscribers[topic] = 1
+        assert here.native == 0, "an older message would follow the next"
+        assert len(send(1)) == 1, "the older one is superseded"
+        wait_for(lambda: here.native == 1)
+        with counted_by_python(here) as handled:
+            assert len(send(1)) == 1
+        assert handled == []
 
 
 def _is_possible(step: Any) -> bool:
