@@ -118,6 +118,7 @@ LONG = (
     ),
     "integration/test_fair_shares.py::test_a_good_peer_is_answered_beside_twenty_that_flood[COMMAND]",
     "integration/test_fair_shares.py::test_a_good_peer_is_answered_beside_twenty_that_flood[TRANSFORM]",
+    "integration/test_marks_everywhere.py::test_every_verb_on_every_fixture",
     "integration/test_soak.py::test_load_with_guests_that_come_and_go",
     "integration/test_hostile_crowds.py",
     "test_gateway_fuzz.py",

@@ -169,11 +169,13 @@ if TYPE_CHECKING:
     from igtl_gateway.gateway.log.clocksteps import CLOCK_STEP as CLOCK_STEP
     from igtl_gateway.gateway.log.entry import Entry as Entry
     from igtl_gateway.gateway.log.entry import Kind as Kind
+    from igtl_gateway.gateway.log.marks import Mark as Mark
     from igtl_gateway.gateway.log.marks import MarkNote as MarkNote
-    from igtl_gateway.gateway.log.marks import joined as joined_marks
     from igtl_gateway.gateway.log.note import Level as Level
     from igtl_gateway.gateway.log.note import Note as Note
     from igtl_gateway.record.sessionfile import layout as layout
+    from igtl_gateway.record.sessionfile.added_marks import added_marks as added_marks
+    from igtl_gateway.record.sessionfile.added_marks import marks_files as marks_files
     from igtl_gateway.record.sessionfile.beside import check_folder as check_folder
     from igtl_gateway.record.sessionfile.beside import check_target as check_target
     from igtl_gateway.record.sessionfile.beside import is_unfinished as is_unfinished
@@ -194,11 +196,13 @@ if TYPE_CHECKING:
     from igtl_gateway.record.sessionfile.ranges import named as named
     from igtl_gateway.record.sessionfile.reader import SessionFile as SessionFile
     from igtl_gateway.record.sessionfile.writer import SessionWriter as SessionWriter
+    from igtl_gateway.replay.marks import carry_marks as carry_marks
+    from igtl_gateway.replay.marks import marks_of as marks_of
     from igtl_gateway.replay.recorded_config import config_to_run as config_to_run
     from igtl_gateway.replay.recorded_config import recorded_units as recorded_units
 
 #: Names that are others there; the rest of the surface is above.
-__all__ = ["VIDEO_THREADS", "joined_marks", "open_recording", "ros_definitions"]
+__all__ = ["VIDEO_THREADS", "open_recording", "ros_definitions"]
 
 #: Modules, and their names here with spaces between; a name that is a module below it is that module.
 HOMES: tuple[tuple[str, str], ...] = (
@@ -229,7 +233,9 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("gateway", "LINK_DOWN LINK_UP LISTENED PARTNER TICK Session header_names make_core"),
     ("gateway.log.changes", "SETTING SETTINGS"),
     ("gateway.log.clocksteps", "CLOCK_STEP"),
-    ("gateway.log.marks", "MarkNote joined_marks"),
+    ("gateway.log.marks", "Mark MarkNote"),
+    ("record.sessionfile.added_marks", "added_marks marks_files"),
+    ("replay.marks", "carry_marks marks_of"),
     # Conversions of pictures and geometry, one message at a time
     ("convert.context", "ConvertedMessage ToIgtlContext ToRosContext"),
     ("convert.images", "image_to_igtl pixel_layout"),
@@ -295,7 +301,6 @@ HOMES: tuple[tuple[str, str], ...] = (
 #: Name here → name there, where the latter alone would be unclear.
 _RENAMED = {
     "open_recording": "open",
-    "joined_marks": "joined",
     "VIDEO_THREADS": "THREADS",
     "ros_definitions": "definitions",
 }

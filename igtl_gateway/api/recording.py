@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import shutil
 import tempfile
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
@@ -28,6 +29,7 @@ from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.marks import Mark
 from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.record.sessionfile.added_marks import marks_files
 from igtl_gateway.record.sessionfile.ranges import named
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.remote import RemoteFile, is_url
@@ -220,11 +222,7 @@ class Recording(Mapping[str, Stream]):
     def marks(self) -> tuple[Mark, ...]:
         """The marks of the recording, in the order of their times; of a part those that it has a share of."""
         first, last = self._window
-        return tuple(
-            mark
-            for mark in self._source.marks()
-            if mark.time_ns < last and first <= (mark.time_ns if mark.end_ns is None else mark.end_ns)
-        )
+        return tuple(mark for mark in self._source.marks() if mark.time_ns < last and first <= mark.last_ns)
 
     @property
     def ledger(self) -> Mapping[str, Any] | None:
@@ -373,6 +371,8 @@ def _salvaged(path: Path, resources: ExitStack, warnings: list[str]) -> SessionF
     folder = Path(resources.enter_context(tempfile.TemporaryDirectory(prefix="igtl-gateway-")))
     copy = folder / path.name
     report = copy_readable(path, copy)
+    for side in marks_files(path):
+        shutil.copyfile(side, folder / side.name)
     warnings.append(
         f"{path}: was cut off after {report.size:,} bytes; {report.messages:,} messages are read, and it has no ledger "
         "of a finished session"

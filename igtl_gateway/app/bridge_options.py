@@ -126,6 +126,8 @@ def bridge_options(
     if config.relay:
         if len(connect) != 1:
             raise ConfigError(f"--relay: found {len(connect)} servers, expected one: --connect HOST:PORT")
+        if config.mark_from:
+            raise ConfigError("--mark-from: found --relay, expected one of them: a relay reads no messages")
         listen = listen or ((DEFAULT_HOST, DEFAULT_PORT),)
     tls_listen, tls_connect = secured(values, listen, connect)
     return config, BridgeOptions(

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from igtl_gateway.app.content_summary import ContentSummary, StreamSummary
-from igtl_gateway.base.errors import BeingRecorded, ConfigError, DamagedRecording, LimitExceeded
+from igtl_gateway.base.errors import BeingRecorded, ConfigError, DamagedRecording, GatewayError, LimitExceeded
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.text import parse_json
 from igtl_gateway.cli.common import count_text, print_damaged_indexes, size_text, utc_text
@@ -24,15 +25,16 @@ from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.log.changes import SETTING
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.ledger import gaps
-from igtl_gateway.gateway.log.marks import joined
+from igtl_gateway.gateway.log.marks import Mark, joined
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.stream_units import StreamUnits
 from igtl_gateway.record.sessionfile import facts, layout
+from igtl_gateway.record.sessionfile.added_marks import added_marks, marks_files
 from igtl_gateway.record.sessionfile.index import recover_hint
 from igtl_gateway.record.sessionfile.reader import PartSummary, SessionFile
 from igtl_gateway.record.sessionfile.salvage import Salvage
 from igtl_gateway.record.sessionfile.seals import stated_seals
-from igtl_gateway.replay.marks import notes_before
+from igtl_gateway.replay.marks import marks_of
 
 EXAMPLES = """\
   # streams, rates, gaps, errors, losses, peers, configuration
@@ -86,7 +88,8 @@ def _run(options: argparse.Namespace, place: Path) -> int:
         print_next(*info_steps(str(options.file), is_foreign=summary["foreign"], has_problems=problems, types=types))
     # the retention deletes the first parts, and nothing deletes one between others
     has_gap = any(first for first, _ in summary.get("missing_parts", []))
-    return 1 if summary["damaged_indexes"] or has_gap else 0
+    bad_marks = bool(summary["added_marks"] and summary["added_marks"]["problem"])
+    return 1 if summary["damaged_indexes"] or has_gap or bad_marks else 0
 
 
 def _run_damaged(options: argparse.Namespace, place: Path, error: DamagedRecording) -> int:
@@ -116,8 +119,9 @@ def _facts(
     path: Path, file: SessionFile | Salvage, content: ContentSummary, start_ns: int, end_ns: int
 ) -> dict[str, Any]:
     noted = [(stamp_ns, note) for stamp_ns, kind, note in content.notes if kind is Kind.EDGE_NOTE]
-    begun = notes_before(file) if isinstance(file, SessionFile) else []
-    marks = joined([*begun, *noted], start_ns, end_ns)
+    logged = marks_of(file, noted, added=False) if isinstance(file, SessionFile) else joined(noted, start_ns, end_ns)
+    added, side = _added(path, start_ns, end_ns)
+    marks = sorted((*logged, *added), key=lambda mark: mark.time_ns)
     return {
         "file": str(path),
         "bytes": 0,
@@ -140,6 +144,7 @@ def _facts(
             if kind is Kind.EDGE_NOTE and note.code == SETTING
         ],
         "marks": [mark.to_dict(start_ns) for mark in marks],
+        "added_marks": side,
         "clock_steps": [
             {
                 "at": utc_text(step.at_ns),
@@ -155,6 +160,17 @@ def _facts(
         "gaps": gaps(file.ledger or {}),
         "seal": _seal(path),
     }
+
+
+def _added(path: Path, start_ns: int, end_ns: int) -> tuple[Sequence[Mark], dict[str, Any] | None]:
+    """Return the marks of the side file, and what there is to say of it; None without one."""
+    names = [found.name for found in marks_files(path)]
+    if not names:
+        return (), None
+    try:
+        return added_marks(path, start_ns, end_ns), {"files": names, "sealed": False, "problem": ""}
+    except GatewayError as error:
+        return (), {"files": names, "sealed": False, "problem": str(error)}
 
 
 def _streams(file: SessionFile | Salvage, content: ContentSummary) -> list[dict[str, Any]]:
@@ -260,7 +276,7 @@ def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_n
         ("clocks", [f"{_peer(clock)} by {clock['stream']}: {clock['text']}" for clock in summary["clocks"]]),
         ("settings", [f"{change['at']}  {change['text']}" for change in summary["changes"]]),
         ("host's clock", [f"{step['at']}  {step['text']}" for step in summary["clock_steps"]]),
-        ("marks", [_mark(mark) for mark in summary["marks"]]),
+        ("marks", [*map(_mark, summary["marks"]), *_side_lines(summary["added_marks"])]),
         ("problems", [f"{number:>7,}  {code}" for code, number in summary["problems"].items()] or ["   none"]),
         ("first note of each problem", _firsts(notes, start_ns)),
         ("losses", [_NOT_YET] if "being_recorded" in summary else losses(summary["ledger"]) or ["   none"]),
@@ -343,7 +359,15 @@ def _line(stamp_ns: int, note: Note, start_ns: int) -> str:
 def _mark(mark: dict[str, Any]) -> str:
     text = ": ".join(filter(None, (mark["label"], mark["text"]))) + (f" ({mark['who']})" if mark["who"] else "")
     end = "" if mark["end_s"] is None else f" to {mark['end_s']:.3f} s" + (" (open)" if mark["open"] else "")
-    return f"{mark['at_s']:>9.3f} s{end}  {text}"
+    return f"{mark['at_s']:>9.3f} s{end}  {text}" + (" [added]" if mark["added"] else "")
+
+
+def _side_lines(side: dict[str, Any] | None) -> list[str]:
+    if side is None:
+        return []
+    if side["problem"]:
+        return [f"! {side['problem']}"]
+    return [f"[added] after the recording was closed: {' '.join(side['files'])}, which no seal covers"]
 
 
 def _firsts(notes: list[tuple[int, Kind, Note]], start_ns: int) -> list[str]:

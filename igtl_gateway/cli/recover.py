@@ -6,17 +6,19 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.base.errors import ConfigError, UnsupportedRecording
+from igtl_gateway.base.errors import ConfigError, GatewayError, UnsupportedRecording
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.files import is_same
 from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.options import add_file, add_json, add_output, add_overwrite, default, new_recording
 from igtl_gateway.cli.terminal import clear_live_line, is_terminal, live_line, print_json, print_line
+from igtl_gateway.record.sessionfile.added_marks import added_marks
 from igtl_gateway.record.sessionfile.beside import written, written_folder
 from igtl_gateway.record.sessionfile.recovery import Recovery, recover
 from igtl_gateway.record.sessionfile.salvage import Salvage
 from igtl_gateway.record.sessionfile.salvage_report import Loss, SalvageReport
 from igtl_gateway.record.sessionfile.side_file import SIDE_FILE, write_side_file
+from igtl_gateway.replay.marks import carry_marks
 
 EXAMPLES = """\
   # after a crash: write out.recovered.mcap, closed and with an index
@@ -53,6 +55,7 @@ def run(options: argparse.Namespace) -> int:
     with written(output, overwrite=options.overwrite) as place:
         found = _recover(source, place, options)
     facts = _facts(found, source, output)
+    facts["notes"] += _carried(source, output, found.report.start_ns, found.report.end_ns)
     if options.json:
         print_json(facts)
     else:
@@ -83,18 +86,33 @@ def _run_parts(options: argparse.Namespace) -> int:
         # in order of time, as they were recorded: part_10 comes before part_9 by name
         parts.sort(key=lambda part: (part.start_ns or _NEVER, part.path.name))
         write_side_file(folder, parts)
+    for facts, found in everything:
+        if found:
+            facts["notes"] += _carried(Path(facts["file"]), Path(facts["output"]), found.start_ns, found.end_ns)
+    full = [part for part in parts if part.entries]
+    carried = _carried(source, output, full[0].start_ns, full[-1].end_ns) if full else []
     whole = all(facts["whole"] for facts, _ in everything)
     if options.json:
         rows = [facts for facts, _ in everything]
-        print_json({"file": str(source), "output": str(output), "whole": whole, "parts": rows})
+        print_json({"file": str(source), "output": str(output), "whole": whole, "parts": rows, "notes": carried})
         return 0 if whole else 1
     for facts, found in everything:
         if found is None:
             print_line(f"LOST {facts['why']}")
         else:
             _print(facts, found)
-    print_line(f"{output / SIDE_FILE}: written")
+    print_line(f"{output / SIDE_FILE}: written", *(f"  note: {note}" for note in carried))
     return 0 if whole else 1
+
+
+def _carried(source: Path, output: Path, start_ns: int, end_ns: int) -> list[str]:
+    """Copy the marks that were added to a recording; return why that was not possible, if so."""
+    try:
+        if start_ns:
+            carry_marks(output, added_marks(source, start_ns, end_ns, parts=False))
+    except GatewayError as error:
+        return [f"marks that were added are left out: {error}"]
+    return []
 
 
 def _recover(source: Path, place: Path, options: argparse.Namespace) -> Recovery:

@@ -25,11 +25,13 @@ from igtl_gateway.cli.options import (
     new_recording,
 )
 from igtl_gateway.cli.terminal import print_json, print_line
+from igtl_gateway.gateway.log.marks import Mark
 from igtl_gateway.record.sessionfile import layout
+from igtl_gateway.record.sessionfile.added_marks import added_marks
 from igtl_gateway.record.sessionfile.beside import written
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
-from igtl_gateway.replay.marks import marked_moment, marks_of
+from igtl_gateway.replay.marks import carry_marks, marked_moment, marks_of
 from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.replay.slice import Slice, SliceReport, SliceWindow
 
@@ -91,12 +93,18 @@ def run(options: argparse.Namespace) -> int:
             window,
             file.entries_starting_at,
         )
+        added = added_marks(file.path, file.start_ns, file.end_ns)
         _write(file, part, window, options)
+        carry_marks(options.output, [mark for mark in added if _is_in(mark, window)])
         if options.json:
             print_json({"file": str(options.output), "bytes": options.output.stat().st_size, **_facts(part.report)})
         else:
             _print(options.output, part.report)
     return 0
+
+
+def _is_in(mark: Mark, window: SliceWindow) -> bool:
+    return mark.time_ns < window.end_ns and window.start_ns <= mark.last_ns
 
 
 def _apart(window: SliceWindow) -> str:

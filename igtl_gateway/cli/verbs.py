@@ -75,6 +75,7 @@ VERBS = {
         place=3,
         now="seal keys",
     ),
+    "mark": _own("mark", "add a mark to a closed recording, in a file beside it", KEEP, 4, writes_files=True),
     "keep": _own("keep", "copy the recordings of a directory to a store, delete old ones", KEEP, 2),
     "retain": Verb(
         "delete recordings of a directory by age and by size", "igtl_gateway.cli.keep", group=RARE, place=5, now="keep"

@@ -1,39 +1,93 @@
-"""The marks of a recording, and moments that are named by them: ``mark:LABEL``."""
+"""The marks of a recording, and moments that are named by them: ``mark:LABEL``.
+
+`marks_of` is the one place where marks come together: those of the session log, of the time before a file that begins
+midway, of the parts of a merged session, and of the side file.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import chain
+from pathlib import Path
 
-from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.errors import ConfigError, DamagedRecording
 from igtl_gateway.base.near import did_you_mean, near_names
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.marks import Mark, joined
 from igtl_gateway.gateway.log.note import Note
-from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.added_marks import added_marks, write_marks
+from igtl_gateway.record.sessionfile.layout import PROLOGUE_ATTACHMENT, LayoutError
+from igtl_gateway.record.sessionfile.merged import ATTACHMENT_OF, PART_NAME_KEY, is_noted
+from igtl_gateway.record.sessionfile.messages import unpack_note
+from igtl_gateway.record.sessionfile.reader import SessionFile, prologue_of
 from igtl_gateway.replay.moment import moment
 
 _PREFIX = "mark:"
 
 
-def marks_of(file: SessionFile) -> tuple[Mark, ...]:
-    """Return the marks of an open recording in the order of their times.  Raises DamagedRecording."""
+#: UTC ns and note.
+Noted = tuple[int, Note]
+
+
+def marks_of(file: SessionFile, notes: Iterable[Noted] | None = None, *, added: bool = True) -> tuple[Mark, ...]:
+    """Return the marks of an open recording in the order of their times.
+
+    Args:
+        file: the recording.
+        notes: of its entries, where they were read already.
+        added: whether those of the side file belong to them.
+
+    Raises DamagedRecording, and as ``added_marks``.
+    """
+    found = _merged(file) if file.merge else _logged(file, notes)
+    more = added_marks(file.path, file.start_ns, file.end_ns) if added else ()
+    return tuple(sorted((*found, *more), key=lambda mark: mark.time_ns))
+
+
+def _logged(file: SessionFile, notes: Iterable[Noted] | None) -> tuple[Mark, ...]:
     if file.foreign:
         return ()
-    notes = _noted(file.entries_of_kinds({Kind.EDGE_NOTE}))
-    return joined(chain(notes_before(file), notes), file.start_ns, file.end_ns)
+    noted = _noted(file.entries_of_kinds({Kind.EDGE_NOTE})) if notes is None else notes
+    return joined(chain(_noted(file.prologue()), noted), file.start_ns, file.end_ns)
 
 
-def notes_before(file: SessionFile) -> list[tuple[int, Note]]:
-    """Return UTC ns and note of the marks before a file that begins midway: phases may be open there."""
-    return [] if file.foreign else list(_noted(file.prologue()))
+def _merged(file: SessionFile) -> Iterator[Mark]:
+    """Yield the marks of the parts of a merged session, at the times of its reference clock."""
+    assert file.merge
+    notes: dict[str, list[Noted]] = {name: [] for name in file.merge.names}
+    ahead_ns = {part["name"]: round((part["clock"]["offset_s"] or 0) * NS_PER_S) for part in file.merge.facts["parts"]}
+    prologues = {ATTACHMENT_OF.format(name) + PROLOGUE_ATTACHMENT: name for name in notes}
+    for each in file.attachments():
+        if name := prologues.get(each.name):
+            notes[name] += ((at - ahead_ns[name], note) for at, note in _noted(prologue_of(each, file.path)))
+    for _, channel, (_, _, log_ns, _, start, end, data) in file.messages(is_noted):
+        name = channel.metadata.get(PART_NAME_KEY, "")
+        if name in notes:
+            try:
+                note = Note.of(unpack_note(data[start:end], 0, log_ns).data())
+            except LayoutError as error:
+                raise DamagedRecording(f"{file.path}: part {name}: {error}") from None
+            notes[name].append((log_ns, note))
+    for noted in notes.values():
+        yield from joined(noted, file.start_ns, file.end_ns)
 
 
-def _noted(entries: Iterable[Entry]) -> Iterator[tuple[int, Note]]:
+def _noted(entries: Iterable[Entry]) -> Iterator[Noted]:
     for entry in entries:
         if entry.seq and entry.kind is Kind.EDGE_NOTE:
             yield entry.stamp_ns, Note.of(entry.data())
+
+
+def carry_marks(out: Path, added: Iterable[Mark]) -> None:
+    """Give a new recording the marks that were added to the one that it was made of: those within its time.
+
+    Raises as ``write_marks``.
+    """
+    with SessionFile.open(out) as file:
+        kept = [mark for mark in added if mark.time_ns <= file.end_ns and file.start_ns <= mark.last_ns]
+        write_marks(out, kept, file.start_ns, file.end_ns)
 
 
 def marked_moment(text: str, start_ns: int, option: str, marks: Callable[[], Sequence[Mark]]) -> int:
@@ -51,7 +105,7 @@ def marked_moment(text: str, start_ns: int, option: str, marks: Callable[[], Seq
     if not text.startswith(_PREFIX):
         return moment(text, start_ns, option)
     mark = find_mark(text.removeprefix(_PREFIX), marks(), option)
-    return mark.end_ns if mark.end_ns is not None and "end" in option else mark.time_ns
+    return mark.last_ns if "end" in option else mark.time_ns
 
 
 def find_mark(name: str, marks: Sequence[Mark], option: str) -> Mark:

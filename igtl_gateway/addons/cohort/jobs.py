@@ -24,9 +24,9 @@ from igtl_gateway.addon import (
     UnsupportedRecording,
     WireError,
     files,
-    joined_marks,
     layout,
     limits,
+    marks_of,
     named,
     verify_session,
 )
@@ -220,7 +220,7 @@ def _lint(file: SessionFile, settings: Mapping[str, Any]) -> Rows:
 
 def _marks(file: SessionFile, content: ContentSummary) -> Iterator[Row]:
     notes = [(stamp_ns, note) for stamp_ns, kind, note in content.notes if kind is Kind.EDGE_NOTE]
-    for mark in joined_marks(notes, file.start_ns, file.end_ns):
+    for mark in marks_of(file, notes):
         yield {
             "label": mark.label,
             "text": mark.text,

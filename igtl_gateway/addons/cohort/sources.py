@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from igtl_gateway.addon import ConfigError, is_unfinished
+from igtl_gateway.addon import ConfigError, is_unfinished, marks_files
 from igtl_gateway.addons.cohort.objects import is_url, list_objects
 
 _WILD = "*?["
@@ -21,8 +21,8 @@ class Located:
     Attributes:
         name: absolute path, or URL.
         size: bytes.
-        mark: changes when the file does: of a local file size, time of its last change and inode; of an object the
-            entity tag, which stands for the content, with the version and the size.
+        mark: changes when the file does: of a local file size, time of its last change and inode, of its marks file
+            too; of an object the entity tag, which stands for the content, with the version and the size.
         e_tag: of an object that has one.
     """
 
@@ -79,8 +79,13 @@ def _local(source: str) -> Iterator[Located]:
             yield Located(str(name.absolute()), 0, "absent")
             continue
         if not name.is_dir():
-            mark = f"{facts.st_size} {facts.st_mtime_ns} {facts.st_ino}"
-            yield Located(str(name.absolute()), facts.st_size, mark)
+            yield Located(str(name.absolute()), facts.st_size, " ".join(map(_changes, (name, *marks_files(name)))))
+
+
+def _changes(path: Path) -> str:
+    """Return what changes with a file."""
+    facts = path.stat()
+    return f"{facts.st_size} {facts.st_mtime_ns} {facts.st_ino}"
 
 
 def digest(*parts: str) -> str:

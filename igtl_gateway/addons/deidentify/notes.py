@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
-from igtl_gateway.addon import CLOCK_STEP, LISTENED, PARTNER, SETTING, SETTINGS, TICK, MarkNote, Note
+from igtl_gateway.addon import CLOCK_STEP, LISTENED, PARTNER, SETTING, SETTINGS, TICK, Mark, MarkNote, Note
 from igtl_gateway.addon.igtl import BODIES
 from igtl_gateway.addons.deidentify.context import Context
 
@@ -44,6 +45,15 @@ def clean_note(payload: bytes, context: Context) -> bytes:
     context.report.add("note", (note.text != text) + len(note.data.keys() - data.keys()) + (code != note.code))
     stream = context.stream_name(note.stream) if note.stream.partition("/")[0] in ("", *BODIES) else ""
     return Note(note.level, code, text, stream, data).pack()
+
+
+def clean_mark(mark: Mark, context: Context) -> Mark:
+    """Return a mark that was added to the recording, as one in it."""
+    new = _clean_mark(MarkNote(mark.label, mark.text, mark.who), context)
+    until_ns = None if mark.end_ns is None else context.times.ns(mark.end_ns)
+    return replace(
+        mark, label=new.label, text=new.text, who=new.who, time_ns=context.times.ns(mark.time_ns), end_ns=until_ns
+    )
 
 
 def _clean_mark(mark: MarkNote, context: Context) -> MarkNote:

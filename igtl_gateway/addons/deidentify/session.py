@@ -26,6 +26,8 @@ from igtl_gateway.addon import (
     UnsupportedRecording,
     WireError,
     __version__,
+    added_marks,
+    carry_marks,
     config_to_run,
     header_names,
     layout,
@@ -38,7 +40,7 @@ from igtl_gateway.addons.deidentify import patterns
 from igtl_gateway.addons.deidentify.configuration import SeenNames, clean_config
 from igtl_gateway.addons.deidentify.context import Context, Removed
 from igtl_gateway.addons.deidentify.messages import MessageCleaner
-from igtl_gateway.addons.deidentify.notes import clean_note
+from igtl_gateway.addons.deidentify.notes import clean_mark, clean_note
 from igtl_gateway.addons.deidentify.profile import Profile
 from igtl_gateway.addons.deidentify.report import Report
 from igtl_gateway.addons.deidentify.ros import RosCleaner
@@ -91,6 +93,7 @@ def deidentify(
                 run.write(place)
             if IMPORTED not in file.session and not verify_recording(place).good:
                 raise GatewayError(f"{path}: found outputs that the gateway does not compute from the new inputs")
+        carry_marks(out, run.added)
         return run.report
     except layout.LayoutError as error:
         raise DamagedRecording(f"{path}: {error}") from None
@@ -120,6 +123,8 @@ class _Run:
         self._messages = MessageCleaner(context)
         self._ros = RosCleaner(context, self._messages, file.definitions)
         self._is_import = IMPORTED in file.session
+        #: The marks of the side file, without identity.
+        self.added = [clean_mark(mark, context) for mark in added_marks(file.path, file.start_ns, file.end_ns)]
         seen = self._look()
         config = config_to_run(file.session) if not self._is_import else Config()
         self._config = clean_config(config, seen, context)

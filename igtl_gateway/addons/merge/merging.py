@@ -7,7 +7,7 @@ import math
 from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -19,8 +19,11 @@ from igtl_gateway.addon import (
     Entry,
     GatewayError,
     Kind,
+    Mark,
     SessionFile,
     UnsupportedRecording,
+    added_marks,
+    carry_marks,
     files,
     is_same,
     written,
@@ -139,14 +142,26 @@ def merge(
             )
             for each in recorders
         ]
+        added = [
+            _moved(mark, clocks[each.name])
+            for each in recorders
+            for mark in added_marks(each.file.path, each.file.start_ns, each.file.end_ns)
+        ]
         with written(out, overwrite=overwrite) as path:
             count = write_merged(path, parts, facts)
+        carry_marks(out, added)
         return {
             "file": str(out),
             "messages": count,
             **facts,
             "parts": [{"name": part.name, **part.facts} for part in parts],
         }
+
+
+def _moved(mark: Mark, clock: Clock) -> Mark:
+    """Return a mark at its time by the clock of the reference."""
+    until_ns = None if mark.end_ns is None else clock.to_reference(mark.end_ns)
+    return replace(mark, time_ns=clock.to_reference(mark.time_ns), end_ns=until_ns)
 
 
 def _opened(sources: Sequence[Source], stack: ExitStack) -> Iterator[_Recorder]:

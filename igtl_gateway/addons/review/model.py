@@ -164,6 +164,7 @@ class StitchReview:
             did not reach both.
         level: the worst level of the reasons.
         reasons: why the level is not *ok*, the worst first.
+        mark: label of the phase of the session in which the tool made the stitch; "" without one.
     """
 
     number: int
@@ -175,6 +176,12 @@ class StitchReview:
     driven_depth_mm: float | None
     level: Level
     reasons: tuple[str, ...]
+    mark: str = ""
+
+    @property
+    def name(self) -> str:
+        """The label, with that of the phase if it is another one."""
+        return self.label if self.mark in ("", self.label) else f"{self.label} ({self.mark})"
 
 
 @dataclass(frozen=True, slots=True)

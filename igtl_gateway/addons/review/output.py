@@ -97,6 +97,7 @@ def _csv_rows(review: Review) -> Iterable[dict[str, Any]]:
                 "stamp_ns": plan.stamp_ns,
                 "stitch": stitch.number,
                 "label": stitch.label,
+                "mark": stitch.mark,
                 "level": stitch.level.value,
             }
             for name, end in (("entry", stitch.entry), ("exit", stitch.exit)):
@@ -143,7 +144,7 @@ def print_review(path: Path, review: Review, start_ns: int) -> None:
         if plan is review.first or plan is review.last:
             _print_plan(plan, colour, with_tool=bool(review.tool) and plan is review.last)
     _print_changes(review, colour)
-    wrong = [stitch.label for stitch in review.last.wrong]
+    wrong = [stitch.name for stitch in review.last.wrong]
     verdict = f"WRONG: {', '.join(wrong)}" if wrong else "no stitch of the last plan is wrong"
     print_line()
     print_line(verdict, colour=_COLOURS[Level.WRONG if wrong else Level.OK] if colour else "")
@@ -209,7 +210,7 @@ def _row(stitch: StitchReview, with_tool: bool) -> tuple[str, ...]:
     density = [end.density_mm2 for end in ends if end.density_mm2 is not None]
     missing = [end.missing for end in ends if end.missing is not None]
     row = (
-        stitch.label,
+        stitch.name,
         *(_off(end) for end in ends),
         *(_mm(end.noise_mm) for end in ends),
         *(_mm(end.spacing_mm, 1) for end in ends),

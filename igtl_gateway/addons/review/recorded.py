@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
-from igtl_gateway.addon import ConfigError, GatewayError, SessionFile, config_to_run, scale
-from igtl_gateway.addons.review import Material, Review, Thresholds, review_of
+from igtl_gateway.addon import ConfigError, GatewayError, Mark, SessionFile, config_to_run, marks_of, scale
+from igtl_gateway.addons.review import Material, Review, StitchReview, Thresholds, review_of
 from igtl_gateway.addons.review.material import CLOUDS
 from igtl_gateway.addons.review.options import option
 
@@ -39,11 +39,32 @@ def review_session(file: SessionFile, selection: ReviewSelection, thresholds: Th
     for entry in file.entries():
         material.take(entry)
     try:
-        return review_of(material, thresholds)
+        return named_by_marks(review_of(material, thresholds), marks_of(file))
     except ConfigError:
         raise
     except GatewayError as error:
         raise GatewayError(f"{file.path}: {error}") from None
+
+
+def named_by_marks(review: Review, marks: Sequence[Mark]) -> Review:
+    """Return the review with the phases of the session as names of the stitches of the last plan.
+
+    A stitch has the shortest phase in which the tool reached its entry; otherwise one of its own label.
+    """
+    phases = [mark for mark in marks if mark.end_ns is not None]
+    phases.sort(key=lambda mark: mark.last_ns - mark.time_ns)
+    if not phases:
+        return review
+    named = tuple(replace(each, mark=_phase_of(each, phases)) for each in review.last.stitches)
+    return replace(review, plans=(*review.plans[:-1], replace(review.last, stitches=named)))
+
+
+def _phase_of(stitch: StitchReview, phases: Sequence[Mark]) -> str:
+    at = stitch.entry.executed
+    for phase in phases:
+        if at and at.reached and phase.time_ns <= at.stamp_ns <= phase.last_ns:
+            return phase.label
+    return next((phase.label for phase in phases if phase.label == stitch.label), "")
 
 
 def checked_thresholds(values: Mapping[str, float], clouds: int, name: Callable[[str], str] = str) -> Thresholds:

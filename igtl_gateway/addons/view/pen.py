@@ -130,6 +130,11 @@ class Pen:
         self.begin_ns = self.begin_ns or self.stamp_ns
         self.source_ns = 0 if timeless(entry.source_ns) else entry.source_ns
 
+    def moment(self, time_ns: int) -> None:
+        """Set the times of the following rows to a moment of the gateway's time, UTC ns, which is no entry."""
+        self.stamp_ns = 0 if timeless(time_ns) else time_ns
+        self.source_ns = 0
+
     def log(self, path: str, *archetypes: rr.AsComponents) -> None:
         """Send one row immediately, with all its components."""
         self._set_time()

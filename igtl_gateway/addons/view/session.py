@@ -8,13 +8,14 @@ whatever the size of the session.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import rerun as rr
 
-from igtl_gateway.addon import NS_PER_S, ConversionError, Entry, Kind, Level, MarkNote, Note, read_bytes
+from igtl_gateway.addon import NS_PER_S, ConversionError, Entry, Kind, Level, Mark, MarkNote, Note, read_bytes
 from igtl_gateway.addons.view.blueprints import is_camera, target_frame
 from igtl_gateway.addons.view.canvas import Canvas, Options
 from igtl_gateway.addons.view.colours import ERROR, INFO, WARN
@@ -164,6 +165,15 @@ class SessionView:
     def end(self, why: str) -> None:
         """Log that the session ends here because the rest of it cannot be read."""
         self._pen.text(LOG, f"the session ends here: {why}", "ERROR", ERROR)
+
+    def marks(self, marks: Iterable[Mark]) -> None:
+        """Draw marks that are no entries: of a side file, or of the parts of a merged session."""
+        for mark in marks:
+            words = f": {mark.text}" if mark.text else ""
+            phase = [(mark.time_ns, " begins"), (mark.last_ns, " ends")]
+            for time_ns, verb in [(mark.time_ns, "")] if mark.end_ns is None else phase:
+                self._pen.moment(time_ns)
+                self._pen.text(MARKS, f"mark {mark.label}{verb}{words}", Level.INFO.name, _COLOURS[Level.INFO])
 
     def review(self, review: Review) -> None:
         """Draw the review of a suture plan."""

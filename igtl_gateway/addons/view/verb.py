@@ -40,6 +40,7 @@ from igtl_gateway.addon import (
     is_present,
     is_terminal,
     live_line,
+    marks_of,
     missing,
     output_file,
     part_of,
@@ -221,6 +222,8 @@ def _draw(options: argparse.Namespace, out: Path, stopped: Any) -> tuple[Session
             view.add_robot(urdf, namespace)
         material = None if options.no_review or not is_present("review") else part_of("review", "material:Material")()
         damage = _draw_entries(file, config, view, material, stopped)
+        if not damage:
+            view.marks(mark for mark in marks_of(file) if mark.is_added or file.merge)
         if material:
             _review(material, view)
         view.finish()

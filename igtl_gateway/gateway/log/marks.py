@@ -121,6 +121,7 @@ class Mark:
         time_ns: when it is or begins, UTC ns.
         end_ns: end of the phase, UTC ns; None for a moment.
         is_open: the phase has no end in the recording; ``end_ns`` is that of the recording.
+        is_added: it was added to the closed recording.
     """
 
     label: str
@@ -129,6 +130,12 @@ class Mark:
     time_ns: int
     end_ns: int | None = None
     is_open: bool = False
+    is_added: bool = False
+
+    @property
+    def last_ns(self) -> int:
+        """The end of a phase; the time of a moment."""
+        return self.time_ns if self.end_ns is None else self.end_ns
 
     def to_dict(self, start_ns: int) -> dict[str, Any]:
         """Return it as JSON values, with times in seconds from ``start_ns``."""
@@ -140,6 +147,7 @@ class Mark:
             "time_ns": self.time_ns,
             "end_ns": self.end_ns,
             "open": self.is_open,
+            "added": self.is_added,
             "at_s": (self.time_ns - start_ns) / 1e9,
             "end_s": end_s,
         }
@@ -179,7 +187,7 @@ def joined(notes: Iterable[tuple[int, Note]], start_ns: int, end_ns: int) -> tup
         else:
             found.append(Mark(mark.label, mark.text, mark.who, time_ns))
     found += [_phase(since_ns, mark, end_ns, is_open=True) for since_ns, mark in begun.values()]
-    kept = [mark for mark in found if (mark.time_ns if mark.end_ns is None else mark.end_ns) >= start_ns]
+    kept = [mark for mark in found if mark.last_ns >= start_ns]
     return tuple(sorted(kept, key=lambda mark: mark.time_ns))
 
 

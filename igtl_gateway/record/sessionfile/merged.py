@@ -24,6 +24,7 @@ from igtl_gateway.base.errors import DamagedRecording, UnsupportedRecording
 from igtl_gateway.base.untrusted.shape import fields, list_of, map_of, number, text, wrong
 from igtl_gateway.base.untrusted.text import parse_json
 from igtl_gateway.base.untrusted.unpack import unpack_zstd_of_any_size
+from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.chunks import Row
 from igtl_gateway.record.sessionfile.compression import compress
@@ -229,6 +230,11 @@ def _channel_in_part(channel: Channel) -> Channel:
     if PART_KIND_KEY in given:
         given[layout.KIND_KEY] = given.pop(PART_KIND_KEY)
     return replace(channel, topic=channel.metadata.get(PART_TOPIC_KEY, channel.topic), metadata=given)
+
+
+def is_noted(channel: Channel) -> bool:
+    """Return whether a channel of the merged file has the notes that were inputs of a part."""
+    return channel.metadata.get(PART_KIND_KEY) == Kind.EDGE_NOTE.value
 
 
 def pack_numbers(rows: list[tuple[int, int, int]]) -> bytes:

@@ -253,13 +253,20 @@ class SessionFile:
             number for number, each in self._streams.items() if each == stream and topics[number].topic == channel.topic
         ]
 
-    def messages(self) -> Iterator[tuple[Schema | None, Channel, Row]]:
-        """All messages as they are, also of channels that are not read, in order.  Raises as `entries`."""
+    def messages(
+        self, wanted: Callable[[Channel], bool] = lambda _: True
+    ) -> Iterator[tuple[Schema | None, Channel, Row]]:
+        """All messages of the wanted channels as they are, also of those that are not read, in order.
+
+        Raises as `entries`.
+        """
         schemas, channels = self._index.schemas, self._index.channels
-        for rows in self._rows(kinds=None):
+        numbers = frozenset(number for number, channel in channels.items() if wanted(channel))
+        for rows in self._rows(numbers=numbers):
             for row in rows or ():
-                channel = channels[row[0]]
-                yield schemas.get(channel.schema_id), channel, row
+                if row[0] in numbers:
+                    channel = channels[row[0]]
+                    yield schemas.get(channel.schema_id), channel, row
 
     def attachments(self) -> Iterator[Attachment]:
         """All attachments, as they are.  Raises DamagedRecording."""
@@ -427,18 +434,21 @@ class SessionFile:
                 yield entry
         return count
 
-    def _rows(self, from_ns: int = 0, kinds: Collection[Kind] | None = _ALL_KINDS) -> Iterator[list[Row] | None]:
+    def _rows(
+        self, from_ns: int = 0, kinds: Collection[Kind] = _ALL_KINDS, numbers: Collection[int] | None = None
+    ) -> Iterator[list[Row] | None]:
         """All messages (from a moment on) in order, in lists.
 
         A chunk that holds nothing of these kinds is not read: it gives None if there are inputs in it, else nothing.
-        Without kinds, all chunks are read.
+        The numbers of channels, if there are any, take the place of the kinds.
         """
-        wanted = {number for number, (kind, _, _) in self._streams.items() if kinds is None or kind in kinds}
+        wanted = {number for number, (kind, _, _) in self._streams.items() if kind in kinds}
+        wanted = wanted if numbers is None else set(numbers)
         inputs = {number for number, (kind, _, _) in self._streams.items() if kind.is_input}
 
         def is_wanted(chunk: ChunkEntry) -> bool:
             # without an index of its messages, a chunk may hold any
-            return kinds is None or not chunk.places or not wanted.isdisjoint(chunk.channels)
+            return not chunk.places or not wanted.isdisjoint(chunk.channels)
 
         with self._damage_in("entries"):
             for chunk, rows in message_rows(self._stream, self._index, str(self.path), from_ns, is_wanted):
@@ -561,11 +571,13 @@ class SessionParts(SessionFile):
                 return span
         return 0, 0
 
-    def messages(self) -> Iterator[tuple[Schema | None, Channel, Row]]:
+    def messages(
+        self, wanted: Callable[[Channel], bool] = lambda _: True
+    ) -> Iterator[tuple[Schema | None, Channel, Row]]:
         """As SessionFile.messages."""
         for each in self.parts:
             with SessionFile.open(each.path) as part:
-                yield from part.messages()
+                yield from part.messages(wanted)
 
     def damaged_indexes(self) -> int:
         """As SessionFile.damaged_indexes, of all parts."""
