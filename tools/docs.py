@@ -26,6 +26,7 @@ from typing import Any
 from igtl_gateway.addons.cohort.columns import TABLES
 from igtl_gateway.api.keywords import keywords
 from igtl_gateway.app.commands import SERVICE
+from igtl_gateway.app.mark_service import SERVICE as MARK_SERVICE
 from igtl_gateway.app.metrics import METRICS
 from igtl_gateway.app.recording import PAUSE, RESUME, SNAPSHOT
 from igtl_gateway.app.recording import TYPE as TRIGGER
@@ -1026,6 +1027,7 @@ def topics() -> str:
             ("service", "type", "effect"),
             (
                 (f"`{SERVICE}`", "igtl_msgs/SendCommand", "send a COMMAND to a peer and wait for its reply"),
+                (f"`{MARK_SERVICE}`", "igtl_msgs/Mark", "make a [mark](../how-to/marks.md)"),
                 (f"`{PAUSE}`, `{RESUME}`", TRIGGER, "pause and resume the recording"),
                 (f"`{SNAPSHOT}`", TRIGGER, "with `--snapshot`: write the last seconds to a file"),
             ),

@@ -61,6 +61,8 @@ OWN = (
     Row("igtl_msgs/msg/Query", optional="device_name"),
 )
 SERVICES = (
+    Row("igtl_msgs/srv/Mark_Request", optional="text"),
+    Row("igtl_msgs/srv/Mark_Response", "the answer.", "success"),
     Row("igtl_msgs/srv/SendCommand_Request"),
     Row("igtl_msgs/srv/SendCommand_Response", "the answer.", "status"),
 )

@@ -14,6 +14,7 @@ from igtl_gateway.app.bridge_options import Address, BridgeOptions
 from igtl_gateway.app.diagnostics import DiagnosticsTopic
 from igtl_gateway.app.hub import DeferredSend, Hub, Sink
 from igtl_gateway.app.live_changes import LiveChanges
+from igtl_gateway.app.mark_service import MarkService
 from igtl_gateway.app.note_rate import Event
 from igtl_gateway.app.part import Parts, Step
 from igtl_gateway.app.passage import BridgePassage, why_not_native
@@ -170,6 +171,7 @@ class Bridge:
             self.tcp,
             traffic and traffic.video,
             timer,
+            MarkService(traffic.side, self.mark) if traffic else None,
             traffic and traffic.commands,  # last, so that its stop ends the calls that wait before all else
         )
 

@@ -1,7 +1,7 @@
-"""The status of a bridge over HTTP: ``/metrics`` for Prometheus, ``/status`` as JSON.
+"""The status of a bridge over HTTP: ``/metrics`` for Prometheus, ``/status`` as JSON; ``POST /mark`` makes a mark.
 
-The server (``edges.tcp.http_server``) is read-only.  It returns the last sample (``app.status``), so neither the server
-nor the bridge waits for the other.
+The server (``edges.tcp.http_server``) returns the last sample (``app.status``), so neither the server nor the bridge
+waits for the other.  A mark is all that it changes.
 """
 
 from __future__ import annotations
@@ -12,7 +12,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from igtl_gateway.app.status import BridgeStatus
+from igtl_gateway.base.errors import GatewayError
+from igtl_gateway.base.untrusted.shape import fields, text, unexpected
+from igtl_gateway.base.untrusted.text import parse_json
 from igtl_gateway.edges.tcp.http_server import DEADLINE_S, Handler, LocalServer
+from igtl_gateway.gateway.log.marks import MarkNote
 
 Facts = Mapping[str, Any]
 #: Labels and value of one line of the text format.
@@ -176,6 +180,8 @@ METRICS = (
 
 PREFIX = "igtl_gateway_"
 
+_MARK = fields(dict.fromkeys(("label", "text", "who", "phase"), text), needed=("label",), other=unexpected)
+
 
 def prometheus(facts: Facts) -> str:
     """Return the facts in the text format of Prometheus, version 0.0.4."""
@@ -208,6 +214,7 @@ class MetricsServer:
     Args:
         host, port: address to listen on; port 0 chooses a free port.
         status: the status to serve.
+        mark: makes a mark, see ``Bridge.mark``.
         allow: networks (CIDR) whose clients may connect in addition to those of this host.
         deadline_s: longest duration of a request, in seconds; see ``DEADLINE_S``.
 
@@ -215,9 +222,15 @@ class MetricsServer:
     """
 
     def __init__(
-        self, host: str, port: int, status: BridgeStatus, allow: Sequence[str] = (), deadline_s: float = DEADLINE_S
+        self,
+        host: str,
+        port: int,
+        status: BridgeStatus,
+        mark: Callable[[MarkNote], None],
+        allow: Sequence[str] = (),
+        deadline_s: float = DEADLINE_S,
     ) -> None:
-        handler = type("_StatusHandler", (_Handler,), {"status": status})
+        handler = type("_StatusHandler", (_Handler,), {"status": status, "mark": staticmethod(mark)})
         self._server = LocalServer(host, port, handler, name="igtl-metrics", allow=allow, deadline_s=deadline_s)
         self.url = f"http://{self._server.address}/metrics"
 
@@ -228,6 +241,7 @@ class MetricsServer:
 
 class _Handler(Handler):
     status: BridgeStatus
+    mark: Callable[[MarkNote], None]
 
     def get(self, path: str) -> None:
         facts = self.status.facts
@@ -238,3 +252,25 @@ class _Handler(Handler):
                 self.answer(200, "application/json", json.dumps(facts, ensure_ascii=False, default=str))
             case _:
                 self.answer(404, "text/plain; charset=utf-8", "not found; available: /metrics and /status\n")
+
+    def post(self, path: str, body: bytes) -> None:
+        if path != "/mark":
+            super().post(path, body)
+            return
+        try:
+            mark = _mark_of(body)
+            self.mark(mark)
+        except GatewayError as error:
+            self.answer(400, "application/json", json.dumps({"error": str(error)}))
+        else:
+            self.answer(200, "application/json", json.dumps({"label": mark.label}))
+
+
+def _mark_of(body: bytes) -> MarkNote:
+    """Return the mark in a request: an object with ``label`` and, as they are wanted, ``text``, ``who``, ``phase``.
+
+    Raises GatewayError.
+    """
+    found = parse_json(body.decode("utf-8", "replace"), "body")
+    _MARK(found, "body")
+    return MarkNote(**{"who": "http", **found})

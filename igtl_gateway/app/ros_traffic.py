@@ -7,6 +7,7 @@ from collections.abc import Callable
 from igtl_gateway.app.bridge_options import BridgeOptions
 from igtl_gateway.app.commands import CommandService
 from igtl_gateway.app.hub import Hub
+from igtl_gateway.app.mark_service import WHO
 from igtl_gateway.app.recording import BridgeRecording, serve_recording
 from igtl_gateway.app.ros_log import NOTED, RosLog
 from igtl_gateway.app.subscriptions import RECORDED, Subscriptions
@@ -26,9 +27,9 @@ from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.to_igtl.tf_out import TF_QOS
 from igtl_gateway.native.passage import Passage
 
-#: Types of messages to ROS that the bridge itself reads: replies for the service, video frames for the decoder.
 #: Topic of the node for marks: a line of text each.
 MARKS = "mark"
+#: Types of messages to ROS that the bridge itself reads: replies for the service, video frames for the decoder.
 _OWN_USE = frozenset({CommandReply.TYPE, CompressedImage.TYPE})
 
 
@@ -159,7 +160,7 @@ class RosTraffic:
 
     def _take_mark(self, cdr: bytes, mark: Callable[[MarkNote], None]) -> None:
         try:
-            mark(MarkNote.parse(String.unpack(cdr).data, "ros"))
+            mark(MarkNote.parse(String.unpack(cdr).data, WHO))
         except GatewayError as error:
             self._hub.note(Note(Level.WARN, "mark_refused", str(error), self._marks_topic))
 

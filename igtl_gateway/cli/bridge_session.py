@@ -71,7 +71,9 @@ class BridgeSession:
                 from igtl_gateway.app.metrics import MetricsServer
 
                 self._status.sample()
-                self.metrics = MetricsServer(*self._metrics_at, self._status, self.bridge.options.allow)
+                self.metrics = MetricsServer(
+                    *self._metrics_at, self._status, self.bridge.mark, self.bridge.options.allow
+                )
             self.bridge.start(active=active)
         except Exception:
             self._close_metrics()

@@ -163,7 +163,7 @@ def _facts(
 
 
 def _added(path: Path, start_ns: int, end_ns: int) -> tuple[Sequence[Mark], dict[str, Any] | None]:
-    """Return the marks of the side file, and what there is to say of it; None without one."""
+    """Return the marks of the side file, and the facts of it; None without one."""
     names = [found.name for found in marks_files(path)]
     if not names:
         return (), None

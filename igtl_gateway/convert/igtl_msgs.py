@@ -479,6 +479,26 @@ class Volume(Struct):
 
 
 @dataclass(frozen=True, slots=True)
+class MarkRequest(Struct):
+    """igtl_msgs/srv/Mark_Request: Mark the session: a moment, or the begin or the end of a phase."""
+
+    TYPE: ClassVar[str] = "igtl_msgs/srv/Mark_Request"
+    label: Annotated[str, STRING]
+    text: Annotated[str, STRING] = ""
+    who: Annotated[str, STRING] = ""
+    phase: Annotated[str, STRING] = ""  # begin, end, or empty for a moment
+
+
+@dataclass(frozen=True, slots=True)
+class MarkResponse(Struct):
+    """igtl_msgs/srv/Mark_Response: the answer."""
+
+    TYPE: ClassVar[str] = "igtl_msgs/srv/Mark_Response"
+    success: Annotated[bool, BOOL] = False
+    message: Annotated[str, STRING] = ""  # why it cannot be made
+
+
+@dataclass(frozen=True, slots=True)
 class SendCommandRequest(Struct):
     """igtl_msgs/srv/SendCommand_Request: Send an OpenIGTLink COMMAND and wait for its reply."""
 

@@ -26,6 +26,7 @@ from igtl_gateway.base.errors import ConfigError, Unavailable
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.edges.tcp.http_server import MAX_CONNECTIONS, KnownHosts
 from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.marks import MarkNote
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import String
 from tests.places import ROOT
@@ -74,7 +75,7 @@ def values(page: str) -> dict[str, float]:
 
 def test_a_bridge_is_scraped(tmp_path: Path) -> None:
     refused = threading.Event()
-    with bridge(tmp_path, refused) as (one, status), closing(MetricsServer("127.0.0.1", 0, status)) as server:
+    with bridge(tmp_path, refused) as (one, status), closing(MetricsServer("127.0.0.1", 0, status, one.mark)) as server:
         with socket.create_connection(one.addresses[0]) as peer:
             peer.sendall(3 * HELLO + HELLO[:50] + bytes(8) + HELLO[58:])
             assert refused.wait(DEADLINE_S)
@@ -138,16 +139,69 @@ class Nothing(BridgeStatus):
         self.facts = {"version": "1"}
 
 
+def _no_marks(_mark: MarkNote) -> None:
+    raise ConfigError("mark: found none")
+
+
+def _post(server: MetricsServer, body: bytes, path: str = "/mark", **headers: str) -> tuple[int, str]:
+    connection = HTTPConnection("127.0.0.1", port_of(server), timeout=DEADLINE_S)
+    given = {"Content-Type": "application/json"} | {name.replace("_", "-"): value for name, value in headers.items()}
+    with closing(connection):
+        connection.request("POST", path, body, given)
+        answer = connection.getresponse()
+        return answer.status, answer.read().decode()
+
+
+def test_a_mark_by_http() -> None:
+    made: list[MarkNote] = []
+    with closing(MetricsServer("127.0.0.1", 0, Nothing(), made.append)) as server:
+        own = f"http://127.0.0.1:{port_of(server)}"
+        assert _post(server, b'{"label": "slip"}') == (200, '{"label": "slip"}')
+        whole = json.dumps({"label": "suture", "text": "first", "who": "Kim", "phase": "begin"})
+        assert _post(server, whole.encode(), Origin=own)[0] == 200
+        assert made == [MarkNote("slip", "", "http"), MarkNote("suture", "first", "Kim", "begin")]
+        for body, why in (
+            (b'{"label": "a:b"}', "mark: found label 'a:b'"),
+            (b'{"text": "a"}', "body"),
+            (b'{"label": "a", "x": 1}', "body"),
+            (b"[", "body: found invalid JSON"),
+            (b"\xff", "body"),
+        ):
+            code, text = _post(server, body)
+            assert code == 400 and why in json.loads(text)["error"]
+        assert len(made) == 2
+        assert "405" in str(_post(server, b"{}", "/metrics"))
+
+
+def test_a_page_of_a_foreign_site_makes_no_mark() -> None:
+    """A browser sends such requests without asking the server first, or names the origin."""
+    made: list[MarkNote] = []
+    body = b'{"label": "slip"}'
+    with closing(MetricsServer("127.0.0.1", 0, Nothing(), made.append)) as server:
+        for code, headers in (
+            (403, {"Origin": "http://evil.example"}),
+            (403, {"Origin": "null"}),
+            (403, {"Host": "evil.example"}),
+            (415, {"Content_Type": "text/plain"}),
+            (415, {"Content_Type": "application/x-www-form-urlencoded"}),
+            (411, {"Content_Length": "-1"}),
+            (413, {"Content_Length": "100000"}),
+        ):
+            assert _post(server, body, **headers)[0] == code, headers
+        assert ask(server, "/mark", "OPTIONS")[0] == 501
+    assert not made
+
+
 def test_other_questions_are_refused() -> None:
-    with closing(MetricsServer("127.0.0.1", 0, Nothing())) as server:
+    with closing(MetricsServer("127.0.0.1", 0, Nothing(), _no_marks)) as server:
         assert ask(server, "/")[0] == 404
         assert ask(server, "/status?x=1") == (200, '{"version": "1"}')
         assert ask(server, "/status", "HEAD") == (200, "")
-        assert ask(server, "/status", "POST")[0] == 501
+        assert ask(server, "/status", "PUT")[0] == 501
 
 
 def test_whoever_asks_slowly_is_cut_off_and_the_next_is_answered() -> None:
-    with closing(MetricsServer("127.0.0.1", 0, Nothing(), deadline_s=0.05)) as server:
+    with closing(MetricsServer("127.0.0.1", 0, Nothing(), _no_marks, deadline_s=0.05)) as server:
         with socket.create_connection(("127.0.0.1", port_of(server)), DEADLINE_S) as slow:
             slow.sendall(b"GET /metr")
             assert slow.recv(1) == b""
@@ -158,7 +212,7 @@ def test_silent_clients_and_slow_readers_do_not_delay_a_scrape() -> None:
     """More of them than connections are served at a time, each until a deadline that does not come."""
     status = Nothing()
     status.facts = {"version": "x" * (8 << 20)}  # more than the socket takes
-    with closing(MetricsServer("127.0.0.1", 0, status, deadline_s=600.0)) as server, ExitStack() as clients:
+    with closing(MetricsServer("127.0.0.1", 0, status, _no_marks, deadline_s=600.0)) as server, ExitStack() as clients:
         for number in range(2 * MAX_CONNECTIONS + 6):
             client = clients.enter_context(socket.create_connection(("127.0.0.1", port_of(server)), DEADLINE_S))
             client.sendall((b"", b"GET /metr", b"GET /status HTTP/1.0\r\n\r\n")[number % 3])
@@ -170,7 +224,7 @@ def test_silent_clients_and_slow_readers_do_not_delay_a_scrape() -> None:
 
 
 def test_a_request_through_the_name_of_a_foreign_site_is_refused() -> None:
-    with closing(MetricsServer("127.0.0.1", 0, Nothing())) as server:
+    with closing(MetricsServer("127.0.0.1", 0, Nothing(), _no_marks)) as server:
         port = port_of(server)
         for host in ("localhost", f"LOCALHOST.:{port}", f"127.0.0.1:{port}", "127.0.0.1", "[::1]:1", "127.9.9.9"):
             assert ask(server, "/status", Host=host)[0] == 200, host
@@ -197,6 +251,6 @@ def test_on_all_networks_addresses_and_the_own_name_are_known() -> None:
 
 def test_other_hosts_need_an_allowance_and_a_taken_port_is_named() -> None:
     with pytest.raises(ConfigError, match="open to other hosts, but none may connect"):
-        MetricsServer("0.0.0.0", 0, Nothing())
+        MetricsServer("0.0.0.0", 0, Nothing(), _no_marks)
     with socket.create_server(("127.0.0.1", 0)) as taken, pytest.raises(Unavailable, match="in use by another program"):
-        MetricsServer("127.0.0.1", taken.getsockname()[1], Nothing())
+        MetricsServer("127.0.0.1", taken.getsockname()[1], Nothing(), _no_marks)

@@ -115,6 +115,12 @@ def test_a_changed_setting_of_a_recording_is_refused_wherever_it_is(path: Path) 
         bridge_options.bridge_options(values("--config", str(path)), ros=True, node_name="n")
 
 
+def test_a_relay_makes_no_marks_of_messages() -> None:
+    found = values("--relay", "--connect", ":1", "--mark-from", "Nurse")
+    with pytest.raises(ConfigError, match="--mark-from: found --relay, expected one of them"):
+        bridge_options.bridge_options(found, ros=True, node_name="n")
+
+
 def test_without_anything_it_is_the_default() -> None:
     assert values() == {row.name: row.default for row in all_settings()}
     assert config_of(values()) == Config(watch=True, cautious=True)

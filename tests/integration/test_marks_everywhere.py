@@ -55,7 +55,7 @@ def _is_in(mark: Mark, start_ns: int, end_ns: int) -> bool:
 
 @contextmanager
 def _reader() -> Iterator[int]:
-    """Context manager: a peer that reads and says nothing; yields its port."""
+    """Context manager: a peer that reads and sends nothing; yields its port."""
     with socket.create_server(("127.0.0.1", 0)) as server:
 
         def read() -> None:

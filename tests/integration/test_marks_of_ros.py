@@ -37,3 +37,24 @@ def test_a_text_on_the_topic_is_a_mark(tmp_path: Path) -> None:
         assert refused[0].startswith("mark: found the end of 'other'")
         assert refused[1].startswith("mark: found label ''")
     assert igtl_gateway.verify(out).good
+
+
+@pytest.mark.ros
+@pytest.mark.slow
+def test_a_call_of_the_service_is_a_mark(tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    with RosClient("other", domain=domains.OWN) as other, Bridge(listen=LOCAL, record=out):
+        answers = []
+        for fields in (
+            {"label": "suture", "text": "first", "who": "Kim", "phase": "begin"},
+            {"label": "suture", "phase": "end"},
+            {"label": "suture", "phase": "end"},
+        ):
+            other.call("/igtl_gateway/mark", "igtl_msgs/srv/Mark", fields)
+            answers.append(other.receive("/igtl_gateway/mark"))
+    assert [answer["success"] for answer in answers] == [True, True, False]
+    assert answers[2]["message"].startswith("mark: found the end of 'suture'")
+    with igtl_gateway.open(out) as recording:
+        assert [(mark.label, mark.text, mark.who, mark.is_open) for mark in recording.marks] == [
+            ("suture", "first", "Kim", False)
+        ]

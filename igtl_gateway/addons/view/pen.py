@@ -131,7 +131,7 @@ class Pen:
         self.source_ns = 0 if timeless(entry.source_ns) else entry.source_ns
 
     def moment(self, time_ns: int) -> None:
-        """Set the times of the following rows to a moment of the gateway's time, UTC ns, which is no entry."""
+        """Set the times of the following rows to a moment of the gateway's time, UTC ns."""
         self.stamp_ns = 0 if timeless(time_ns) else time_ns
         self.source_ns = 0
 

@@ -167,7 +167,7 @@ class SessionView:
         self._pen.text(LOG, f"the session ends here: {why}", "ERROR", ERROR)
 
     def marks(self, marks: Iterable[Mark]) -> None:
-        """Draw marks that are no entries: of a side file, or of the parts of a merged session."""
+        """Draw marks that entries lack: of a side file, or of the parts of a merged session."""
         for mark in marks:
             words = f": {mark.text}" if mark.text else ""
             phase = [(mark.time_ns, " begins"), (mark.last_ns, " ends")]

@@ -14,7 +14,13 @@ from typing import Annotated, Any, ClassVar
 
 from igtl_gateway.addon import Clock, Level, files
 from igtl_gateway.addons.zenoh.names import attachment, read_attachment
-from igtl_gateway.convert.igtl_msgs import MetadataItem, SendCommandRequest, SendCommandResponse
+from igtl_gateway.convert.igtl_msgs import (
+    MarkRequest,
+    MarkResponse,
+    MetadataItem,
+    SendCommandRequest,
+    SendCommandResponse,
+)
 from igtl_gateway.convert.interfaces import definition_folder
 from igtl_gateway.convert.structs import BOOL, STRING, UINT8, Struct
 from igtl_gateway.edges.interface import Reports
@@ -70,6 +76,7 @@ SERVICES = {
     each.name: each
     for each in (
         Service("std_srvs/srv/Trigger", TriggerRequest, TriggerResponse, "---\nbool success\nstring message\n"),
+        Service("igtl_msgs/srv/Mark", MarkRequest, MarkResponse),
         Service("igtl_msgs/srv/SendCommand", SendCommandRequest, SendCommandResponse),
     )
 }

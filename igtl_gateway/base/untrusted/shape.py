@@ -32,6 +32,11 @@ def anything(_value: Any, _place: str) -> None:
     """Any JSON value."""
 
 
+def unexpected(_value: Any, place: str) -> None:
+    """No value: a field that is not known."""
+    raise DamagedRecording(f"{place}: found an unknown field, expected none of this name")
+
+
 def text(value: Any, place: str) -> None:
     """A string."""
     if not isinstance(value, str):

@@ -24,6 +24,9 @@ DEADLINE_S = 5.0
 #: Maximum number of connections that are served at the same time.
 MAX_CONNECTIONS = 32
 
+#: Maximum number of bytes of a request's body.
+MAX_BODY = 8192
+
 #: Longest time until the server's thread detects `LocalServer.close`.
 _POLL_S = 0.1
 _LOOPBACK_NAMES = frozenset({"localhost", "localhost.localdomain", "ip6-localhost"})
@@ -165,13 +168,40 @@ class Handler(BaseHTTPRequestHandler):
         raise NotImplementedError
 
     def do_GET(self) -> None:
+        if self._is_for_us():
+            self.get(self.path.partition("?")[0])
+
+    def _is_for_us(self) -> bool:
+        """Return whether a request names this machine as its host; if not, it is answered."""
         hosts = self.headers.get_all("Host") or []
         strange = [host for host in hosts if host not in self.server.hosts]
         if strange:
             text = f"Host: found {strange[0][:100]!r}, expected {self.server.hosts.expected}\n"
             self.answer(403, "text/plain; charset=utf-8", text)
+        return not strange
+
+    def post(self, path: str, body: bytes) -> None:
+        """Answer a POST of JSON to a path, without its query."""
+        self.answer(405, "text/plain; charset=utf-8", f"{path}: found POST, expected GET\n")
+
+    def do_POST(self) -> None:
+        """Refuse what the page of a foreign site can send without asking: other types than JSON, another origin."""
+        if not self._is_for_us():
             return
-        self.get(self.path.partition("?")[0])
+        origin, kind = self.headers.get("Origin"), self.headers.get_content_type()
+        size = self.headers.get("Content-Length", "")
+        if origin is not None and origin.partition("://")[2] != self.headers.get("Host"):
+            why = 403, f"Origin: found {origin[:100]!r}, expected none or this server"
+        elif kind != "application/json":
+            why = 415, f"Content-Type: found {kind[:100]!r}, expected application/json"
+        elif not (size.isascii() and size.isdecimal() and len(size) < 9):
+            why = 411, f"Content-Length: found {size[:100]!r}, expected the number of bytes"
+        elif int(size) > MAX_BODY:
+            why = 413, f"Content-Length: found {int(size):,} bytes, expected at most {MAX_BODY:,}"
+        else:
+            self.post(self.path.partition("?")[0], self.rfile.read(int(size)))
+            return
+        self.answer(why[0], "text/plain; charset=utf-8", why[1] + "\n")
 
     def do_HEAD(self) -> None:
         self.do_GET()

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from igtl_gateway.base.errors import ConfigError, DamagedRecording
 from igtl_gateway.base.untrusted import files
-from igtl_gateway.base.untrusted.shape import fields, number, text
+from igtl_gateway.base.untrusted.shape import fields, number, text, unexpected
 from igtl_gateway.base.untrusted.text import parse_json
 from igtl_gateway.gateway.log.marks import Mark, MarkNote
 from igtl_gateway.record.sessionfile.beside import written
@@ -32,6 +32,7 @@ VERSION = 1
 _HEAD = fields(
     dict.fromkeys(("igtl_gateway_marks", "start_ns", "end_ns"), number),
     needed=("igtl_gateway_marks", "start_ns", "end_ns"),
+    other=unexpected,
 )
 _LINE = fields(
     {
@@ -40,6 +41,7 @@ _LINE = fields(
         "end_ns": lambda value, place: None if value is None else number(value, place),
     },
     needed=("label", "text", "who", "time_ns", "end_ns"),
+    other=unexpected,
 )
 
 

@@ -10,6 +10,8 @@ import pytest
 
 from igtl_gateway.addons.review import Material, Review, Thresholds, review_of
 from igtl_gateway.cli import main
+from igtl_gateway.gateway.log.marks import Mark
+from igtl_gateway.record.sessionfile.added_marks import write_marks
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway_lab.simulate.star_tissue import PLANTED, STITCHES
@@ -100,6 +102,28 @@ def test_the_table_marks_the_stitch_and_says_why(capsys: pytest.CaptureFixture[s
     assert "\x1b" not in text  # colour is for terminals
     assert max(map(len, text.splitlines()[1:])) <= 120
     assert code == 1
+
+
+def test_phases_name_the_stitches_that_were_made_in_them(
+    tmp_path: Path, told: tuple[int, str, list[dict[str, str]]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    stitches = json.loads(told[1])["plans"][-1]["stitches"]
+    reached = [each for each in stitches if each["entry"]["executed"] and each["entry"]["executed"]["reached"]]
+    source = tmp_path / "star.mcap"
+    source.symlink_to(STAR)
+    with SessionFile.open(source) as file:
+        at = reached[0]["entry"]["executed"]["stamp_ns"] - file.start_ns
+        span = file.start_ns, file.end_ns
+    phases = (("suture-1", at - 10**8, at + 10**8), ("all", 0, span[1] - span[0]), ("4", 1, 2))
+    marks = [Mark(label, "", "", span[0] + first, span[0] + last) for label, first, last in phases]
+    write_marks(source, marks, *span)
+    main(["review", str(source), "--json"])
+    found = json.loads(capsys.readouterr().out)["plans"]
+    names = {each["label"]: each["mark"] for each in found[-1]["stitches"]}
+    assert names[reached[0]["label"]] == "suture-1" and names[reached[1]["label"]] == "all"
+    assert names["4"] == "4" and not any(each["mark"] for each in found[0]["stitches"])
+    main(["review", str(source)])
+    assert f"{reached[0]['label']} (suture-1)" in capsys.readouterr().out
 
 
 def test_on_a_terminal_it_is_coloured_and_limits_decide(

@@ -1,0 +1,49 @@
+"""The service ``~/mark``: one call makes a mark, and its answer tells whether that was possible."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from igtl_gateway.base.errors import GatewayError, RosError
+from igtl_gateway.convert.igtl_msgs import MetadataItem
+from igtl_gateway.edges.interface import RosSide
+from igtl_gateway.gateway.log.marks import MarkNote
+
+SERVICE = "~/mark"
+SERVICE_TYPE = "igtl_msgs/srv/Mark"
+#: Who makes the marks of ROS that name nobody else.
+WHO = "ros"
+
+
+class MarkService:
+    """A part: answers the calls of the service.
+
+    Args:
+        side: offers the service.
+        mark: makes a mark, see ``Bridge.mark``.
+    """
+
+    def __init__(self, side: RosSide, mark: Callable[[MarkNote], None]) -> None:
+        self._side = side
+        self._mark = mark
+
+    def start(self) -> None:
+        """Offer the service, if its messages are installed; the service for commands reports if they are not."""
+        try:
+            self._side.message_class(MetadataItem.TYPE)
+        except RosError:
+            return
+        self._side.serve(SERVICE, SERVICE_TYPE, self.call)
+
+    def stop(self) -> None:
+        """It ends with the node."""
+
+    def call(self, request: Any, response: Any) -> Any:
+        """Make the mark of a request and fill in the response."""
+        try:
+            self._mark(MarkNote(request.label, request.text, request.who or WHO, request.phase))
+            response.success, response.message = True, ""
+        except GatewayError as error:
+            response.success, response.message = False, str(error)
+        return response
