@@ -1,4 +1,4 @@
-"""The service ``~/mark``: one call makes a mark, and its answer tells whether that was possible."""
+"""The service ``~/mark``: one call makes a mark, and the answer has the reason if that was not possible."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from igtl_gateway.gateway.log.marks import MarkNote
 
 SERVICE = "~/mark"
 SERVICE_TYPE = "igtl_msgs/srv/Mark"
-#: Who makes the marks of ROS that name nobody else.
+#: Who makes the marks of ROS that name no person.
 WHO = "ros"
 
 
@@ -29,7 +29,7 @@ class MarkService:
         self._mark = mark
 
     def start(self) -> None:
-        """Offer the service, if its messages are installed; the service for commands reports if they are not."""
+        """Offer the service, if its messages are installed; `commands` reports it if not."""
         try:
             self._side.message_class(MetadataItem.TYPE)
         except RosError:
