@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import shutil
 import tempfile
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
@@ -23,6 +22,7 @@ from igtl_gateway.api.stream import STREAM_HEAD, Stream, narrowed
 from igtl_gateway.api.transforms import TransformTree
 from igtl_gateway.base.errors import BeingRecorded, ConfigError, DamagedRecording
 from igtl_gateway.base.near import did_you_mean, near_names
+from igtl_gateway.base.untrusted import files
 from igtl_gateway.base.untrusted import limits as file_limits
 from igtl_gateway.base.untrusted.limits import FileLimits
 from igtl_gateway.config.configuration import Config
@@ -30,6 +30,7 @@ from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.marks import Mark
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.sessionfile.added_marks import marks_files
+from igtl_gateway.record.sessionfile.new_file import write_bytes
 from igtl_gateway.record.sessionfile.ranges import named
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.remote import RemoteFile, is_url
@@ -372,7 +373,7 @@ def _salvaged(path: Path, resources: ExitStack, warnings: list[str]) -> SessionF
     copy = folder / path.name
     report = copy_readable(path, copy)
     for side in marks_files(path):
-        shutil.copyfile(side, folder / side.name)
+        write_bytes(folder / side.name, files.read_bytes(side))
     warnings.append(
         f"{path}: was cut off after {report.size:,} bytes; {report.messages:,} messages are read, and it has no ledger "
         "of a finished session"
