@@ -164,6 +164,7 @@ _ELSEWHERE = {
     "addons/cohort/query.py": "in a place of its caller",
     "addons/resim/bisect.py": "in a temporary directory",
     "addons/exchange/csv_out.py": "in the folder of an export",
+    "api/recording.py": "in a temporary directory",
     "cli/info_source.py": "in a temporary directory",
     "addons/exchange/rosbag2.py": "in a temporary directory",
     "addons/lerobot/layout.py": "in the folder of a training set",
