@@ -111,8 +111,8 @@ def test_written_marks_are_read(tmp_path: Path) -> None:
 def test_other_recordings_made_of_it_have_them(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A slice, a recovered file, and a de-identified one, whose label and maker are pseudonyms."""
     recording = marked.write(tmp_path / "out.mcap")
-    for words in (("1.2", "1.4", "early"), ("3.5", "3.6", "later")):
-        assert main(["mark", str(recording), "--at", words[0], "--until", words[1], "--label", words[2]]) == 0
+    for at, until, label in (("1.2", "1.4", "early"), ("3.5", "3.6", "later")):
+        assert main(["mark", str(recording), "--at", at, "--until", until, "--label", label]) == 0
     marks = {}
     for name, words in {
         "part": ["slice", "--start", "3", "--end", "3.55"],
