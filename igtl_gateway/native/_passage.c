@@ -48,6 +48,7 @@
 #define REMEMBERED_BYTES 256 /* of their beginning, as in edges/ros/streams.py */
 #define MAX_LARGE_WAITING 3 /* messages; then TCP makes the peer wait */
 #define LOCK_NS 2000000 /* the longest wait of a thread of the middleware */
+#define SEQUENCE_NS 100000 /* its longest wait for the sequence lock, in which it receives nothing */
 #define BATCH_NS 3000000 /* messages of ROS that wait pass with one taking of the sequence lock, for this time at most */
 #define PART 8 /* of its time that a turn costs which leaves nothing */
 #define QUANTUM_NS 100000 /* a turn of a link ends after the message with which it has lasted this long */
@@ -96,17 +97,19 @@ static void lock_from_python(pthread_mutex_t *mutex)
 
 /* Lock within some time; 0: it took longer.  A thread of the middleware that calls us has locks of its own: a thread
  * that has ours and waits for the GIL, and one that has the GIL and waits for theirs, would wait forever. */
-static int lock_briefly(pthread_mutex_t *mutex)
+static int lock_within(pthread_mutex_t *mutex, long ns)
 {
     if (pthread_mutex_trylock(mutex) == 0)
         return 1;
     struct timespec until;
     clock_gettime(CLOCK_REALTIME, &until);
-    until.tv_nsec += LOCK_NS;
+    until.tv_nsec += ns;
     until.tv_sec += until.tv_nsec / NS_PER_S;
     until.tv_nsec %= NS_PER_S;
     return pthread_mutex_timedlock(mutex, &until) == 0;
 }
+
+static int lock_briefly(pthread_mutex_t *mutex) { return lock_within(mutex, LOCK_NS); }
 
 typedef struct {
     PyObject_HEAD
@@ -208,9 +211,11 @@ static pid_t this_thread(void)
     return thread;
 }
 
+/* For a thread of the middleware.  It receives nothing while it waits, so each message would wait for the lock, and
+ * those behind it for all of them; another thread takes all that has come meanwhile at once. */
 static int lock_sequence(Passage *self)
 {
-    if (!lock_briefly(&self->sequence))
+    if (!lock_within(&self->sequence, SEQUENCE_NS))
         return 0;
     atomic_store_explicit(&self->owner, this_thread(), memory_order_relaxed);
     return 1;
