@@ -23,6 +23,7 @@ from igtl_gateway.addons.resim.frames import ALL, DEADLINE, MESSAGE, NEVER, Enti
 from igtl_gateway.addons.resim.inputs import CLOCK, Inputs, RecordedInput, RecordedTopic
 from igtl_gateway.addons.resim.link import AnyLink, Gone
 from igtl_gateway.addons.resim.outputs import OutputFile, OutputStream
+from igtl_gateway.addons.resim.services import RecordedService
 from igtl_gateway.base.qos import incompatible
 
 #: Messages and bytes that are sent to a program at once.
@@ -91,7 +92,8 @@ class Roles:
         unused: recorded topics that no program asks for.
         expected: recorded topics that programs publish themselves: what they are compared with.
         refused: topics that a program does not receive, and why.
-        unserved: services that programs call and none offers.
+        answered: services that programs call and none offers, with the number of their recorded answers.
+        unserved: those without one.
     """
 
     inputs: dict[str, int] = field(default_factory=dict)
@@ -101,6 +103,7 @@ class Roles:
     unused: list[str] = field(default_factory=list)
     expected: list[str] = field(default_factory=list)
     refused: dict[str, str] = field(default_factory=dict)
+    answered: dict[str, int] = field(default_factory=dict)
     unserved: list[str] = field(default_factory=list)
 
 
@@ -111,6 +114,7 @@ class Coordinator:
         peers: the processes, which have sent their hello and got their welcome.
         inputs: the messages of the recording.
         topics: its ROS topics.
+        services: those whose answers it has; they are used up.
         outputs: where outputs go.
         start_ns, end_ns: session time of the run.
         latency_ns: from the sending of a message to its arrival.
@@ -128,6 +132,7 @@ class Coordinator:
         peers: list[Peer],
         inputs: Inputs,
         topics: Mapping[str, RecordedTopic],
+        services: Mapping[str, RecordedService],
         outputs: OutputFile,
         *,
         start_ns: int,
@@ -142,6 +147,7 @@ class Coordinator:
     ) -> None:
         self._peers, self._inputs, self._topics, self._outputs = peers, inputs, topics, outputs
         self._start_ns, self._end_ns, self._latency_ns = start_ns, end_ns, latency_ns
+        self._services = services
         self._is_input = is_input
         self._on_start, self._on_event, self._on_remark = on_start, on_event, on_remark
         self._left = most_outputs
@@ -151,11 +157,11 @@ class Coordinator:
         self._latched: dict[str, list[tuple[Qos, RecordedInput]]] = {}
         self._targets: dict[str, Receivers] = {}  # topic → who receives its recorded messages
         self._published_topics: Counter[str] = Counter()
-        self._announced: set[str] = set()
+        self._announced: set[tuple[str, str]] = set()
         self.refused: dict[str, str] = {}
         #: Topic → recorded messages that went to programs.
         self.delivered: Counter[str] = Counter()
-        #: Service → requests that no program answers.
+        #: Service → requests that neither a program nor the recording answers.
         self.unserved: Counter[str] = Counter()
         #: Events: recorded inputs, messages and runs of deadlines.
         self.events = 0
@@ -167,6 +173,8 @@ class Coordinator:
         """Drive the programs to the end of the session.  Raises ProgramFault."""
         for topic in self._topics.values():
             self._announce(topic)
+        for service in self._services.values():
+            self._announce_service(service)
         for peer in self._peers:
             self._receive(peer)
         for peer in self._peers:  # what became known since a program's own first frame
@@ -362,14 +370,21 @@ class Coordinator:
     def _request(self, peer: Peer, frame: frames.Request) -> None:
         name = peer.entities[frame.client].frame.name
         for other in self._peers:
-            for service in other.named("v", name):
+            for each in other.named("v", name):
                 content = frames.to_service(
-                    frame.time_ns + self._latency_ns, service.frame.number, peer.index, frame.client, frame.number,
+                    frame.time_ns + self._latency_ns, each.frame.number, peer.index, frame.client, frame.number,
                     frame.data,
                 )  # fmt: skip
                 self._send(other.index, content, frame.time_ns)
                 return
-        self.unserved[name] += 1
+        service = self._services.get(name)
+        if service and service.type == peer.entities[frame.client].frame.type and (answer := service.take(frame.data)):
+            arrival_ns = frame.time_ns + answer.latency_ns
+            content = frames.to_client(arrival_ns, frame.client, frame.number, answer.data)
+            self._order += 1
+            heapq.heappush(self._messages, (arrival_ns, self._order, peer.index, content))
+        else:
+            self.unserved[name] += 1
 
     # -- entities -----------------------------------------------------------------------------------------------------
 
@@ -391,17 +406,25 @@ class Coordinator:
         topic = self._topics.get(frame.name)
         if frame.kind == "p" and topic:
             self._announce(topic)
+        if frame.kind == "v" and (service := self._services.get(frame.name)):
+            self._announce_service(service)
         if frame.kind == "s" and frame.is_made and frame.latched:
             self._send_latched(peer, frame)
 
     def _announce(self, topic: RecordedTopic) -> None:
         """Have the graph of the programs show a publisher of a recorded topic exactly while the recording drives it."""
         is_driven = topic.name.startswith("/") and self._is_recorded_input(topic)
-        if is_driven == (topic.name in self._announced):
-            return
-        self._announced ^= {topic.name}
-        for each in self._peers:
-            each.outbox.append(frames.elsewhere("p", is_driven, topic.name, topic.type))
+        self._show("p", topic.name, topic.type, is_driven)
+
+    def _announce_service(self, service: RecordedService) -> None:
+        """Have the graph of the programs show a recorded service exactly while none of them offers it."""
+        self._show("v", service.name, service.type, not any(each.named("v", service.name) for each in self._peers))
+
+    def _show(self, kind: str, name: str, type_: str, is_there: bool) -> None:
+        if is_there != ((kind, name) in self._announced):
+            self._announced ^= {(kind, name)}
+            for each in self._peers:
+                each.outbox.append(frames.elsewhere(kind, is_there, name, type_))
 
     def _send_latched(self, peer: Peer, frame: EntityFrame) -> None:
         """What a new subscription with durability TRANSIENT_LOCAL gets at once: the last messages of latched topics."""
@@ -469,7 +492,8 @@ class Coordinator:
             sorted(name for name in self._topics if name not in wanted | given and name != CLOCK),
             sorted(name for name in self._topics if name in given and self._topics[name].from_others),
             dict(self.refused),
-            sorted(called - served),
+            {name: self._services[name].count for name in sorted(called - served) if name in self._services},
+            sorted(called - served - self._services.keys()),
         )
 
     def end(self) -> None:

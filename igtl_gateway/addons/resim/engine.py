@@ -41,6 +41,7 @@ from igtl_gateway.addons.resim.library import library_path
 from igtl_gateway.addons.resim.link import Gone, Listener
 from igtl_gateway.addons.resim.outputs import OutputFile, OutputStream
 from igtl_gateway.addons.resim.processes import Process, command_of, cpu_with_children_s
+from igtl_gateway.addons.resim.services import recorded_services
 
 #: Nothing traces the program, so it does not wait for LTTng.
 _ENVIRONMENT = {"LTTNG_UST_REGISTER_TIMEOUT": "0"}
@@ -146,7 +147,7 @@ class Run:
         outputs: session file with what the programs published.
         streams: its topics.
         delivered: topic → recorded messages that went to programs.
-        unserved: service → requests that no program answered.
+        unserved: service → requests that neither a program nor the recording answered.
         refused: topic → why a program did not receive it.
         events: number of events.
         start_ns, end_ns: session time, UTC ns; the end is where it stopped.
@@ -340,6 +341,7 @@ def _run_once(
                 peers,
                 Inputs(file, {each.number for each in replaced.values()}),
                 topics_of(file) | {name: topic for each in replaced.values() for name, topic in each.topics().items()},
+                recorded_services(file),
                 outputs,
                 start_ns=begin_ns,
                 end_ns=one.end_ns,

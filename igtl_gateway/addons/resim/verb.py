@@ -307,6 +307,7 @@ def _print_roles(roles: Roles) -> None:
     ]
     rows += [("missing", name, "asked for, but not recorded") for name in roles.missing]
     rows += [("not received", name, why) for name, why in roles.refused.items()]
+    rows += [("service", name, count_text(count, "recorded answer")) for name, count in roles.answered.items()]
     rows += [("no server", name, "called, but no program offers it") for name in roles.unserved]
     if roles.unused:
         rows.append(("not used", count_text(len(roles.unused), "recorded topic"), ""))
@@ -323,7 +324,7 @@ def _print_run(one: Run) -> None:
 
 def _print_verdict(result: RunResult, verdict: Verdict) -> None:
     for name, count in result.runs[0].unserved.items() if result.runs else ():
-        print_line(f"{name}: {count_text(count, 'request')} without a server")
+        print_line(f"{name}: {count_text(count, 'request')} without an answer")
     for line in result.runs[0].remarks if result.runs else ():
         print_line(f"weaker: {line}")
     for stream in verdict.between_runs or verdict.streams:

@@ -29,6 +29,11 @@ def message(type_: str, **fields: Any) -> Any:
     return _TYPES.types[type_](**fields)
 
 
+def cdr(type_: str, content: Any) -> bytes:
+    """A message as CDR."""
+    return bytes(_TYPES.serialize_cdr(content, type_))
+
+
 def write(path: Path, rows: Iterable[Row], *, qos: Mapping[str, Qos] = {}, kind: Kind = Kind.ROS_OUT) -> Path:
     """Write a session with ROS messages."""
     facts = {"config": json.dumps(Config().to_dict()), "igtl_gateway_version": __version__}
@@ -36,8 +41,7 @@ def write(path: Path, rows: Iterable[Row], *, qos: Mapping[str, Qos] = {}, kind:
     last_ns = 0
     for number, (ns, topic, type_, content) in enumerate(sorted(rows, key=lambda row: row[0]), 1):
         last_ns = max(last_ns + 1, START_NS + ns)
-        data = bytes(_TYPES.serialize_cdr(content, type_))
-        writer.write(Entry(number, last_ns, kind, topic, type_, (data,)))
+        writer.write(Entry(number, last_ns, kind, topic, type_, (cdr(type_, content),)))
     writer.close({})
     return path
 
