@@ -15,7 +15,7 @@ from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.text import String, text_of
 from igtl_gateway.wire.tracking import TrackingData
 
-#: Maximum number of messages in which tracked frames are searched; until then, streams of these types are not compiled.
+#: Maximum number of messages in which tracked frames are searched; until then, streams of poses are not compiled.
 MAX_SEARCHED = 64
 #: Number of equal frames that show PLUS: of several messages each, and of a single one.
 _FRAMES, _SINGLE_FRAMES = 2, 8
@@ -87,8 +87,13 @@ class TrackedFrames:
         return self._searched >= MAX_SEARCHED
 
     def must_see(self, message: Message) -> bool:
-        """Return whether later messages of this stream are searched."""
-        return message.type in _NAMES and not self.is_over
+        """Return whether later messages of this stream may be parts of a frame; the others are ``passed_over``."""
+        form = _NAMES.get(message.type)
+        return not self.is_over and (form is _POSE or (form is _PICTURE and bool(form.fullmatch(message.device_name))))
+
+    def passed_over(self) -> None:
+        """Count a picture that ``follow`` would only count."""
+        self._searched = min(self._searched + 1, MAX_SEARCHED)
 
     def follow(self, message: Message) -> bool:
         """Return whether the messages up to this one are frames of PLUS."""

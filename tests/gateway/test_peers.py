@@ -24,6 +24,7 @@ from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.wire import Message, Raw, encode
 from igtl_gateway.wire.capability import Capability
 from igtl_gateway.wire.client_info import ClientInfo
+from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.query import EmptyQuery
 from igtl_gateway.wire.registry import BODIES
@@ -194,6 +195,23 @@ def test_live_and_verified_are_equal_while_a_peer_is_searched() -> None:
     again = Session(Gateway(LIVE, fast_path=False))
     outputs = [out for entry in made.log if entry.kind.is_input for out in again.recorded(entry)]
     assert outputs == [entry for entry in made.log if not entry.kind.is_input]
+
+
+@pytest.mark.parametrize("device", ["Camera", "Image_Reference"])
+def test_pictures_count_in_the_search_whether_they_are_compiled_or_not(device: str) -> None:
+    made = script()
+    for number in range(MAX_SEARCHED - 10):
+        picture = Image((2, 2, 1), 3, bytes(12), 3)
+        made.igtl(Message("IMAGE", device, picture, ns_to_ticks(T0_NS + number)))
+    assert made.gateway.fast_path.to_ros
+    for number in range(10):
+        made.igtl(frame(number, "ProbeToTracker")[0])
+    again_core = Gateway(LIVE, fast_path=False)
+    again = Session(again_core)
+    outputs = [out for entry in made.log if entry.kind.is_input for out in again.recorded(entry)]
+    assert outputs == [entry for entry in made.log if not entry.kind.is_input]
+    live, full = (core.fast_path._peers.get(1) for core in (made.gateway, again_core))
+    assert live and full and live.frames == full.frames
 
 
 def test_streams_that_are_not_searched_are_compiled_at_once() -> None:

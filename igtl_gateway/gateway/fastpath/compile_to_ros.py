@@ -29,6 +29,7 @@ from igtl_gateway.convert.express import (
     TRIANGLES,
     FillTemplate,
 )
+from igtl_gateway.convert.plus_signs import TrackedFrames
 from igtl_gateway.convert.polydata import exceeds_standard
 from igtl_gateway.convert.table import ConversionToRos
 from igtl_gateway.convert.trajectories import is_labeled
@@ -82,12 +83,16 @@ _PLACE_AT = {MATRIX: 36, QUATERNION: 0}
 
 
 def compile_to_ros(
-    entry: Entry, origin: RosOrigin, common: CompileContext, assembler: VolumeAssembler | None
+    entry: Entry,
+    origin: RosOrigin,
+    common: CompileContext,
+    assembler: VolumeAssembler | None,
+    frames: TrackedFrames | None,
 ) -> CompiledToRos | None:
     """Compile from a message that was converted without a finding; None if its stream cannot be compiled.
 
-    ``assembler`` has the latest image of the device.  Raises ConversionError for a message that the full path has not
-    converted, for want of subscribers.
+    ``assembler`` has the latest image of the device, ``frames`` is the search of its peer.  Raises
+    ConversionError for a message that the full path has not converted, for want of subscribers.
     """
     message, stream, to, watched = origin
     to = replace(to, warnings=[], made={})
@@ -143,6 +148,7 @@ def compile_to_ros(
         (common.waiting, latched),
         volume,
         _defer(rows, to) if isinstance(content, PolyData) else None,
+        frames.passed_over if frames and volume else None,
     )
 
 

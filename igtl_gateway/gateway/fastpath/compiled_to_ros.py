@@ -44,6 +44,7 @@ class CompiledToRos:
         place_at: offset of the translation in the message, for poses.
         waiting: last messages of latched topics without a subscriber, and the latched topics of ``forms``.
         volume: for images, of which later messages may be parts.
+        passed_over: counts a message that the search for PLUS leaves out.
         defer: keeps a message for latched topics without a subscriber; None: then the full path takes it.
 
     Attributes:
@@ -70,6 +71,7 @@ class CompiledToRos:
         waiting: tuple[dict[str, Any], frozenset[str]],
         volume: Volume | None = None,
         defer: Defer | None = None,
+        passed_over: Callable[[], None] | None = None,
     ) -> None:
         self._fill = fill
         self.sample = sample
@@ -88,6 +90,7 @@ class CompiledToRos:
         self._waiting, self._latched = waiting
         self._volume = volume
         self._defer = defer
+        self._passed_over = passed_over
         self.is_plain = volume is None
 
     @property
@@ -169,6 +172,8 @@ class CompiledToRos:
         if volume:
             assembler, form, dtype = volume
             assembler.keep(form, dtype, memoryview(payload[0])[at : len(payload[0]) - size])
+        if self._passed_over is not None:
+            self._passed_over()
         count = self.count
         count["received"] = count.get("received", 0) + 1
         count["decoded"] = count.get("decoded", 0) + 1
