@@ -80,22 +80,24 @@ class Case:
         return len(self.streams) > 1
 
 
+_POINTS = (1, 10, 100, 1000, 10_000)
+_THOUSANDS = (10, 30, 100)  # of points of a cloud
+
 #: Kind → what makes it.
 PAYLOADS: dict[str, Callable[[], Payload]] = {
     "transform": payloads.transform,
     "string-100": partial(payloads.string, 100),
-    **{f"points-{count}": partial(payloads.points, count) for count in (1, 10, 100, 1000, 10_000)},
+    **{f"points-{count}": partial(payloads.points, count) for count in _POINTS},
     "image-vga": partial(payloads.image, 640, 480),
     "image-xga": partial(payloads.image, 1024, 768),
     "image-hd": partial(payloads.image, 1280, 720),
     "image-fullhd": partial(payloads.image, 1920, 1080),
     "image-4k": partial(payloads.image, 3840, 2160),
-    "cloud-10k": partial(payloads.cloud, 10_000),
-    "cloud-30k": partial(payloads.cloud, 30_000),
-    "cloud-100k": partial(payloads.cloud, 100_000),
+    **{f"cloud-{count}k": partial(payloads.cloud, 1000 * count) for count in _THOUSANDS},
     "polydata-600k": partial(payloads.surface, 600_000, 230_000),
     "transform-n": partial(payloads.transform, stamped=False),
-    **{f"points-{count}-n": partial(payloads.points, count, stamped=False) for count in (1000, 10_000)},
+    **{f"points-{count}-n": partial(payloads.points, count, stamped=False) for count in _POINTS},
+    **{f"cloud-{count}k-n": partial(payloads.cloud, 1000 * count, stamped=False) for count in _THOUSANDS},
     "image-vga-n": partial(payloads.image, 640, 480, stamped=False),
     "image-fullhd-n": partial(payloads.image, 1920, 1080, stamped=False),
 }
@@ -127,12 +129,13 @@ _TEXTS = {
     "image-fullhd": "RGB picture of 1920 x 1080, 6.2 MB",
     "image-4k": "RGB picture of 3840 x 2160, 25 MB",
     "polydata-600k": "surface of 600,000 points and 230,000 triangles",
-    **{f"points-{count}": f"POINT with {count:,} points" for count in (1, 10, 100, 1000, 10_000)},
+    **{f"points-{count}": f"POINT with {count:,} points" for count in _POINTS},
     **{
-        f"{kind}-n": f"{kind} without stamps, for bridges that keep none: the number is in the content"
-        for kind in ("transform", "points-1000", "points-10000", "image-vga", "image-fullhd")
+        kind: f"{kind.removesuffix('-n')} without stamps, for bridges that keep none: the number is in the content"
+        for kind in PAYLOADS
+        if kind.endswith("-n")
     },
-    **{f"cloud-{count}k": f"PointCloud2 and POLYDATA, {count},000 points" for count in (10, 30, 100)},
+    **{f"cloud-{count}k": f"PointCloud2 and POLYDATA, {count},000 points" for count in _THOUSANDS},
 }
 
 #: What a stream of its own is sent at unless asked otherwise.
@@ -165,6 +168,6 @@ CASES: dict[str, Case] = {
 TABLE_1 = (
     "transform",
     "string-100",
-    *(f"points-{count}" for count in (1, 10, 100, 1000, 10_000)),
+    *(f"points-{count}" for count in _POINTS),
     *("image-vga", "image-xga", "image-hd", "image-fullhd"),
 )

@@ -267,10 +267,19 @@ def points(count: int, *, stamped: bool = True) -> Payload:
     )
 
 
-def cloud(count: int) -> Payload:
+def cloud(count: int, *, stamped: bool = True) -> Payload:
     """A cloud of float32 coordinates: PointCloud2 and, as one cell of all its vertices, POLYDATA."""
     xyz = _positions(count)
     vertices = Cells(1, np.array([count, *range(count)], ">u4"))
+    if not stamped:
+        return Payload(
+            rosmsg.PointCloud2.TYPE,
+            "points",
+            "POLYDATA",
+            lambda _header: _cloud(_UNSET, np.vstack([[0.0, 0.0, 0.0], xyz[1:] / 1000])),
+            lambda number: PolyData(np.vstack([[float(number), 0.0, 0.0], xyz[1:]]).astype(">f4"), vertices),
+            (_of_cloud(), _of_struct(HEADER_SIZE + _MESH_HEAD, ">f")),
+        )
     return Payload(
         rosmsg.PointCloud2.TYPE,
         "points",
