@@ -109,6 +109,7 @@ peers:
 pictures: $(READY)
 	@tools/setup.sh pictures
 	@$(BIN)/python tools/pictures.py
+	@$(BIN)/python -m tools.page_pictures
 
 fixtures: $(READY)
 	@$(BIN)/python -m tools.fixtures

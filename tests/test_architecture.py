@@ -75,6 +75,7 @@ MOST_OF_CORE = {
     "exchange": 13,
     "lerobot": 7,
     "merge": 11,
+    "page": 22,
     "resim": 8,
     "review": 7,
     "sync": 4,
@@ -132,7 +133,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     ),  # a measurement has a peer that costs nothing, and a port for any bridge
     "socketserver": (),
     "ssl": ("edges.tcp.tls",),
-    "http": ("edges.tcp.http_server", "addons.upload.s3"),
+    "http": ("edges.tcp.http_server", "addons.upload.s3", "addons.page.server"),
     "rclpy": ("edges.ros.middleware",),
     # Time and chance: the core is a pure function of its inputs
     "time": ("base.clock",),

@@ -143,6 +143,7 @@ NOTES: dict[str, dict[str, str]] = {
         "record_paused": "the recording is paused",
         "record_resumed": "the recording continues; what it left out",
         "record_snapshot": "the last seconds are in a file",
+        "page": "a button of the page was pressed, or the page has ended; the bridge goes on",
         "upload_confirmed": "the store has a file, with the same bytes",
         "upload_waits": "the upload waits; the text has the reason, and the files stay",
         "upload_reached": "the store answers again",

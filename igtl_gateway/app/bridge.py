@@ -51,7 +51,7 @@ _TICK_NS = 50 * NS_PER_MS
 #: The same of a relay with fault injection, which delays messages.
 _FAULTY_TICK_NS = NS_PER_MS
 
-OnEntry = Callable[[Entry], None]
+OnEntry = Callable[[Entry], Callable[[], None] | None]
 
 
 class Bridge:
@@ -61,7 +61,8 @@ class Bridge:
         config: the options that influence the content of messages; stored in the recording.
         options: the options that do not.
         clock: source of gateway time and monotonic time.
-        on_entry: called with every entry, except those that ``on_passed`` counts.
+        on_entry: called with every entry, except those that ``on_passed`` counts; may return what is left to be done
+            without the lock of the session.
         viewer: called with every entry; the gateway then also builds outputs without a subscriber.
         on_passed: called with kind and number of the entries that passed natively.  Without it (and with a viewer) none
             do, if ``on_entry`` is given.

@@ -1,6 +1,6 @@
 """The recording of a bridge, with the upload beside it.
 
-Its services are ``~/pause_recording``, ``~/resume_recording`` and ``~/snapshot``.
+Its services are ``~/pause_recording``, ``~/resume_recording``, ``~/split_recording`` and ``~/snapshot``.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 
 TYPE = "std_srvs/srv/Trigger"
 PAUSE, RESUME, SNAPSHOT = "~/pause_recording", "~/resume_recording", "~/snapshot"
+SPLIT = "~/split_recording"
 
 #: Longest wait for a snapshot, in seconds: enough for half a gigabyte on a slow disk.
 _SNAPSHOT_S = 60.0
@@ -143,12 +144,14 @@ class BridgeRecording:
 
 
 def serve_recording(ros: RosSide, recorder: Recorder) -> None:
-    """Create the services of this recording: ``~/snapshot`` for a snapshot buffer, else pause and resume."""
+    """Create the services of this recording: ``~/snapshot`` for a snapshot buffer, else pause, resume and split."""
     if recorder.options.snapshot_s:
         ros.serve(SNAPSHOT, TYPE, lambda _request, response: _answer(response, lambda: snapshot(recorder)))
         return
     ros.serve(PAUSE, TYPE, lambda _request, response: _answer(response, lambda: pause(recorder)))
     ros.serve(RESUME, TYPE, lambda _request, response: _answer(response, lambda: resume(recorder)))
+    if recorder.options.split_bytes or recorder.options.split_s:
+        ros.serve(SPLIT, TYPE, lambda _request, response: _answer(response, lambda: split(recorder)))
 
 
 def pause(recorder: Recorder) -> tuple[bool, str]:
@@ -161,6 +164,14 @@ def resume(recorder: Recorder) -> tuple[bool, str]:
     """Resume the recording; return whether that was possible, and a sentence for people."""
     recorder.resume()
     return not recorder.failure, recorder.failure or "the recording goes on"
+
+
+def split(recorder: Recorder) -> tuple[bool, str]:
+    """Begin the next part with the next input; return whether that is possible, and a sentence for people."""
+    if not (recorder.options.split_bytes or recorder.options.split_s):
+        return False, "the recording has one file; start it with --split-size or --split-duration"
+    recorder.split()
+    return not recorder.failure, recorder.failure or "the next message begins a new file"
 
 
 def snapshot(recorder: Recorder) -> tuple[bool, str]:

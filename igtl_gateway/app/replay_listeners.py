@@ -82,6 +82,11 @@ class Listeners:
             except WireError:
                 return
 
+    def present(self) -> list[tuple[str, str]]:
+        """Return address and profile of each listener."""
+        with self._lock:
+            return [(peer.address, peer.profile.name) for peer in self._peers.all()]
+
     @property
     def awaits_hello(self) -> bool:
         """Whether a listener that has sent nothing yet may be about to show what it is."""

@@ -78,9 +78,16 @@ class BridgeStatus:
             "refused": self._watcher.refused,
             "rates": {"over_s": seconds} | rates,
             "peers": [
-                {"link": link.number, "peer": link.peer, "role": link.role, "connected": link.connected}
+                {
+                    "link": link.number,
+                    "peer": link.peer,
+                    "role": link.role,
+                    "connected": link.connected,
+                    "profile": bridge.gateway.profile_of(link.number),
+                }
                 for link in bridge.tcp.links()
             ],
+            "watched": self._watched(),
             "queues": {
                 str(number): {"messages": count.queued_messages, "bytes": count.queued_bytes}
                 for number, count in counters.items()
@@ -92,6 +99,22 @@ class BridgeStatus:
             "recorder": recorder
             and recorder.counters() | {"path": str(bridge.options.record), "paused": recorder.paused},
         }
+
+    def _watched(self) -> list[dict[str, Any]]:
+        """Return what the guard knows of each stream; times in ns."""
+        return [
+            {
+                "link": link,
+                "stream": stream,
+                "age_ns": one.age_ns,
+                "jitter_ns": one.timing.jitter_ns if one.timing.stamped else None,
+                "stamped": one.timing.stamped,
+                "unset": one.timing.unset,
+                "stale": one.stale,
+                "episodes": sorted(one.episodes),
+            }
+            for (link, stream), one in self._bridge.gateway.guard.items()
+        ]
 
     def _rates(self, now_ns: int, totals: _Totals) -> tuple[float, dict[str, dict[str, float]]]:
         """Return the averaging time in seconds, and the rates in messages per second.

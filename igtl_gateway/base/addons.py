@@ -22,6 +22,7 @@ ADDONS: dict[str, tuple[str, ...]] = {
     "exchange": ("import", "export"),
     "upload": ("upload",),
     "view": ("view",),
+    "page": ("page",),
     "review": ("review",),
     "resim": ("resim",),
     "cohort": ("cohort",),
@@ -35,6 +36,7 @@ ADDON_SETTINGS: dict[str, dict[str, str]] = {
     "zenoh": {"ros": "--ros", "site": "--site", "site_budget": "--site-budget", "site_classes": "--site-class"},
     "upload": {"upload": "--upload", "upload_rate": "--upload-rate"},
     "view": {"view": "--view"},
+    "page": {"page": "--page", "page_address": "--page-address"},
 }
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from importlib.util import find_spec
@@ -21,7 +21,7 @@ from igtl_gateway.base.extras import missing
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.cli import recording
 from igtl_gateway.cli.bridge_output import BridgeOutput, JsonOutput, TextOutput
-from igtl_gateway.cli.bridge_session import BridgeSession, LiveWindow, PlainRunner, options_of_session
+from igtl_gateway.cli.bridge_session import BridgeSession, LiveWindow, Page, PlainRunner, options_of_session
 from igtl_gateway.cli.common import stop_event
 from igtl_gateway.cli.ros_arguments import add_ros_arguments
 from igtl_gateway.cli.settings import add_absent, add_settings, common_options, faults_text, given, settled
@@ -57,6 +57,8 @@ EXAMPLES = """\
   igtl-gateway bridge --ros zenoh:tcp/robot:7447
   # send images as encoded VIDEO
   igtl-gateway bridge --video-codec h264
+  # show links, streams and recording on a page for browsers
+  igtl-gateway bridge --record out.mcap --page
   # show the session live in rerun
   igtl-gateway bridge --view
   # record OpenIGTLink without ROS
@@ -150,8 +152,10 @@ def run(options: argparse.Namespace) -> int:
 
         def make(host: NodeHost | None, number: int) -> BridgeSession:
             own = options_of_session(plan.how, number)
-            window, metrics_at = plan.open_window(), plan.metrics_at
-            return BridgeSession(plan.config(host), own, clock, window=window, metrics_at=metrics_at, host=host)
+            window, page, metrics_at = plan.open_window(), plan.page, plan.metrics_at
+            return BridgeSession(
+                plan.config(host), own, clock, window=window, page=page, metrics_at=metrics_at, host=host
+            )
 
         out: BridgeOutput = JsonOutput(clock)
         runner: PlainRunner | ManagedBridge[BridgeSession]
@@ -167,16 +171,18 @@ def run(options: argparse.Namespace) -> int:
             if as_text:
                 out = TextOutput(is_terminal(), runner.host.logs)
         else:
-            runner = PlainRunner(make(None, 1))
             if as_text:
                 out = TextOutput(is_terminal())
+            plan.open_page(stop.set, out.page)
+            runner = PlainRunner(make(None, 1))
         host = runner.host if isinstance(runner, ManagedBridge) else None
-        show = _Show(out, host, notes, clock)
+        show = _Show(out, host, notes, clock, plan)
         viewer_problem = ""
         try:
             if isinstance(runner, ManagedBridge):
                 runner.host.start(lambda error: problems.append(f"callback: {error}"))
                 plan.prepare(runner.host)
+                plan.open_page(stop.set, out.page)
             runner.start()
             started_ns = clock.monotonic_ns()
             show.update(runner.bridge)
@@ -192,6 +198,8 @@ def run(options: argparse.Namespace) -> int:
             show.release()
             runner.stop()
             viewer_problem = plan.window.close() if plan.window else ""
+            if plan.page:
+                plan.page.close()
         show.end()
         if viewer_problem:
             print_line(f"igtl-gateway bridge: --view: {viewer_problem}", error=True)
@@ -207,6 +215,7 @@ class _Plan:
         how: options of the bridge.
         metrics_at: address of ``--metrics``; None: there is none.
         window: of ``--view``, once a session has needed it.
+        page: of ``--page``, after `open_page`.
 
     Raises:
         ConfigError: for a wrong setting; with ``--ros-args``, only after `prepare` all are known.
@@ -234,6 +243,7 @@ class _Plan:
                     f"{option}: found --ros {values['ros']}, expected --ros {DDS}: it needs a node of rclpy"
                 )
         self.window: LiveWindow | None = None
+        self.page: Page | None = None
         if not options.ros_args:
             self._take(values)
 
@@ -266,6 +276,15 @@ class _Plan:
             print_line(_READABLE, error=True)
         return self.window
 
+    def open_page(self, on_stop: Callable[[], None], on_links: Callable[[str, str], None]) -> None:
+        """Open the page of ``--page``, in a thread that lasts as long: the process ends with it."""
+        values = self._values
+        if values.get("page"):
+            place = address(values["page_address"]) if values["page_address"] else ("127.0.0.1", 0)
+            tls = (values["tls_cert"], values["tls_key"]) if values["tls_cert"] else None
+            made = part_of("page", "live:BridgePage")
+            self.page = made(place, self.how.allow, tls, self.how.record, on_stop, on_links)
+
 
 #: rerun's window has no access control for streams.
 _READABLE = (
@@ -280,8 +299,9 @@ class _Show:
         has_failed: whether the recording of a session that has ended failed.
     """
 
-    def __init__(self, out: BridgeOutput, host: NodeHost | None, notes: list[str], clock: Clock) -> None:
+    def __init__(self, out: BridgeOutput, host: NodeHost | None, notes: list[str], clock: Clock, plan: _Plan) -> None:
         self.has_failed = False
+        self._plan = plan
         self._out = out
         self._host = host
         self._notes = notes
@@ -303,16 +323,22 @@ class _Show:
             self.end()
             if session:
                 self._begin(session)
+        page = self._plan.page
         if session is None:
+            if page:
+                page.update(None)
             if not self._is_waiting:
                 self._is_waiting = True
                 self._out.waiting(self._host.full_name if self._host else "")
             return
         bridge, watch = session.bridge, session.watch
-        self._out.events(watch.take(bridge.hub.now_ns()) + bridge.take_reports())
+        events = watch.take(bridge.hub.now_ns()) + bridge.take_reports()
+        self._out.events(events)
         bridge.collect()
         self._out.status(bridge, watch, (self._clock.monotonic_ns() - self._started_ns) / NS_PER_S)
         session.sample()
+        if page:
+            page.update(session, events)
 
     def _begin(self, session: BridgeSession) -> None:
         self._session, self._is_waiting = session, False

@@ -37,6 +37,7 @@ class BridgeOutput(Protocol):
     """How a bridge reports what it does."""
 
     def started(self, bridge: Bridge, config: Config, notes: list[str], metrics: MetricsServer | None) -> None: ...
+    def page(self, link: str, spectators: str) -> None: ...
     def waiting(self, node_name: str) -> None: ...
     def problem(self, text: str) -> None: ...
     def events(self, events: list[Event]) -> None: ...
@@ -95,6 +96,11 @@ class TextOutput:
             for line in mapping(config):
                 print_line(line)
         print_line("Press Ctrl-C to stop.", flush=True)
+
+    def page(self, link: str, spectators: str) -> None:
+        """Print where the page is."""
+        self._print(f"page         {link}")
+        self._print(f"  read-only  {spectators}")
 
     def waiting(self, node_name: str) -> None:
         """Print that no session runs: the managed node is unconfigured."""
@@ -198,6 +204,10 @@ class JsonOutput:
             native=not bridge.native_off,
             native_off=bridge.native_off,
         )
+
+    def page(self, link: str, spectators: str) -> None:
+        """Print where the page is."""
+        self._print("page", link=link, spectators=spectators)
 
     def waiting(self, node_name: str) -> None:
         """Print that no session runs: the managed node is unconfigured."""

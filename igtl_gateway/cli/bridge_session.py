@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from igtl_gateway.app.bridge import Bridge
 from igtl_gateway.app.bridge_options import BridgeOptions
 from igtl_gateway.app.entry_watch import EntryWatch
-from igtl_gateway.app.note_rate import NoteRate
+from igtl_gateway.app.note_rate import Event, NoteRate
 from igtl_gateway.app.status import BridgeStatus
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.config.configuration import Config
@@ -33,6 +33,23 @@ class LiveWindow(Protocol):
         ...
 
 
+class Page(Protocol):
+    """The page of ``--page``, of the add-on ``page``."""
+
+    @property
+    def pictures(self) -> Callable[[Entry], Callable[[], None] | None]:
+        """A sink for entries."""
+        ...
+
+    def update(self, session: BridgeSession | None, events: Sequence[Event] = ()) -> None:
+        """Show the session that runs now, and its notes."""
+        ...
+
+    def close(self) -> None:
+        """End the page."""
+        ...
+
+
 class BridgeSession:
     """A bridge, the counts of its entries, and the server of ``--metrics``.
 
@@ -40,6 +57,7 @@ class BridgeSession:
         config, options: of the bridge.
         clock: source of gateway time.
         window: of ``--view``; None: there is none.
+        page: of ``--page``; None: there is none.
         metrics_at: address of ``--metrics``; None: there is none.
         host: where the ROS node is; None: there is none, or it is of this bridge only.
 
@@ -55,11 +73,14 @@ class BridgeSession:
         clock: Clock,
         *,
         window: LiveWindow | None = None,
+        page: Page | None = None,
         metrics_at: tuple[str, int] | None = None,
         host: NodeHost | None = None,
     ) -> None:
         self.watch = EntryWatch(NoteRate())
-        self.bridge = Bridge(config, options, clock, self.watch, window, self.watch.add, host)
+        self._pictures = page.pictures if page else None
+        on_entry = self._on_entry if page else self.watch
+        self.bridge = Bridge(config, options, clock, on_entry, window, self.watch.add, host)
         self.metrics: MetricsServer | None = None
         self._metrics_at = metrics_at
         self._status = BridgeStatus(self.bridge, self.watch, clock)
@@ -85,14 +106,24 @@ class BridgeSession:
         self.bridge.change(changes)
 
     def sample(self) -> None:
-        """Take the sample that the server of ``--metrics`` returns."""
-        if self.metrics:
+        """Take the sample that the server of ``--metrics`` returns, and the page shows."""
+        if self.metrics or self._pictures:
             self._status.sample()
+
+    @property
+    def facts(self) -> Mapping[str, Any]:
+        """The last sample."""
+        return self._status.facts
 
     def stop(self) -> None:
         """Close all; a second call has no effect."""
         self._close_metrics()
         self.bridge.stop()
+
+    def _on_entry(self, entry: Entry) -> Callable[[], None] | None:
+        """Count an entry; return what is left to be done without the lock."""
+        self.watch(entry)
+        return self._pictures(entry) if self._pictures else None
 
     def _close_metrics(self) -> None:
         if self.metrics:

@@ -195,6 +195,11 @@ class Gateway:
         """The guarded streams."""
         return self._guard
 
+    def profile_of(self, link: int) -> str:
+        """Return the name of the profile of the peer of a link; "" if the link is not open."""
+        peer = self._peers.get(link)
+        return peer.profile.name if peer else ""
+
     @property
     def has_subscriber(self) -> HasSubscriber | None:
         """Function that returns whether a topic has a subscriber; None, as in recorded sessions: build all outputs."""

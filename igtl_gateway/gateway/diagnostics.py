@@ -24,11 +24,11 @@ OK, WARN, ERROR, STALE = 0, 1, 2, 3  # levels of diagnostic_msgs/DiagnosticStatu
 #: A periodic stream without a message for this time is stale.
 SILENT_NS = 5 * NS_PER_S
 #: Minimum rate of a periodic stream.
-_RHYTHM_HZ = 1.0
+RHYTHM_HZ = 1.0
 #: Maximum number of streams with a status: 256 streams are 60 kB and 10 ms of work every second.
 MAX_STREAMS = 256
 #: Reasons that are not a problem: no peer was connected, or no peer requested the message.
-_HARMLESS = frozenset({"no_peer", "not_chosen", "not_wanted", "not_for_peer", "part_of_volume", "empty", "denied"})
+HARMLESS = frozenset({"no_peer", "not_chosen", "not_wanted", "not_for_peer", "part_of_volume", "empty", "denied"})
 
 _SIDES = {"igtl_in": "OpenIGTLink", "ros_in": "ROS"}
 
@@ -136,18 +136,18 @@ class Diagnostics:
         seen = self._seen.setdefault((side, stream), _Baseline(moved_ns=now_ns))
         received, dropped = fates.get("received", 0), fates.get("dropped", {})
         rate_hz = (received - seen.received) / seconds if seconds else 0.0
-        troubles = sum(number for reason, number in dropped.items() if reason not in _HARMLESS)
+        troubles = sum(number for reason, number in dropped.items() if reason not in HARMLESS)
         fresh_troubles, seen.troubles = troubles - seen.troubles, troubles
         if received != seen.received:
             seen.moved_ns, seen.received = now_ns, received
-        seen.rhythm = seen.rhythm or rate_hz >= _RHYTHM_HZ
+        seen.rhythm = seen.rhythm or rate_hz >= RHYTHM_HZ
         silent_ns = now_ns - seen.moved_ns
         stale = [one for one in watched if one.stale]
         odd = sorted({code for one in watched for code in one.episodes})
         if stale:
             level, text = ERROR, f"stale: {sum(one.stale for one in stale):,} messages withheld so far (max_age_s)"
         elif fresh_troubles > 0:
-            reasons = ", ".join(reason for reason in dropped if reason not in _HARMLESS)
+            reasons = ", ".join(reason for reason in dropped if reason not in HARMLESS)
             level, text = ERROR, f"{fresh_troubles:,} messages lost since the last report: {reasons}"
         elif odd:
             level, text = WARN, ", ".join(odd)

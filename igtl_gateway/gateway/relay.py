@@ -96,6 +96,10 @@ class RelayGateway:
         """Gateway time (UTC ns) at which the core needs a tick (see ``TICK``); None if it needs none."""
         return min((line.due_ns for line in self._lines.values() if line.due_ns is not None), default=None)
 
+    def profile_of(self, link: int) -> str:
+        """Return "": a relay adapts nothing to its peers."""
+        return ""
+
     def subscription(self, topic: str, ros_type: str) -> Qos | None:
         """Return None: a relay bridges no topic."""
         return None

@@ -67,6 +67,7 @@ class PartsWriter:
         self._counters = counters
         self._parts: list[RecordingPart] = []
         self._number = 0
+        self._asked = False  # the next part
         self._previous = ""  # name of the part before
         old = _make_folder(self.path, overwrite)
         try:
@@ -102,6 +103,10 @@ class PartsWriter:
         self._part.write(entry)
         self._prologue.observe(entry)
 
+    def split(self) -> None:
+        """End the part before the next input, whatever its size; a part without entries goes on."""
+        self._asked = True
+
     def flush(self) -> None:
         """As SessionWriter.flush."""
         self._part.flush()
@@ -122,13 +127,16 @@ class PartsWriter:
     def _next(self) -> None:
         self._previous = self._part.path.name
         self._number += 1
+        self._asked = False
         self._part = self._open()
         self._ended = False
 
     def _full(self, entry: Entry) -> bool:
         lasted_ns = entry.stamp_ns - self._part.start_ns
         return bool(
-            (self._max_bytes and self._part.size >= self._max_bytes) or (self._max_ns and lasted_ns >= self._max_ns)
+            self._asked
+            or (self._max_bytes and self._part.size >= self._max_bytes)
+            or (self._max_ns and lasted_ns >= self._max_ns)
         )
 
     def _open(self) -> SessionWriter:

@@ -155,6 +155,10 @@ class Recorder:
         """From the next input on, record everything again; a note reports what was left out meanwhile."""
         self._command("resume")
 
+    def split(self) -> None:
+        """Begin the next part with the next input; nothing where the recording has no parts."""
+        self._command("split")
+
     def snapshot(self) -> Future[Path]:
         """Write the last seconds into a file; the result is its path, or a RecordingError."""
         done: Future[Path] = Future()

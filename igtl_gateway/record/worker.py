@@ -526,6 +526,9 @@ class _RecorderWorker:
                 self._set_paused(True)
             case "resume":
                 self._set_paused(False)
+            case "split":
+                if isinstance(self._writer, PartsWriter):
+                    self._writer.split()
             case "snapshot":
                 self._asked.append((*words, self._clock.utc_ns()))
             case "fail":

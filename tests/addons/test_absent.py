@@ -88,6 +88,7 @@ NEEDED: dict[str, tuple[tuple[object, ...], ...]] = {
         ("bridge", "--no-ros", "--record", "OUT/up.mcap", "--upload", "s3://bucket"),
     ),
     "view": (("view", STAR), ("bridge", "--no-ros", "--view")),
+    "page": (("page", "OUT"), ("bridge", "--no-ros", "--page")),
     "resim": (("resim", STAR, "--", "true"),),
     "review": (("review", STAR), ("cohort", "review", STAR, "-o", "OUT/cohort")),
     "cohort": (("cohort", "info", SMALL, "-o", "OUT/cohort"),),

@@ -72,6 +72,20 @@ def test_pause_and_resume(recorders: list[Recorder], tmp_path: Path) -> None:
         assert [entry.seq for entry in file.entries()] == [1, 3]
 
 
+def test_the_next_file(recorders: list[Recorder], tmp_path: Path) -> None:
+    recorder, graph = start(recorders, tmp_path / "a.mcap", split_s=1_000.0)
+    assert graph.call("~/split_recording")[0]  # nothing to end yet
+    for number in (1, 2):
+        recorder(samples.ros(number))
+    assert graph.call("~/split_recording") == (True, "the next message begins a new file")
+    recorder(samples.ros(3))
+    recorder.close({})
+    with SessionFile.open(tmp_path / "a") as file:
+        assert [part.entries for part in file.parts] == [2, 1]
+    whole, _ = start(recorders, tmp_path / "b.mcap")
+    assert recording.split(whole)[1] == "the recording has one file; start it with --split-size or --split-duration"
+
+
 def test_a_recording_that_has_failed_says_so(recorders: list[Recorder], tmp_path: Path) -> None:
     folder = tmp_path / "folder"
     folder.mkdir()

@@ -1,4 +1,4 @@
-"""A small HTTP server that no client can hold up: for counts of a bridge and the page of the viewer.
+"""A small HTTP server that no client can hold up: for counts of a bridge, and for pages.
 
 Each connection has a thread and a deadline.  There is a bound of connections; if it is reached, the oldest one is cut
 off, so a new client is served at once, however many silent ones there are.  A request must name this machine as its
@@ -18,6 +18,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 from typing import Any
 
 from igtl_gateway.edges.tcp.sockets import AllowList, address_text, listening_socket
+from igtl_gateway.edges.tcp.tls import Context
 
 #: Longest time from the first byte of a request to the last byte of its answer.
 DEADLINE_S = 5.0
@@ -76,6 +77,7 @@ class LocalServer:
         handler: class of the requests; it inherits ``Handler``.
         allow: networks (CIDR) whose clients may connect in addition to those of this host.
         deadline_s: longest duration of a request, in seconds; see ``DEADLINE_S``.
+        tls: encrypts the connections; None: they are not encrypted.
 
     Raises ConfigError and Unavailable as ``TcpEdge.listen`` does.
     """
@@ -89,8 +91,9 @@ class LocalServer:
         name: str,
         allow: Sequence[str] = (),
         deadline_s: float = DEADLINE_S,
+        tls: Context | None = None,
     ) -> None:
-        self._server = _Server(host, port, handler, AllowList(allow), deadline_s)
+        self._server = _Server(host, port, handler, AllowList(allow), deadline_s, tls)
         self.address = address_text(self._server.server_address)
         serve = partial(self._server.serve_forever, _POLL_S)
         self._thread = threading.Thread(target=serve, name=name, daemon=True)
@@ -105,7 +108,15 @@ class LocalServer:
 
 
 class _Server(HTTPServer):
-    def __init__(self, host: str, port: int, handler: type[Handler], allow: AllowList, deadline_s: float) -> None:
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        handler: type[Handler],
+        allow: AllowList,
+        deadline_s: float,
+        tls: Context | None,
+    ) -> None:
         listener = listening_socket(host, port, allow)
         super().__init__(listener.getsockname()[:2], handler, bind_and_activate=False)
         self.socket.close()  # the library's socket: errors of `listening_socket` name the address and the cause
@@ -113,6 +124,7 @@ class _Server(HTTPServer):
         self.hosts = KnownHosts(host, listener.getsockname()[0])
         self._allow = allow
         self._deadline_s = deadline_s
+        self._tls = tls
         self._lock = threading.Lock()
         self._open: dict[socket.socket, threading.Timer] = {}  # the oldest first
 
@@ -121,6 +133,8 @@ class _Server(HTTPServer):
 
     def process_request(self, request: Any, client_address: Any) -> None:
         """Serve a connection in a thread of its own; cut off the oldest one if there are too many."""
+        if self._tls:  # the handshake is part of the first read: it has its deadline, too
+            request = self._tls.wrap_socket(request, server_side=True, do_handshake_on_connect=False)
         deadline = threading.Timer(self._deadline_s, _cut_off, (request,))
         deadline.daemon = True
         with self._lock:
@@ -159,7 +173,7 @@ def _cut_off(request: socket.socket) -> None:
 
 
 class Handler(BaseHTTPRequestHandler):
-    """A request: ``get`` answers it."""
+    """A request: ``get`` or ``post`` answers it."""
 
     server: _Server
 

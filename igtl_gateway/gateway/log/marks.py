@@ -91,6 +91,11 @@ class OpenPhases:
     def __init__(self) -> None:
         self._labels: set[str] = set()
 
+    @property
+    def labels(self) -> list[str]:
+        """The labels, sorted; callable from any thread."""
+        return sorted(self._labels)
+
     def check(self, mark: MarkNote) -> None:
         """Raise ConfigError if a mark cannot follow: the end of no phase, or the begin of an open one."""
         if mark.phase == BEGIN and mark.label in self._labels:

@@ -1,0 +1,16 @@
+"""The add-on page: a running bridge and its recordings in a browser."""
+
+from __future__ import annotations
+
+from igtl_gateway.addon import Verb
+from igtl_gateway.cli.verbs import INSPECT
+
+VERBS = {
+    "page": Verb(
+        "show the recordings of a directory on a page for browsers",
+        f"{__package__}.verb",
+        writes_files=True,
+        group=INSPECT,
+        place=3,
+    ),
+}

@@ -1,0 +1,102 @@
+"""The process that reads recordings for the list of the page: a bad file costs this process, not the page.
+
+``python -m igtl_gateway.addons.page.listing``: each line of its input has the path of a recording as JSON, and whether
+the places of its time line are wanted; each line of its output has the facts of the next one as JSON.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway.addon import (
+    LINK_DOWN,
+    LINK_UP,
+    NS_PER_S,
+    BeingRecorded,
+    GatewayError,
+    Kind,
+    Level,
+    Note,
+    SessionFile,
+    failure_text,
+)
+from igtl_gateway.base.systems.processes import lower_priority
+from igtl_gateway.base.systems.signals import ignore_endings
+from igtl_gateway.record.sessionfile.seals import stated_seals
+from igtl_gateway.record.worker import DROPPED, PAUSED, RESUMED
+from igtl_gateway.replay.marks import marks_of
+
+#: Most places on a time line.
+MAX_PLACES = 500
+#: Code of a note → what it is on the time line.
+_KINDS = {DROPPED: "loss", PAUSED: "pause", RESUMED: "resume", LINK_UP: "link", LINK_DOWN: "link"}
+
+
+def facts_of(path: Path) -> dict[str, Any]:
+    """Return what the list shows of a recording; ``problem`` is why the rest is missing."""
+    try:
+        with SessionFile.open(path) as file:
+            marks = [mark.to_dict(file.start_ns) for mark in marks_of(file)]
+            found: dict[str, Any] = {
+                "start_ns": file.start_ns,
+                "duration_s": (file.end_ns - file.start_ns) / NS_PER_S,
+                "streams": len(file.channels),
+                "entries": file.entry_count,
+                "foreign": file.foreign,
+                "closed": True,
+                "marks": marks,
+            }
+    except BeingRecorded:
+        return {"closed": False, "recording": True, "problem": "is being recorded"}
+    except (GatewayError, OSError) as error:
+        return {"closed": False, "problem": failure_text(error)}
+    try:
+        files = sorted(path.glob("*.mcap")) if path.is_dir() else [path]
+        stated = [stated_seals(each) for each in files]
+        found["sealed"] = bool(stated) and all(stated)
+    except (GatewayError, OSError) as error:
+        found["problem"] = failure_text(error)
+    return found
+
+
+def places_of(path: Path) -> dict[str, Any]:
+    """Return what lies on the time line of a recording: findings, losses, pauses and links; marks are in the list."""
+    found: list[dict[str, Any]] = []
+    try:
+        with SessionFile.open(path) as file:
+            if not file.foreign:
+                for entry in file.entries_of_kinds({Kind.EDGE_NOTE, Kind.NOTE, Kind.LINK}):
+                    note = Note.of(entry.data()) if entry.seq else None  # 0: an entry of another kind, not decoded
+                    if note and len(found) < MAX_PLACES and (kind := _kind_of(note)):
+                        at_s = (entry.stamp_ns - file.start_ns) / NS_PER_S
+                        found.append({"kind": kind, "at_s": at_s, "text": note.text})
+    except (GatewayError, OSError) as error:
+        return {"places": found, "problem": failure_text(error)}
+    return {"places": found}
+
+
+def _kind_of(note: Note) -> str:
+    """Return what a note is on the time line; "" for what is not shown."""
+    if note.code in _KINDS:
+        return _KINDS[note.code]
+    return "finding" if note.level >= Level.WARN else ""
+
+
+def main() -> None:
+    """The process."""
+    ignore_endings()
+    lower_priority(19)
+    for line in sys.stdin:
+        path, wants_places = json.loads(line)
+        found = places_of(Path(path)) if wants_places else facts_of(Path(path))
+        data = json.dumps(found).encode() + b"\n"
+        while data:
+            data = data[os.write(1, data) :]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,277 @@
+"""The page beside a bridge: the interface that its process reads, and that process.
+
+The interface is a server on loopback with a token that only the process knows.  It gives the last sample of the bridge
+and takes what a person has pressed.  Browsers never reach it, so whatever they do, the bridge has one reader.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
+from hmac import compare_digest
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+from urllib.parse import parse_qs, urlsplit
+
+from igtl_gateway.addon import (
+    NS_PER_S,
+    Child,
+    Entry,
+    GatewayError,
+    Level,
+    MarkNote,
+    Note,
+    SystemClock,
+)
+from igtl_gateway.app.recording import pause, resume, snapshot, split
+from igtl_gateway.edges.tcp.http_server import Handler, LocalServer
+
+if TYPE_CHECKING:
+    from igtl_gateway.app.bridge import Bridge
+    from igtl_gateway.app.note_rate import Event
+
+_COMMAND = [sys.executable, "-P", "-m", "igtl_gateway.addons.page.process"]
+#: Code of the notes about the page: what was pressed, and that its process has ended.
+PAGE = "page"
+#: Who makes the marks of the page.
+_WHO = "page"
+_NOTES = 60
+#: A press may write a snapshot of half a gigabyte.
+_DEADLINE_S = 90.0
+#: Pictures are copied for this time after the page has asked for them, and at most once in the second time.
+_LOOKED_NS, _PICTURE_NS = 3 * NS_PER_S, NS_PER_S
+_MAX_PICTURES, _MAX_PICTURE = 16, 32 << 20
+_END_S = 2.0
+
+
+class RunningSession(Protocol):
+    """What the page shows of a bridge."""
+
+    @property
+    def bridge(self) -> Bridge: ...
+
+    @property
+    def facts(self) -> Mapping[str, Any]: ...
+
+
+class Pictures:
+    """A sink that keeps the last picture of each stream, once a second while a browser shows them."""
+
+    def __init__(self) -> None:
+        self._clock = SystemClock()
+        self._until_ns = 0
+        self._kept: dict[tuple[str, str], tuple[int, bytes]] = {}
+
+    def __call__(self, entry: Entry) -> Callable[[], None] | None:
+        """Return the copy of a picture, to be made without the lock; None for what is not kept."""
+        if not self._until_ns or not entry.channel.startswith("IMAGE/"):
+            return None
+        now_ns = self._clock.monotonic_ns()
+        if now_ns > self._until_ns:
+            self._until_ns = 0
+            self._kept.clear()
+            return None
+        key = entry.kind.value, entry.channel
+        kept = self._kept.get(key)
+        if entry.size > _MAX_PICTURE or (kept is None and len(self._kept) >= _MAX_PICTURES):
+            return None
+        if kept and now_ns - kept[0] < _PICTURE_NS:
+            return None
+        return partial(self._keep, key, now_ns, entry)
+
+    def names(self) -> list[tuple[str, str, int]]:
+        """Return side, stream and version of each picture; pictures are kept for some seconds from now on."""
+        self._until_ns = self._clock.monotonic_ns() + _LOOKED_NS
+        return [(*key, version) for key, (version, _) in list(self._kept.items())]
+
+    def get(self, side: str, stream: str) -> bytes:
+        """Return the message of the last picture; empty if there is none."""
+        return self._kept.get((side, stream), (0, b""))[1]
+
+    def _keep(self, key: tuple[str, str], now_ns: int, entry: Entry) -> None:
+        self._kept[key] = now_ns, entry.data()
+
+
+class BridgePage:
+    """The page of the sessions of a bridge, which run one after the other.
+
+    Args:
+        place: where browsers connect to.
+        allow: networks (CIDR) whose browsers may connect in addition to those of this host.
+        tls: certificate and key as PEM files; None: without TLS.
+        recording: file of the recording, whose folder the page lists; None: there is none.
+        on_stop: called when the bridge is to stop.
+        on_links: called with the link for a person, and the one for spectators, once the page is served.
+    """
+
+    def __init__(
+        self,
+        place: tuple[str, int],
+        allow: Sequence[str],
+        tls: tuple[str, str] | None,
+        recording: Path | None,
+        on_stop: Callable[[], None],
+        on_links: Callable[[str, str], None],
+    ) -> None:
+        self.pictures = Pictures()
+        self._session: RunningSession | None = None
+        self._on_stop = on_stop
+        self._on_links = on_links
+        self._notes: deque[dict[str, Any]] = deque(maxlen=_NOTES)
+        self._number = 0
+        self._closing = False
+        self._has_ended = threading.Event()
+        self._links: tuple[str, str] | None = None
+        self._why = ""
+        self._token = os.urandom(24).hex()
+        handler = type("_LiveHandler", (_Handler,), {"page": self, "secret": f"Bearer {self._token}"})
+        self._server = LocalServer("127.0.0.1", 0, handler, name="igtl-page", deadline_s=_DEADLINE_S)
+        path = os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)
+        self._child = Child(
+            "page",
+            _COMMAND,
+            on_line=self._on_line,
+            on_end=self._has_ended.set,
+            env={**os.environ, "PYTHONPATH": path},
+        )
+        settings = {
+            "host": place[0],
+            "port": place[1],
+            "allow": list(allow),
+            "tls": tls,
+            "folder": str(recording.absolute().parent) if recording else "",
+            "bridge": f"http://{self._server.address}",
+            "token": self._token,
+        }
+        self._child.write(json.dumps(settings) + "\n")
+
+    def update(self, session: RunningSession | None, events: Sequence[Event] = ()) -> None:
+        """Take the session that runs now, and its notes since the last call.  Twice a second."""
+        self._session = session
+        for event in events:
+            note = event.note
+            self._number += 1
+            self._notes.append(
+                {
+                    "number": self._number,
+                    "time_ns": event.stamp_ns,
+                    "level": note.level.name,
+                    "code": note.code,
+                    "text": note.text,
+                    "more": event.more,
+                }
+            )
+        if self._links:
+            links, self._links = self._links, None
+            self._on_links(*links)
+        if self._has_ended.is_set() and not self._closing and session:
+            self._closing = True
+            why = self._why or self._child.exit_reason() or "its process was ended"
+            session.bridge.hub.note(Note(Level.WARN, PAGE, f"the page has ended: {why}; the bridge goes on"))
+            self._server.close()
+
+    def close(self) -> None:
+        """End the process."""
+        if not self._closing:
+            self._closing = True
+            self._server.close()
+        self._child.close_input()
+        self._child.wait(_END_S)
+        self._child.kill()
+
+    def facts(self) -> dict[str, Any]:
+        """Return what the page shows."""
+        session = self._session
+        return {
+            "facts": session.facts if session else None,
+            "recording": _recording(session.bridge) if session else None,
+            "notes": list(self._notes),
+            "pictures": self.pictures.names(),
+        }
+
+    def act(self, what: str, line: str) -> tuple[bool, str]:
+        """Do what was pressed; return whether it was possible, and a sentence for people."""
+        session = self._session
+        if session is None:
+            return False, "no session runs"
+        bridge = session.bridge
+        if what == "mark":
+            try:
+                bridge.mark(MarkNote.parse(line, _WHO))
+            except GatewayError as error:
+                return False, str(error)
+            return True, "the mark is set"
+        if what == "stop":
+            bridge.hub.note(Note(Level.INFO, PAGE, "stop was pressed on the page"))
+            self._on_stop()
+            return True, "the bridge stops and closes the recording"
+        action = _ACTIONS.get(what)
+        if action is None:
+            return False, f"found {what[:40]!r}, expected one of mark, stop, {', '.join(_ACTIONS)}"
+        if bridge.recorder is None:
+            return False, "there is no recording; start the bridge with --record FILE"
+        bridge.hub.note(Note(Level.INFO, PAGE, f"{what} was pressed on the page"))
+        return action(bridge.recorder)
+
+    def _on_line(self, line: str) -> None:
+        try:
+            found = json.loads(line)
+            if "link" in found:
+                self._links = str(found["link"]), str(found["spectators"])
+            self._why = str(found.get("why", self._why))
+        except (ValueError, KeyError, TypeError, AttributeError):
+            return  # a line that was cut off
+
+
+_ACTIONS = {"pause": pause, "resume": resume, "snapshot": snapshot, "split": split}
+
+
+def _recording(bridge: Bridge) -> dict[str, Any] | None:
+    """Return what can be done with the recording; None: there is none."""
+    recorder, how = bridge.recorder, bridge.options.recording
+    if recorder is None or bridge.options.record is None:
+        return None
+    return {
+        "snapshot_s": how.snapshot_s,
+        "split": bool(how.split_bytes or how.split_s),
+        "sealed": how.seal is not None,
+        "path": str(bridge.options.record.absolute()),
+        "phases": bridge.gateway.phases.labels,
+    }
+
+
+class _Handler(Handler):
+    page: BridgePage
+    secret: str
+
+    def get(self, path: str) -> None:
+        if not self._is_the_page():
+            return
+        if path == "/facts":
+            self.answer(200, "application/json", json.dumps(self.page.facts(), default=str))
+        elif path == "/picture":
+            words = parse_qs(urlsplit(self.path).query)
+            data = self.page.pictures.get(*(words.get(name, [""])[0] for name in ("side", "stream")))
+            self.begin(200, "application/octet-stream", len(data))
+            self.wfile.write(data)
+        else:
+            self.answer(404, "text/plain; charset=utf-8", "not found\n")
+
+    def post(self, path: str, body: bytes) -> None:
+        if not self._is_the_page():
+            return
+        found = json.loads(body)
+        done, text = self.page.act(str(found.get("do")), str(found.get("line", "")))
+        self.answer(200, "application/json", json.dumps({"done": done, "text": text}))
+
+    def _is_the_page(self) -> bool:
+        given = self.headers.get("Authorization", "")
+        known = compare_digest(given.encode("utf-8", "replace"), self.secret.encode())
+        if not known:
+            self.answer(403, "text/plain; charset=utf-8", "found another token, expected that of the page\n")
+        return known

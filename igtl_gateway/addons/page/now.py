@@ -1,0 +1,226 @@
+"""What the view *Now* shows, from the samples of a bridge: what is wrong first, each with advice.  Pure."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from igtl_gateway.doctor.rules import RULES
+from igtl_gateway.gateway.diagnostics import HARMLESS, RHYTHM_HZ, SILENT_NS
+from igtl_gateway.gateway.log.fates import DROPPED
+
+#: States, the worst first: each has a word, a shape and a colour on the page.
+ERROR, SILENT, WARNING, WAITING, OK = "error", "silent", "warning", "waiting", "ok"
+_ORDER = {state: number for number, state in enumerate((ERROR, SILENT, WARNING, WAITING, OK))}
+#: Seconds of a sparkline, one value each.
+SPARK_S = 60
+#: Losses are a problem for this time, ns.
+_RECENT_NS = 10_000_000_000
+#: Rows that a page shows; a peer that invents names must not fill it.
+MAX_ROWS = 300
+_SIDES = {"igtl_in": "OpenIGTLink", "ros_in": "ROS"}
+
+_ADVICE = {rule.id[5:]: rule.advice for rule in RULES}
+#: Reason of a loss, or oddity that the guard reports → rule of `doctor` whose advice applies.
+_RULE_OF = {
+    "bad_crc": "E207",
+    "malformed": "E210",
+    "truncated": "E210",
+    "wire_error": "E210",
+    "too_large": "E110",
+    "no_conversion": "W604",
+    "not_finite": "E503",
+    "too_many_streams": "W702",
+    "queue": "W114",
+    "stale": "W306",
+    "unit_jump": "W501",
+    "stamp_backwards": "W304",
+    "stamp_still": "W302",
+    "stamp_future": "W303",
+    "silent": "W507",
+    "lost": "W703",
+    "not_connected": "E101",
+}
+_ODD = {
+    "unit_jump": "the translation jumps by a factor of 1,000",
+    "stamp_backwards": "stamps decrease",
+    "stamp_still": "stamps do not change",
+    "stamp_future": "stamps are in the future",
+}
+_STAMPS = {"stamp_backwards": "decrease", "stamp_still": "unchanged", "stamp_future": "in the future"}
+
+
+@dataclass(slots=True)
+class _Seen:
+    """A stream or a link over the samples; times in ns."""
+
+    since_ns: int
+    received: int = 0
+    moved_ns: int = 0
+    gap_ns: int = 0
+    rhythm: bool = False
+    lost: int = 0
+    lost_ns: int = 0
+    second: int = 0
+    at_second: int = 0
+    spark: deque[int] = field(default_factory=lambda: deque(maxlen=SPARK_S))
+
+    def take(self, now_ns: int, received: int, lost: int) -> None:
+        """Take the counts of a sample."""
+        if received != self.received or not self.moved_ns:
+            if self.moved_ns and self.rhythm:
+                self.gap_ns = max(self.gap_ns, now_ns - self.moved_ns)
+            self.moved_ns = now_ns
+        if lost > self.lost:
+            self.lost_ns = now_ns
+        self.received, self.lost = received, lost
+        second = now_ns // 1_000_000_000
+        if second != self.second:
+            if self.second:
+                steps = min(second - self.second, SPARK_S)
+                self.spark.extend([(received - self.at_second) // steps] * steps)
+            self.second, self.at_second = second, received
+
+
+class Now:
+    """The rows of a session."""
+
+    def __init__(self) -> None:
+        self._streams: dict[tuple[str, str], _Seen] = {}
+        self._links: dict[str, _Seen] = {}
+
+    def rows(self, facts: Mapping[str, Any], now_ns: int, utc_ns: int) -> dict[str, Any]:
+        """Return the rows for a sample of ``app.status``.
+
+        Args:
+            facts: the sample.
+            now_ns: when it was read, on the monotonic clock.
+            utc_ns: the same in UTC.
+        """
+        streams = self._stream_rows(facts, now_ns)
+        links = self._link_rows(facts, now_ns, utc_ns)
+        return {"streams": _sorted(streams), "links": _sorted(links), "more": max(0, len(streams) - MAX_ROWS)}
+
+    def _stream_rows(self, facts: Mapping[str, Any], now_ns: int) -> list[dict[str, Any]]:
+        watched: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
+        for one in facts["watched"]:
+            watched.setdefault(("igtl_in" if one["link"] else "ros_in", one["stream"]), []).append(one)
+        rows = []
+        for side, title in _SIDES.items():
+            rates = facts["rates"].get(side, {})
+            for stream, fates in facts["ledger"]["streams"].get(side, {}).items():
+                seen = self._streams.setdefault((side, stream), _Seen(now_ns))
+                dropped = fates.get("dropped", {})
+                lost = sum(number for reason, number in dropped.items() if reason not in HARMLESS)
+                seen.take(now_ns, fates.get("received", 0), lost)
+                rate_hz = rates.get(stream, 0.0)
+                seen.rhythm = seen.rhythm or rate_hz >= RHYTHM_HZ
+                ones = watched.get((side, stream), [])
+                state, text, advice = _judged(seen, now_ns, dropped, ones)
+                kind, _, name = stream.partition("/") if side == "igtl_in" else ("", "", stream)
+                rows.append(
+                    {
+                        "key": f"{side} {stream}",
+                        "state": state,
+                        "name": name or stream,
+                        "type": kind,
+                        "side": title,
+                        "rate_hz": rate_hz,
+                        "spark": list(seen.spark),
+                        "age_s": (now_ns - seen.moved_ns) / 1e9,
+                        "gap_s": seen.gap_ns / 1e9 if seen.rhythm else None,
+                        "latency_ms": _milliseconds(one["age_ns"] for one in ones),
+                        "received": seen.received,
+                        "dropped": sum(dropped.values()) if lost else 0,
+                        "stamps": _stamps(ones),
+                        "text": text,
+                        "advice": advice,
+                    }
+                )
+        return rows
+
+    def _link_rows(self, facts: Mapping[str, Any], now_ns: int, utc_ns: int) -> list[dict[str, Any]]:
+        rows = []
+        for peer in facts["peers"]:
+            number = str(peer["link"])
+            counts = facts["ledger"]["links"].get(number, {})
+            seen = self._links.setdefault(f"{number} {peer['peer']} {peer['connected']}", _Seen(utc_ns))
+            lost = sum(counts.get("dropped", {}).values())
+            received = counts.get("received_messages", 0) + counts.get("sent_messages", 0)
+            seen.take(now_ns, received, lost)
+            ones = [one for one in facts["watched"] if one["link"] == peer["link"] and peer["link"]]
+            queue = facts["queues"].get(number, {"messages": 0, "bytes": 0})
+            state, text, rule = OK, "", ""
+            if not peer["connected"]:
+                state, text, rule = WAITING, "not connected; the bridge tries again", "not_connected"
+            elif seen.lost_ns and now_ns - seen.lost_ns < _RECENT_NS:
+                state, text, rule = ERROR, f"reads too slowly: {lost:,} messages dropped", "queue"
+            elif queue["messages"] > 1 and queue["bytes"] > 1 << 20:
+                state, text, rule = WARNING, f"reads slowly: {queue['messages']:,} messages wait", "queue"
+            rows.append(
+                {
+                    "key": f"{number} {peer['peer']}",
+                    "state": state,
+                    "link": peer["link"],
+                    "peer": peer["peer"],
+                    "role": "client of the bridge" if peer["role"] == "server" else "server",
+                    "profile": peer["profile"],
+                    "since_ns": seen.since_ns if peer["connected"] else None,
+                    "rate_hz": seen.spark[-1] if seen.spark else 0,
+                    "spark": list(seen.spark),
+                    "latency_ms": _milliseconds(one["age_ns"] for one in ones),
+                    "jitter_ms": _milliseconds(one["jitter_ns"] for one in ones),
+                    "queue": queue["messages"],
+                    "dropped": lost,
+                    "text": text,
+                    "advice": _advice(rule),
+                }
+            )
+        return rows
+
+
+def _judged(
+    seen: _Seen, now_ns: int, dropped: Mapping[str, int], watched: Iterable[Mapping[str, Any]]
+) -> tuple[str, str, str]:
+    """Return state, sentence and advice, by the rules of ``/diagnostics``."""
+    stale = sum(one["stale"] for one in watched)
+    odd = sorted({code for one in watched for code in one["episodes"]})
+    if stale:
+        return ERROR, f"stale: {stale:,} messages withheld", _advice("stale")
+    if seen.lost_ns and now_ns - seen.lost_ns < _RECENT_NS:
+        reasons = [reason for reason in dropped if reason not in HARMLESS]
+        words = ", ".join(DROPPED.get(reason, reason) for reason in reasons)
+        rule = next((reason for reason in reasons if reason in _RULE_OF), "lost")
+        return ERROR, f"{seen.lost:,} messages dropped: {words}", _advice(rule)
+    if seen.rhythm and now_ns - seen.moved_ns >= SILENT_NS:
+        return SILENT, f"no message for {(now_ns - seen.moved_ns) / 1e9:,.0f} s", _advice("silent")
+    if odd:
+        return WARNING, "; ".join(_ODD.get(code, code) for code in odd), _advice(odd[0])
+    return OK, "", ""
+
+
+def _stamps(watched: Iterable[Mapping[str, Any]]) -> str:
+    ones = list(watched)
+    for code, word in _STAMPS.items():
+        if any(code in one["episodes"] for one in ones):
+            return word
+    if any(one["stamped"] for one in ones):
+        return "good"
+    return "none" if any(one["unset"] for one in ones) else ""
+
+
+def _advice(rule: str) -> str:
+    advice = _ADVICE.get(_RULE_OF.get(rule, ""), "")
+    return advice[:1].upper() + advice[1:]
+
+
+def _milliseconds(values: Iterable[int | None]) -> float | None:
+    """Return the least value; one below 0 is of a clock that is ahead."""
+    known = sorted((value for value in values if value is not None), key=lambda value: (value < 0, value))
+    return round(known[0] / 1e6, 3) if known else None
+
+
+def _sorted(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return sorted(rows, key=lambda row: _ORDER[row["state"]])[:MAX_ROWS]

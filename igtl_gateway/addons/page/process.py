@@ -1,0 +1,248 @@
+"""The process of the page: what it shows, from the bridge, the folder, the jobs and the replay.
+
+``python -m igtl_gateway.addons.page.process`` beside a bridge: the first line of its input has its settings as JSON,
+the end of its input ends it.  The verb ``page`` runs a `Page` without a bridge.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+import threading
+from collections import deque
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway.addon import NS_PER_S, GatewayError, SystemClock, __version__, failure_text
+from igtl_gateway.addons.page.jobs import Jobs
+from igtl_gateway.addons.page.now import OK, Now
+from igtl_gateway.addons.page.recordings import Recordings
+from igtl_gateway.addons.page.replays import Replay
+from igtl_gateway.addons.page.server import PageServer
+from igtl_gateway.addons.page.source import BridgeSource, Poller
+from igtl_gateway.base.systems.processes import lower_priority
+from igtl_gateway.base.systems.signals import ignore_endings
+from igtl_gateway.edges.tcp.tls import TlsFiles
+
+#: Actions that are the bridge's.
+_BRIDGE = ("pause", "resume", "mark", "snapshot", "split", "stop")
+#: Time over which the growth of a recording is measured, ns.
+_GROWTH_NS = 30 * NS_PER_S
+#: How long the state of jobs and replay is kept at most before browsers get it, ns.
+_FRESH_NS = NS_PER_S // 4
+
+
+class Page:
+    """What the page shows.
+
+    Args:
+        folder: of the recordings; None: there is none.
+        source: the bridge; None: there is none.
+    """
+
+    def __init__(self, folder: Path | None, source: BridgeSource | None) -> None:
+        self._clock = SystemClock()
+        self._source = source
+        self.recordings = Recordings(folder) if folder else None
+        self.jobs = Jobs()
+        self.replay = Replay()
+        self._now = Now()
+        self._lock = threading.Lock()
+        self._bridge: dict[str, Any] | None = None
+        self._version = 0
+        self._state = b""
+        self._made_ns = 0
+        self._growth: deque[tuple[int, int]] = deque()
+        self._session = ""
+        self._results: dict[tuple[str, str], str] = {}
+        self._poller = Poller(source, self._take) if source else None
+
+    def close(self) -> None:
+        """End jobs and replay."""
+        if self._poller:
+            self._poller.close()
+        self.jobs.close()
+        self.replay.close()
+
+    def version(self) -> int:
+        """Return a number that changes with the state."""
+        self.state()
+        return self._version
+
+    def state(self) -> bytes:
+        """Return the state as JSON: the same bytes for all browsers, made at most four times a second."""
+        with self._lock:
+            now_ns = self._clock.monotonic_ns()
+            if not self._made_ns or now_ns - self._made_ns > _FRESH_NS:
+                self._made_ns = now_ns
+                made = json.dumps(self._facts(), separators=(",", ":"), default=str).encode()
+                if made != self._state:
+                    self._state = made
+                    self._version += 1
+            return self._state
+
+    def sessions(self) -> list[dict[str, Any]]:
+        """Return the recordings, with the results of the jobs on each."""
+        results: dict[str, dict[str, str]] = {}
+        for job in reversed(self.jobs.rows()):
+            results.setdefault(job["name"], {})[job["action"]] = job["state"]
+        rows = self.recordings.rows() if self.recordings else []
+        return [row | {"results": results.get(row["name"], {})} for row in rows]
+
+    def places(self, name: str) -> dict[str, Any] | None:
+        """Return what lies on the time line of a recording; None for an unknown one."""
+        path = self.recordings.path(name) if self.recordings else None
+        return self.recordings.places(path) if self.recordings and path else None
+
+    def lines(self, job: int) -> list[str]:
+        """Return the last lines of a job."""
+        return self.jobs.lines(job)
+
+    def picture(self, side: str, stream: str) -> bytes:
+        """Return the last picture of a stream as its message; empty if there is none."""
+        return self._source.picture(side, stream) if self._source else b""
+
+    def act(self, what: str, words: dict[str, Any]) -> tuple[bool, str]:
+        """Do what was pressed; return whether it was possible, and a sentence for people."""
+        self._made_ns = 0
+        if what in _BRIDGE:
+            if self._source is None:
+                return False, "there is no bridge: this page shows a folder"
+            done = self._source.press(what, str(words.get("line", "")))
+            if self._poller:
+                self._poller.wake()
+            return done
+        if what == "cancel":
+            number = words.get("number")
+            return self.jobs.cancel(number if isinstance(number, int) else 0)
+        if what == "steer":
+            return self.replay.steer(str(words.get("steer")), words.get("value"))
+        if what not in ("job", "replay"):
+            return False, f"found {what[:40]!r}, which the page cannot do"
+        name = str(words.get("name", ""))
+        path = self.recordings.path(name) if self.recordings else None
+        if path is None:
+            return False, f"found no recording {name[:80]!r} in the folder"
+        if what == "replay":
+            return self.replay.start(name, path, words)
+        return self.jobs.start(str(words.get("action")), name, path)
+
+    def _take(self, found: dict[str, Any] | None) -> None:
+        """Take what the bridge reports, None if it does not answer.  In the thread of the poller."""
+        rows: dict[str, Any] | None = None
+        if found and found.get("facts"):
+            facts = found["facts"]
+            path = (facts.get("recorder") or {}).get("path", "")
+            if path != self._session:  # another session
+                self._session, self._now = path, Now()
+                self._growth.clear()
+            rows = self._now.rows(facts, self._clock.monotonic_ns(), self._clock.utc_ns())
+            rows |= {
+                "version": facts["version"],
+                "uptime_s": facts["uptime_s"],
+                "relay": facts["relay"],
+                "ros": facts["ros"],
+                "refused": facts["refused"],
+                "recording": self._recording(facts.get("recorder"), found.get("recording")),
+                "notes": found.get("notes", []),
+                "pictures": found.get("pictures", []),
+            }
+        with self._lock:
+            self._bridge = rows or ({} if found is not None else None)
+
+    def _recording(self, counters: dict[str, Any] | None, how: dict[str, Any] | None) -> dict[str, Any] | None:
+        """Return what the view *Recording* shows; None without a recording."""
+        if not counters or not how:
+            return None
+        path = Path(how["path"])
+        parts = path.with_suffix("")
+        size, files = _size(path, parts)
+        now_ns = self._clock.monotonic_ns()
+        growth = self._growth
+        growth.append((now_ns, size))
+        while len(growth) > 2 and now_ns - growth[1][0] >= _GROWTH_NS:
+            growth.popleft()
+        seconds = (now_ns - growth[0][0]) / NS_PER_S
+        per_s = (size - growth[0][1]) / seconds if seconds else 0.0
+        free = shutil.disk_usage(path.parent).free
+        return {
+            "name": path.name,
+            "folder": str(path.parent),
+            "bytes": size,
+            "files": files,
+            "per_s": per_s,
+            "free": free,
+            "lasts_s": free / per_s if per_s > 0 else None,
+            "paused": counters["paused"],
+            "failure": counters["failure"] or counters.get("taken_away", ""),
+            "entries": counters["written_entries"],
+            "dropped": counters["dropped_entries"],
+            "left_out": counters["left_out_entries"],
+            "queued": counters["queued_entries"],
+            "snapshot_s": how["snapshot_s"],
+            "split": how["split"],
+            "sealed": how["sealed"],
+            "phases": how["phases"],
+        }
+
+    def _facts(self) -> dict[str, Any]:
+        bridge = self._bridge
+        wrong = [row for row in (*bridge["streams"], *bridge["links"]) if row["state"] != OK] if bridge else []
+        return {
+            "version": __version__,
+            "has_bridge": self._source is not None,
+            "answers": bridge is not None,
+            "bridge": bridge or None,
+            "wrong": len(wrong),
+            "folder": str(self.recordings.folder) if self.recordings else "",
+            "jobs": self.jobs.rows(),
+            "replay": self.replay.facts(),
+        }
+
+
+def _size(path: Path, parts: Path) -> tuple[int, int]:
+    """Return bytes and number of the files of a recording."""
+    try:
+        if path.is_file():
+            return path.stat().st_size, 1
+        sizes = [each.stat().st_size for each in parts.glob("*.mcap")] if parts.is_dir() else []
+        return sum(sizes), len(sizes)
+    except OSError:  # a part that was just removed
+        return 0, 0
+
+
+def serve(page: Page, settings: dict[str, Any]) -> PageServer:
+    """Return the server of a page.  Raises ConfigError, Unavailable."""
+    tls = settings["tls"]
+    files = TlsFiles(Path(tls[0]), Path(tls[1]) if tls[1] else None) if tls else None
+    return PageServer(settings["host"], settings["port"], page, settings["allow"], files)
+
+
+def main() -> None:
+    """The process."""
+    ignore_endings()
+    lower_priority(10)
+    settings = json.loads(sys.stdin.readline() or "null")
+    if not settings:
+        return
+    folder = Path(settings["folder"]) if settings["folder"] else None
+    page = Page(folder, BridgeSource(settings["bridge"], settings["token"]))
+    try:
+        server = serve(page, settings)
+    except GatewayError as error:
+        _print({"why": failure_text(error)})
+        return
+    _print({"link": server.link, "spectators": server.spectators})
+    sys.stdin.read()  # until the bridge ends
+    server.close()
+    page.close()
+
+
+def _print(facts: dict[str, Any]) -> None:
+    os.write(1, json.dumps(facts).encode() + b"\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,153 @@
+"""The recordings of a folder: which there are, and what a process of its own reads of them (``listing``)."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway.addon import Child
+
+_COMMAND = [sys.executable, "-P", "-m", "igtl_gateway.addons.page.listing"]
+#: Most recordings of the list, the newest; longest time for one, seconds.
+MAX_LISTED, _PATIENCE_S = 500, 30.0
+
+
+def child_environment() -> dict[str, str]:
+    """Return the environment of a process of our own: it imports what this one does."""
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(str(Path(entry).absolute()) for entry in sys.path)}
+
+
+class Recordings:
+    """The list of a folder; `rows` does not wait for what is still to be read.
+
+    Args:
+        folder: where the recordings are.
+        on_change: called when more of them is known.
+    """
+
+    def __init__(self, folder: Path, on_change: Callable[[], None] = lambda: None) -> None:
+        self.folder = folder
+        self._on_change = on_change
+        self._lock = threading.Lock()
+        self._known: dict[str, tuple[tuple[int, int], dict[str, Any]]] = {}
+        self._to_read: list[tuple[str, tuple[int, int]]] = []  # the first is being read
+        self._reading = False
+
+    def path(self, name: str) -> Path | None:
+        """Return the path of a recording of the list; None for any other name."""
+        return self.folder / name if name in {found for found, _, _ in self._found()} else None
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Return the recordings, the newest first, with what is known of each."""
+        found = self._found()
+        with self._lock:
+            rows = []
+            for name, mark, size in found:
+                known, facts = self._known.get(name, ((0, 0), {}))
+                rows.append({"name": name, "bytes": size, "modified_ns": mark[1], **facts, "read": known == mark})
+                if known != mark and (name, mark) not in self._to_read:
+                    self._to_read.append((name, mark))
+            if self._to_read and not self._reading:
+                self._reading = True
+                threading.Thread(target=self._read_all, name="igtl-page-listing", daemon=True).start()
+        return rows
+
+    def _found(self) -> list[tuple[str, tuple[int, int], int]]:
+        """Return name, (size, time of change in ns) and bytes of the newest recordings."""
+        found = []
+        try:
+            with os.scandir(self.folder) as entries:
+                for entry in entries:
+                    if not entry.name.startswith("."):
+                        found += _recording(entry)
+        except OSError:
+            return []
+        found.sort(key=lambda each: -each[1][1])
+        return found[:MAX_LISTED]
+
+    def places(self, path: Path) -> dict[str, Any]:
+        """Return what lies on the time line of a recording; waits for it."""
+        reader = _Reader()
+        try:
+            return reader.ask(path, places=True)
+        finally:
+            reader.close()
+
+    def _read_all(self) -> None:
+        reader = _Reader()
+        while True:
+            with self._lock:
+                if not self._to_read:
+                    self._reading = False
+                    break
+                name, mark = self._to_read[0]
+            facts = reader.ask(self.folder / name)
+            with self._lock:
+                self._known[name] = mark, facts
+                del self._to_read[0]
+            self._on_change()
+        reader.close()
+
+
+class _Reader:
+    """The process, which is started again if it did not survive a file; of one thread."""
+
+    def __init__(self) -> None:
+        self._lines: deque[str] = deque()
+        self._changed = threading.Condition()
+        self._ended = False
+        self._child = self._start()
+
+    def ask(self, path: Path, *, places: bool = False) -> dict[str, Any]:
+        """Return what it reads of a recording."""
+        self._child.write(json.dumps([str(path), places]) + "\n")
+        with self._changed:
+            self._changed.wait_for(lambda: self._lines or self._ended, _PATIENCE_S)
+            line = self._lines.popleft() if self._lines else ""
+        if line:
+            facts: dict[str, Any] = json.loads(line)
+            return facts
+        self.close()
+        self._ended = False
+        self._child = self._start()
+        return {"closed": False, "problem": f"cannot be read within {_PATIENCE_S:g} s"}
+
+    def close(self) -> None:
+        """End the process."""
+        self._child.kill()
+
+    def _start(self) -> Child:
+        return Child("page-listing", _COMMAND, on_line=self._take, on_end=self._end, env=child_environment())
+
+    def _take(self, line: str) -> None:
+        with self._changed:
+            self._lines.append(line)
+            self._changed.notify()
+
+    def _end(self) -> None:
+        with self._changed:
+            self._ended = True
+            self._changed.notify()
+
+
+def _recording(entry: os.DirEntry[str]) -> list[tuple[str, tuple[int, int], int]]:
+    """Return a row for a file or the folder of a split recording; nothing for anything else."""
+    try:
+        if entry.is_file() and entry.name.endswith(".mcap"):
+            facts = entry.stat()
+            return [(entry.name, (facts.st_size, facts.st_mtime_ns), facts.st_size)]
+        if entry.is_dir():
+            with os.scandir(entry.path) as inside:
+                parts = [part.stat() for part in inside if part.name.endswith(".mcap")]
+            size = sum(part.st_size for part in parts)
+            if parts:
+                return [(entry.name, (size, max(part.st_mtime_ns for part in parts)), size)]
+    except OSError:  # removed meanwhile, or not ours to read
+        pass
+    return []

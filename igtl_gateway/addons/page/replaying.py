@@ -1,0 +1,119 @@
+"""The process of a replay that the page steers.
+
+``python -m igtl_gateway.addons.page.replaying``: the first line of its input has the options of the replay as JSON,
+each further one a command.  Each line of its output has as JSON a ``line`` of text, or the ``state`` of the replay.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway.addon import NS_PER_S, GatewayError, SessionFile, failure_text
+from igtl_gateway.app.player import Player
+from igtl_gateway.app.replay_options import REPLAY, ReplayOptions
+from igtl_gateway.app.replay_sides import ReplaySides
+from igtl_gateway.app.replaying import ReplayEvents, run_replay
+from igtl_gateway.base.systems.signals import ignore_endings
+
+_STATE_S = 0.2
+_OUTPUT = threading.Lock()
+
+
+def main() -> None:
+    """The process."""
+    ignore_endings()
+    settings = json.loads(sys.stdin.readline() or "null")
+    if settings:
+        _Replay(settings).run()
+
+
+class _Replay:
+    def __init__(self, settings: dict[str, Any]) -> None:
+        self._settings = settings
+        self._stop = threading.Event()
+        self._player: Player | None = None
+        self._file: SessionFile | None = None
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def run(self) -> None:
+        given = {name: self._settings[name] for name in ("to", "rate", "loop")}
+        given |= {name: tuple(self._settings[name]) for name in ("listen", "connect") if self._settings[name]}
+        given |= {"wait_peers": 0, "start_paused": True}
+        events = ReplayEvents(on_line=lambda text: _print({"line": text}), controls=self._controls)
+        try:
+            how = ReplayOptions.of({row.name: row.default for row in REPLAY} | given)
+            result = run_replay(Path(self._settings["file"]), how, self._stop, events)
+        except GatewayError as error:
+            _print({"line": f"! {failure_text(error)}", "failed": True})
+            return
+        if result:
+            _print({"line": f"{result.messages:,} messages were sent", "ended": True})
+
+    @contextmanager
+    def _controls(self, file: SessionFile, player: Player, side: ReplaySides) -> Iterator[None]:
+        self._file, self._player = file, player
+        if not self._settings.get("paused"):
+            player.resume()
+        over = threading.Event()
+
+        def report() -> None:
+            while True:
+                position_ns = player.position_ns
+                state = {
+                    "position_s": 0.0 if position_ns is None else (position_ns - file.start_ns) / NS_PER_S,
+                    "duration_s": (file.end_ns - file.start_ns) / NS_PER_S,
+                    "paused": player.paused,
+                    "rate": player.rate,
+                    "sent": player.played.messages,
+                    "peers": side.listeners.present() if side.listeners else [],
+                }
+                _print({"state": state})
+                if over.wait(_STATE_S):
+                    return
+
+        reporter = threading.Thread(target=report, daemon=True)
+        reporter.start()
+        try:
+            yield
+        finally:
+            over.set()
+            reporter.join()
+
+    def _listen(self) -> None:
+        for line in sys.stdin:
+            self._obey(json.loads(line))
+        self._stop.set()  # the page has ended
+
+    def _obey(self, command: dict[str, Any]) -> None:
+        player, file, value = self._player, self._file, command.get("value")
+        if command["do"] == "stop":
+            self._stop.set()
+        if player is None or file is None:
+            return
+        actions: dict[str, Callable[[], object]] = {
+            "play": player.resume,
+            "pause": player.pause,
+            "step": player.step,
+            "rate": lambda: player.set_rate(float(value or 1)),
+            "seek": lambda: player.seek(file.start_ns + round(float(value or 0) * NS_PER_S)),
+        }
+        if action := actions.get(command["do"]):
+            action()
+
+
+def _print(facts: dict[str, Any]) -> None:
+    data = json.dumps(facts).encode() + b"\n"
+    with _OUTPUT:
+        while data:
+            data = data[os.write(1, data) :]
+
+
+if __name__ == "__main__":
+    main()

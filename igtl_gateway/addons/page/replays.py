@@ -1,0 +1,129 @@
+"""The replay that the page steers: one at a time, in a process of its own (``replaying``)."""
+
+from __future__ import annotations
+
+import json
+import sys
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from igtl_gateway.addon import Child, ConfigError
+from igtl_gateway.addons.page.recordings import child_environment
+from igtl_gateway.config.notations import address
+
+_COMMAND = [sys.executable, "-P", "-m", "igtl_gateway.addons.page.replaying"]
+_LINES = 50
+_END_S = 5.0
+_TARGETS = ("igtl", "ros", "both")
+_STEERS = ("play", "pause", "step", "rate", "seek", "stop")
+
+
+class Replay:
+    """A replay; ``on_change`` is called when there is something new."""
+
+    def __init__(self, on_change: Callable[[], None] = lambda: None) -> None:
+        self._on_change = on_change
+        self._lock = threading.Lock()
+        self._child: Child | None = None
+        self._name = ""
+        self._state: dict[str, Any] = {}
+        self._lines: deque[str] = deque(maxlen=_LINES)
+        self._failed = False
+
+    def start(self, name: str, path: Path, how: Mapping[str, Any]) -> tuple[bool, str]:
+        """Start a replay; return whether that was possible, and a sentence for people.
+
+        Args:
+            name, path: the recording.
+            how: ``to`` (igtl, ros, both), ``role`` (listen, connect), ``address``, ``rate``, ``loop``.
+        """
+        to, role = str(how.get("to", "igtl")), str(how.get("role", "listen"))
+        try:
+            if to not in _TARGETS or role not in ("listen", "connect"):
+                raise ConfigError(f"found {to[:20]!r} and {role[:20]!r}, expected a target and listen or connect")
+            place = str(how.get("address") or "127.0.0.1:18944")
+            address(place)
+            rate = float(how.get("rate") or 1)
+        except (ConfigError, ValueError, TypeError) as error:
+            return False, f"replay: {error}"
+        settings = {
+            "file": str(path),
+            "to": to,
+            "listen": [place] if to != "ros" and role == "listen" else [],
+            "connect": [place] if to != "ros" and role == "connect" else [],
+            "rate": rate,
+            "loop": bool(how.get("loop")),
+            "paused": bool(how.get("paused")),
+        }
+        with self._lock:
+            if self._child and self._child.is_running:
+                return False, f"the replay of {self._name} runs; stop it first"
+            self._name, self._state, self._failed = name, {}, False
+            self._lines.clear()
+            ready = threading.Event()
+            threading.Thread(target=self._run, args=(settings, ready), name="igtl-page-replay", daemon=True).start()
+            ready.wait(_END_S)
+        return True, f"the replay of {name} begins"
+
+    def steer(self, what: str, value: object) -> tuple[bool, str]:
+        """Have the replay do something."""
+        child = self._child
+        if what not in _STEERS or not (value is None or isinstance(value, int | float)):
+            return False, f"found {what[:20]!r}, expected one of {', '.join(_STEERS)}"
+        if child is None or not child.is_running:
+            return False, "no replay runs"
+        child.write(json.dumps({"do": what, "value": value}) + "\n")
+        return True, what
+
+    def facts(self) -> dict[str, Any] | None:
+        """Return what the page shows; None before the first replay."""
+        if not self._name:
+            return None
+        running = self._child is not None and self._child.is_running
+        state = dict(self._state)
+        return {
+            "name": self._name,
+            "running": running,
+            "failed": self._failed,
+            "state": state,
+            "lines": list(self._lines)[-8:],
+        }
+
+    def close(self) -> None:
+        """End the replay."""
+        if self._child:
+            self._child.close_input()
+
+    def _run(self, settings: Mapping[str, Any], ready: threading.Event) -> None:
+        """Start the process and wait for it: it ends with the thread that has started it."""
+        try:
+            child = Child("page-replay", _COMMAND, on_line=self._take, on_error_line=self._say, env=child_environment())
+        except OSError as error:
+            self._say(f"! cannot be started: {error.strerror}")
+            ready.set()
+            return
+        self._child = child
+        child.write(json.dumps(settings) + "\n")
+        ready.set()
+        child.wait()
+        child.kill()
+        self._on_change()
+
+    def _say(self, text: str) -> None:
+        self._lines.append(text)
+        self._on_change()
+
+    def _take(self, line: str) -> None:
+        try:
+            found = json.loads(line)
+        except ValueError:
+            return
+        if "state" in found:
+            self._state = found["state"]
+        if "line" in found:
+            self._lines.append(str(found["line"]))
+        self._failed = self._failed or bool(found.get("failed"))
+        self._on_change()

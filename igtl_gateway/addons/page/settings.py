@@ -1,0 +1,27 @@
+"""The settings that a bridge has with this add-on.  Loaded at each start of a bridge: nothing here serves a page."""
+
+from __future__ import annotations
+
+from igtl_gateway.addon import Setting, grouped
+from igtl_gateway.config.notations import address
+
+SETTINGS = grouped(
+    "diagnostics",
+    Setting(
+        "page",
+        False,
+        "serve a page for browsers: what arrives, the recording, closed recordings, replays; prints its link",
+        common=True,
+        keyword=False,
+    ),
+    Setting(
+        "page_address",
+        "",
+        "address of the page",
+        metavar="[HOST:]PORT",
+        reads=address,
+        shown="127.0.0.1, a free port",
+        needs=("page",),
+        keyword=False,
+    ),
+)

@@ -1,0 +1,552 @@
+"use strict";
+/* The page: it asks for the state twice a second and draws what has changed.  Text of others is only ever text. */
+
+const $ = (id) => document.getElementById(id);
+const SVG = "http://www.w3.org/2000/svg";
+const WORDS = { ok: "good", warning: "check", error: "fault", silent: "silent", waiting: "waiting", off: "off" };
+const VIEWS = ["now", "recording", "sessions", "replay"];
+let state = null, known = "", role = "full", view = "now", lastAnswer = 0;
+
+// ── elements ──────────────────────────────────────────────────────────────────────────────────────────────────
+
+function h(tag, props, ...children) {
+  const [name, ...classes] = tag.split(".");
+  const made = document.createElement(name || "div");
+  if (classes.length) made.className = classes.join(" ");
+  for (const [key, value] of Object.entries(props || {})) {
+    if (key.startsWith("on")) made.addEventListener(key.slice(2), value);
+    else if (value === true) made.setAttribute(key, "");
+    else if (value !== false && value != null) made.setAttribute(key, value);
+  }
+  made.append(...children.flat(9).filter((child) => child != null && child !== false));
+  return made;
+}
+
+function svg(tag, props, ...children) {
+  const made = document.createElementNS(SVG, tag);
+  for (const [key, value] of Object.entries(props || {})) made.setAttribute(key, value);
+  made.append(...children);
+  return made;
+}
+
+const icon = (name) => {
+  const made = svg("svg", { class: `icon s-${name}`, "aria-hidden": "true" }, svg("use", { href: `#i-${name}` }));
+  return made;
+};
+const stateCell = (name, word) => h("span.state.s-" + name, null, icon(name), word || WORDS[name]);
+
+function put(place, text) { if (place.textContent !== text) place.textContent = text; }
+function html(place, ...children) { place.replaceChildren(...children.filter((child) => child != null && child !== false)); }
+/* Draw a part again only if what it shows has changed, and nobody is typing in it. */
+function part(place, shown, draw) {
+  const text = JSON.stringify(shown);
+  if (place._shown === text) return;
+  place._shown = text;
+  const focus = place.contains(document.activeElement) ? document.activeElement.dataset.key : null;
+  html(place, ...[draw()].flat(9));
+  if (focus) place.querySelector(`[data-key="${CSS.escape(focus)}"]`)?.focus();
+}
+
+// ── numbers ───────────────────────────────────────────────────────────────────────────────────────────────────
+
+const NONE = "–";
+function number(value, digits = 0) { return value.toLocaleString("en-GB", { minimumFractionDigits: digits, maximumFractionDigits: digits }); }
+function rate(value) { return value >= 100 ? number(value) : value >= 10 ? number(value, 1) : number(value, 2); }
+function bytes(value) {
+  for (const unit of ["B", "kB", "MB", "GB", "TB"]) {
+    if (value < 999.5 || unit === "TB") return `${number(value, unit === "B" || value >= 100 ? 0 : 1)} ${unit}`;
+    value /= 1000;
+  }
+}
+function clock(seconds) {
+  const whole = Math.max(0, Math.floor(seconds)), two = (value) => String(value).padStart(2, "0");
+  return `${two(Math.floor(whole / 3600))}:${two(Math.floor(whole / 60) % 60)}:${two(whole % 60)}`;
+}
+function span(seconds) {
+  if (seconds < 60) return `${number(seconds, 1)} s`;
+  if (seconds < 3600) return `${Math.floor(seconds / 60)} min ${Math.floor(seconds % 60)} s`;
+  if (seconds < 172800) return `${Math.floor(seconds / 3600)} h ${Math.floor(seconds / 60) % 60} min`;
+  return `${number(seconds / 86400)} days`;
+}
+function age(seconds) { return seconds < 1 ? "now" : seconds < 60 ? `${number(seconds)} s` : span(seconds); }
+function moment(seconds) { const m = Math.floor(seconds / 60); return `${m}:${number(seconds - 60 * m, 2).padStart(5, "0")}`; }
+function day(ns) { return new Date(ns / 1e6).toLocaleString("sv-SE", { dateStyle: "short", timeStyle: "medium" }).slice(0, 16); }
+function time(ns) { return new Date(ns / 1e6).toLocaleTimeString("en-GB"); }
+function count(value, thing, things) { return `${number(value)} ${value === 1 ? thing : things || thing + "s"}`; }
+
+function sparkline(values) {
+  const most = Math.max(...values, 1), n = Math.max(values.length - 1, 1);
+  const points = values.map((value, at) => `${((at + 60 - values.length) / 59 * 100).toFixed(1)} ${(20 - value / most * 17).toFixed(1)}`);
+  return points.length > 1 && n ? "M" + points.join("L") : "";
+}
+
+// ── talking to the program ────────────────────────────────────────────────────────────────────────────────────
+
+async function get(path) {
+  const answer = await fetch(path, { signal: AbortSignal.timeout(8000) });
+  if (answer.status === 403) throw new Error("denied");
+  return answer;
+}
+async function act(words) {
+  let found = { done: false, text: "the page's program does not answer" };
+  try {
+    const answer = await fetch("/api/act", { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(words) });
+    found = await answer.json();
+  } catch { /* reported as not done */ }
+  toast(found.text, !found.done);
+  refresh();
+  return found.done;
+}
+let toastTimer = 0;
+function toast(text, bad) {
+  html($("toast"), h(bad ? "div.bad" : "div", null, text.charAt(0).toUpperCase() + text.slice(1)));
+  clearTimeout(toastTimer);
+  toastTimer = setTimeout(() => $("toast").replaceChildren(), bad ? 8000 : 3500);
+}
+function ask(title, text, yes) {
+  put($("dialog-title"), title); put($("dialog-text"), text); put($("dialog-yes"), yes);
+  $("dialog").returnValue = "no";
+  $("dialog").showModal();
+  return new Promise((done) => $("dialog").addEventListener("close", () => done($("dialog").returnValue === "yes"), { once: true }));
+}
+
+let asking = false;
+async function refresh() {
+  if (asking) return;
+  asking = true;
+  try {
+    const answer = await get(`/api/state?known=${known}`);
+    const text = await answer.text();
+    role = answer.headers.get("Page-Role") || role;
+    lastAnswer = Date.now();
+    if (text) {
+      const first = !state;
+      state = JSON.parse(text); known = answer.headers.get("Page-Version");
+      if (first && !state.has_bridge && !asked) show("sessions");
+    }
+    $("lost").hidden = true;
+    if (state) draw();
+  } catch (error) {
+    const since = lastAnswer ? `What you see is from ${new Date(lastAnswer).toLocaleTimeString("en-GB")}.` : "";
+    put($("lost"), error.message === "denied"
+      ? "This link is no longer valid: open the link that the program printed."
+      : `The program behind this page does not answer. ${since}`);
+    $("lost").hidden = false;
+  } finally { asking = false; }
+}
+setInterval(() => { if (!document.hidden || Date.now() - lastAnswer > 5000) refresh(); }, 500);
+document.addEventListener("visibilitychange", refresh);
+
+// ── views ─────────────────────────────────────────────────────────────────────────────────────────────────────
+
+function show(name, focus) {
+  view = VIEWS.includes(name) ? name : "now";
+  for (const each of VIEWS) {
+    $(each).hidden = each !== view;
+    const tab = $("tab-" + each);
+    tab.setAttribute("aria-selected", each === view);
+    tab.tabIndex = each === view ? 0 : -1;
+    if (each === view && focus) tab.focus();
+  }
+  history.replaceState(null, "", "/#" + view);
+  document.title = `${$("tab-" + view).firstChild.textContent.trim()} – igtl-gateway`;
+  if (view === "sessions" || view === "replay") loadSessions();
+  if (state) draw();
+}
+for (const each of VIEWS) $("tab-" + each).addEventListener("click", () => show(each));
+$("tabs").addEventListener("keydown", (event) => {
+  const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+  if (step) show(VIEWS[(VIEWS.indexOf(view) + step + VIEWS.length) % VIEWS.length], true);
+});
+$("pill").addEventListener("click", () => show("recording"));
+document.querySelector(".brand").addEventListener("click", (event) => { event.preventDefault(); show("now"); });
+document.addEventListener("keydown", (event) => {
+  if (event.ctrlKey || event.metaKey || event.altKey || /INPUT|SELECT|TEXTAREA/.test(document.activeElement.tagName) || $("dialog").open) return;
+  if (event.key >= "1" && event.key <= "4") show(VIEWS[event.key - 1], true);
+  if (event.key.toLowerCase() === "m" && state?.bridge) { event.preventDefault(); show("recording"); $("mark-label")?.focus(); }
+});
+
+const bridge = () => state.bridge;
+const locked = () => role !== "full";
+function button(text, onclick, { kind = "", off = "", key = text, ...more } = {}) {
+  return h(`button.btn${kind}`, { type: "button", onclick, disabled: Boolean(off) || locked(), title: locked() ? "This link is read-only" : off || null, "data-key": key, ...more }, text);
+}
+
+function draw() {
+  const now = bridge(), rec = now?.recording;
+  $("role").hidden = !locked();
+  const wrong = state.wrong;
+  $("badge").hidden = !wrong; put($("badge"), String(wrong)); $("badge").setAttribute("aria-label", `${wrong} to check`);
+  const pill = $("pill");
+  pill.hidden = !state.has_bridge;
+  const [dot, word] = recState();
+  part(pill, [dot, word, rec && [clock(now.uptime_s), bytes(rec.bytes)]], () => [h("span.dot." + dot), h("span", null, word), rec && h("span.sub", null, clock(now.uptime_s))]);
+  put($("foot"), state.has_bridge ? (now ? `igtl-gateway ${now.version} · runs for ${span(now.uptime_s)}` : `igtl-gateway ${state.version}`) : `igtl-gateway ${state.version} · ${state.folder}`);
+  ({ now: drawNow, recording: drawRecording, sessions: drawSessions, replay: drawReplay })[view]();
+}
+function recState() {
+  const now = bridge(), rec = now?.recording;
+  if (state.has_bridge && !state.answers) return ["fail", "No answer"];
+  if (!rec) return ["off", "Not recording"];
+  if (rec.failure) return ["fail", "Recording failed"];
+  if (rec.paused) return ["paused", "Paused"];
+  return ["rec", rec.snapshot_s ? `Keeps ${number(rec.snapshot_s)} s` : "Recording"];
+}
+
+/* A place for each part of a view, made once. */
+function places(section, ...names) {
+  if (!section._places) {
+    section._places = Object.fromEntries(names.map((name) => [name, h("div")]));
+    section.append(...Object.values(section._places));
+  }
+  return section._places;
+}
+function card(title, more, ...body) {
+  return h("div.card", null, h("div.head", null, h("h2", null, title), more && h("span.more", null, more)), ...body);
+}
+
+/* A table whose rows stay the same elements: only what has changed is written. */
+class Rows {
+  constructor(columns, cells, label) {
+    this.cells = cells; this.rows = new Map(); this.columns = columns.length;
+    this.body = h("tbody");
+    this.element = h("div.scroll", { tabindex: 0, role: "region", "aria-label": label }, h("table", null, h("thead", null, h("tr", null, columns.map(([title, kind]) => h("th", { scope: "col", class: kind }, title)))), this.body));
+  }
+  draw(rows) {
+    const order = [], gone = new Set(this.rows.keys());
+    for (const row of rows) {
+      gone.delete(row.key);
+      let made = this.rows.get(row.key);
+      if (!made) this.rows.set(row.key, made = { cells: this.cells(), why: null });
+      made.tr ||= h("tr", null, made.cells.map((cell) => cell.td));
+      for (const cell of made.cells) cell.draw(row);
+      const kind = row.state === "ok" ? "" : `row-${row.state}`;
+      const pair = row.text ? `${kind} pair` : kind;
+      if (made.tr.className !== pair) made.tr.className = pair;
+      order.push(made.tr);
+      if (row.text) {
+        made.why ||= h("tr", null, h("td", { colspan: this.columns }, h("b"), h("span")));
+        made.why.className = `why ${kind}`;
+        const [text, advice] = made.why.firstChild.children;
+        put(text, sentence(row.text)); advise(advice, row.advice ? " " + sentence(row.advice) : "");
+        order.push(made.why);
+      }
+    }
+    for (const key of gone) this.rows.delete(key);
+    const same = order.length === this.body.children.length && order.every((tr, at) => this.body.children[at] === tr);
+    if (!same) this.body.replaceChildren(...order);
+  }
+}
+/* `words` of an advice are code. */
+function advise(place, text) {
+  if (place._shown !== text) html(place, ...(place._shown = text).split("`").map((each, at) => (at % 2 ? h("code", null, each) : each)));
+}
+function sentence(text) { return text.charAt(0).toUpperCase() + text.slice(1) + (/[.!?]$/.test(text) ? "" : "."); }
+function textCell(kind, shown) { const td = h("td", { class: kind }); return { td, draw: (row) => { const [text, zero] = [shown(row)].flat(); put(td, text); td.classList.toggle("zero", Boolean(zero)); } }; }
+function stateColumn() { const td = h("td"); let last = ""; return { td, draw: (row) => { if (row.state !== last) html(td, stateCell(last = row.state)); } }; }
+function sparkColumn() {
+  const path = svg("path", {}), td = h("td.wide", null, svg("svg", { class: "spark", viewBox: "0 0 100 22", preserveAspectRatio: "none", "aria-hidden": "true" }, path));
+  let last = "";
+  return { td, draw: (row) => { const d = sparkline(row.spark); if (d !== last) path.setAttribute("d", last = d); } };
+}
+
+let links, streams;
+function drawNow() {
+  const at = places($("now"), "lead", "links", "streams", "pictures", "notes"), now = bridge();
+  if (!now) {
+    for (const each of Object.values(at)) part(each, null, () => []);
+    links = streams = null;
+    part(at.lead, [state.has_bridge, state.answers], () => h("div.card", null, h("p.empty", null, state.has_bridge
+      ? (state.answers ? "The bridge has no session: another node configures and activates it." : "The bridge does not answer. It may have stopped.")
+      : "This page shows a folder of recordings. For links and streams, start a bridge with --page.")));
+    return;
+  }
+  const wrong = state.wrong, total = now.streams.length + now.more;
+  const worst = [...now.streams, ...now.links].map((row) => row.state).sort((a, b) => "error silent warning waiting ok".indexOf(a) - "error silent warning waiting ok".indexOf(b))[0] || "waiting";
+  const title = !total && !wrong ? "No messages yet" : wrong ? `${count(wrong, "thing needs", "things need")} attention` : `All ${count(total, "stream")} arrive`;
+  part(at.lead, [title, worst, total, now.links.length, now.ros, now.relay, now.refused], () => h("div.lead", null, icon(total || wrong ? worst : "waiting"), h("div", null, h("h1", null, title),
+    h("p", null, [count(now.links.filter((link) => link.link).length, "peer"), count(total, "stream"), now.relay ? "relay" : now.ros ? "with ROS 2" : "without ROS", now.refused ? `${number(now.refused)} messages refused` : "nothing refused"].join(" · ")))));
+  if (!links) {
+    links = new Rows([["State"], ["Peer"], ["Role", "wide"], ["Profile", "wide"], ["Since", "n wide"], ["Rate", "n"], ["Last minute", "wide"], ["Latency", "n"], ["Jitter", "n wide"], ["Queue", "n"], ["Dropped", "n"]], () => [
+      stateColumn(), textCell("name", (row) => row.peer), textCell("wide", (row) => row.role), textCell("wide", (row) => row.profile || NONE),
+      textCell("n wide", (row) => (row.since_ns ? time(row.since_ns) : [NONE, true])), textCell("n", (row) => `${number(row.rate_hz)} /s`), sparkColumn(),
+      textCell("n", (row) => (row.latency_ms == null ? [NONE, true] : `${number(row.latency_ms, 1)} ms`)), textCell("n wide", (row) => (row.jitter_ms == null ? [NONE, true] : `${number(row.jitter_ms, 2)} ms`)),
+      textCell("n", (row) => [number(row.queue), !row.queue]), textCell("n", (row) => [number(row.dropped), !row.dropped])], "Links");
+    const nothing = h("p.empty", null, "No peer is connected.");
+    at.links._nothing = nothing;
+    html(at.links, card("Links", null, links.element, nothing));
+    streams = new Rows([["State"], ["Stream"], ["From", "wide"], ["Rate", "n"], ["Last minute", "wide"], ["Last", "n"], ["Worst gap", "n"], ["Latency", "n"], ["Dropped", "n"], ["Stamps", "wide"]], () => [
+      stateColumn(), nameColumn(), textCell("wide", (row) => row.side), textCell("n", (row) => `${rate(row.rate_hz)} Hz`), sparkColumn(),
+      textCell("n", (row) => age(row.age_s)), textCell("n", (row) => (row.gap_s == null ? [NONE, true] : row.gap_s < 1.2 ? ["≤ 1 s", true] : span(row.gap_s))),
+      textCell("n", (row) => (row.latency_ms == null ? [NONE, true] : `${number(row.latency_ms, 1)} ms`)), textCell("n", (row) => [number(row.dropped), !row.dropped]), textCell("wide", (row) => row.stamps || [NONE, true])], "Streams");
+    at.streams._more = h("span.more");
+    at.streams._nothing = h("p.empty", null, "No stream has arrived yet.");
+    html(at.streams, h("div.card", null, h("div.head", null, h("h2", null, "Streams"), at.streams._more), streams.element, at.streams._nothing));
+  }
+  links.draw(now.links); streams.draw(now.streams);
+  links.element.hidden = !now.links.length; at.links._nothing.hidden = Boolean(now.links.length);
+  streams.element.hidden = !now.streams.length; at.streams._nothing.hidden = Boolean(now.streams.length);
+  put(at.streams._more, now.more ? `${number(now.more)} more are not shown` : "what is wrong is on top");
+  drawPictures(at.pictures, now.pictures);
+  part(at.notes, now.notes, () => card("Notes of the session", null, now.notes.length ? h("ul.notes", { tabindex: 0, "aria-label": "Notes" }, [...now.notes].reverse().map(note)) : h("p.empty", null, "No notes yet.")));
+}
+function note(each) {
+  const kind = { ERROR: "error", WARN: "warning" }[each.level] || "off";
+  return h("li", null, h("time", null, time(each.time_ns)), icon(kind), h("span", null, each.text + (each.more ? ` (${number(each.more)} more like it)` : "")));
+}
+function nameColumn() {
+  const name = h("span.name.clip"), chip = h("span.chip"), td = h("td", null, name, " ", chip);
+  return { td, draw: (row) => { put(name, row.name); name.title = row.name; put(chip, row.type); chip.hidden = !row.type; } };
+}
+function drawPictures(at, pictures) {
+  const names = pictures.map(([side, stream]) => [side, stream]);
+  part(at, names, () => (names.length ? card("Pictures", "the last one of each stream", h("div.body", null, h("div.pictures", null, pictures.map(([, stream]) => h("figure", null, h("img", { alt: `Last picture of ${stream}` }), h("figcaption", null, stream.replace("IMAGE/", ""))))))) : []));
+  const images = at.querySelectorAll("img");
+  pictures.forEach(([side, stream, version], number) => {
+    const image = images[number], source = `/api/picture?side=${side}&stream=${encodeURIComponent(stream)}&version=${version}`;
+    if (image && image.dataset.source !== source) { image.dataset.source = source; image.src = source; }
+  });
+}
+
+// ── recording ─────────────────────────────────────────────────────────────────────────────────────────────────
+
+function drawRecording() {
+  const at = places($("recording"), "state", "work"), now = bridge(), rec = now?.recording;
+  if (!now || !rec) {
+    part(at.state, ["none", Boolean(now), state.has_bridge], () => h("div.card", null, h("p.empty", null, now ? ["This bridge does not record. Start it with ", h("code", null, "--record FILE"), "."] : state.has_bridge ? "The bridge does not answer." : "This page shows a folder of recordings. To record, start a bridge with --record FILE --page.")));
+    part(at.work, [Boolean(now), locked()], () => (now ? [markCard()] : []));
+    return;
+  }
+  const [dot, word] = recState();
+  if (at.state._kind !== "recording") { at.state._kind = "recording"; html(at.state, h("div.card", null, h("div.body"), h("dl.facts", { class: "facts" }), h("div.body"))); }
+  const [hero, facts, buttons] = at.state.firstChild.children;
+  part(hero, [dot, word, rec.name, rec.folder, rec.failure, clock(now.uptime_s)], () => h("div.hero", null, h("span.dot." + dot), h("div", null, h("h1", null, word), h("p.sub", null, `${rec.name} in ${rec.folder}`), rec.failure && h("p.s-error", null, rec.failure)), h("span.clock", { "aria-label": "duration" }, clock(now.uptime_s))));
+  const short = rec.lasts_s != null && rec.lasts_s < 3600;
+  part(facts, [rec.bytes, rec.files, rec.per_s, rec.free, rec.lasts_s, rec.dropped, rec.entries, rec.sealed], () => [
+    fact("Size", bytes(rec.bytes), rec.per_s ? `${bytes(rec.per_s)} per second` : rec.files ? count(rec.files, "file") : "nothing is written"),
+    fact("Disk", rec.lasts_s == null ? bytes(rec.free) : `lasts ${span(rec.lasts_s)}`, `${bytes(rec.free)} free`, short && "warning"),
+    fact("Losses", rec.dropped ? number(rec.dropped) : "none", rec.dropped ? "messages are missing" : "every message is kept", rec.dropped && "error"),
+    fact("Messages", number(rec.entries), rec.left_out ? `${number(rec.left_out)} left out` : "written to the file"),
+    fact("Seal", rec.sealed ? "on" : "off", rec.sealed ? "each change will show" : "--seal KEY signs it")]);
+  part(buttons, [rec.paused, rec.snapshot_s, rec.split, locked()], () => h("div.actions", null,
+    !rec.snapshot_s && (rec.paused ? button("Resume", () => act({ do: "resume" }), { kind: ".big.primary", key: "pause" }) : button("Pause", () => act({ do: "pause" }), { kind: ".big", key: "pause" })),
+    Boolean(rec.snapshot_s) && button(`Save the last ${number(rec.snapshot_s)} s`, () => act({ do: "snapshot" }), { kind: ".big.primary" }),
+    button("New file", () => act({ do: "split" }), { kind: ".big", off: rec.split ? "" : "Needs --split-size or --split-duration" }),
+    h("span.gap"),
+    button("Stop …", async () => { if (await ask("Stop the bridge?", "The recording is closed, and all peers are disconnected.", "Stop")) act({ do: "stop" }); }, { kind: ".big.danger" })));
+  drawMarks(at.work, rec, now);
+}
+function fact(title, value, more, kind) { return h("div", { class: kind ? "s-" + kind : "" }, h("dt", null, title), h("dd", null, value, h("small", null, more))); }
+
+function markCard() {
+  const mark = async (sign) => {
+    const label = $("mark-label").value.trim(), text = $("mark-text").value.trim();
+    if (!label) { $("mark-label").focus(); toast("write a label, such as suture-1", true); return; }
+    if (await act({ do: "mark", line: `${sign}${label}${text ? ": " + text : ""}` })) { $("mark-label").value = $("mark-text").value = ""; $("mark-label").focus(); }
+  };
+  const enter = (event) => { if (event.key === "Enter") mark(""); if (event.key === "Escape") event.target.blur(); };
+  const off = locked();
+  return card("Mark", "recorded also while the recording is paused", h("div.body", null,
+    h("div.form", null,
+      h("label.field", null, h("span", null, "Label"), h("input", { type: "text", id: "mark-label", maxlength: 64, placeholder: "suture-1", autocomplete: "off", onkeydown: enter, disabled: off, list: "labels" })),
+      h("label.field", null, h("span", null, "Text"), h("input", { type: "text", id: "mark-text", maxlength: 1000, placeholder: "what happens (optional)", autocomplete: "off", onkeydown: enter, disabled: off }))),
+    h("div.actions", null, button("Mark this moment", () => mark(""), { kind: ".primary" }), button("Begin a phase", () => mark("+"))),
+    h("div", { id: "phases" })));
+}
+function drawMarks(at, rec, now) {
+  const [left, right] = at._two || (at._two = [h("div"), h("div")]);
+  if (at._kind !== "marks") { at._kind = "marks"; at._shown = ""; html(at, h("div.split", null, left, right)); }
+  part(left, [locked()], () => [markCard()]);
+  const phases = $("phases");
+  part(phases, [rec.phases, locked()], () => (rec.phases.length ? h("div.phases", null, "Open phases:", rec.phases.map((label) => button(`End ${label}`, () => act({ do: "mark", line: `-${label}` }), { kind: ".small" }))) : []));
+  const marks = now.notes.filter((each) => ["mark", "page", "record_paused", "record_resumed", "record_snapshot"].includes(each.code));
+  part(right, marks, () => card("Marks and presses", null, marks.length ? h("ul.notes", { tabindex: 0, "aria-label": "Marks and presses" }, [...marks].reverse().map(note)) : h("p.empty", null, "No marks yet. Press M anywhere on this page.")));
+}
+
+// ── sessions ──────────────────────────────────────────────────────────────────────────────────────────────────
+
+let sessions = null, opened = "", filter = "", sessionsTimer = 0, openJob = 0;
+async function loadSessions() {
+  try { sessions = await (await get("/api/sessions")).json(); } catch { /* the banner says it */ }
+  if (state) draw();
+  clearTimeout(sessionsTimer);
+  const busy = sessions?.some((row) => !row.read) || state?.jobs.some((job) => job.state === "running");
+  if (view === "sessions" || view === "replay") sessionsTimer = setTimeout(loadSessions, busy ? 700 : 3000);
+}
+const ACTIONS = [["verify", "Verify"], ["lint", "Lint"], ["review", "Review"], ["view", "Open in rerun"], ["export", "Export as CSV"], ["seal", "Check the seal"]];
+const RESULTS = { running: ["waiting", "runs"], done: ["ok", "good"], failed: ["error", "not good"], cancelled: ["off", "cancelled"] };
+function result(row, action, none) {
+  const found = row.results[action];
+  if (!found) return h("span.result.zero", null, none);
+  const [kind, word] = RESULTS[found];
+  return h("span.result.s-" + kind, null, icon(kind), word);
+}
+function sessionState(row) {
+  if (row.recording) return ["waiting", "recording"];
+  if (!row.read) return ["waiting", "reading"];
+  return row.problem ? ["error", "not closed"] : ["ok", "closed"];
+}
+function drawSessions() {
+  const at = places($("sessions"), "head", "table", "jobs");
+  part(at.head, [state.folder], () => h("div.lead", null, h("div", null, h("h1", null, "Sessions"), h("p", null, state.folder || "no folder")), h("span.gap"),
+    h("input", { type: "search", placeholder: "Filter by name or mark", "aria-label": "Filter by name or mark", style: null, "data-key": "filter", id: "filter", oninput: (event) => { filter = event.target.value.toLowerCase(); drawSessions(); } })));
+  const rows = (sessions || []).filter((row) => !filter || row.name.toLowerCase().includes(filter) || (row.marks || []).some((mark) => mark.label.toLowerCase().includes(filter)));
+  part(at.table, [rows, opened, locked(), sessions == null], () => h("div.card", null, !rows.length ? h("p.empty", null, sessions == null ? (state.folder ? "Reading the folder …" : "This bridge does not record: there is no folder to list.") : filter ? "No recording matches." : "No recordings in this folder.")
+    : h("div.scroll", null, h("table", null, h("thead", null, h("tr", null, [["Recording"], ["Begun", ""], ["Duration", "n"], ["Size", "n"], ["Streams", "n wide"], ["Marks", "n"], ["State"], ["Verified", ""], ["Sealed", "wide"], ["Reviewed", "wide"]].map(([title, kind]) => h("th", { scope: "col", class: kind }, title)))), h("tbody", null, rows.map(sessionRow))))));
+  part(at.jobs, [state.jobs, openJob, openJob && jobLines, locked()], () => (state.jobs.length ? card("Work", null, h("ul.jobs", null, state.jobs.map(jobRow))) : []));
+}
+function sessionRow(row) {
+  const open = opened === row.name, [kind, word] = sessionState(row);
+  const toggle = () => { opened = open ? "" : row.name; drawSessions(); };
+  const tr = h("tr.pick", { onclick: toggle, "aria-expanded": open },
+    h("td", null, h("button.link", { "data-key": row.name, "aria-expanded": open }, h("span.clip", { title: row.name }, row.name))),
+    h("td", null, row.start_ns ? day(row.start_ns) : day(row.modified_ns)), h("td.n", null, row.duration_s == null ? NONE : span(row.duration_s)), h("td.n", null, bytes(row.bytes)),
+    h("td.n.wide", null, row.streams == null ? NONE : number(row.streams)), h("td.n", { class: row.marks?.length ? "n" : "n zero" }, row.marks ? number(row.marks.length) : NONE),
+    h("td", null, stateCell(kind, word)), h("td", null, result(row, "verify", "not yet")),
+    h("td.wide", null, row.results.seal ? result(row, "seal") : h("span", { class: row.sealed ? "" : "zero" }, row.sealed ? "has a seal" : "no")), h("td.wide", null, result(row, "review", "not yet")));
+  if (!open) return tr;
+  const off = row.recording ? "It is being recorded" : "";
+  return [tr, h("tr.open", null, h("td", { colspan: 10 },
+    row.problem && h("p.s-error", null, sentence(row.problem)),
+    h("div.actions", null, ACTIONS.map(([action, title]) => button(title, () => act({ do: "job", action, name: row.name }).then(loadSessions), { off, kind: "", key: `${row.name} ${action}` })),
+      h("span.gap"), button("Replay …", () => { choose(row.name); show("replay"); }, { kind: ".primary", off, key: `${row.name} replay` })),
+    row.marks?.length ? h("div.phases", null, "Marks:", row.marks.slice(0, 24).map((mark) => h("button.btn.small", { type: "button", disabled: locked(), "data-key": `${row.name} ${mark.label} ${mark.time_ns}`, onclick: () => { choose(row.name, markTime(mark, row)); show("replay"); } }, `${mark.label} ${moment(markTime(mark, row))}`))) : null))];
+}
+function markTime(mark, row) { return Math.max(0, (mark.time_ns - row.start_ns) / 1e9); }
+let jobLines = [];
+async function toggleJob(number) {
+  openJob = openJob === number ? 0 : number; jobLines = [];
+  await readJob(); drawSessions();
+}
+async function readJob() { if (openJob) try { jobLines = await (await get(`/api/job?number=${openJob}`)).json(); } catch { /* the banner says it */ } }
+setInterval(async () => { if (openJob && view === "sessions") { await readJob(); drawSessions(); } }, 1500);
+function jobRow(job) {
+  const [kind, word] = RESULTS[job.state], title = ACTIONS.find(([action]) => action === job.action)[1], open = openJob === job.number;
+  return h("li", null, h("div.line1", null, icon(kind), h("b", null, title), h("span.clip", null, job.name), h("span.sub", null, `${word} · ${span(job.seconds)}`), h("span.gap"),
+    job.link && h("a.btn.small.primary", { href: job.link, target: "_blank", rel: "noopener noreferrer" }, "Open the viewer"),
+    h("button.btn.small", { type: "button", "aria-expanded": open, "data-key": `show ${job.number}`, onclick: () => toggleJob(job.number) }, open ? "Hide output" : "Show output"),
+    job.state === "running" && button("Cancel", () => act({ do: "cancel", number: job.number }), { kind: ".small.danger", key: `cancel ${job.number}` })),
+    job.last && !open && h("div.last", null, job.last), job.state === "running" && h("div.bar", { role: "progressbar", "aria-label": `${title} runs` }, h("i")),
+    open && h("pre", { tabindex: 0, "aria-label": "Output" }, jobLines.join("\n") || "no output yet"));
+}
+
+// ── replay ────────────────────────────────────────────────────────────────────────────────────────────────────
+
+let chosen = "", from = 0, placesOf = {}, target = "igtl listen", loop = false, speed = "1", place = "";
+function choose(name, at) {
+  chosen = name; from = at || 0;
+  if (name && !placesOf[name]) { placesOf[name] = []; get(`/api/places?name=${encodeURIComponent(name)}`).then((answer) => answer.json()).then((found) => { placesOf[name] = found?.places || []; if (state) draw(); }).catch(() => { delete placesOf[name]; }); }
+}
+const steer = (what, value = null) => act2({ do: "steer", steer: what, value });
+async function act2(words) {
+  try {
+    const answer = await fetch("/api/act", { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(words) });
+    const found = await answer.json();
+    if (!found.done) toast(found.text, true);
+  } catch { toast("the page's program does not answer", true); }
+  refresh();
+}
+async function begin() {
+  const [to, way] = target.split(" ");
+  const at = from;
+  if (!await act({ do: "replay", name: chosen, to, role: way || "listen", address: place, rate: Number(speed), loop, paused: at > 0 })) return;
+  if (!at) return;
+  for (let tries = 0; tries < 40 && !state.replay?.state?.duration_s; tries++) await new Promise((done) => setTimeout(done, 150));
+  await steer("seek", at); await steer("play");
+}
+function drawReplay() {
+  const at = places($("replay"), "head", "choice", "player", "below"), replay = state.replay, running = replay?.running;
+  if (running && chosen !== replay.name) choose(replay.name);
+  part(at.head, [running, replay?.name], () => h("div.lead", null, h("div", null, h("h1", null, running ? `Replay of ${replay.name}` : "Replay"), h("p", null, "Sends a recording to OpenIGTLink peers, to ROS, or to both, as it was."))));
+  const ready = (sessions || []).filter((row) => row.closed);
+  if (!chosen && ready.length) choose(ready[0].name);
+  part(at.choice, [ready.map((row) => row.name), chosen, running, locked(), target], () => h("div.card", null, h("div.body", null, h("div.form.four", null,
+    h("label.field", null, h("span", null, "Recording"), h("select", { "data-key": "choose", disabled: running, onchange: (event) => { choose(event.target.value); draw(); } }, ready.map((row) => h("option", { value: row.name, selected: row.name === chosen }, row.name)))),
+    h("label.field", null, h("span", null, "Send to"), h("select", { "data-key": "target", disabled: running, onchange: (event) => { target = event.target.value; draw(); } },
+      [["igtl listen", "OpenIGTLink clients"], ["igtl connect", "an OpenIGTLink server"], ["ros", "ROS 2"], ["both listen", "OpenIGTLink clients and ROS 2"]].map(([value, title]) => h("option", { value, selected: value === target }, title)))),
+    h("label.field", null, h("span", null, target.includes("connect") ? "Its address" : "At address"), h("input", { type: "text", "data-key": "place", disabled: running || target === "ros", value: place, placeholder: "127.0.0.1:18944", oninput: (event) => { place = event.target.value.trim(); } })),
+    h("label.field", null, h("span", null, "Rate"), h("select", { "data-key": "speed", disabled: running, onchange: (event) => { speed = event.target.value; } }, ["0.1", "0.25", "0.5", "1", "2", "5", "10"].map((value) => h("option", { value, selected: value === speed }, `${value} ×`)))),
+    running ? button("Stop", () => steer("stop"), { kind: ".danger", key: "begin" }) : button("Start", begin, { kind: ".primary", off: chosen ? "" : "No recording", key: "begin" })))));
+  const row = (sessions || []).find((each) => each.name === chosen);
+  if (!row || row.duration_s == null) { for (const each of [at.player, at.below]) { each._track = null; part(each, null, () => []); } return; }
+  drawPlayer(at.player, row, running ? replay.state : null);
+  drawBelow(at.below, row, replay, running);
+}
+function marksOf(row) {
+  return (row.marks || []).map((mark) => ({ kind: mark.end_ns == null ? "mark" : "phase", at_s: markTime(mark, row), end_s: mark.end_ns == null ? null : (mark.end_ns - row.start_ns) / 1e9, text: mark.label + (mark.text ? `: ${mark.text}` : "") }));
+}
+function drawPlayer(at, row, playing) {
+  const duration = Math.max(row.duration_s, 1e-3), position = playing?.position_s ?? from, paused = playing?.paused ?? true;
+  if (at._track !== row.name) {
+    at._track = row.name;
+    at._buttons = h("div.transport"); at._rail = h("div.track", { role: "slider", tabindex: 0, "aria-label": "Position", "aria-valuemin": 0, "data-key": "track" });
+    const seek = (event) => { const box = at._rail.getBoundingClientRect(); jump(Math.min(1, Math.max(0, (event.clientX - box.left) / box.width)) * at._duration); };
+    at._rail.addEventListener("pointerdown", (event) => { at._rail.setPointerCapture(event.pointerId); seek(event); at._rail.onpointermove = seek; });
+    at._rail.addEventListener("pointerup", () => { at._rail.onpointermove = null; });
+    at._rail.addEventListener("keydown", (event) => { const step = { ArrowRight: 1, ArrowLeft: -1, PageUp: 10, PageDown: -10 }[event.key]; if (step) { event.preventDefault(); jump(Math.min(at._duration, Math.max(0, at._position + step * Math.max(.1, at._duration / 100)))); } if (event.key === "Home") jump(0); });
+    html(at, h("div.card", null, h("div.body", null, at._buttons, at._rail, legend())));
+  }
+  at._duration = duration; at._position = position;
+  const off = playing ? "" : "Start the replay first";
+  part(at._buttons, [paused, Boolean(playing), playing?.rate, locked()], () => [
+    paused ? button("▶ Play", () => steer("play"), { kind: ".primary", off, key: "play" }) : button("❚❚ Pause", () => steer("pause"), { kind: ".primary", off, key: "play" }),
+    button("Step", () => steer("step"), { off: off || (paused ? "" : "Pause first") }), button("Slower", () => steer("rate", playing.rate / 1.25), { off }), button("Faster", () => steer("rate", playing.rate * 1.25), { off }),
+    h("span.sub", null, playing ? `rate ${number(playing.rate ?? 1, 2)} ×` : ""), h("span.time", null, "")]);
+  html(at._buttons.lastChild, moment(position), h("small", null, ` of ${moment(duration)}`));
+  at._rail.setAttribute("aria-valuemax", duration.toFixed(2)); at._rail.setAttribute("aria-valuenow", position.toFixed(2)); at._rail.setAttribute("aria-valuetext", `${moment(position)} of ${moment(duration)}`);
+  const found = [...marksOf(row), ...(placesOf[row.name] || [])];
+  part(at._rail, [found, duration], () => track(found, duration));
+  at._rail.querySelector(".played")?.setAttribute("width", `${position / duration * 100}%`);
+  at._rail.querySelector(".head")?.setAttribute("x", `${position / duration * 100}%`);
+}
+function jump(seconds) { from = seconds; if (state.replay?.running) steer("seek", seconds); else draw(); }
+function at(seconds, duration) { return `${Math.min(100, Math.max(0, seconds / duration * 100))}%`; }
+function shape(kind) {
+  if (kind === "loss") return svg("path", { class: "loss", d: "M-4 -4 4 4M4 -4-4 4" });
+  if (kind === "finding") return svg("path", { class: "finding", d: "M0-5.5 5.5 4.5H-5.5Z" });
+  if (kind === "mark") return svg("path", { class: "flag", d: "M0 8V-8H9L6.5-4.5 9-1H1V8Z" });
+  return svg("circle", { class: "linkmark", r: 3.4 });
+}
+function track(found, duration) {
+  const made = svg("svg", { "aria-hidden": "true" }, svg("defs", {}, svg("pattern", { id: "hatch", width: 6, height: 6, patternUnits: "userSpaceOnUse", patternTransform: "rotate(45)" }, svg("rect", { width: 2.4, height: 6, fill: "currentColor", opacity: .45 }))));
+  let paused = null, lane = -1e9;
+  made.append(svg("rect", { class: "rail", x: 0, y: 48, width: "100%", height: 8, rx: 4 }), svg("rect", { class: "played", x: 0, y: 48, width: 0, height: 8, rx: 4 }));
+  for (const each of found) {
+    if (each.kind === "pause") paused = each.at_s;
+    else if (each.kind === "resume" && paused != null) { made.append(svg("rect", { class: "pause", x: at(paused, duration), y: 44, width: at(each.at_s - paused, duration), height: 16 })); paused = null; }
+    else if (each.kind === "phase") {
+      made.append(svg("rect", { class: "phase", x: at(each.at_s, duration), y: 26, width: at(each.end_s - each.at_s, duration), height: 16, rx: 3 }));
+      if ((each.end_s - each.at_s) / duration > .06) made.append(svg("svg", { x: at(each.at_s, duration), width: at(each.end_s - each.at_s, duration), y: 26, height: 16 }, words(each, 8, 12)));
+    }
+    else if (each.kind !== "resume") {
+      const low = each.kind !== "mark", place = svg("svg", { x: at(each.at_s, duration), y: low ? 72 : 26, overflow: "visible" }, shape(each.kind));
+      place.firstChild.append(svg("title", {}, each.text)); made.append(place);
+      if (!low && (each.at_s - lane) / duration > .08) { made.append(svg("svg", { x: at(each.at_s, duration), y: 0, overflow: "visible" }, words(each, 0, 12))); lane = each.at_s; }
+    }
+  }
+  if (paused != null) made.append(svg("rect", { class: "pause", x: at(paused, duration), y: 44, width: at(duration - paused, duration), height: 16 }));
+  made.append(svg("rect", { class: "head", x: 0, y: 40, width: 2.5, height: 24, rx: 1 }));
+  return made;
+}
+function words(each, x, y) {
+  const text = svg("text", { x, y });
+  text.textContent = each.text.split(":")[0].slice(0, 20);
+  return text;
+}
+function legend() {
+  return h("div.legend", null, [["mark", "mark"], ["finding", "finding"], ["loss", "loss"], ["link", "peer comes or goes"]].map(([kind, word]) => h("span", null, svg("svg", { viewBox: "-8 -8 16 16", class: "track-key", "aria-hidden": "true" }, shape(kind)), word)),
+    h("span", null, svg("svg", { viewBox: "0 0 14 14", "aria-hidden": "true" }, svg("rect", { y: 3, width: 14, height: 8, fill: "url(#hatch)" })), "pause"));
+}
+function drawBelow(place, row, replay, running) {
+  const found = [...marksOf(row), ...(placesOf[row.name] || [])].filter((each) => each.kind !== "resume").sort((a, b) => a.at_s - b.at_s).slice(0, 200);
+  const mine = replay?.name === row.name ? replay : null, peers = running && mine ? mine.state.peers || [] : [];
+  const names = { mark: "Mark", phase: "Phase", finding: "Finding", loss: "Loss", pause: "Pause", link: "Link" };
+  part(place, [found, mine?.lines, peers, running, mine?.state?.sent, locked()], () => h("div.split", null,
+    card("On the time line", null, found.length ? h("ul.list", { tabindex: 0, "aria-label": "On the time line" }, found.map((each, number) => h("li", null, h("button", { type: "button", disabled: locked() && running, "data-key": `at ${number}`, onclick: () => jump(each.at_s) }, moment(each.at_s)), h("span.sub", null, names[each.kind]), h("span", null, each.text)))) : h("p.empty", null, "Nothing but messages.")),
+    card("Peers", running && mine ? `${number(mine.state.sent || 0)} messages sent` : null, peers.length ? h("ul.list", null, peers.map(([address, profile]) => h("li", null, icon("ok"), h("b", null, address), h("span.sub", null, profile)))) : h("p.empty", null, running ? "No peer is connected: nothing receives the messages." : "Peers appear when the replay runs."),
+      mine?.lines.length ? h("ul.notes", null, mine.lines.map((line) => h("li", null, h("span", null, line)))) : null)));
+}
+
+const asked = location.hash.slice(1);  // a view that the address names
+show(asked);
+refresh();

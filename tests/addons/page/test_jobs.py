@@ -1,0 +1,41 @@
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from igtl_gateway.addons.page.jobs import ACTIONS, CANCELLED, DONE, FAILED, MAX_RUNNING, RUNNING, Jobs
+from tests.places import FIXTURES
+
+
+def wait(condition: Callable[[], bool]) -> None:
+    until = time.monotonic() + 60
+    while not condition():
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
+
+def test_work_is_done_fails_and_is_cancelled(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    shutil.copy(FIXTURES / "paper-types.mcap", path)
+    jobs = Jobs()
+    assert jobs.start("verify", "a.mcap", path) == (True, "verify of a.mcap has begun")
+    assert jobs.start("verify", "a.mcap", path)[1] == "verify of a.mcap runs already"
+    assert jobs.start("review", "none.mcap", tmp_path / "none.mcap")[0]
+    assert jobs.start("lint", "a.mcap", path)[0]
+    assert jobs.start("export", "a.mcap", path)[1].startswith(f"{MAX_RUNNING} jobs run already")
+    assert jobs.cancel(3)[0] and not jobs.cancel(99)[0]
+    wait(lambda: all(job["state"] != RUNNING for job in jobs.rows()))
+    assert [(job["action"], job["state"]) for job in jobs.rows()] == [
+        ("lint", CANCELLED),
+        ("review", FAILED),
+        ("verify", DONE),
+    ]
+    assert any("none.mcap" in line for line in jobs.lines(2)) and jobs.lines(99) == []
+    assert jobs.start("remove", "a.mcap", path)[1].startswith("found 'remove', expected one of")
+
+
+def test_each_action_is_a_verb() -> None:
+    for words, _addon in ACTIONS.values():
+        assert words(Path("/x/a.mcap"))[1] == "/x/a.mcap"

@@ -1,0 +1,103 @@
+from __future__ import annotations
+
+from typing import Any
+
+from igtl_gateway.addons.page.now import ERROR, MAX_ROWS, OK, SILENT, WAITING, WARNING, Now
+
+_S = 1_000_000_000
+
+
+def facts(
+    received: dict[str, int],
+    *,
+    dropped: dict[str, dict[str, int]] | None = None,
+    watched: list[dict[str, Any]] | None = None,
+    peers: list[dict[str, Any]] | None = None,
+    links: dict[str, Any] | None = None,
+    queues: dict[str, Any] | None = None,
+) -> dict[str, Any]:
+    """A sample of a bridge with streams at 10 Hz."""
+    streams: dict[str, Any] = {name: {"received": number} for name, number in received.items()}
+    for name, reasons in (dropped or {}).items():
+        streams[name]["dropped"] = reasons
+    return {
+        "watched": watched or [],
+        "rates": {"igtl_in": dict.fromkeys(received, 10.0)},
+        "ledger": {"streams": {"igtl_in": streams}, "links": links or {}},
+        "peers": peers or [],
+        "queues": queues or {},
+    }
+
+
+def watched(stream: str, **changes: Any) -> dict[str, Any]:
+    usual = {"link": 1, "stream": stream, "age_ns": 400_000, "jitter_ns": 10_000, "stamped": 9, "unset": 0}
+    return usual | {"stale": 0, "episodes": []} | changes
+
+
+def test_what_is_wrong_is_on_top_with_advice() -> None:
+    now = Now()
+    names = ["TRANSFORM/a", "TRANSFORM/b", "IMAGE/c", "TRANSFORM/d", "TRANSFORM/e"]
+    now.rows(facts(dict.fromkeys(names, 10)), _S, _S)
+    sample = facts(
+        dict.fromkeys(names, 110) | {"IMAGE/c": 10},
+        dropped={"TRANSFORM/b": {"bad_crc": 3}},
+        watched=[watched("TRANSFORM/d", episodes=["stamp_future"]), watched("TRANSFORM/e", stale=2)],
+    )
+    found = now.rows(sample, 11 * _S, 11 * _S)["streams"]
+    assert [(row["name"], row["state"]) for row in found] == [
+        ("b", ERROR),
+        ("e", ERROR),
+        ("c", SILENT),
+        ("d", WARNING),
+        ("a", OK),
+    ]
+    texts = [row["text"] for row in found]
+    assert texts[0] == "3 messages dropped: wrong CRC" and "compute it" not in found[0]["advice"]
+    assert found[0]["advice"].startswith("The sender changes the body after computing the CRC")
+    assert texts[2] == "no message for 10 s" and texts[3] == "stamps are in the future"
+    assert found[3]["advice"] == "Synchronise the clocks of the two machines (NTP, PTP)"
+    assert found[-1]["advice"] == "" and found[3]["stamps"] == "in the future"
+
+
+def test_a_loss_is_a_problem_for_ten_seconds_and_stays_counted() -> None:
+    now = Now()
+    lost = facts({"TRANSFORM/a": 10}, dropped={"TRANSFORM/a": {"malformed": 1}})
+    assert now.rows(lost, _S, _S)["streams"][0]["state"] == ERROR
+    row = now.rows(facts({"TRANSFORM/a": 99}, dropped={"TRANSFORM/a": {"malformed": 1}}), 12 * _S, _S)["streams"][0]
+    assert (row["state"], row["dropped"]) == (OK, 1)
+
+
+def test_messages_without_a_reader_are_no_loss() -> None:
+    sample = facts({"TRANSFORM/a": 10}, dropped={"TRANSFORM/a": {"no_peer": 5}})
+    row = Now().rows(sample, _S, _S)["streams"][0]
+    assert (row["state"], row["dropped"]) == (OK, 0)
+
+
+def test_links() -> None:
+    now = Now()
+    peers = [
+        {"link": 1, "peer": "a:1", "role": "server", "connected": True, "profile": "slicer"},
+        {"link": 2, "peer": "b:2", "role": "server", "connected": True, "profile": "plus"},
+        {"link": 0, "peer": "c:3", "role": "client", "connected": False, "profile": ""},
+    ]
+    links = {"1": {"received_messages": 5}, "2": {"sent_messages": 100, "dropped": {"IMAGE/x": 4}}}
+    sample = facts({}, peers=peers, links=links, queues={"2": {"messages": 9, "bytes": 99}})
+    sample["watched"] = [watched("TRANSFORM/a")]
+    found = now.rows(sample, _S, 77)["links"]
+    assert [(row["peer"], row["state"]) for row in found] == [("b:2", ERROR), ("c:3", WAITING), ("a:1", OK)]
+    assert found[0]["text"] == "reads too slowly: 4 messages dropped"
+    assert found[0]["advice"].startswith("Send less, or let the peer read faster")
+    assert found[2]["latency_ms"] == 0.4 and found[2]["since_ns"] == 77 and found[1]["since_ns"] is None
+
+
+def test_a_sparkline_has_a_value_each_second() -> None:
+    now = Now()
+    for tenth in range(1, 36):
+        row = now.rows(facts({"TRANSFORM/a": tenth}), tenth * _S // 10 + _S, 0)["streams"][0]
+    assert row["spark"] == [9, 10, 10]
+    assert row["gap_s"] == 0.1
+
+
+def test_a_peer_that_invents_names_does_not_fill_the_page() -> None:
+    found = Now().rows(facts({f"TRANSFORM/{number}": 1 for number in range(2_000)}), _S, _S)
+    assert len(found["streams"]) == MAX_ROWS and found["more"] == 2_000 - MAX_ROWS

@@ -1,0 +1,152 @@
+"""The page in a real browser, beside a bridge and a folder: seen, clicked, and killed."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import pytest
+
+import igtl_gateway
+from tests.addons.page.browser import CHROMIUM, Browser
+from tests.integration.bridge import Bridge, RawPeer, children, free_port, string
+from tests.places import FIXTURES
+
+needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="needs a Chromium: apt-get install chromium")
+
+
+@contextmanager
+def talking(port: int) -> Iterator[None]:
+    """A peer that sends two streams at 20 Hz."""
+    over = threading.Event()
+
+    def talk() -> None:
+        with RawPeer(port) as peer, suppress(OSError):  # the bridge stops
+            while not over.wait(0.05):
+                peer.send(string("hello", "Room"))
+                peer.send(string("<b>bold</b>", "<script>"))
+
+    thread = threading.Thread(target=talk)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+
+
+@needs_browser
+def test_a_session_is_run_from_the_page(tmp_path: Path) -> None:
+    recording = tmp_path / "now.mcap"
+    bridge = Bridge("--no-ros", "--record", str(recording), "--page")
+    try:
+        link = bridge.wait_events(lambda event: event["event"] == "page", "page")[0]["link"]
+        with talking(bridge.port), Browser() as page:
+            page.open(link)
+            # Now: links, streams, in words
+            page.wait("document.querySelector('#now h1').textContent === 'All 2 streams arrive'")
+            assert {"Room", "<script>"} <= set(page.text().split())
+            assert "token" not in page.run("location.href") and page.run("document.cookie") == ""
+            # Recording: a mark by the keyboard, a phase, a pause by clicks
+            page.press("m")
+            page.wait("document.activeElement.id === 'mark-label'")
+            page.type("suture-1")
+            page.press("Enter")
+            page.wait("document.querySelector('#recording .notes').textContent.includes('mark suture-1')")
+            page.type("approach")
+            page.click("button", "Begin a phase")
+            page.click("button", "End approach")
+            page.click("button", "Pause")
+            page.wait("document.querySelector('#recording h1').textContent === 'Paused'")
+            page.click("button", "Resume")
+            page.wait("document.querySelector('#recording h1').textContent === 'Recording'")
+            # Stop, and the page reports that its program has ended
+            page.click("button", "Stop …")
+            page.click("dialog button", "Stop")
+            page.wait("!document.querySelector('#lost').hidden")
+            assert [
+                text for text in page.complaints if "ERR_CONNECTION" not in text and "Failed to load" not in text
+            ] == []
+        assert bridge.end(None).code == 0
+    finally:
+        bridge.close()
+    with igtl_gateway.open(recording) as found:
+        assert [(mark.label, mark.who) for mark in found.marks] == [("suture-1", "page"), ("approach", "page")]
+        pressed = [note.text for note in found.notes if note.code == "page"]
+    assert pressed == [f"{what} was pressed on the page" for what in ("pause", "resume", "stop")]
+
+
+def test_the_bridge_goes_on_without_its_page(tmp_path: Path) -> None:
+    bridge = Bridge("--no-ros", "--record", str(tmp_path / "now.mcap"), "--page")
+    try:
+        bridge.wait_events(lambda event: event["event"] == "page", "page")
+        (page,) = (
+            number
+            for number in children(bridge.process.pid)
+            if b"addons.page" in Path(f"/proc/{number}/cmdline").read_bytes()
+        )
+        os.kill(page, signal.SIGKILL)
+        bridge.wait_code("page", level="WARN")
+        with RawPeer(bridge.port) as peer:
+            peer.send(string("hello"))
+            bridge.wait_code("link_up")
+        assert bridge.end().code == 0
+    finally:
+        bridge.close()
+    assert sum(event.get("code") == "page" for event in bridge.events) == 1
+
+
+def test_a_port_in_use_is_a_note(tmp_path: Path) -> None:
+    bridge = Bridge("--no-ros", "--page", "--page-address", "203.0.113.1:80")
+    try:
+        assert "203.0.113.1" in bridge.wait_code("page", level="WARN")["text"]
+        assert bridge.end().code == 0
+    finally:
+        bridge.close()
+
+
+@needs_browser
+def test_a_folder_without_a_bridge(tmp_path: Path) -> None:
+    shutil.copy(FIXTURES / "lego.mcap", tmp_path / "old.mcap")
+    command = [sys.executable, "-m", "igtl_gateway", "page", str(tmp_path)]
+    served = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        assert served.stdout
+        link, spectators = (served.stdout.readline().split()[-1] for _ in range(2))
+        with Browser((820, 1100), dark=True) as page:
+            page.open(link)
+            page.click("button.link", "old.mcap")
+            page.click("button", "Verify")
+            page.wait("document.querySelector('#sessions .jobs').textContent.includes('good')", 120)
+            page.click("button", "Replay …")
+            port = free_port()
+            page.click("[data-key=place]")
+            page.type(f"127.0.0.1:{port}")
+            page.click("#replay button", "Start")
+            page.wait("document.querySelector('#replay .transport').textContent.includes('Pause')", 60)
+            with RawPeer(port) as peer:
+                assert peer.receive(type_name="TRANSFORM").device
+                page.run("document.querySelector('[role=slider]').focus()")
+                page.press("Home")
+                page.press("ArrowRight")
+                page.click("#replay button", "Pause")
+                page.click("#replay button", "Step")
+                page.wait("document.querySelector('#replay').textContent.includes('127.0.0.1')")
+            page.click("#replay button", "Stop")
+            page.wait("document.querySelector('#replay .btn.primary').textContent === 'Start'", 30)
+            assert page.complaints == []
+            # those who only look
+            page.open(spectators)
+            page.wait("document.querySelector('#role').offsetParent")
+            page.press("4")
+            page.wait("[...document.querySelectorAll('#replay .btn')].every((each) => each.disabled)")
+    finally:
+        served.send_signal(signal.SIGINT)
+        assert served.wait(20) == 0

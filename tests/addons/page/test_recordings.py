@@ -1,0 +1,74 @@
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import time
+from pathlib import Path
+from typing import Any
+
+import igtl_gateway
+from igtl_gateway.addons.page.listing import places_of
+from igtl_gateway.addons.page.recordings import Recordings
+from tests.places import FIXTURES
+
+
+def rows(recordings: Recordings) -> dict[str, dict[str, Any]]:
+    """The list, once all of it is read."""
+    until = time.monotonic() + 60
+    while True:
+        found = recordings.rows()
+        if all(row["read"] for row in found):
+            return {row["name"]: row for row in found}
+        assert time.monotonic() < until
+        time.sleep(0.05)
+
+
+def test_a_folder(tmp_path: Path) -> None:
+    shutil.copy(FIXTURES / "lego.mcap", tmp_path / "lego.mcap")
+    whole = (FIXTURES / "paper-types.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "noise.mcap").write_bytes(b"x" * 1_000)
+    (tmp_path / "notes.txt").write_text("no recording")
+    (tmp_path / ".hidden.mcap").write_bytes(b"")
+    changes: list[int] = []
+    recordings = Recordings(tmp_path, lambda: changes.append(1))
+    found = rows(recordings)
+    assert found.keys() == {"lego.mcap", "cut.mcap", "noise.mcap"} and len(changes) == 3
+    lego = found["lego.mcap"]
+    assert (lego["closed"], lego["sealed"], lego["streams"], lego["marks"]) == (True, False, 33, [])
+    assert not found["cut.mcap"]["closed"] and found["noise.mcap"]["problem"]
+    assert recordings.path("lego.mcap") == tmp_path / "lego.mcap"
+    for name in ("../lego.mcap", "notes.txt", "", "/etc/passwd", ".hidden.mcap"):
+        assert recordings.path(name) is None
+
+
+def test_the_time_line(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with igtl_gateway.Bridge(listen=["127.0.0.1:0"], ros=False, record=str(path)) as bridge:
+        bridge.pause_recording()
+        time.sleep(0.2)
+        bridge.resume_recording()
+        time.sleep(0.2)
+    recordings = Recordings(tmp_path)
+    found = recordings.places(path)["places"]
+    assert [place["kind"] for place in found] == ["pause", "resume"]
+    assert 0 <= found[0]["at_s"] <= found[1]["at_s"]
+    assert places_of(tmp_path / "absent.mcap")["places"] == []
+
+
+def test_a_file_that_ends_the_process_costs_one_row(tmp_path: Path) -> None:
+    pipe = tmp_path / "b.mcap"
+    shutil.copy(FIXTURES / "lego.mcap", pipe)
+    recordings = Recordings(tmp_path)
+    recordings.rows()
+    killed = 0
+    until = time.monotonic() + 20
+    while not killed and time.monotonic() < until:
+        for process in Path(f"/proc/{os.getpid()}/task").glob("*/children"):
+            for number in process.read_text().split():
+                if b"page.listing" in Path(f"/proc/{number}/cmdline").read_bytes():
+                    os.kill(int(number), signal.SIGKILL)
+                    killed += 1
+    assert killed
+    assert "cannot be read" in rows(recordings)["b.mcap"].get("problem", "cannot be read")

@@ -1,0 +1,50 @@
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from igtl_gateway.addons.page.replays import Replay
+from tests.integration.bridge import RawPeer, free_port
+from tests.places import FIXTURES
+
+
+def wait(condition: Callable[[], object]) -> None:
+    until = time.monotonic() + 60
+    while not condition():
+        assert time.monotonic() < until
+        time.sleep(0.02)
+
+
+def test_a_replay_is_steered() -> None:
+    replay, port = Replay(), free_port()
+
+    def state(name: str) -> float:
+        facts = replay.facts()
+        return float(facts["state"].get(name) or 0) if facts else 0
+
+    assert replay.facts() is None and replay.steer("play", None) == (False, "no replay runs")
+    how = {"to": "igtl", "address": f"127.0.0.1:{port}", "paused": True}
+    assert replay.start("lego.mcap", FIXTURES / "lego.mcap", how)[0]
+    wait(lambda: state("duration_s"))
+    assert replay.start("lego.mcap", FIXTURES / "lego.mcap", how)[1] == "the replay of lego.mcap runs; stop it first"
+    assert state("paused") and not state("sent")
+    with RawPeer(port) as peer:
+        replay.steer("seek", 20.0)
+        replay.steer("rate", 5)
+        replay.steer("play", None)
+        assert peer.receive(type_name="TRANSFORM").device
+        wait(lambda: state("position_s") > 20 and state("rate") == 5)
+        facts = replay.facts()
+        assert facts and len(facts["state"]["peers"]) == 1
+        assert replay.steer("stop", None)[0]
+        wait(lambda: not (replay.facts() or {})["running"])
+
+
+def test_what_cannot_be_replayed() -> None:
+    replay = Replay()
+    for how in ({"to": "x"}, {"role": "x"}, {"address": "h:99999"}, {"rate": "fast"}, {"rate": [1]}):
+        assert not replay.start("lego.mcap", FIXTURES / "lego.mcap", how)[0]
+    assert replay.start("none.mcap", FIXTURES / "none.mcap", {})[0]
+    wait(lambda: (replay.facts() or {})["failed"])
+    assert "none.mcap" in " ".join((replay.facts() or {})["lines"])
+    assert replay.steer("jump", None)[1].startswith("found 'jump'")
