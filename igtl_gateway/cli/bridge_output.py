@@ -12,7 +12,7 @@ from igtl_gateway.app.note_rate import Event
 from igtl_gateway.app.passage import NATIVE_PASSAGE
 from igtl_gateway.app.ros_log import is_routine, note_text
 from igtl_gateway.base.clock import Clock
-from igtl_gateway.base.stamp import utc_text
+from igtl_gateway.base.stamp import NS_PER_S, utc_text
 from igtl_gateway.base.version import __version__
 from igtl_gateway.cli import admission
 from igtl_gateway.cli.common import count_text, size_text
@@ -20,6 +20,7 @@ from igtl_gateway.cli.losses import losses
 from igtl_gateway.cli.terminal import clear_live_line, live_line, print_json, print_line
 from igtl_gateway.cli.type_tables import mapping, profiles
 from igtl_gateway.config.configuration import Config
+from igtl_gateway.edges.interface import DISCOVERY_NS
 from igtl_gateway.gateway import FAULT
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.note import Level
@@ -84,7 +85,8 @@ class TextOutput:
         print_line(f"ROS 2        node {bridge.ros.full_name}" if bridge.ros else f"ROS 2        off ({off})")
         for note in notes:
             print_line(f"             {note.partition(' (')[0]}")
-        print_line(f"passage      {f'Python ({bridge.native_off})' if bridge.native_off else 'native'}")
+        until = f", to ROS after its discovery ({DISCOVERY_NS // NS_PER_S} s)" if bridge.ros else ""
+        print_line(f"passage      {f'Python ({bridge.native_off})' if bridge.native_off else f'native{until}'}")
         print_line(f"recording    {bridge.options.record or 'off (--record FILE)'}")
         if metrics:
             print_line(f"metrics      {metrics.url}")

@@ -16,7 +16,7 @@ from typing import Any
 from igtl_gateway.base.errors import first_line
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.stamp import NS_PER_S
-from igtl_gateway.edges.interface import Publishers, Reports
+from igtl_gateway.edges.interface import DISCOVERY_NS, Publishers, Reports
 from igtl_gateway.edges.ros.direct import direct_publisher
 from igtl_gateway.edges.ros.graph import Graph
 from igtl_gateway.edges.ros.middleware import interface_class, profile_of
@@ -27,8 +27,6 @@ from igtl_gateway.native.passage import Publisher as NativePublisher
 
 #: Subscriptions that the graph knows are matched well within this time, or never (incompatible QoS).
 HOLD_NS = 2_000_000_000
-#: Within this time after the start a graph without subscribers might only mean that discovery is not complete.
-DISCOVERY_NS = 3_000_000_000
 
 _LINGER_NS = 500_000_000  # for acknowledgements at the end; a subscriber that hangs must not delay us
 _MATCHES_MAX = 10_000  # matches not reported yet: at most those of one turn of the keeper

@@ -7,7 +7,7 @@ import sys
 import pytest
 
 from igtl_gateway.base.stamp import NS_PER_S
-from igtl_gateway.edges.ros.publishing import DISCOVERY_NS
+from igtl_gateway.edges.interface import DISCOVERY_NS
 from igtl_gateway_lab.bench.bridges import STEADY_S, Bridge, foreign, split, wait_ready
 from igtl_gateway_lab.bench.cases import CASES
 from igtl_gateway_lab.bench.processes import BenchError, Program
