@@ -51,6 +51,8 @@
 #define SEQUENCE_NS 100000 /* its longest wait for the sequence lock, in which it receives nothing */
 #define BATCH_NS 3000000 /* messages of ROS that wait pass with one taking of the sequence lock, for this time at most */
 #define PART 8 /* of its time that a turn costs which leaves nothing */
+#define PAUSE_NS 1000000 /* the shortest pause of a link that sends more than it may */
+#define NOTED_EVERY_NS NS_PER_S /* pauses are reported to Python */
 #define QUANTUM_NS 100000 /* a turn of a link ends after the message with which it has lasted this long */
 
 /* As in guarded_stream.py and timing.py. */
@@ -199,6 +201,7 @@ typedef struct Passage {
     int woken_links, woken_subscriptions;
     /* of the reading thread alone */
     Link *waiting;   /* list of links that wait for a turn */
+    Link *limited;   /* list of links that are read again at a time */
     int64_t turn_ns; /* where the turns are, see turns.py */
     int64_t used_ns; /* CPU time of the thread after the last turn */
 } Passage;
@@ -616,6 +619,9 @@ struct Link {
     double room; /* messages that may arrive at once */
     double rate; /* by which it grows, per second, up to that of one second */
     int64_t rated_ns;
+    char is_limited; /* there is no room: TCP makes the peer wait */
+    int64_t pauses_noted_ns;
+    long long pauses; /* that Python has not taken over */
     long long received_messages, received_bytes, heard_ns;
     /* sending; guarded by the lock of the sender */
     Lock *sending;
@@ -631,6 +637,10 @@ struct Link {
     Link *next_waiting;
     int64_t turn_ns;
     char waits;
+    /* pauses; likewise */
+    Link *next_limited;
+    int64_t pause_ends_ns;
+    char is_listed; /* it is in the list */
 };
 
 static unsigned bucket_of(const uint8_t *names)
@@ -737,7 +747,7 @@ static int begin_large(Link *self, uint64_t total)
     wait_for_sequence(self->passage);
     ssize_t most = most_of_large(self, self->chunk + self->start);
     unlock_sequence(self->passage);
-    if (total > (uint64_t)most || self->room < 1 || !(self->body = malloc(total)))
+    if (total > (uint64_t)most || !(self->body = malloc(total)))
         return 0;
     self->body_size = (ssize_t)total;
     self->body_filled = self->filled - self->start;
@@ -754,6 +764,15 @@ static int has_message(const Link *self)
         return 0;
     uint64_t body = get_u64(self->chunk + self->start + BODY_SIZE_AT);
     return body > CHUNK_BYTES - HEADER_SIZE || left >= HEADER_SIZE + (ssize_t)body;
+}
+
+/* Let the room grow until now. */
+static void make_room(Link *self, int64_t now_ns)
+{
+    self->room += (now_ns - self->rated_ns) * self->rate / NS_PER_S;
+    if (self->room > self->rate)
+        self->room = self->rate;
+    self->rated_ns = now_ns;
 }
 
 /* Receive once; 0: there is nothing to be passed on.  The caller has `reading`. */
@@ -775,10 +794,7 @@ static int receive(Link *self)
     }
     self->heard_ns = clock_ns(CLOCK_MONOTONIC);
     self->received_bytes += count;
-    self->room += (self->heard_ns - self->rated_ns) * self->rate / NS_PER_S;
-    if (self->room > self->rate)
-        self->room = self->rate;
-    self->rated_ns = self->heard_ns;
+    make_room(self, self->heard_ns);
     if (!self->body) {
         self->filled += count;
         return has_message(self);
@@ -789,6 +805,26 @@ static int receive(Link *self)
     return 0;
 }
 
+/* Read on when there is room again: what the peer sends waits in its connection.  The caller has `reading`. */
+static void limit_rate(Link *self, int64_t now_ns)
+{
+    Passage *passage = self->passage;
+    int64_t pause_ns = self->rate > 0 ? (int64_t)((1 - self->room) / self->rate * NS_PER_S) : NS_PER_S;
+    self->pause_ends_ns = now_ns + (pause_ns > PAUSE_NS ? pause_ns : PAUSE_NS);
+    self->is_limited = 1;
+    epoll_ctl(passage->epoll, EPOLL_CTL_DEL, self->fd, NULL);
+    if (!self->is_listed) {
+        self->is_listed = 1;
+        self->next_limited = passage->limited;
+        passage->limited = self;
+    }
+    add(&self->pauses);
+    if (!self->pauses_noted_ns || now_ns - self->pauses_noted_ns >= NOTED_EVERY_NS) {
+        self->pauses_noted_ns = now_ns;
+        note_link(self);
+    }
+}
+
 /* Take a turn: pass on what is whole, or receive once before; whether more is left for the next turn. */
 static int read_link(Link *self, int64_t begun_ns)
 {
@@ -796,20 +832,26 @@ static int read_link(Link *self, int64_t begun_ns)
     int64_t now_ns = begun_ns;
     int left = 0;
     pthread_mutex_lock(&self->reading);
-    if (self->reader != NATIVE || self->is_paused)
+    if (self->reader != NATIVE || self->is_paused || self->is_limited)
         goto done;
+    make_room(self, begun_ns);
     left = has_message(self) || receive(self);
     while (left && now_ns - begun_ns < QUANTUM_NS) {
+        if (self->room < 1) {
+            limit_rate(self, now_ns);
+            left = 0;
+            break;
+        }
         const uint8_t *message = self->chunk + self->start;
         uint64_t body = get_u64(message + BODY_SIZE_AT);
         int passed = 0;
-        if (body <= CHUNK_BYTES - HEADER_SIZE && self->room >= 1) {
+        if (body <= CHUNK_BYTES - HEADER_SIZE) {
             wait_for_sequence(passage);
             Stream *stream = stream_of(self, message);
             int waits = self->large_waiting && most_of_large(self, message); /* for one of its stream */
             passed = stream && !waits && pass_to_ros(passage, stream, message, HEADER_SIZE + (ssize_t)body, now_ns);
             unlock_sequence(passage);
-        } else if (body > CHUNK_BYTES - HEADER_SIZE && begin_large(self, HEADER_SIZE + body)) {
+        } else if (begin_large(self, HEADER_SIZE + body)) {
             left = 0;
             break;
         }
@@ -847,12 +889,47 @@ static void ask_for_turn(Passage *passage, Link *self)
 
 static void leave_turns(Passage *passage, Link *self)
 {
+    for (Link **at = &passage->limited; *at; at = &(*at)->next_limited)
+        if (*at == self) {
+            *at = self->next_limited;
+            break;
+        }
+    self->is_listed = 0;
     for (Link **at = &passage->waiting; *at; at = &(*at)->next_waiting)
         if (*at == self) {
             *at = self->next_waiting;
             break;
         }
     self->waits = 0;
+}
+
+/* Let links whose pause is over have their turns; return the time (ms) until the next pause ends, -1: there is none. */
+static int end_pauses(Passage *passage)
+{
+    int64_t now_ns = passage->limited ? clock_ns(CLOCK_MONOTONIC) : 0, least_ns = -1;
+    for (Link **at = &passage->limited; *at;) {
+        Link *link = *at;
+        int64_t left_ns = link->pause_ends_ns - now_ns;
+        if (left_ns > 0) {
+            if (least_ns < 0 || left_ns < least_ns)
+                least_ns = left_ns;
+            at = &link->next_limited;
+            continue;
+        }
+        *at = link->next_limited;
+        link->is_listed = 0;
+        pthread_mutex_lock(&link->reading);
+        int reads_on = link->is_limited && link->reader == NATIVE;
+        if (reads_on) { /* else Python has it, or had it meanwhile */
+            struct epoll_event event = {.events = EPOLLIN, .data.ptr = link};
+            link->is_limited = 0;
+            epoll_ctl(passage->epoll, EPOLL_CTL_ADD, link->fd, &event);
+        }
+        pthread_mutex_unlock(&link->reading);
+        if (reads_on)
+            ask_for_turn(passage, link);
+    }
+    return least_ns < 0 ? -1 : (int)(least_ns / 1000000 + 1);
 }
 
 /* Let the link have its turn that has used the least time. */
@@ -1738,6 +1815,16 @@ static PyObject *link_new(PyTypeObject *type, PyObject *args, PyObject *keywords
     return (PyObject *)self;
 }
 
+static PyObject *link_take_pauses(Link *self, PyObject *nothing)
+{
+    return (void)nothing, PyLong_FromLongLong(taken(&self->pauses));
+}
+
+static PyObject *link_get_waits(Link *self, void *closure)
+{
+    return (void)closure, PyBool_FromLong(self->waits || self->is_limited);
+}
+
 /* Free the oldest message that was not sent. */
 static void forget_unsent(Link *self)
 {
@@ -1795,7 +1882,7 @@ static PyObject *link_read_by_python(Link *self, PyObject *nothing)
             epoll_ctl(self->passage->epoll, EPOLL_CTL_DEL, self->fd, NULL);
         self->failure = 0;
     }
-    self->is_paused = 0;
+    self->is_paused = self->is_limited = 0;
     PyObject *rest = Py_BuildValue("y#i", (const char *)(self->body ? self->body : self->chunk + self->start),
                                    (Py_ssize_t)(self->body ? self->body_filled : self->filled - self->start),
                                    self->failure);
@@ -1911,6 +1998,7 @@ static PyMethodDef link_methods[] = {
      "Read in the native thread: this number of messages at once, and this number per second, which is the most at once."},
     {"read_by_python", (PyCFunction)link_read_by_python, METH_NOARGS, "Return what was read of an unfinished message, and errno."},
     {"take_unsent", (PyCFunction)link_take_unsent, METH_NOARGS, "Return a message, the bytes sent of it, its stream, and whether it is to be kept; or None."},
+    {"take_pauses", (PyCFunction)link_take_pauses, METH_NOARGS, "Return how often the link was not read for a while, since the last call."},
     {"close", (PyCFunction)link_close, METH_NOARGS, "Report nothing more."},
     {"add_large", (PyCFunction)link_add_large, METH_VARARGS, "Read large messages with these names natively, up to a size; with the sequence lock."},
     {"take_large", (PyCFunction)link_take_large, METH_NOARGS, "Return a large message, or None; large_done must follow it."},
@@ -1924,7 +2012,7 @@ static PyMemberDef link_members[] = {
     {"received_messages", T_LONGLONG, offsetof(Link, received_messages), READONLY, NULL},
     {"received_bytes", T_LONGLONG, offsetof(Link, received_bytes), READONLY, NULL},
     {"room", T_DOUBLE, offsetof(Link, room), READONLY, "Messages that might have arrived at once."},
-    {"waits", T_BOOL, offsetof(Link, waits), READONLY, "The link waits for its turn in the native thread."},
+    {"pauses", T_LONGLONG, offsetof(Link, pauses), READONLY, "Pauses for which take_pauses was not called."},
     {"heard_ns", T_LONGLONG, offsetof(Link, heard_ns), READONLY, "When the last bytes came (monotonic)."},
     {"large_waiting", T_INT, offsetof(Link, large_waiting), READONLY, "Large messages that were not handled yet."},
     {"muted", T_BOOL, offsetof(Link, muted), 0, "Nothing is sent any more; with the lock of the sender."},
@@ -1941,6 +2029,7 @@ static PyObject *link_get_native(Link *self, void *closure)
 
 static PyGetSetDef link_properties[] = {
     {"pending", (getter)link_get_pending, NULL, "Bytes of the unfinished message.", NULL},
+    {"waits", (getter)link_get_waits, NULL, "The link waits for its turn in the native thread, or pauses.", NULL},
     {"is_native", (getter)link_get_native, NULL, "The native thread reads the link.", NULL},
     {"clear", (getter)link_get_clear, (setter)link_set_clear, "Nothing is queued; with the lock of the sender.", NULL},
     {NULL, NULL, NULL, NULL, NULL},
@@ -2111,7 +2200,8 @@ static PyObject *passage_wait_links(Passage *self, PyObject *nothing)
     self->used_ns = clock_ns(CLOCK_THREAD_CPUTIME_ID); /* what Python did since the last turn is no link's */
     while (!noted && !woken) {
         struct epoll_event events[EVENTS];
-        int count = epoll_wait(self->epoll, events, EVENTS, self->waiting ? 0 : -1);
+        int timeout_ms = end_pauses(self);
+        int count = epoll_wait(self->epoll, events, EVENTS, self->waiting ? 0 : timeout_ms);
         for (int i = 0; i < count; i++) {
             uint64_t number;
             if (events[i].data.ptr)

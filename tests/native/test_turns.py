@@ -18,6 +18,7 @@ from tests.gateway.fastpath.test_passage_streams import (
     Peer,
     Scene,
     check_recording,
+    counted_by_python,
     entries_of,
     scene,
     transform,
@@ -82,9 +83,15 @@ def test_a_flood_is_limited_natively(monkeypatch: pytest.MonkeyPatch, tmp_path: 
     path = tmp_path / "session.mcap"
     with scene(monkeypatch, path=path, limits=PeerLimits(messages_per_s=500)) as here:
         peer = here.connect()
-        for _ in range(4):
-            peer.send(b"".join(transform(number) for number in range(500)))
-        wait_for(lambda: here.received("igtl_in") == 2_000)
+        make_native(here, peer, "FloodToBase")
+        passed = here.received("igtl_in")
+        with counted_by_python(here) as handled:
+            for _ in range(4):
+                peer.send(b"".join(transform(1000.0 + number, device="FloodToBase") for number in range(500)))
+            wait_for(lambda: here.received("igtl_in") == passed + 2_000)
+        assert handled == [], "what is above the limit waits in the connection"
+        link = here.bridge.tcp.native_link(1)
+        assert link and link.is_native
     codes = {Note.of(entry.data()).code for entry in entries_of(path) if entry.kind is Kind.EDGE_NOTE}
     assert "rate_limited" in codes
 

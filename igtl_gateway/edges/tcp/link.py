@@ -130,6 +130,7 @@ class Link:
         """The native passage has left something to Python: the end of a message, or the reading."""
         if self.is_open:
             self.sender.take_unsent()
+            self.receiver.note_pauses()
             self.receiver.take_over()
 
     def read_by_python(self) -> None:

@@ -71,7 +71,7 @@ class NativeReader:
             for link in self._passage.wait_links():
                 if link.large_waiting:
                     self._ask(link)
-                if not (link.is_native and link.clear):
+                if link.pauses or not (link.is_native and link.clear):
                     self._attend(link.number)
 
     def _ask(self, link: Link) -> None:

@@ -62,13 +62,19 @@ class RateLimit:
         if self._tokens >= 0 or not self._link.is_open:
             return 0.0
         self.is_pausing = True
-        self._pauses += 1
-        if self._pauses == 1 or now_ns - self._noted_ns >= NOTE_EVERY_S * NS_PER_S:
+        self.count(1, now_ns)
+        return -self._tokens / rate
+
+    def count(self, pauses: int, now_ns: int) -> None:
+        """Count pauses, and note them: now, and while they repeat once a second."""
+        rate = self._context.limits.messages_per_s
+        is_first = not self._pauses
+        self._pauses += pauses
+        if is_first or now_ns - self._noted_ns >= NOTE_EVERY_S * NS_PER_S:
             self._noted_ns = now_ns
             text = f"{self._link.peer} sends more than {rate:,} messages per second and is read at this rate"
             data = {"peer": self._link.peer, "limit": rate, "rests": self._pauses}
             self._context.reporter.note(self._link.number, Note(Level.WARN, "rate_limited", text, data=data))
-        return -self._tokens / rate
 
     def _refill(self, now_ns: int) -> None:
         rate = self._context.limits.messages_per_s
@@ -179,6 +185,11 @@ class Receiver:
         self._bytes += count
         self._frame(partial(self._framer.received, count))
         return True
+
+    def note_pauses(self) -> None:
+        """Note that the native passage did not read the link for a while."""
+        if self._native and (pauses := self._native.take_pauses()):
+            self._rate.count(pauses, self._loop.now())
 
     def take_over(self, *, at_end: bool = False) -> None:
         """Read in the I/O thread, where the native passage has stopped.
