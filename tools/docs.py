@@ -43,6 +43,7 @@ from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.faults import FAULTS
 from igtl_gateway.config.setting import ROWS, Setting
 from igtl_gateway.config.settings import all_settings, of_table
+from igtl_gateway.config.triggers import KINDS
 from igtl_gateway.convert import crtk
 from igtl_gateway.convert.commands import ERROR_MESSAGE, STATUS
 from igtl_gateway.convert.names import MAX_TOKEN, frames_of, short_device_name, topic_token
@@ -1204,6 +1205,16 @@ def _metrics() -> str:
     )
 
 
+def _trigger_kinds() -> str:
+    return table(
+        ("kind", "when", "pattern: a glob of the"),
+        (
+            (f"`{name}`", row.about, row.matched + (f"; default `{row.pattern}`" if row.pattern else "; needed"))
+            for name, row in KINDS.items()
+        ),
+    )
+
+
 def _faults() -> str:
     return table(("fault", "value", "effect"), ((f"`{row.name}`", row.unit.value, row.meaning) for row in FAULTS))
 
@@ -1258,6 +1269,7 @@ def _rules_of_plus() -> str:
 
 #: Page → name of a table → the table, which stands between a comment with its name and ``END``.
 PARTS: dict[str, dict[str, Callable[[], str]]] = {
+    "how-to/black-box.md": {"kinds": _trigger_kinds},
     "how-to/cohort.md": {"columns": _cohort_columns},
     "how-to/crtk.md": {"names": _crtk_names, "codes": _command_codes},
     "how-to/faults.md": {"faults": _faults},

@@ -24,9 +24,11 @@ from igtl_gateway.config.notations import (
     size_by_type,
 )
 from igtl_gateway.config.settings import all_settings, check_needs
+from igtl_gateway.config.triggers import KINDS, Trigger, trigger
 from igtl_gateway.edges.reserved import ReservedPorts
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from igtl_gateway.edges.video import VideoOptions
+from igtl_gateway.gateway.diagnostics import DIAGNOSTICS_TOPIC
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.selection import Selection
 
@@ -137,7 +139,7 @@ def bridge_options(
         zenoh=zenoh_endpoint(values) if ros else None,
         site=_site(values),
         record=Path(values["record"]) if values["record"] else None,
-        record_topics=("**",) if values["record_all"] else tuple(values["record_topics"]),
+        record_topics=("**",) if values["record_all"] else (*values["record_topics"], *_watched(how.triggers, ros=ros)),
         allow=tuple(values["allow"]),
         limits=limits(values),
         tls=tls(values),
@@ -200,6 +202,18 @@ def limits(values: Mapping[str, Any]) -> PeerLimits:
     )
 
 
+def _watched(rules: Iterable[Trigger], *, ros: bool) -> list[str]:
+    """Return the topics that rules look at.  Raises ConfigError for a rule that has no effect."""
+    if not ros and any(rule.kind == "diagnostics" for rule in rules):
+        raise ConfigError("--trigger diagnostics: found --no-ros or --relay, expected neither: the rule has no effect")
+    topics = [rule.pattern if KINDS[rule.kind].is_topic else DIAGNOSTICS_TOPIC for rule in rules if _is_of_topics(rule)]
+    return list(dict.fromkeys(topics))
+
+
+def _is_of_topics(rule: Trigger) -> bool:
+    return KINDS[rule.kind].is_topic or rule.kind == "diagnostics"
+
+
 def tls(values: Mapping[str, Any]) -> TlsFiles:
     """Return the files of TLS."""
     return TlsFiles(*(Path(values[name]) if values[name] else None for name in ("tls_cert", "tls_key", "tls_ca")))
@@ -234,6 +248,12 @@ def record_options(values: Mapping[str, Any]) -> RecordOptions:
     """Return the options of the recording for the values of all settings.  Raises ConfigError."""
     if values["snapshot"] and (values["split_size"] or values["split_duration"]):
         raise ConfigError("--snapshot: found --split-size or --split-duration, expected neither: it records to memory")
+    rules = tuple(map(trigger, values["trigger"]))
+    for rule in rules:
+        if rule.before_s is not None and rule.before_s > values["snapshot"]:
+            raise ConfigError(
+                f"--trigger {rule}: found before={rule.before_s:g}, expected at most --snapshot, {values['snapshot']:g}"
+            )
     return RecordOptions(
         compression=values["compression"],
         flush_s=values["flush_interval"],
@@ -241,6 +261,7 @@ def record_options(values: Mapping[str, Any]) -> RecordOptions:
         split_bytes=values["split_size"] << 20,
         split_s=values["split_duration"],
         snapshot_s=values["snapshot"],
+        triggers=rules,
         selection=Selection(tuple(values["record_include"]), tuple(values["record_exclude"])),
         overwrite=values["overwrite"],
         stop_on_failure=values["on_record_failure"] == "stop",

@@ -17,7 +17,10 @@ from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.config.configuration import LIVE, Config, read_toml
 from igtl_gateway.config.setting import GATEWAY, HOST, IGTL, RECORD, ROWS, Value, unknown
 from igtl_gateway.config.settings import all_settings, check_values, of_table, parameters
+from igtl_gateway.config.triggers import text_of_table
 
+#: Tables of a file, and the setting that they are.
+TRIGGER = "trigger"
 _FILES = ("tls_cert", "tls_key", "tls_ca")
 
 
@@ -54,6 +57,10 @@ def of_file(path: Path) -> dict[str, Any]:
             values.pop(name, None)
     document = read_toml(path)
     try:
+        if rules := document.get(TRIGGER):
+            if not isinstance(rules, list):
+                raise ConfigError(f"found {TRIGGER} = {rules!r}, expected tables [[{TRIGGER}]]")
+            values[TRIGGER] = tuple(text_of_table(row, f"{TRIGGER}[{at}]") for at, row in enumerate(rules))
         for name, spelled in ((IGTL, _spelled_igtl), (HOST, dict), (RECORD, dict)):
             table = document.get(name, {})
             if not isinstance(table, Mapping):

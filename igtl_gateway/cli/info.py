@@ -277,6 +277,7 @@ def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_n
         ("settings", [f"{change['at']}  {change['text']}" for change in summary["changes"]]),
         ("host's clock", [f"{step['at']}  {step['text']}" for step in summary["clock_steps"]]),
         ("marks", [*map(_mark, summary["marks"]), *_side_lines(summary["added_marks"])]),
+        ("triggers", [_trigger(row, start_ns) for row in (summary["ledger"] or {}).get(layout.TRIGGERS_KEY, ())]),
         ("problems", [f"{number:>7,}  {code}" for code, number in summary["problems"].items()] or ["   none"]),
         ("first note of each problem", _firsts(notes, start_ns)),
         ("losses", [_NOT_YET] if "being_recorded" in summary else losses(summary["ledger"]) or ["   none"]),
@@ -310,7 +311,9 @@ def _origin(session: dict[str, str], *, is_folder: bool) -> list[str]:
     if layout.PART_KEY in session and not is_folder:
         before = f", after {session[layout.PREVIOUS_KEY]}" if layout.PREVIOUS_KEY in session else ""
         lines.append(f"part      {session[layout.PART_KEY]} of a split recording{before}")
-    if layout.SNAPSHOT_KEY in session:
+    if layout.TRIGGER_KEY in session:
+        lines.append(f"black box by {session[layout.TRIGGER_KEY]}")
+    elif layout.SNAPSHOT_KEY in session:
         lines.append(f"snapshot  of the last {session[layout.SNAPSHOT_KEY]} s before the request")
     if "slice_of" in session:
         start, end = (utc_text(int(session[key])) for key in ("slice_start_ns", "slice_end_ns"))
@@ -360,6 +363,12 @@ def _mark(mark: dict[str, Any]) -> str:
     text = ": ".join(filter(None, (mark["label"], mark["text"]))) + (f" ({mark['who']})" if mark["who"] else "")
     end = "" if mark["end_s"] is None else f" to {mark['end_s']:.3f} s" + (" (open)" if mark["open"] else "")
     return f"{mark['at_s']:>9.3f} s{end}  {text}" + (" [added]" if mark["added"] else "")
+
+
+def _trigger(row: dict[str, Any], start_ns: int) -> str:
+    count = f", {row['count']:,} times" if row["count"] > 1 else ""
+    missing = f"; INCOMPLETE: {row['missing']}" if row["missing"] else ""
+    return f"{(row['at_ns'] - start_ns) / NS_PER_S:>9.3f} s{count}  {row['rule']}: {row['why']}{missing}"
 
 
 def _side_lines(side: dict[str, Any] | None) -> list[str]:

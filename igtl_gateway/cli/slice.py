@@ -128,7 +128,7 @@ def _write(file: SessionFile, part: Slice, window: SliceWindow, options: argpars
     if options.config:
         facts[layout.CONFIGURATION_KEY] = json.dumps(config_to_run(file.session, options.config).to_dict())
     # a slice begins at its own beginning, whatever it was cut from
-    own = (layout.PART_KEY, layout.PREVIOUS_KEY, layout.SNAPSHOT_KEY)
+    own = (layout.PART_KEY, layout.PREVIOUS_KEY, layout.SNAPSHOT_KEY, layout.TRIGGER_KEY)
     facts = {**{key: value for key, value in file.session.items() if key not in own}, **facts}
     with written(options.output, overwrite=options.overwrite) as place:
         writer = SessionWriter(place, facts, qos_of=qos_of, compression="zstd")

@@ -405,11 +405,11 @@ class Config:
     def from_toml(cls, path: Path) -> Config:
         """Read a TOML file.  Raises ConfigError with file and setting."""
         document = read_toml(path)
-        for table in (IGTL, HOST, RECORD):
+        for table in (IGTL, HOST, RECORD, "trigger"):
             document.pop(table, None)
         gateway = document.pop("gateway", {})
         if unknown := set(document) - _TABLES:
-            expected = ", ".join(f"[[{name}]]" for name in sorted(_TABLES))
+            expected = ", ".join(f"[[{name}]]" for name in sorted(_TABLES | {"trigger"}))
             tables = f"[gateway], [{HOST}], [{IGTL}], [{RECORD}]"
             raise ConfigError(f"{path}: found [{sorted(unknown)[0]}], expected {tables}, {expected}")
         if not isinstance(gateway, dict):

@@ -15,7 +15,7 @@ from functools import cache
 
 from igtl_gateway.base.addons import ADDON_SETTINGS, check_setting, is_present, part_of
 from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.config import notations
+from igtl_gateway.config import notations, triggers
 from igtl_gateway.config.setting import (
     CLIENTS,
     GATEWAY,
@@ -539,6 +539,15 @@ _RECORDING = (
         most=_YEAR_S,
         needs=("record",),
         common=True,
+    ),
+    Setting(
+        "trigger",
+        (),
+        "with --snapshot: also write them when this happens, see docs/how-to/black-box.md",
+        metavar="RULE",
+        reads=triggers.trigger,
+        needs=("snapshot",),
+        adds=True,
     ),
     Setting(
         "seal",

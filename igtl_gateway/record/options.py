@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from igtl_gateway.config.notations import RetentionRule
+from igtl_gateway.config.triggers import Trigger
 from igtl_gateway.record.selection import Selection
 from igtl_gateway.record.sessionfile.layout import CHUNK_BYTES
 
@@ -38,6 +39,7 @@ class RecordOptions:
         split_bytes, split_s: a part ends when it has this size or duration; 0: never.
         snapshot_s: keep the last seconds in memory, and write them on request; 0: write everything immediately.
         snapshot_bytes: bound of what is kept in memory.
+        triggers: rules that write them without a request.
         selection: which streams are recorded.
         queue_bytes, queue_entries: bounds of the queue.
         overwrite: replace an existing recording instead of refusing it.
@@ -57,6 +59,7 @@ class RecordOptions:
     split_s: float = 0.0
     snapshot_s: float = 0.0
     snapshot_bytes: int = SNAPSHOT_BYTES
+    triggers: tuple[Trigger, ...] = ()
     selection: Selection = field(default_factory=Selection)
     queue_bytes: int = QUEUE_BYTES
     queue_entries: int = QUEUE_ENTRIES

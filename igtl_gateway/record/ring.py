@@ -48,6 +48,8 @@ class Ring:
         self._max_ns, self._max_bytes = int(seconds * NS_PER_S), max_bytes
         self._entries: deque[Entry] = deque()
         self._bytes = 0
+        #: Stamp of the newest input that was forgotten, UTC ns; 0: none was.
+        self.forgotten_ns = 0
         trial = self._path(0)
         create_file(trial).close()  # an obstacle is reported now, not at the first snapshot
         trial.unlink()
@@ -63,6 +65,8 @@ class Ring:
     def _forget_oldest(self) -> bool:
         """Forget the oldest input with its outputs; False if there is nothing else."""
         following = next((at for at, entry in enumerate(self._entries) if at and entry.kind.is_input), 0)
+        if following:
+            self.forgotten_ns = self._entries[0].stamp_ns
         for _ in range(following):
             gone = self._entries.popleft()
             self._bytes -= gone.size + _ENTRY_BYTES

@@ -24,6 +24,7 @@ from igtl_gateway.base.once import Once
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.record.black_box import BlackBox
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.parts import PartsWriter
 from igtl_gateway.record.prologue import Prologue
@@ -40,6 +41,7 @@ from igtl_gateway.record.sessionfile.sealing import SealSeries
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.record.shared_queue import LARGE_BYTES, QueueReader
 from igtl_gateway.record.sole_file import SoleFile
+from igtl_gateway.record.triggers import TRIGGERED, Triggers
 
 #: Codes of the recorder's notes.
 DROPPED, FAILED, REFUSED, UNDEFINED = "record_drop", "record_failed", "record_refused", "record_undefined"
@@ -272,6 +274,7 @@ class _RecorderWorker:
         self._retention: RetentionThread | None = None
         if self.options.retention and not isinstance(self._writer, _NullWriter):
             self._retention = RetentionThread(settings.path, self.options, clock)
+        self._box = self._writer if isinstance(self._writer, BlackBox) else None
         self._row_writer: SoleFile | None = None
         if isinstance(self._writer, SoleFile) and self._writer.file.takes_rows(LARGE_BYTES):
             self._row_writer = self._writer
@@ -279,6 +282,19 @@ class _RecorderWorker:
     def _open(self, path: Path, rule: StateInputRule) -> SoleFile | PartsWriter | Ring:
         """The writer for these options."""
         options = self.options
+        if options.triggers:
+            return BlackBox(
+                path,
+                self._open_file,
+                Prologue(rule),
+                seconds=options.snapshot_s,
+                max_bytes=options.snapshot_bytes,
+                rules=options.triggers,
+                triggers=Triggers(options.triggers, self._types),
+                clock=self._clock,
+                counters=self._counters,
+                on_note=self._note_box,
+            )
         if options.snapshot_s:
             return Ring(
                 path,
@@ -299,6 +315,12 @@ class _RecorderWorker:
                 on_closed=self._apply_retention,
             )
         return SoleFile(path, self._open_file, Prologue(rule))
+
+    def _note_box(self, note: Note) -> None:
+        """Pass on a note of the black box; a file may be new to the retention."""
+        self._note(note)
+        if note.code != TRIGGERED:
+            self._apply_retention()
 
     def _open_file(self, path: Path, facts: dict[str, str], prologue: Sequence[Entry]) -> SessionWriter:
         alone = self.options.snapshot_s > 0 or self._is_cut  # the seal of a file that was taken away is not at its end
@@ -429,6 +451,8 @@ class _RecorderWorker:
         self._taken = self._drain()
         if not self._taken and rested:
             self._take_requested_snapshots()
+            if self._box:
+                self._box.tick()
         self._run_periodic()
         self._send_state()
 
@@ -476,6 +500,8 @@ class _RecorderWorker:
             if isinstance(item, Entry):
                 if self._asked and item.kind.is_input:
                     self._take_requested_snapshots()
+                if self._box:
+                    self._box.saw(item)
                 for passed in self._gate.take(item):
                     self._write(passed)
                 if self._row_writer and queue.stream >= 0 and queue.row_streams[queue.stream] is None:

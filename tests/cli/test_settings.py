@@ -18,6 +18,7 @@ from igtl_gateway.cli.settings import settled
 from igtl_gateway.config.configuration import Config, PeerRow, TfOutRow, ToIgtlRow, ToRosRow
 from igtl_gateway.config.setting import GATEWAY, HOST, IGTL, NONE, RECORD, ROWS, Setting
 from igtl_gateway.config.settings import all_settings, parameters
+from igtl_gateway.config.triggers import Trigger
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from tests.integration.bridge import Bridge, RawPeer, string
 from tests.places import ROOT
@@ -55,6 +56,7 @@ def test_every_option_that_is_a_setting_is_a_row_and_the_other_way_round() -> No
 
 #: Command lines in which a setting has no effect, for each row that needs something.
 WITHOUT_EFFECT = {
+    "trigger": "--record x --trigger mark",
     "tls_key": "--tls-key a.pem",
     "allow": "--connect :1 --allow 10.0.0.0/8",
     "max_clients": "--connect :1 --max-clients 3",
@@ -113,6 +115,33 @@ def test_a_changed_setting_of_a_recording_is_refused_wherever_it_is(path: Path) 
     path.write_text('[record]\nretention = "30 d"\n')
     with pytest.raises(ConfigError, match="--retention: found no --record FILE, expected it"):
         bridge_options.bridge_options(values("--config", str(path)), ros=True, node_name="n")
+
+
+def test_triggers_of_a_file_and_of_the_command_line(path: Path) -> None:
+    path.write_text(
+        '[[trigger]]\nkind = "diagnostics"\npattern = "arm*"\nafter = 5\n[[trigger]]\nkind = "mark"\nbefore = 20\n'
+    )
+    words = ("--config", str(path), "--record", "x", "--snapshot", "30", "--trigger", "link_down")
+    _, options = bridge_options.bridge_options(values(*words), ros=True, node_name="n")
+    assert options.recording.triggers == (
+        Trigger("link_down"),
+        Trigger("diagnostics", "arm*", after_s=5.0),
+        Trigger("mark", before_s=20.0),
+    )
+    assert options.record_topics == ("/diagnostics",)
+    for more, error in (
+        (("--trigger", "mark,before=31"), "--trigger mark: found before=31, expected at most --snapshot, 30"),
+        (("--no-ros",), "--trigger diagnostics: found --no-ros or --relay, expected neither"),
+    ):
+        with pytest.raises(ConfigError, match=error):
+            bridge_options.bridge_options(values(*words, *more), ros="--no-ros" not in more, node_name="n")
+    with pytest.raises(ConfigError, match="--trigger: found no --snapshot SECONDS, expected it"):
+        bridge_options.bridge_options(
+            values("--record", "x", "--trigger", "mark"), ros=True, node_name="n", given=["trigger"]
+        )
+    path.write_text('[[trigger]]\nkind = "mrak"\n')
+    with pytest.raises(ConfigError, match=r"trigger\[0\].kind: found 'mrak'"):
+        values("--config", str(path))
 
 
 def test_a_relay_makes_no_marks_of_messages() -> None:

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any, ClassVar, cast
 
 from rosbags.interfaces import Msgdef
-from rosbags.serde import cdr, ros1
+from rosbags.serde import SerdeError, cdr, ros1
 from rosbags.typesys import Stores, TypesysError, get_typestore
 from rosbags.typesys.base import normalize_fieldname
 from rosbags.typesys.store import Typestore
@@ -19,6 +19,9 @@ from igtl_gateway.base.errors import DamagedRecording
 from igtl_gateway.base.untrusted import definitions, limits
 from igtl_gateway.base.untrusted.definition_checks import Types, weight
 from igtl_gateway.base.untrusted.elements import ElementCounter
+
+#: Bytes that are not of the type.
+BadBytes = SerdeError
 
 
 def new_store(base: Stores = Stores.EMPTY) -> Typestore:

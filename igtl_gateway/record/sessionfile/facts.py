@@ -54,6 +54,15 @@ _LEDGER = fields(
                 "written_entries": number,
             }
         ),
+        layout.TRIGGERS_KEY: list_of(
+            fields(
+                {
+                    **dict.fromkeys(("rule", "why", "missing"), text),
+                    **dict.fromkeys(("at_ns", "last_ns", "count"), number),
+                },
+                needed=("rule", "why", "missing", "at_ns", "last_ns", "count"),
+            )
+        ),
         "recovered": fields(
             {"by": text, "from": text, "whole": truth, "lost": list_of(anything), "more_lost": number},
             needed=("by", "from", "whole", "lost", "more_lost"),

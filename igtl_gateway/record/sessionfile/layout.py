@@ -52,6 +52,8 @@ PROLOGUE_ATTACHMENT = "prologue.mcap"
 PART_KEY, PREVIOUS_KEY = "part", "previous_part"
 #: Key of the session metadata of a snapshot: the requested seconds.
 SNAPSHOT_KEY = "snapshot_seconds"
+#: Key of the session metadata of a file of the black box: the first trigger; and of its ledger: a row for each.
+TRIGGER_KEY, TRIGGERS_KEY = "trigger", "triggers"
 #: Keys of the session metadata where streams were selected: globs, a JSON array.
 INCLUDE_KEY, EXCLUDE_KEY = "record_include", "record_exclude"
 #: Key of the session metadata for keys and values of the user: a JSON object of strings.

@@ -1,0 +1,210 @@
+"""The triggers of the black box: which entries of a session fulfil a rule.
+
+They are looked at in the recorder's process, so no message waits for them.  A condition that lasts, such as a value out
+of its range, triggers when it begins, and again when it begins anew.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from igtl_gateway.base.errors import ConversionError, DamagedRecording, WireError
+from igtl_gateway.base.globs import matches
+from igtl_gateway.base.untrusted.decoding import BadBytes, MessageDecoder
+from igtl_gateway.config.triggers import Trigger
+from igtl_gateway.convert.common_msgs import DiagnosticArray, OperatingState
+from igtl_gateway.gateway import LINK_DOWN
+from igtl_gateway.gateway.guarded_stream import CALM, CODES, FRESH
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.marks import MarkNote
+from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.record.sessionfile.schemas import RosTypes
+from igtl_gateway.wire import decode
+from igtl_gateway.wire.fields import visible
+from igtl_gateway.wire.text import Status
+
+#: Codes of the black box's own notes, which trigger nothing.
+TRIGGERED, SAVED, INCOMPLETE = "trigger", "trigger_saved", "trigger_incomplete"
+_OWN = frozenset({TRIGGERED, SAVED, INCOMPLETE})
+_GUARD = CODES - {CALM, FRESH}
+#: Codes of notes about messages that were dropped.
+LOSSES = frozenset(
+    "queue_drop queue_full ros_lost ros_hold_overflow video_drop record_drop record_refused site_over_budget "
+    "site_command_late truncated".split()
+)
+_OK = 1  # of a STATUS
+_ERROR = 2  # of a DiagnosticStatus
+_FAULT = "FAULT"
+#: Conditions that are followed, and streams whose rules are known.
+_MOST = 10_000
+_STEP = re.compile(r"(\w+)((?:\[\d+\])*)")
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """Why a rule was triggered by an entry."""
+
+    rule: Trigger
+    why: str
+    at_ns: int
+
+
+class Triggers:
+    """Looks at entries in their order.
+
+    Args:
+        rules: the rules.
+        types: definitions of ROS types, for values.
+    """
+
+    def __init__(self, rules: Sequence[Trigger], types: RosTypes) -> None:
+        self._rules = rules
+        self._holds: dict[tuple[int, str], bool] = {}  # number of the rule, and of what → whether its condition holds
+        self._of_stream: dict[tuple[Kind, str, str], tuple[int, ...]] = {}
+
+        def definition_of(ros_type: str) -> str:
+            found = types.find(ros_type)
+            return found.text if found else ""
+
+        self._decoder = MessageDecoder(definition_of)
+
+    def look(self, entry: Entry) -> list[Cause]:
+        """Return what an entry triggers."""
+        key = (entry.kind, entry.channel, entry.type)
+        numbers = self._of_stream.get(key)
+        if numbers is None:
+            numbers = tuple(number for number, rule in enumerate(self._rules) if _CONCERNS[rule.kind](rule, entry))
+            if len(self._of_stream) < _MOST:
+                self._of_stream[key] = numbers
+        return [cause for number in numbers for cause in self._causes(number, entry)] if numbers else []
+
+    def _causes(self, number: int, entry: Entry) -> Iterator[Cause]:
+        rule = self._rules[number]
+        try:
+            found = _LOOKS[rule.kind](rule, entry, self._decoder)
+            for name, holds, why in found:
+                if not name:
+                    yield Cause(rule, why, entry.stamp_ns)
+                elif holds is not self._holds.get((number, name), False):
+                    if len(self._holds) < _MOST:
+                        self._holds[number, name] = holds
+                    if holds:
+                        yield Cause(rule, why, entry.stamp_ns)
+        except (WireError, ConversionError, DamagedRecording, BadBytes, ValueError):
+            return  # what cannot be decoded has no value; the gateway's own notes report it
+
+
+#: Name of what has a condition ("": an event), whether it holds, and one sentence.
+_Found = Iterator[tuple[str, bool, str]]
+
+
+def _note(entry: Entry) -> Note | None:
+    note = Note.of(entry.data())
+    return None if note.code in _OWN else note
+
+
+def _of_codes(codes: frozenset[str]) -> Callable[[Trigger, Entry, MessageDecoder], _Found]:
+    def look(rule: Trigger, entry: Entry, _decoder: MessageDecoder) -> _Found:
+        note = _note(entry)
+        if note and note.code in codes and matches(rule.pattern, note.stream):
+            yield "", True, f"{note.code}: {note.text}"
+
+    return look
+
+
+def _any_note(rule: Trigger, entry: Entry, _decoder: MessageDecoder) -> _Found:
+    note = _note(entry)
+    if note and matches(rule.pattern, note.code):
+        yield "", True, f"{note.code}: {note.text}"
+
+
+def _mark(rule: Trigger, entry: Entry, _decoder: MessageDecoder) -> _Found:
+    note = Note.of(entry.data())
+    mark = MarkNote.of(note)
+    if mark and matches(rule.pattern, mark.label):
+        yield "", True, note.text
+
+
+def _link_down(rule: Trigger, entry: Entry, _decoder: MessageDecoder) -> _Found:
+    note = Note.of(entry.data())
+    if note.code == LINK_DOWN and matches(rule.pattern, str(note.data.get("peer", ""))):
+        yield "", True, note.text
+
+
+def _status(rule: Trigger, entry: Entry, _decoder: MessageDecoder) -> _Found:
+    content = decode(entry.data()).content
+    if isinstance(content, Status):
+        why = f"{visible(entry.channel)}: code {content.code}, {visible(content.message)}"
+        yield entry.channel, content.code != _OK, why
+
+
+def _diagnostics(rule: Trigger, entry: Entry, _decoder: MessageDecoder) -> _Found:
+    for status in DiagnosticArray.unpack(entry.data()).status:
+        if matches(rule.pattern, status.name):
+            yield f"{entry.channel} {status.name}", status.level == _ERROR, f"{status.name}: {status.message}"
+
+
+def _operating_state(rule: Trigger, entry: Entry, _decoder: MessageDecoder) -> _Found:
+    state = OperatingState.unpack(entry.data()).state
+    yield entry.channel, state == _FAULT, f"{entry.channel}: {state}"
+
+
+def _value(rule: Trigger, entry: Entry, decoder: MessageDecoder) -> _Found:
+    value = _number_at(decoder.decode(entry.type, entry.data()), rule.field)
+    if value is None:
+        return
+    outside = (rule.below is not None and value < rule.below) or (rule.above is not None and value > rule.above)
+    yield entry.channel, outside, f"{entry.channel} {rule.field}: {value:g}"
+
+
+def _number_at(message: Any, path: str) -> float | None:
+    """Return the number at a path of a message; None if there is none."""
+    for step in path.split("."):
+        found = _STEP.fullmatch(step)
+        message = getattr(message, found[1], None) if found else None
+        for index in re.findall(r"\d+", found[2]) if found and message is not None else ():
+            try:
+                message = message[int(index)]
+            except (IndexError, TypeError):
+                return None
+    try:
+        return float(message)
+    except (TypeError, ValueError):
+        return None
+
+
+_NOTES = frozenset({Kind.NOTE, Kind.EDGE_NOTE})
+_ROS = frozenset({Kind.ROS_IN, Kind.ROS_OUT})
+
+#: Kind of a rule → whether it concerns the stream of an entry.
+_CONCERNS: dict[str, Callable[[Trigger, Entry], bool]] = {
+    "guard": lambda _, entry: entry.kind in _NOTES,
+    "link_down": lambda _, entry: entry.kind is Kind.LINK,
+    "loss": lambda _, entry: entry.kind in _NOTES,
+    "diagnostics": lambda _, entry: entry.kind is Kind.ROS_IN and entry.type == DiagnosticArray.TYPE,
+    "status": lambda rule, entry: (
+        entry.kind is Kind.IGTL_IN and entry.type == "STATUS" and matches(rule.pattern, entry.channel.partition("/")[2])
+    ),
+    "operating_state": lambda rule, entry: (
+        entry.kind in _ROS and entry.type == OperatingState.TYPE and matches(rule.pattern, entry.channel)
+    ),
+    "value": lambda rule, entry: entry.kind in _ROS and matches(rule.pattern, entry.channel),
+    "mark": lambda _, entry: entry.kind is Kind.EDGE_NOTE,
+    "note": lambda _, entry: entry.kind in _NOTES or entry.kind is Kind.LINK,
+}
+
+#: Kind of a rule → what it finds in an entry of such a stream.
+_LOOKS: dict[str, Callable[[Trigger, Entry, MessageDecoder], _Found]] = {
+    "guard": _of_codes(_GUARD),
+    "link_down": _link_down,
+    "loss": _of_codes(LOSSES),
+    "diagnostics": _diagnostics,
+    "status": _status,
+    "operating_state": _operating_state,
+    "value": _value,
+    "mark": _mark,
+    "note": _any_note,
+}

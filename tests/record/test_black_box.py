@@ -1,0 +1,244 @@
+"""The black box: its rules, its windows, and what its files state."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.clock import ManualClock
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.cli import main
+from igtl_gateway.config.triggers import KINDS, Trigger, text_of_table, trigger
+from igtl_gateway.convert.common_msgs import DiagnosticArray, OperatingState, WrenchStamped
+from igtl_gateway.convert.rosmsg import DiagnosticStatus, Header
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.marks import MarkNote
+from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.record.host import in_thread
+from igtl_gateway.record.options import RecordOptions
+from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.schemas import RosTypes
+from igtl_gateway.record.triggers import _CONCERNS, _LOOKS, INCOMPLETE, SAVED, TRIGGERED, Triggers
+from igtl_gateway.wire import Message, encode
+from igtl_gateway.wire.text import Status
+from tests.record import samples
+from tests.record.test_parts import RULE, session, wait_until
+from tests.tables import table
+from tools.trigger_worlds import QUICK, run
+
+NS = 1_000_000_000
+
+
+def _note(code: str, kind: Kind = Kind.EDGE_NOTE, stream: str = "", **data: object) -> Entry:
+    return Entry(1, 7, kind, payload=(Note(Level.WARN, code, f"text of {code}", stream, dict(data)).pack(),))
+
+
+def _ros(topic: str, ros_type: str, cdr: bytes, kind: Kind = Kind.ROS_IN) -> Entry:
+    return Entry(1, 7, kind, topic, ros_type, (cdr,))
+
+
+def _diagnostics(level: int, name: str = "motor") -> Entry:
+    array = DiagnosticArray(Header(), (DiagnosticStatus(level, name, "hot"),))
+    return _ros("/diagnostics", DiagnosticArray.TYPE, array.pack())
+
+
+def _status(code: int) -> Entry:
+    return Entry(1, 7, Kind.IGTL_IN, "STATUS/Arm", "STATUS", (join(encode(Message("STATUS", "Arm", Status(code)))),))
+
+
+def _state(state: str) -> Entry:
+    return _ros("/PSM1/operating_state", OperatingState.TYPE, OperatingState(Header(), state).pack())
+
+
+def _force(z: float) -> Entry:
+    return _ros("/force", WrenchStamped.TYPE, WrenchStamped(Header(), (0.0, 0.0, z, 0.0, 0.0, 0.0)).pack())
+
+
+VALUE = "value=/force,field=wrench.force.z,above=5"
+
+
+@table(
+    ("rule", "entries", "fires"),
+    [
+        ("guard", [_note("stamp_backwards", Kind.NOTE, "TRANSFORM/a"), _note("calm"), _note("bad_crc")], [0]),
+        ("guard=*/b", [_note("stale", Kind.NOTE, "TRANSFORM/a"), _note("stale", Kind.NOTE, "TRANSFORM/b")], [1]),
+        ("link_down", [_note("link_up", Kind.LINK, peer="1.2.3.4:5"), _note("link_down", Kind.LINK, peer="a:5")], [1]),
+        ("link_down=1.2.*", [_note("link_down", Kind.LINK, peer="1.2.3.4:5"), _note("link_down", Kind.LINK)], [0]),
+        ("loss", [_note("queue_drop"), _note("tick"), _note("ros_lost")], [0, 2]),
+        ("diagnostics", [_diagnostics(1), _diagnostics(2), _diagnostics(2), _diagnostics(0), _diagnostics(2)], [1, 4]),
+        ("diagnostics=arm*", [_diagnostics(2), _diagnostics(2, "arm 1")], [1]),
+        ("status", [_status(1), _status(13), _status(13), _status(1), _status(2)], [1, 4]),
+        ("status=Other", [_status(13)], []),
+        ("operating_state", [_state("ENABLED"), _state("FAULT"), _state("FAULT")], [1]),
+        ("operating_state=/PSM2/*", [_state("FAULT")], []),
+        (VALUE, [_force(5), _force(5.5), _force(9), _force(1), _force(6)], [1, 4]),
+        ("value=/force,field=wrench.force.z,below=-1,above=1", [_force(0), _force(-2)], [1]),
+        ("value=/force,field=wrench.nothing,above=1", [_force(9)], []),
+        ("value=/force,field=header.frame_id,above=1", [_force(9)], []),
+        ("mark=slip*", [_note("mark", label="slip-2"), _note("mark", label="other")], [0]),
+        ("note=bad_*", [_note("bad_crc", Kind.NOTE), _note("tick"), _note(TRIGGERED), _note(SAVED)], [0]),
+        ("note=**", [_note(code) for code in (TRIGGERED, SAVED, INCOMPLETE)], []),
+    ],
+)
+def test_what_triggers(rule: str, entries: list[Entry], fires: list[int]) -> None:
+    triggers = Triggers((trigger(rule),), RosTypes())
+    found = [number for number, entry in enumerate(entries) for _ in triggers.look(entry)]
+    assert found == fires
+
+
+def test_bytes_that_are_not_of_the_type_trigger_nothing() -> None:
+    rules = tuple(map(trigger, ("diagnostics", "status", "operating_state", VALUE)))
+    triggers = Triggers(rules, RosTypes())
+    for entry in (_diagnostics(2), _status(2), _state("FAULT"), _force(9)):
+        short = Entry(1, 7, entry.kind, entry.channel, entry.type, (bytes(join(entry.payload))[:-9],))
+        assert not triggers.look(short)
+
+
+def test_each_kind_is_looked_for() -> None:
+    assert KINDS.keys() == _CONCERNS.keys() == _LOOKS.keys()
+
+
+@table(
+    ("text", "error"),
+    [
+        ("mrak=a", "kind: found 'mrak', expected one of guard, .*; did you mean 'mark'"),
+        ("value=/a", "kind: found value, expected field with it, and below or above"),
+        ("value,field=a,above=1", "pattern: found none, expected a glob of the topic with kind value"),
+        ("mark=a,after=x", "after: found 'x', expected a number"),
+        ("mark=a,after=nan", "after: found 'nan', expected a number"),
+        ("mark=a,before=-1", "before: found -1, expected 0 to 3600 s"),
+        ("mark=a,foo=1", "found 'foo=1' in 'mark=a,foo=1', expected one each of field=, before="),
+        ("mark=a,after=1,after=2", "found 'after=2'"),
+        ("mark=a,above=1", "kind: found mark with field, below or above, expected value with them"),
+        ("value=/a,field=b,below=2,above=1", "below: found 2, expected less than above, 1"),
+    ],
+)
+def test_a_wrong_rule(text: str, error: str) -> None:
+    with pytest.raises(ConfigError, match=error):
+        trigger(text)
+
+
+@table(
+    ("row", "error"),
+    [
+        ({}, "t: found no kind"),
+        ({"kind": "mark", "bfore": 1}, "t.bfore: unknown setting, .*; did you mean 'before'"),
+        ({"kind": "mark", "before": "1"}, "t.before: found '1', expected a number"),
+        ({"kind": "mark", "pattern": 1}, "t.pattern: found 1, expected a string"),
+        ({"kind": "note"}, "t.pattern: found none"),
+        ("mark", r"t: found 'mark', expected a table \[\[trigger\]\]"),
+    ],
+)
+def test_a_wrong_table(row: object, error: str) -> None:
+    with pytest.raises(ConfigError, match=error):
+        text_of_table(row, "t")
+
+
+def test_a_table_is_its_text() -> None:
+    row = {"kind": "value", "pattern": "/f", "field": "a.b", "above": 5, "before": 2.5}
+    assert trigger(text_of_table(row, "t")) == Trigger("value", "/f", 2.5, field="a.b", above=5.0)
+    assert trigger(text_of_table({"kind": "guard"}, "t")) == Trigger("guard")
+
+
+def _play(path: Path, entries: list[Entry], rule: str) -> list[Note]:
+    notes: list[Note] = []
+    recorder = Recorder(
+        path, samples.SESSION, qos_of=lambda _topic, _type: None, on_note=notes.append, clock=ManualClock(),
+                options=RecordOptions(snapshot_s=2.0, triggers=(trigger(rule),)), rule=RULE, host=in_thread,
+    )  # fmt: skip
+    for entry in entries:
+        recorder(entry)
+    recorder.close({"streams": {}})
+    return notes
+
+
+def _with_marks(*seconds: float) -> list[Entry]:
+    """A session of 10 s with marks."""
+    found: list[Entry] = []
+    waiting = [samples.START_NS + round(each * NS) for each in seconds]
+    for entry in session(10):
+        while waiting and waiting[0] <= entry.stamp_ns and entry.kind.is_input:
+            note = MarkNote("slip").note()
+            found.append(Entry(0, waiting.pop(0), Kind.EDGE_NOTE, payload=(note.pack(),)))
+        found.append(entry)
+    return [
+        Entry(number, each.stamp_ns, each.kind, each.channel, each.type, each.payload, each.links, each.source_ns)
+        for number, each in enumerate(found, 1)
+    ]
+
+
+@table(
+    ("seconds", "spans"),
+    [
+        ((3.0,), [(1.0, 4.0)]),  # two seconds before, one after
+        ((3.0, 3.5), [(1.0, 4.5)]),  # within: extended
+        ((3.0, 5.9), [(1.0, 6.9)]),  # its own window begins within the first
+        ((3.0, 6.3), [(1.0, 4.0), (4.3, 7.3)]),  # apart
+        ((0.5,), [(0.0, 1.5)]),
+    ],
+)
+def test_windows_that_overlap_are_one_file(
+    seconds: tuple[float, ...], spans: list[tuple[float, float]], tmp_path: Path
+) -> None:
+    entries = _with_marks(*seconds)
+    notes = _play(tmp_path / "box.mcap", entries, "mark=slip,after=1")
+    assert [note.code for note in notes if note.code != TRIGGERED] == [SAVED] * len(spans)
+    found = sorted(tmp_path.glob("*.mcap"))
+    assert len(found) == len(spans)
+    for path, (first, last) in zip(found, spans, strict=True):
+        with SessionFile.open(path) as file:
+            content = list(file.entries())
+            rows = file.ledger["triggers"] if file.ledger else []
+        begin, end = (samples.START_NS + round(each * NS) for each in (first, last))
+        numbers = [each.seq for each in content]
+        assert numbers == list(range(numbers[0], numbers[-1] + 1)), "nothing lacks"
+        assert {each.seq for each in entries if begin <= each.stamp_ns <= end} <= set(numbers)
+        assert content[0].stamp_ns >= begin and content[-1].stamp_ns <= end + 100
+        assert rows and not any(row["missing"] for row in rows)
+
+
+def test_info_states_why_the_file_is_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _play(tmp_path / "box.mcap", _with_marks(3.0, 3.5, 9.9), "mark=slip,after=1")
+    first, last = sorted(tmp_path.glob("*.mcap"))
+    assert main(["info", str(first)]) == 0
+    text = capsys.readouterr().out
+    assert "  black box by mark slip: mark slip\n" in text
+    assert "2.000 s, 2 times  mark slip: mark slip\n" in text
+    assert main(["info", str(last)]) == 0
+    assert "INCOMPLETE: 0.900 s after it: the recording ended" in capsys.readouterr().out
+    assert main(["verify", str(first)]) == 0
+
+
+def test_a_window_ends_where_nothing_comes(tmp_path: Path) -> None:
+    notes: list[Note] = []
+    clock = ManualClock()
+    recorder = Recorder(
+        tmp_path / "box.mcap", samples.SESSION, qos_of=lambda _topic, _type: None, on_note=notes.append, clock=clock,
+        options=RecordOptions(snapshot_s=2.0, triggers=(trigger("mark=slip,after=1"),)), rule=RULE, host=in_thread,
+    )  # fmt: skip
+    for entry in _with_marks(9.99)[:-1]:
+        recorder(entry)
+
+    def saved() -> bool:
+        clock.advance(NS // 10)
+        return any(note.code == SAVED for note in notes)
+
+    wait_until(saved)
+    recorder.close({})
+
+
+def _silent(count: int, manners: tuple[str, ...]) -> None:
+    found = run(count, 1, manners, each=count // 4)
+    assert found.triggers == count and not found.silent, found.silent
+
+
+def test_no_trigger_is_lost_silently() -> None:
+    _silent(32, QUICK)
+
+
+@pytest.mark.slow
+def test_no_trigger_is_lost_silently_with_kills() -> None:
+    _silent(60, ("kill bridge", "kill recorder"))
