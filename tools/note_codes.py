@@ -143,13 +143,10 @@ NOTES: dict[str, dict[str, str]] = {
         "record_paused": "the recording is paused",
         "record_resumed": "the recording continues; what it left out",
         "record_snapshot": "the last seconds are in a file",
-<<<<<<< HEAD
         "page": "a button of the page was pressed, or the page has ended; the bridge goes on",
-=======
         "trigger": "a rule of the black box was triggered",
         "trigger_saved": "the black box has closed a file; all windows of its triggers are complete",
         "trigger_incomplete": "a window of the black box is not complete, or has no file; the text has the reason",
->>>>>>> 1db9634b (black box: rules write the last seconds to a file)
         "upload_confirmed": "the store has a file, with the same bytes",
         "upload_waits": "the upload waits; the text has the reason, and the files stay",
         "upload_reached": "the store answers again",

@@ -68,19 +68,19 @@ _DEADLINE_S = 60.0
 
 @dataclass(slots=True)
 class Outcome:
-    """What became of the triggers of some worlds.
+    """The triggers of some worlds, judged.
 
     Attributes:
         triggers: all of them.
         whole: with complete windows in a file that verifies.
-        told: with a reason.
+        explained: with a reason.
         silent: with neither, and what is wrong; each is a defect.
         files: that were read.
     """
 
     triggers: int = 0
     whole: int = 0
-    told: int = 0
+    explained: int = 0
     silent: list[str] = field(default_factory=list)
     files: int = 0
     reasons: Counter[str] = field(default_factory=Counter)
@@ -88,7 +88,7 @@ class Outcome:
     def add(self, other: Outcome) -> None:
         self.triggers += other.triggers
         self.whole += other.whole
-        self.told += other.told
+        self.explained += other.explained
         self.silent += other.silent
         self.files += other.files
         self.reasons += other.reasons
@@ -224,7 +224,7 @@ def play(folder: Path, manner: str, seed: int, count: int, clock: Clock) -> tupl
 
 
 def judge(folder: Path, notes: Sequence[Note], entries: Sequence[Entry], *, is_prefix: bool = False) -> Outcome:
-    """Return what became of each trigger.
+    """Return how each trigger ended.
 
     Args:
         folder: has the files.
@@ -234,7 +234,7 @@ def judge(folder: Path, notes: Sequence[Note], entries: Sequence[Entry], *, is_p
     """
     outcome = Outcome()
     rows: list[tuple[dict[str, object], Path, set[int]]] = []
-    untold = "; ".join(note.text for note in notes if note.code in _REASONS)
+    reasons_of_notes = "; ".join(note.text for note in notes if note.code in _REASONS)
     rows += [(row, Path(), set()) for note in notes for row in note.data.get("triggers", ()) if note.code == INCOMPLETE]
     last_ns = 0
     for path in sorted(folder.glob("*.mcap")):
@@ -244,7 +244,7 @@ def judge(folder: Path, notes: Sequence[Note], entries: Sequence[Entry], *, is_p
                 ledger = file.ledger or {}
                 report = verify(content, Config(), DeclaredLosses.of(file.session, file.ledger), before=file.prologue())
         except DamagedRecording:
-            untold += f"; {path.name} was not closed"
+            reasons_of_notes += f"; {path.name} was not closed"
             continue
         outcome.files += 1
         last_ns = max([last_ns, *(entry.stamp_ns for entry in content)])
@@ -258,7 +258,7 @@ def judge(folder: Path, notes: Sequence[Note], entries: Sequence[Entry], *, is_p
         label = str(Note.of(entry.data()).data["label"])
         rule = next(rule for rule in RULES if rule.pattern == label)
         outcome.triggers += 1
-        _judge_one(entry, rule, rows, entries, untold, outcome)
+        _judge_one(entry, rule, rows, entries, reasons_of_notes, outcome)
     return outcome
 
 
@@ -267,7 +267,7 @@ def _judge_one(
     rule: Trigger,
     rows: Sequence[tuple[dict[str, object], Path, set[int]]],
     entries: Sequence[Entry],
-    untold: str,
+    reasons_of_notes: str,
     outcome: Outcome,
 ) -> None:
     at_ns = entry.stamp_ns
@@ -282,12 +282,12 @@ def _judge_one(
                 outcome.whole += 1
                 return
             wrong = f"{path.name}: {rule} at {at_ns}: complete, but entries {lacking[:3]} … of {len(lacking)} lack"
-    told = next((str(row["missing"]) for row, _, _ in own if row["missing"]), "")
+    explained = next((str(row["missing"]) for row, _, _ in own if row["missing"]), "")
     if not own:  # the recorder did not see it, or its file was not closed
-        told = untold
-    if told and not wrong:
-        outcome.told += 1
-        outcome.reasons[told.partition(": ")[2][:60] or told[:60]] += 1
+        explained = reasons_of_notes
+    if explained and not wrong:
+        outcome.explained += 1
+        outcome.reasons[explained.partition(": ")[2][:60] or explained[:60]] += 1
     else:
         outcome.silent.append(wrong or f"{rule} at {at_ns}: no file and no note")
 
@@ -355,7 +355,7 @@ def main() -> int:
         return 0
     found = run(options.triggers, options.seed, options.manner or MANNERS)
     print(f"{found.triggers:,} triggers: {found.whole:,} complete in {found.files:,} files that verify, ")
-    print(f"{found.told:,} with a reason, {len(found.silent)} silent")
+    print(f"{found.explained:,} with a reason, {len(found.silent)} silent")
     for reason, number in found.reasons.most_common():
         print(f"{number:>7,}  {reason}")
     print(*found.silent, sep="\n")

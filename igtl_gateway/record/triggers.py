@@ -1,7 +1,7 @@
 """The triggers of the black box: which entries of a session fulfil a rule.
 
 They are looked at in the recorder's process, so no message waits for them.  A condition that lasts, such as a value out
-of its range, triggers when it begins, and again when it begins anew.
+of its range, triggers when it begins, and again after it has ended.
 """
 
 from __future__ import annotations
