@@ -96,7 +96,8 @@ class Outcome:
 
 def trigger_times(chosen: Random, count: int) -> list[tuple[int, Trigger]]:
     """Return times (UTC ns) and rules of triggers, many of them near the end of a window or of its linger."""
-    at_ns, found = START_NS + NS, []
+    at_ns = START_NS + NS
+    found: list[tuple[int, Trigger]] = []
     ends = [at_ns]
     for _ in range(count):
         rule = chosen.choice(RULES)

@@ -141,7 +141,9 @@ def text_of_table(table: Any, place: str) -> str:
 
 
 def _of(values: Mapping[str, Any]) -> Trigger:
-    numbers = {_NUMBERS[name]: _number(name, value) for name, value in values.items() if name in _NUMBERS}
+    numbers: dict[str, Any] = {
+        _NUMBERS[name]: _number(name, value) for name, value in values.items() if name in _NUMBERS
+    }
     return Trigger(**{name: value for name, value in values.items() if name not in _NUMBERS}, **numbers)
 
 
