@@ -141,10 +141,10 @@ def text_of_table(table: Any, place: str) -> str:
 
 
 def _of(values: Mapping[str, Any]) -> Trigger:
-    numbers: dict[str, Any] = {
-        _NUMBERS[name]: _number(name, value) for name, value in values.items() if name in _NUMBERS
-    }
-    return Trigger(**{name: value for name, value in values.items() if name not in _NUMBERS}, **numbers)
+    given: dict[str, Any] = {}
+    for name, value in values.items():
+        given[_NUMBERS.get(name, name)] = _number(name, value) if name in _NUMBERS else value
+    return Trigger(**given)
 
 
 def _number(name: str, text: str | float) -> float:
