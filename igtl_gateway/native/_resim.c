@@ -26,6 +26,7 @@
 #include <dlfcn.h>
 #include <errno.h>
 #include <fcntl.h>
+#include <inttypes.h>
 #include <limits.h>
 #include <linux/futex.h>
 #include <poll.h>
@@ -296,6 +297,20 @@ static void remark(char code, const char *text)
     PUT(code);
     put_text(text);
     end_frame(frame);
+}
+
+/* Report a thread whose wait ends by real time; under the lock. */
+static void found_real_wait(pid_t tid, const char *call)
+{
+    char text[64], name[32] = "";
+    snprintf(text, sizeof text, "/proc/self/task/%d/comm", tid);
+    int file = open(text, O_RDONLY | O_CLOEXEC);
+    ssize_t size = file < 0 ? 0 : read(file, name, sizeof name - 1);
+    if (file >= 0)
+        close(file);
+    name[size > 0 ? size - 1 : 0] = 0; /* without the end of the line */
+    snprintf(text, sizeof text, "%s %s", call, name);
+    remark('w', text);
 }
 
 /* The next frame; blocks.  Returns its bytes behind the size; they stay until the next call. */

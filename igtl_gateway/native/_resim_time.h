@@ -12,7 +12,7 @@
 #define IGTL_GATEWAY_RESIM_TIME_H
 
 enum { CLOCKS_SESSION = 0, CLOCKS_REAL = 1 }; /* whether the clocks and waits of libc have session time */
-enum { MOST_CHILDREN = 64, MOST_OTHERS = 16 };
+enum { MOST_CHILDREN = 64, MOST_OTHERS = 16, OWN_TIMED = 1024 };
 enum wait_kind { WAIT_ROS, WAIT_SLEEP, WAIT_SIGNAL, WAIT_CONDITION };
 
 #define NEVER INT64_MAX
@@ -57,12 +57,16 @@ static struct {
     sem_t is_watching;
     _Atomic pid_t others[MOST_OTHERS]; /* threads that are no part of the program; 0 = free */
     _Atomic pid_t children[MOST_CHILDREN]; /* processes that this one has started; 0 = free */
+    _Atomic pid_t own_timed[OWN_TIMED]; /* threads in waits of the interpreter, which are of real time, by their numbers */
     int task_folder;
     struct task {
         pid_t tid;
         int stat;
         clockid_t clock;
         int64_t cpu_ns;
+        int64_t looked_ns; /* CPU time when its system call was read; -1 = never */
+        bool is_locking;   /* the call waits for a lock that another process holds */
+        bool is_told;      /* its wait in real time has been reported */
         bool is_other; /* no thread of the program */
         bool skip;
         bool seen;
@@ -77,6 +81,7 @@ static __thread bool own_is_other;      /* this thread is no part of the program
 static __thread bool own_starts_others; /* nor are those that it starts now */
 
 static void step(void);
+static void found_real_wait(pid_t tid, const char *call);
 static bool is_spinning(void); /* whether the program waits for events, so that time may pass */
 
 static pid_t tid_of_this(void)
@@ -86,11 +91,14 @@ static pid_t tid_of_this(void)
     return own_tid;
 }
 
+/* glibc 2.35 and later have it. */
+int epoll_pwait2(int file, struct epoll_event *events, int most, const struct timespec *timeout, const sigset_t *mask);
+
 /* The functions that ours stand before, looked up when the library is loaded: later, a thread may wait for another one that
  * holds the loader's lock, as those of LTTng do.  GLIBC_2.3.2 is x86-64's version of the condition variables of today. */
 #define REPLACED(row)                                                                                                  \
     row(clock_gettime) row(gettimeofday) row(clock_nanosleep) row(nanosleep) row(sem_timedwait) row(sem_clockwait)     \
-    row(pthread_cond_timedwait) row(pthread_cond_clockwait) row(poll) row(epoll_wait) row(select) row(ppoll) row(epoll_pwait) row(pselect) row(fork)            \
+    row(pthread_cond_timedwait) row(pthread_cond_clockwait) row(poll) row(epoll_wait) row(select) row(ppoll) row(epoll_pwait) row(epoll_pwait2) row(sigtimedwait) row(pselect) row(fork)            \
     row(posix_spawn) row(posix_spawnp) row(system) row(socket) row(pthread_create)       \
     row(sem_wait) row(getrandom) row(getentropy)
 static struct {
@@ -213,7 +221,8 @@ static bool list_tasks(void)
             bool is_other = tid == T.watcher;
             for (size_t k = 0; k < MOST_OTHERS; k++)
                 is_other |= atomic_load(&T.others[k]) == tid;
-            T.tasks[T.task_count++] = (struct task){tid, stat, clock, 0, is_other, false, true};
+            T.tasks[T.task_count++] = (struct task){
+                .tid = tid, .stat = stat, .clock = clock, .looked_ns = -1, .is_other = is_other, .seen = true};
         }
     }
     for (size_t i = T.task_count; i-- > 0;)
@@ -237,6 +246,84 @@ static bool has_child(void)
         atomic_store(&T.children[i], 0);
     }
     return false;
+}
+
+/* System calls that end after a time which this library does not know: of the argument with that number (from 0), the
+ * first bit is what counts.  Threads come to them by the functions that are not replaced here, or by syscall(). */
+static const struct {
+    long call;
+    const char *name;
+    int argument; /* -1: always; else a pointer that is not NULL, or milliseconds above 0 */
+    bool is_ms;
+} timed_calls[] = {
+    {SYS_clock_nanosleep, "clock_nanosleep", -1, false},
+    {SYS_ppoll, "ppoll", 2, false},
+    {SYS_pselect6, "pselect6", 4, false},
+    {SYS_epoll_pwait, "epoll_pwait", 3, true},
+    {SYS_rt_sigtimedwait, "rt_sigtimedwait", 2, false},
+    {SYS_mq_timedsend, "mq_timedsend", 4, false},
+    {SYS_mq_timedreceive, "mq_timedreceive", 4, false},
+    {SYS_semtimedop, "semtimedop", 3, false},
+    {SYS_recvmmsg, "recvmmsg", 4, false},
+    {SYS_io_getevents, "io_getevents", 4, false},
+    {SYS_nanosleep, "nanosleep", -1, false},
+#ifdef SYS_epoll_pwait2
+    {SYS_epoll_pwait2, "epoll_pwait2", 3, false},
+#endif
+#ifdef SYS_futex_waitv
+    {SYS_futex_waitv, "futex_waitv", 3, false},
+#endif
+#ifdef SYS_poll /* not on all machines */
+    {SYS_poll, "poll", 2, true},
+    {SYS_select, "select", 4, false},
+    {SYS_epoll_wait, "epoll_wait", 3, true},
+#endif
+};
+
+/* The name of the call with a time limit in which a thread sleeps; NULL for none. */
+static const char *timed_call(long call, const uint64_t *arguments)
+{
+    if (call == SYS_futex) {
+        uint64_t operation = arguments[1] & FUTEX_CMD_MASK;
+        bool is_wait = operation == FUTEX_WAIT || operation == FUTEX_WAIT_BITSET || operation == FUTEX_LOCK_PI;
+        return is_wait && arguments[3] ? "futex" : NULL;
+    }
+    for (size_t i = 0; i < sizeof timed_calls / sizeof *timed_calls; i++)
+        if (timed_calls[i].call == call) {
+            int at = timed_calls[i].argument;
+            bool has_limit = at < 0 || (timed_calls[i].is_ms ? (int32_t)arguments[at] > 0 : arguments[at] != 0);
+            return has_limit ? timed_calls[i].name : NULL;
+        }
+    return NULL;
+}
+
+/* Look which system call a thread sleeps in, if it has run since the last look. */
+static void look_at_call(struct task *task)
+{
+    char path[64], text[256];
+    if (task->looked_ns == task->cpu_ns)
+        return;
+    task->looked_ns = task->cpu_ns;
+    task->is_locking = false;
+    snprintf(path, sizeof path, "/proc/self/task/%d/syscall", task->tid);
+    int file = open(path, O_RDONLY | O_CLOEXEC);
+    ssize_t size = file < 0 ? 0 : read(file, text, sizeof text - 1);
+    if (file >= 0)
+        close(file);
+    text[size > 0 ? size : 0] = 0;
+    long call;
+    uint64_t arguments[6];
+    if (sscanf(text, "%ld %" SCNx64 " %" SCNx64 " %" SCNx64 " %" SCNx64 " %" SCNx64 " %" SCNx64, &call, &arguments[0],
+               &arguments[1], &arguments[2], &arguments[3], &arguments[4], &arguments[5]) != 7)
+        return;
+    task->is_locking = call == SYS_flock || (call == SYS_fcntl && (arguments[1] == F_SETLKW || arguments[1] == F_OFD_SETLKW));
+    const char *name = task->is_told || T.clocks == CLOCKS_REAL || atomic_load(&T.own_timed[task->tid % OWN_TIMED]) == task->tid
+                           ? NULL
+                           : timed_call(call, arguments);
+    if (name) {
+        task->is_told = true;
+        found_real_wait(task->tid, name);
+    }
 }
 
 /* Whether all threads sleep but the caller's and the watching one; under the lock. */
@@ -278,6 +365,12 @@ static bool is_quiet(int entering)
     for (size_t i = 0; i < T.task_count; i++)
         if (!T.tasks[i].skip && cpu_ns_of(&T.tasks[i]) != T.tasks[i].cpu_ns)
             return false;
+    for (size_t i = 0; i < T.task_count; i++) {
+        if (!T.tasks[i].skip)
+            look_at_call(&T.tasks[i]);
+        if (!T.tasks[i].skip && T.tasks[i].is_locking)
+            return false;
+    }
     return atomic_load(&T.entering) == entering;
 }
 
@@ -658,6 +751,16 @@ static bool is_interpreter(const void *caller)
     return found;
 }
 
+/* A wait of the interpreter, which is no part of what the program does. */
+#define BY_INTERPRETER(call)                                                                                           \
+    ({                                                                                                                 \
+        _Atomic pid_t *own = &T.own_timed[tid_of_this() % OWN_TIMED];                                                  \
+        atomic_store(own, own_tid);                                                                                    \
+        int result = (call);                                                                                           \
+        atomic_store(own, 0);                                                                                          \
+        result;                                                                                                        \
+    })
+
 static int wait_condition(pthread_cond_t *condition, pthread_mutex_t *mutex, clockid_t clock,
                           const struct timespec *until)
 {
@@ -676,7 +779,7 @@ int pthread_cond_timedwait(pthread_cond_t *restrict condition, pthread_mutex_t *
     clockid_t clock = condition->__data.__wrefs & 2 ? CLOCK_MONOTONIC : CLOCK_REALTIME; /* as glibc keeps it */
     if (is_interpreter(__builtin_return_address(0))) {
         struct timespec real = real_deadline(clock, until);
-        return NEXT(pthread_cond_timedwait)(condition, mutex, &real);
+        return BY_INTERPRETER(NEXT(pthread_cond_timedwait)(condition, mutex, &real));
     }
     if (!is_on())
         return REALLY(NEXT(pthread_cond_timedwait)(condition, mutex, until));
@@ -688,7 +791,7 @@ int pthread_cond_clockwait(pthread_cond_t *restrict condition, pthread_mutex_t *
 {
     if (is_interpreter(__builtin_return_address(0))) {
         struct timespec real = real_deadline(clock, until);
-        return NEXT(pthread_cond_clockwait)(condition, mutex, clock, &real);
+        return BY_INTERPRETER(NEXT(pthread_cond_clockwait)(condition, mutex, clock, &real));
     }
     if (!is_on())
         return REALLY(NEXT(pthread_cond_clockwait)(condition, mutex, clock, until));
@@ -778,6 +881,30 @@ int epoll_pwait(int file, struct epoll_event *events, int most, int timeout_ms, 
         return REALLY(NEXT(epoll_pwait)(file, events, most, timeout_ms, mask));
     sigset_t copy;
     return POLLED(NEXT(epoll_pwait)(file, events, most, -1, open_mask(mask, &copy)), (int64_t)timeout_ms * 1000000);
+}
+
+int epoll_pwait2(int file, struct epoll_event *events, int most, const struct timespec *timeout, const sigset_t *mask)
+{
+    if (!timeout || ns_of(timeout) <= 0)
+        return NEXT(epoll_pwait2)(file, events, most, timeout, mask);
+    if (!is_on())
+        return REALLY(NEXT(epoll_pwait2)(file, events, most, timeout, mask));
+    sigset_t copy;
+    return POLLED(NEXT(epoll_pwait2)(file, events, most, NULL, open_mask(mask, &copy)), ns_of(timeout));
+}
+
+int sigtimedwait(const sigset_t *restrict set, siginfo_t *restrict info, const struct timespec *restrict timeout)
+{
+    if (!timeout || ns_of(timeout) <= 0)
+        return NEXT(sigtimedwait)(set, info, timeout);
+    if (!is_on())
+        return REALLY(NEXT(sigtimedwait)(set, info, timeout));
+    sigset_t copy;
+    int number = POLLED(NEXT(sigtimedwait)(open_mask(set, &copy), info, NULL), ns_of(timeout));
+    if (number)
+        return number;
+    errno = EAGAIN;
+    return -1;
 }
 
 int pselect(int count, fd_set *restrict readable, fd_set *restrict writable, fd_set *restrict failed,

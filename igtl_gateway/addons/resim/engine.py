@@ -413,6 +413,10 @@ class _Watch:
         elif remark.code == "s":
             self.remarks.add(f"{peer.name}: has a socket of its own: what it receives there comes in real time")
 
+        elif remark.code == "w":
+            call, _, thread = remark.text.partition(" ")
+            self.remarks.add(f"{peer.name}: thread {thread!r} waits by {call}, whose timeout passes in real time")
+
     def look_at_libraries(self) -> None:
         """Note what programs have loaded.  Raises ProgramFault for another middleware."""
         for each in self._processes:

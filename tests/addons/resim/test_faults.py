@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
+import platform
+import re
 import sys
+import threading
+import time
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -11,7 +16,7 @@ import pytest
 
 from igtl_gateway.addon import ConfigError
 from igtl_gateway.addons.resim import engine
-from igtl_gateway.addons.resim.engine import Program, ResimOptions, run
+from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, run
 from igtl_gateway.addons.resim.verdict import compare
 from tests.addons.resim import sessions
 from tests.addons.resim.runs import judged, published, strings
@@ -85,6 +90,36 @@ def test_a_compiler_that_takes_long_is_no_fault(tmp_path: Path, monkeypatch: pyt
     assert times["compiled"][0] == times["m19"][0]
     _, verdict = judged(recording, tmp_path, "faulty compiles", runs=1, cpu_s=1.0)
     assert verdict.fault.startswith("faulty: started another process, which still runs: sh -c ")
+
+
+@pytest.mark.skipif(platform.machine() != "x86_64", reason="the number of the system call")
+@pytest.mark.parametrize("what", ["futex", "mutex"])
+def test_a_timeout_of_real_time_weakens_the_guarantee(tmp_path: Path, what: str) -> None:
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(40))
+    result, _ = judged(recording, tmp_path, f"faulty {what}", runs=1, clocks=Clocks.SESSION)
+    (remark,) = result.runs[0].remarks
+    assert re.fullmatch(r"faulty: thread 'python[\d.]*' waits by futex, whose timeout passes in real time", remark)
+
+
+def test_the_lock_of_another_process_is_waited_for(tmp_path: Path) -> None:
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(40))
+    lock = tmp_path / "lock"
+    with lock.open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+
+        def release() -> None:
+            while not lock.read_text():
+                time.sleep(0.05)
+            time.sleep(0.5)
+            fcntl.flock(file, fcntl.LOCK_UN)
+
+        thread = threading.Thread(target=release)
+        thread.start()
+        result, verdict = judged(recording, tmp_path, f"faulty locks {lock}", runs=1)
+        thread.join()
+    assert verdict.exit_code == 0
+    times = dict(zip(strings(result.runs[0].outputs, "/out"), published(result.runs[0].outputs, "/out"), strict=True))
+    assert times["locked"][0] == times["m19"][0]
 
 
 def test_a_socket_of_the_programs_own_weakens_the_guarantee(tmp_path: Path) -> None:

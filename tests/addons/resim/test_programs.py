@@ -215,7 +215,8 @@ def test_waits_of_c_end_in_session_time(tmp_path: Path) -> None:
     recording = sessions.write(tmp_path / "in.mcap", sessions.texts(40))
     result, verdict = judged(recording, tmp_path, "planted waits")
     assert verdict.line() == f"deterministic: {RUNS} of {RUNS} runs equal"
-    assert strings(result.runs[0].outputs, "/out")[20] == "m20 [0, 3.0, 0, 3.0, 0, 3.0]"
+    assert strings(result.runs[0].outputs, "/out")[20] == "m20 [0, 3.0, 0, 3.0, 0, 3.0, 0, 3.0, -1, 3.0]"
+    assert result.runs[0].remarks == []
 
 
 def test_a_timer_that_races_a_topic(tmp_path: Path) -> None:

@@ -1,5 +1,7 @@
 """A node that does what a re-simulation cannot go on with, at its 20th message; the argument states what."""
 
+import ctypes
+import fcntl
 import os
 import subprocess
 import sys
@@ -60,6 +62,27 @@ class Faulty(Node):  # type: ignore[misc]
         busy = "import time\nuntil = time.process_time() + 2\nwhile time.process_time() < until: pass"
         subprocess.run(["sh", "-c", '"$0" -c "$1"; true', sys.executable, busy], check=True)
         self.publisher.publish(String(data="compiled"))
+
+    def futex(self) -> None:
+        """A thread waits in a way that only the kernel knows about."""
+        word, limit = ctypes.c_int(0), (ctypes.c_long * 2)(1, 0)
+        futex, wait = 202, 0
+        arguments = futex, ctypes.byref(word), wait, 0, limit
+        threading.Thread(target=ctypes.CDLL(None).syscall, args=arguments, daemon=True).start()
+
+    def mutex(self) -> None:
+        libc, mutex = ctypes.CDLL(None), (ctypes.c_char * 64)()
+        libc.pthread_mutex_lock(mutex)
+        until = (ctypes.c_long * 2)(2**32, 0)
+        threading.Thread(target=libc.pthread_mutex_timedlock, args=(mutex, until), daemon=True).start()
+
+    def locks(self) -> None:
+        """Another process has the lock for a while."""
+        with open(sys.argv[2], "a") as file:
+            file.write("waits")
+            file.flush()
+            fcntl.flock(file, fcntl.LOCK_EX)
+        self.publisher.publish(String(data="locked"))
 
     def floods(self) -> None:
         while True:

@@ -12,8 +12,8 @@ from rclpy.node import Node
 from std_msgs.msg import String
 
 
-class Planted(Node):
-    def __init__(self, what):
+class Planted(Node):  # type: ignore[misc]
+    def __init__(self, what: str) -> None:
         super().__init__("planted")
         self.publisher = self.create_publisher(String, "/out", 10)
         self.count = self.total = self.ticks = 0
@@ -22,29 +22,29 @@ class Planted(Node):
         if what == "timer":
             self.create_timer(0.007, self.tick)
 
-    def take(self, message):
+    def take(self, message: String) -> None:
         self.count += 1
         # the first messages are equal in all runs
         text = self.work(message.data) if self.count > 20 else message.data
         self.publisher.publish(String(data=text))
 
-    def nothing(self, text):
+    def nothing(self, text: str) -> str:
         return text
 
-    def wall(self, text):
+    def wall(self, text: str) -> str:
         return f"{text} at {time.time():.3f}"
 
-    def chance(self, text):
+    def chance(self, text: str) -> str:
         return f"{text} {random.random():.6f}"
 
-    def hashed(self, text):
+    def hashed(self, text: str) -> str:
         return " ".join({text, f"{text}-left", f"{text}-right"})
 
-    def race(self, text):
+    def race(self, text: str) -> str:
         """Two threads write to one list, without a lock between them."""
-        found = []
+        found: list[object] = []
 
-        def write(name):
+        def write(name: str) -> None:
             for number in range(200):
                 found.append(f"{name}{number}")
                 sum(range(3000))
@@ -56,26 +56,28 @@ class Planted(Node):
             thread.join()
         return f"{text} {found[150:250]}"
 
-    def waits(self, text):
+    def waits(self, text: str) -> str:
         """Waits of C with a timeout of 3 ms, and what the steady clock shows of each, in ms."""
         libc = ctypes.CDLL(None)
         limit = (ctypes.c_long * 2)(0, 3_000_000)
         epoll = select.epoll()
-        found = []
+        found: list[object] = []
         for wait in (
             lambda: libc.ppoll(None, ctypes.c_ulong(0), limit, None),
             lambda: libc.pselect(0, None, None, None, limit, None),
             lambda: libc.epoll_pwait(epoll.fileno(), (ctypes.c_char * 12)(), 1, 3, None),
+            lambda: libc.epoll_pwait2(epoll.fileno(), (ctypes.c_char * 12)(), 1, limit, None),
+            lambda: libc.sigtimedwait(ctypes.byref(ctypes.c_ulong(1 << 9)), None, limit),  # SIGUSR1
         ):
             began = time.monotonic_ns()
-            found.append(wait())
+            found.append(wait())  # type: ignore[no-untyped-call]
             found.append((time.monotonic_ns() - began) / 1e6)
         return f"{text} {found}"
 
-    def tick(self):
+    def tick(self) -> None:
         self.ticks += 1
 
-    def timer(self, text):
+    def timer(self, text: str) -> str:
         return f"{text} {self.ticks}"
 
 
