@@ -39,7 +39,7 @@ class Bridge:
         program: its process.
         foreign: it is not the gateway: it prints no events.
         stall: of the gateway, what it reported of its clients.
-        recorded: of the gateway, its report on the recording, at its end.
+        recorded: of the gateway, its report at its end: on the recording, and what queues of the middleware have lost.
         begun_ns: when it was started, monotonic.
     """
 
@@ -85,6 +85,8 @@ def gateway(
         yield bridge
         program.interrupt_and_wait()
         told = program.wait_for("stopped", START_S, bridge.stall.note)
+        topics = told["ledger"]["ros_topics"].values()
+        bridge.recorded["ros_lost"] = sum(counts["lost"] for counts in topics)
         if times := told.get("native_times"):
             bridge.recorded["native_times"] = times
         if recording:

@@ -12,7 +12,15 @@ from igtl_gateway_lab.bench.figures import Row, ratio
 _NAMES = frozenset({"rate_hz", "x", "clients"})
 #: Of these the most counts.
 _MOST = frozenset(
-    {"max_ms", "late_max_ms", "recorder_dropped", "gateway_rss_mb", "gateway_rss_growth_mb", "gateway_rss_peak_mb"}
+    {
+        "max_ms",
+        "late_max_ms",
+        "ros_lost",
+        "recorder_dropped",
+        "gateway_rss_mb",
+        "gateway_rss_growth_mb",
+        "gateway_rss_peak_mb",
+    }
 )
 #: These belong together: those of the round that lost most.
 _LOSSES = (("sent", "delivered"), ("sent_after_resume", "delivered_after_resume"))

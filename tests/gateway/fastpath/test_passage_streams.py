@@ -46,6 +46,7 @@ from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.verify import DeclaredLosses, verify
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.framer import Framer
+from igtl_gateway.wire.header import HEADER_SIZE, crc64
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import PolyData
@@ -470,6 +471,34 @@ def test_clouds_of_thousands_of_points_pass_natively(monkeypatch: pytest.MonkeyP
             peer.send(join(encode(message)) + landmarks)
             wait_for(lambda: here.received("ros_in") == 62 and here.received("igtl_in") == 62)
         assert handled == []
+    check_recording(path, config, here.bridge.losses)
+
+
+@pytest.mark.parametrize("name", ["POINT", "POLYDATA"])
+def test_large_messages_with_hostile_counts_are_what_the_full_path_gives(
+    name: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Their CRC is right: only the numbers in them are not."""
+    path, config, rng = tmp_path / "session.mcap", Config().watched(), random.Random(34)
+    places: Any = np.full((800 if name == "POINT" else 6_000, 3), 1.5, ">f4")
+    content: Any = Points.of(places) if name == "POINT" else PolyData(places)
+    passed = 0
+    with scene(monkeypatch, config, path) as here:
+        peer = here.connect()
+        for number in range(120):
+            device, step = divmod(number, 12)
+            data = bytearray(join(encode(Message(name, f"Cloud{device}", content, ns_to_ticks(time.time_ns())))))
+            passed += here.native > 0
+            if step > 4 and step % 2:
+                at = HEADER_SIZE + 4 * rng.choice([*range(10), rng.randrange(len(data) // 4 - 20)])
+                data[at : at + 4] = rng.choice([0, 1, 799, 6_001, 1 << 30, (1 << 32) - 1]).to_bytes(4, "big")
+                if rng.random() < 0.5:
+                    data = data[: len(data) - rng.choice([1, 12, 136, 4_000])]
+                    data[42:50] = (len(data) - HEADER_SIZE).to_bytes(8, "big")
+                data[50:58] = crc64(bytes(data[HEADER_SIZE:])).to_bytes(8, "big")
+            peer.send(bytes(data))
+            wait_for(lambda number=number: here.received("igtl_in") > number)
+        assert passed > 50
     check_recording(path, config, here.bridge.losses)
 
 

@@ -27,8 +27,10 @@ def test_one_round_stays_as_it_is() -> None:
 
 
 def test_medians_and_the_worst() -> None:
-    rounds = [[row(p50, delivered), row(10.0, recording=True)] for p50, delivered in ((3.0, 10), (1.0, 8), (2.0, 10))]
+    figures = ((3.0, 10, 0), (1.0, 8, 2), (2.0, 10, 0))
+    rounds = [[row(p50, delivered, ros_lost=lost), row(10.0, recording=True)] for p50, delivered, lost in figures]
     first, second = merge_rounds(rounds)
+    assert first["ros_lost"] == 2
     assert (first["p50_ms"], first["max_ms"]) == (2.0, 27.0)
     assert (first["sent"], first["delivered"]) == (10, 8)
     assert [one["p50_ms"] for one in first["rounds"]] == [3.0, 1.0, 2.0]
