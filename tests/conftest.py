@@ -117,7 +117,7 @@ LONG = (
     "addons/resim/test_igtl_peer.py::test_bad_programs[flood",
     *(
         f"addons/test_absent.py::test_what_is_left_works_without_an_addon[{name}]"
-        for name in ("sync", "merge", "deidentify", "upload", "review", "resim", "cohort", "lerobot")
+        for name in ("sync", "merge", "deidentify", "upload", "page", "review", "resim", "cohort", "lerobot")
     ),
     "integration/test_fair_shares.py::test_a_good_peer_is_answered_beside_twenty_that_flood[COMMAND]",
     "integration/test_fair_shares.py::test_a_good_peer_is_answered_beside_twenty_that_flood[TRANSFORM]",

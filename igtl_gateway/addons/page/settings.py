@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from igtl_gateway.addon import Setting, grouped
+from igtl_gateway.addon import HOST, Setting, grouped
 from igtl_gateway.config.notations import address
 
 SETTINGS = grouped(
@@ -11,6 +11,7 @@ SETTINGS = grouped(
         "page",
         False,
         "serve a page for browsers: what arrives, the recording, closed recordings, replays; prints its link",
+        HOST,
         common=True,
         keyword=False,
     ),
@@ -18,6 +19,7 @@ SETTINGS = grouped(
         "page_address",
         "",
         "address of the page",
+        HOST,
         metavar="[HOST:]PORT",
         reads=address,
         shown="127.0.0.1, a free port",

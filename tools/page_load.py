@@ -1,0 +1,130 @@
+"""A bridge with 100 streams of 10 Hz, without and with the page: for ``bench --against``, so that both are in one run.
+
+    igtl-gateway bench --case transform --direction igtl-to-ros --rate 500 --duration 8 --no-floor \\
+        --against "python -m tools.page_load none {port}" --against "python -m tools.page_load open {port} page.txt"
+
+``none``: without the page; ``open``: one browser; ``twenty``: 20, and one that never reads; ``killed``: its process is
+killed after ten seconds.  A browser here asks for the state twice a second, as the page does.  The third word is a file
+for the share of a core that the process of the page has used.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from urllib.parse import urlsplit
+
+from igtl_gateway.addon.igtl import Message, Transform, encode, ns_to_ticks
+from tests.integration.bridge import RawPeer
+
+_STREAMS, _HZ = 100, 10
+_POSE = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 10.0, 20.0, 30.0)
+
+
+def main(words: list[str]) -> int:
+    """Run until the end of the bridge."""
+    kind, port, *log = words
+    command = [sys.executable, "-m", "igtl_gateway", "bridge", "--json", "--listen", f"127.0.0.1:{port}"]
+    bridge = subprocess.Popen([*command, *(["--page"] if kind != "none" else [])], stdout=subprocess.PIPE, text=True)
+    signal.signal(signal.SIGINT, lambda *_: bridge.send_signal(signal.SIGINT))
+    signal.signal(signal.SIGTERM, lambda *_: bridge.send_signal(signal.SIGINT))
+    assert bridge.stdout
+    events = map(json.loads, bridge.stdout)
+    next(event for event in events if event["event"] == "started")
+    threading.Thread(target=_load, args=(int(port),), daemon=True).start()
+    if kind != "none":
+        link = next(event["link"] for event in events if event["event"] == "page")
+        page = _page_of(bridge.pid)
+        number = {"open": 1, "twenty": 20, "killed": 1}[kind]
+        for _ in range(number):
+            threading.Thread(target=_browse, args=(link,), daemon=True).start()
+        if kind == "twenty":
+            _never_reads(link)
+        threading.Thread(target=_watch, args=(kind, page, log), daemon=True).start()
+    for _ in events:
+        pass
+    return bridge.wait()
+
+
+def _load(port: int) -> None:
+    with RawPeer(port) as peer:
+        poses = [
+            b"".join(encode(Message("TRANSFORM", f"Load{n:03}", Transform(_POSE), 0, 1, 0, ()))) for n in range(100)
+        ]
+        due = time.monotonic()
+        while True:
+            for number in range(_STREAMS):
+                ticks = ns_to_ticks(time.time_ns())
+                pose = poses[number]
+                peer.send(pose[:34] + ticks.to_bytes(8, "big") + pose[42:])
+                due += 1 / _STREAMS / _HZ
+                time.sleep(max(0.0, due - time.monotonic()))
+
+
+def _page_of(bridge: int) -> int:
+    for task in Path(f"/proc/{bridge}/task").iterdir():
+        for number in (task / "children").read_text().split():
+            if b"addons.page" in Path(f"/proc/{number}/cmdline").read_bytes():
+                return int(number)
+    raise AssertionError("found no process of the page")
+
+
+def _request(link: str, path: str) -> bytes:
+    place = urlsplit(link)
+    cookie = f"Cookie: igtl_page_{place.port}={place.query.partition('=')[2]}"
+    return f"GET {path} HTTP/1.1\r\nHost: {place.netloc}\r\n{cookie}\r\n\r\n".encode()
+
+
+def _browse(link: str) -> None:
+    place = urlsplit(link)
+    assert place.port
+    while True:
+        try:
+            with socket.create_connection((place.hostname, place.port), 5) as sock:
+                sock.sendall(_request(link, "/api/state"))
+                while sock.recv(1 << 18):
+                    pass
+        except OSError:
+            pass
+        time.sleep(0.5)
+
+
+def _never_reads(link: str) -> None:
+    place = urlsplit(link)
+    assert place.port
+    sock = socket.create_connection((place.hostname, place.port), 5)
+    sock.sendall(_request(link, "/api/state"))
+    _KEPT.append(sock)
+
+
+_KEPT: list[socket.socket] = []
+
+
+def _watch(kind: str, page: int, log: list[str]) -> None:
+    """Write the share of a core of the page's process over each five seconds."""
+    while True:
+        before = _cpu_s(page)
+        time.sleep(5)
+        for name in log:
+            with open(name, "a", encoding="utf-8") as out:
+                out.write(f"{kind}: {(_cpu_s(page) - before) / 5 * 100:.1f} % of a core\n")
+        if kind == "killed":
+            time.sleep(5)
+            os.kill(page, signal.SIGKILL)
+            return
+
+
+def _cpu_s(process: int) -> float:
+    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
