@@ -105,7 +105,7 @@ class PartsWriter:
 
     def split(self) -> None:
         """End the part before the next input, whatever its size; a part without entries goes on."""
-        self._asked = True
+        self._asked = self._part.entries > 0
 
     def flush(self) -> None:
         """As SessionWriter.flush."""

@@ -40,7 +40,8 @@ _ERROR = 2  # of a DiagnosticStatus
 _FAULT = "FAULT"
 #: Conditions that are followed, and streams whose rules are known.
 _MOST = 10_000
-_STEP = re.compile(r"(\w+)((?:\[\d+\])*)")
+_STEP = re.compile(r"(\w+)((?:\[[0-9]{1,9}\])*)")
+_INDEX = re.compile(r"[0-9]{1,9}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +166,7 @@ def _number_at(message: Any, path: str) -> float | None:
     for step in path.split("."):
         found = _STEP.fullmatch(step)
         message = getattr(message, found[1], None) if found else None
-        for index in re.findall(r"\d+", found[2]) if found and message is not None else ():
+        for index in _INDEX.findall(found[2]) if found and message is not None else ():
             try:
                 message = message[int(index)]
             except (IndexError, TypeError):

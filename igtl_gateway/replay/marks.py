@@ -85,8 +85,12 @@ def carry_marks(out: Path, added: Iterable[Mark]) -> None:
 
     Raises as ``write_marks``.
     """
+    marks = list(added)
+    if not marks:
+        write_marks(out, (), 0, 0)
+        return
     with SessionFile.open(out) as file:
-        kept = [mark for mark in added if mark.time_ns <= file.end_ns and file.start_ns <= mark.last_ns]
+        kept = [mark for mark in marks if mark.time_ns <= file.end_ns and file.start_ns <= mark.last_ns]
         write_marks(out, kept, file.start_ns, file.end_ns)
 
 

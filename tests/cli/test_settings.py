@@ -58,6 +58,7 @@ def test_every_option_that_is_a_setting_is_a_row_and_the_other_way_round() -> No
 WITHOUT_EFFECT = {
     "trigger": "--record x --trigger mark",
     "tls_key": "--tls-key a.pem",
+    "page_address": "--page-address 8944",
     "allow": "--connect :1 --allow 10.0.0.0/8",
     "max_clients": "--connect :1 --max-clients 3",
     "to_igtl": "--no-ros --send /a=A",

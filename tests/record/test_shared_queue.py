@@ -401,7 +401,8 @@ def test_what_it_leaves_to_python(library: ctypes.CDLL, monkeypatch: pytest.Monk
     assert not native.put(stream, large)
     assert native.put(stream, medium) and not native.put(stream, medium)  # the bound of bytes
     _, native, _ = new()
-    assert native.fits(2, 90_000) and not native.fits(2, 100_000) and not native.fits(3, 0)
+    assert native.fits(2, 60_000) and native.fits(2, 80_000) and not native.fits(3, 0)
+    assert not native.fits(2, 90_000)  # what may be large leaves an eighth to the small ones
     pair, native, stream = new()
     pair.putter.close()
     assert not native.put(stream, samples.igtl(2))

@@ -16,7 +16,7 @@ from importlib.resources import files
 from typing import Any, Protocol
 from urllib.parse import parse_qs, urlsplit
 
-from igtl_gateway.addon import WireError
+from igtl_gateway.addon import WireError, whole_number
 from igtl_gateway.addons.page.pictures import small_png
 from igtl_gateway.edges.tcp.http_server import Handler, LocalServer
 from igtl_gateway.edges.tcp.tls import TlsFiles
@@ -119,8 +119,8 @@ class _Handler(Handler):
             self._json(self.page.sessions())
         elif path == "/api/places":
             self._json(self.page.places(words.get("name", "")))
-        elif path == "/api/job" and words.get("number", "").isdecimal():
-            self._json(self.page.lines(int(words["number"][:9])))
+        elif path == "/api/job" and (number := whole_number(words.get("number"))) is not None:
+            self._json(self.page.lines(number))
         elif path == "/api/picture":
             self._picture(words.get("side", ""), words.get("stream", ""))
         else:

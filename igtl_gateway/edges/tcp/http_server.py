@@ -17,6 +17,7 @@ from functools import partial
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from typing import Any
 
+from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.edges.tcp.sockets import AllowList, address_text, listening_socket
 from igtl_gateway.edges.tcp.tls import Context
 
@@ -203,17 +204,17 @@ class Handler(BaseHTTPRequestHandler):
         if not self._is_for_us():
             return
         origin, kind = self.headers.get("Origin"), self.headers.get_content_type()
-        size = self.headers.get("Content-Length", "")
+        size = whole_number(given := self.headers.get("Content-Length", ""))
         if origin is not None and origin.partition("://")[2] != self.headers.get("Host"):
             why = 403, f"Origin: found {origin[:100]!r}, expected none or this server"
         elif kind != "application/json":
             why = 415, f"Content-Type: found {kind[:100]!r}, expected application/json"
-        elif not (size.isascii() and size.isdecimal() and len(size) < 9):
-            why = 411, f"Content-Length: found {size[:100]!r}, expected the number of bytes"
-        elif int(size) > MAX_BODY:
-            why = 413, f"Content-Length: found {int(size):,} bytes, expected at most {MAX_BODY:,}"
+        elif size is None:
+            why = 411, f"Content-Length: found {given[:100]!r}, expected the number of bytes"
+        elif size > MAX_BODY:
+            why = 413, f"Content-Length: found {size:,} bytes, expected at most {MAX_BODY:,}"
         else:
-            self.post(self.path.partition("?")[0], self.rfile.read(int(size)))
+            self.post(self.path.partition("?")[0], self.rfile.read(size))
             return
         self.answer(why[0], "text/plain; charset=utf-8", why[1] + "\n")
 
