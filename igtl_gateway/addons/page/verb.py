@@ -20,9 +20,7 @@ EXAMPLES = """\
   # list, verify, review, export and replay the recordings here
   igtl-gateway page .
   # at a fixed port
-  igtl-gateway page recordings --address 8944
-  # beside a bridge: links, streams and the recording, too
-  igtl-gateway bridge --record out.mcap --page"""
+  igtl-gateway page recordings --address 8944"""
 
 OPTIONS = (
     Setting("address", "", "address of the page", metavar="[HOST:]PORT", reads=address, shown="127.0.0.1, a free port"),

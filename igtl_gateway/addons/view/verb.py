@@ -127,16 +127,15 @@ def run(options: argparse.Namespace) -> int:
     is_image = options.output and (options.output.suffix == ".png" or options.output_spelling == "--screenshot")
     options.screenshot, options.save = (options.output, None) if is_image else (None, options.output)
     _check(options)
-    with SessionFile.open(options.file):  # before what only a good file needs: rerun, a screen
-        pass
+    with SessionFile.open(options.file) as file:  # before what only a good file needs: rerun, a screen
+        if options.screenshot and not file.entry_count:
+            raise _nothing(options.file)
     if find_spec("rerun") is None:
         raise ViewerError(missing("rerun"))
     from igtl_gateway.addons.view.shots import check_driver
     from igtl_gateway.addons.view.viewer import check_screen
 
-    if options.screenshot:  # before the work, not after it
-        check_driver(os.environ)
-    elif not (options.save or options.web):
+    if not (options.screenshot or options.save or options.web):  # before the work, not after it
         check_screen(os.environ)
     clock = SystemClock()
     started_ns = clock.monotonic_ns()
@@ -145,6 +144,8 @@ def run(options: argparse.Namespace) -> int:
         with (
             written(options.screenshot, overwrite=options.overwrite) if options.screenshot else nullcontext() as picture
         ):
+            if picture:
+                check_driver(os.environ)
             with written(out, overwrite=options.overwrite) as partial:
                 drawn, facts = _draw(options, partial, stop.is_set)
                 if options.save and stop.is_set():
@@ -363,7 +364,7 @@ def _picture(options: argparse.Namespace, recording: Path, out: Path, view: Sess
     from igtl_gateway.addons.view.shots import take_shots
 
     if not view.seen.first_ns:
-        raise GatewayError(f"{options.file}: found no messages, expected at least one")
+        raise _nothing(options.file)
     at = None
     if options.at is not None:
         at = view.seen.first_ns + round(min(options.at, view.seen.seconds) * NS_PER_S)
@@ -377,6 +378,10 @@ def _picture(options: argparse.Namespace, recording: Path, out: Path, view: Sess
     if not options.json:
         print_line(f"{options.screenshot}: {size_text(len(shot.png))}")
     return 1 if shot.complaints else 0
+
+
+def _nothing(path: Path) -> GatewayError:
+    return GatewayError(f"{path}: found no messages, expected at least one")
 
 
 def _show(options: argparse.Namespace, recording: Path, wait: Any) -> None:

@@ -156,6 +156,7 @@ def test_outside_of_a_repository(
     assert "--bisect: git rev-parse: fatal: not a git repository" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("terminal_signals")
 def test_an_interrupt_leaves_nothing(place: Path) -> None:
     before = state(place)
     build = f"echo $$ > {place}/pid; exec sleep 60"

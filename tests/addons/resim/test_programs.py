@@ -191,7 +191,7 @@ def test_the_quality_of_service_of_the_recording_applies(tmp_path: Path) -> None
         ("wall", "data is 'm20 at 1700000000"),
         ("chance", "data is 'm20 0."),
         ("hashed", "data is 'm"),
-        ("race", 'data is "m20 ['),
+        ("race", 'data is "m'),
     ],
 )
 def test_what_is_not_the_same_in_every_run_is_found(tmp_path: Path, what: str, first: str) -> None:
@@ -200,8 +200,8 @@ def test_what_is_not_the_same_in_every_run_is_found(tmp_path: Path, what: str, f
     assert verdict.exit_code == 1
     assert verdict.first
     assert verdict.first.stream == "/out"
-    # the order of a set may be the same in all runs by chance
-    assert verdict.first.number in (range(21, 26) if what == "hashed" else (21,))
+    # the order of a set, or of two threads, may be the same in all runs by chance
+    assert verdict.first.number in (range(21, 41) if what in ("hashed", "race") else (21,))
     assert first in verdict.line()
 
 
