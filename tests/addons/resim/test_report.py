@@ -50,7 +50,7 @@ def parsed(result: RunResult, verdict: Verdict) -> dict[str, tuple[str, str]]:
 def result_of(*names: str) -> RunResult:
     """Two runs with these streams."""
     streams = {name: OutputStream(name, "std_msgs/msg/String", Qos(), 3) for name in names}
-    roles = Roles({"/in": 1200}, list(names), [], ["/map"], [], [], {}, [])
+    roles = Roles({"/in": 1200}, list(names), [], ["/map"], [], [], {}, {})
     return RunResult(Path("lab.mcap"), roles, [Run(n, Path("none"), streams, seconds=1.5) for n in (1, 2)])
 
 
