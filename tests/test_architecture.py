@@ -126,6 +126,7 @@ HOMES: dict[str, tuple[str, ...]] = {
         "edges.tcp",
         "edges.reserved",
         "base.systems.signals",
+        "base.systems.service",  # to the service manager
         "addons.resim.link",  # to the library in a program
         "addons.resim.igtl_peer",  # to an OpenIGTLink program
         "addons.resim.tcp_state",  # what of it has arrived
@@ -227,7 +228,7 @@ ABSENT: dict[str, frozenset[str]] = {
 ABSENT_HOMES: dict[str, tuple[str, ...]] = {
     "os": (SYSTEM, "cli.keys", "edges.ros.env", "base.realtime", "record.shared_queue"),
     "signal": (SYSTEM,),
-    "socket": ("edges.tcp.sockets", "addons.resim.link"),
+    "socket": ("edges.tcp.sockets", "base.systems.service", "addons.resim.link"),
     "select": ("edges.tcp.sender",),
 }
 
@@ -264,6 +265,7 @@ UNMIRRORED = (
     "test_commit_message.py",  # tools/commit_message.py
     "test_contributing.py",  # Makefile, git hooks, workflow
     "test_defects.py",  # docs/evidence/defects.md
+    "test_deploy.py",  # deploy/
     "test_docs.py",  # tools/docs.py
     "api/test_documents.py",  # docs/how-to/python-*.md
     "test_examples.py",  # examples/

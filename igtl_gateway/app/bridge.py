@@ -82,7 +82,7 @@ class Bridge:
         on_passed: OnPassed | None = None,
         host: NodeHost | None = None,
     ) -> None:
-        self.options = options
+        options = self.options = options.at(clock.utc_ns())
         self.gateway = make_core(config)
         self.addresses: list[Address] = []
         self.losses: dict[str, Any] = {}

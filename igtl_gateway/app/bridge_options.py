@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,7 @@ from igtl_gateway.app.settings import config_of
 from igtl_gateway.base.addons import part_of
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.realtime import RealtimeOptions
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.notations import (
     DDS,
@@ -33,6 +35,9 @@ from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.selection import Selection
 
 _NEVER = TlsFiles()
+
+#: In the name of a recording: the time of the start, so that each start of a service has a file of its own.
+TIME = "{time}"
 
 Address = tuple[str, int]
 
@@ -61,7 +66,7 @@ class BridgeOptions:
         ros: join the ROS 2 graph.
         zenoh: join it over Zenoh, by the router at this endpoint ("": that of Zenoh's configuration); None: over DDS.
         site: name of this site, and what it may send.
-        record: file of the recording; None: record nothing.
+        record: file of the recording, with ``{time}`` until `at`; None: record nothing.
         record_topics: globs of ROS topics that are recorded in addition to the bridged ones.
         allow: networks (CIDR) whose peers may connect in addition to those of this host.
         limits: limits for each peer.
@@ -98,6 +103,13 @@ class BridgeOptions:
     reserved: ReservedPorts | None = None
     realtime: RealtimeOptions = field(default_factory=RealtimeOptions)
     native: bool = True
+
+    def at(self, utc_ns: int) -> BridgeOptions:
+        """Return the options of a session that starts at this time: ``{time}`` in the name of its file is replaced."""
+        if self.record is None or TIME not in str(self.record):
+            return self
+        time = datetime.fromtimestamp(utc_ns // NS_PER_S, UTC)
+        return replace(self, record=Path(str(self.record).replace(TIME, f"{time:%Y%m%dT%H%M%SZ}")))
 
 
 def bridge_options(

@@ -77,6 +77,9 @@ class Hub:
         clock: source of gateway time.
         sinks: called with every entry, in order.
         sequence: the lock and the numbers; those of the session, if it has any.
+
+    Attributes:
+        ticks: how many `tick` has completed: while it grows, inputs get the lock and are processed.
     """
 
     def __init__(
@@ -88,6 +91,7 @@ class Hub:
         self._offset_ns: int | None = None  # the host's clock less the monotonic clock
         self._sinks = tuple(sinks)
         self.sequence: InputSequence = sequence or PythonSequence()
+        self.ticks = 0
         self._owner = 0
         self._noted = Once()  # sinks whose failure was reported
         # inputs that a sink submits while this thread has the lock: they are processed after the current entries
@@ -130,6 +134,7 @@ class Hub:
             due_ns = self._session.gateway.due_ns
         if due_ns is not None and due_ns <= self.now_ns():
             self.note(Note(Level.INFO, TICK, "a deadline has come"))
+        self.ticks += 1
         return due_ns
 
     def _check_clock(self) -> None:

@@ -28,6 +28,7 @@ from igtl_gateway.base.errors import (
     UnsupportedRecording,
 )
 from igtl_gateway.base.near import did_you_mean, near_names
+from igtl_gateway.base.systems import service
 from igtl_gateway.base.systems.signals import endings_interrupt
 from igtl_gateway.base.untrusted import limits
 from igtl_gateway.cli.early_port import early_ports
@@ -238,5 +239,5 @@ def complete(parser: argparse.ArgumentParser, verb: Verb) -> None:
 
 def _print_error(verb: str, error: object, code: int) -> int:
     own = own_verb(verb)
-    print_line(f"igtl-gateway {own.now or verb if own else verb}: {error}", error=True)
+    print_line(f"igtl-gateway {own.now or verb if own else verb}: {error}", error=True, priority=service.ERROR)
     return code

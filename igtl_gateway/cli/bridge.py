@@ -19,11 +19,13 @@ from igtl_gateway.base.clock import Clock, SystemClock
 from igtl_gateway.base.errors import ConfigError, ViewerError
 from igtl_gateway.base.extras import missing
 from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.base.systems.service import ServiceManager
 from igtl_gateway.cli import recording
 from igtl_gateway.cli.bridge_output import BridgeOutput, JsonOutput, TextOutput
 from igtl_gateway.cli.bridge_session import BridgeSession, LiveWindow, Page, PlainRunner, options_of_session
 from igtl_gateway.cli.common import stop_event
 from igtl_gateway.cli.ros_arguments import add_ros_arguments
+from igtl_gateway.cli.service_report import ServiceReport
 from igtl_gateway.cli.settings import add_absent, add_settings, common_options, faults_text, given, settled
 from igtl_gateway.cli.terminal import is_terminal, print_line
 from igtl_gateway.cli.type_tables import types
@@ -146,6 +148,7 @@ def run(options: argparse.Namespace) -> int:
     as_text = not options.json and options.log_format != "json"
     clock = SystemClock()
     plan = _Plan(options)
+    service = ServiceReport(ServiceManager(), clock)
     problems: deque[str] = deque()  # of transitions
     with stop_event() as stop:
         notes = prepare_environment() if plan.has_host else [tune_malloc()]
@@ -187,14 +190,17 @@ def run(options: argparse.Namespace) -> int:
             started_ns = clock.monotonic_ns()
             show.update(runner.bridge)
             tune_interpreter()
+            service.ready()
             while not stop.wait(_STATUS_EVERY_S):
                 while problems:
                     out.problem(problems.popleft())
                 show.update(runner.bridge)
+                service.update(runner.bridge)
                 seconds = (clock.monotonic_ns() - started_ns) / NS_PER_S
                 if show.must_stop or (options.duration and seconds >= options.duration):
                     break
         finally:
+            service.stopping()
             show.release()
             runner.stop()
             viewer_problem = plan.window.close() if plan.window else ""

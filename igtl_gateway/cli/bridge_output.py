@@ -13,6 +13,7 @@ from igtl_gateway.app.passage import NATIVE_PASSAGE
 from igtl_gateway.app.ros_log import is_routine, note_text
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.stamp import NS_PER_S, utc_text
+from igtl_gateway.base.systems import service
 from igtl_gateway.base.version import __version__
 from igtl_gateway.cli import admission
 from igtl_gateway.cli.common import count_text, size_text
@@ -28,6 +29,8 @@ from igtl_gateway.gateway.log.note import Level
 if TYPE_CHECKING:
     from igtl_gateway.app.metrics import MetricsServer
 
+#: Level of a note → priority in the journal.
+_PRIORITIES = {Level.INFO: service.INFO, Level.WARN: service.WARNING, Level.ERROR: service.ERROR}
 _MAX_LOSSES = 20  # lines at the end; all are in the recording
 _MAX_CAUSES = (
     1000  # causes of notes that are counted apart: a peer that invents device names must not flood the terminal
@@ -46,6 +49,32 @@ class BridgeOutput(Protocol):
     def stopped(self, bridge: Bridge, watch: EntryWatch) -> None: ...
 
 
+class StatusLine:
+    """The state of a bridge in one line, with the rates since the last call."""
+
+    def __init__(self) -> None:
+        self._last: tuple[float, Counter[Kind]] = (0.0, Counter())
+
+    def __call__(self, bridge: Bridge, watch: EntryWatch, seconds: float) -> str:
+        """Return the line; ``seconds`` is the time since the start."""
+        before_s, before = self._last
+        self._last = (seconds, Counter(watch.counts))
+        rates = {kind: (watch.counts[kind] - before[kind]) / max(seconds - before_s, 1e-3) for kind in Kind}
+        peers = sum(link.connected for link in bridge.tcp.links())
+        dropped = sum(sum(counts.dropped.values()) for counts in bridge.tcp.counters().values())
+        recorded = ""
+        if bridge.recorder:
+            counters = bridge.recorder.counters()
+            recorded = f" | recorded {'(paused) ' if bridge.recorder.paused else ''}{counters['written_entries']:,}" + (
+                f" LOST {counters['dropped_entries']:,}" if counters["dropped_entries"] else ""
+            )
+        return (
+            f"{count_text(peers, 'peer')} | OpenIGTLink in {rates[Kind.IGTL_IN]:.0f}/s "
+            f"out {rates[Kind.IGTL_OUT]:.0f}/s | ROS in {rates[Kind.ROS_IN]:.0f}/s out {rates[Kind.ROS_OUT]:.0f}/s | "
+            f"dropped {dropped:,} rejected {watch.refused:,}{recorded}"
+        )
+
+
 class TextOutput:
     """Lines for people; on a terminal the last one is a live status.
 
@@ -62,13 +91,13 @@ class TextOutput:
         self._terminal = terminal
         self._logs = logs
         self._status = ""
-        self._last: tuple[float, Counter[Kind]] = (0.0, Counter())
+        self._status_line = StatusLine()
         self._repeats: Counter[tuple[str, str]] = Counter()
 
-    def _print(self, text: str) -> None:
+    def _print(self, text: str, priority: int = service.INFO) -> None:
         if self._terminal:
             clear_live_line()
-        print_line(text, flush=True)
+        print_line(text, flush=True, priority=priority)
         if self._terminal and self._status:
             live_line(self._status)
 
@@ -111,7 +140,7 @@ class TextOutput:
 
     def problem(self, text: str) -> None:
         """Print why a transition of the managed node failed."""
-        self._print(f"! {text}")
+        self._print(f"! {text}", service.ERROR)
 
     def events(self, events: list[Event]) -> None:
         for event in events:
@@ -127,27 +156,12 @@ class TextOutput:
             is_shown = (note.level is Level.INFO and note.code != FAULT) or is_first
             if is_shown and self._logs(note.level):
                 more = f" ({event.more:,} more like it)" if event.more else ""
-                self._print(f"{self._MARKS[note.level]} {note_text(note, links)}{more}")
+                self._print(f"{self._MARKS[note.level]} {note_text(note, links)}{more}", _PRIORITIES[note.level])
 
     def status(self, bridge: Bridge, watch: EntryWatch, seconds: float) -> None:
         if not self._terminal:
             return
-        before_s, before = self._last
-        self._last = (seconds, Counter(watch.counts))
-        rates = {kind: (watch.counts[kind] - before[kind]) / max(seconds - before_s, 1e-3) for kind in Kind}
-        peers = sum(link.connected for link in bridge.tcp.links())
-        dropped = sum(sum(counts.dropped.values()) for counts in bridge.tcp.counters().values())
-        recorded = ""
-        if bridge.recorder:
-            counters = bridge.recorder.counters()
-            recorded = f" | recorded {'(paused) ' if bridge.recorder.paused else ''}{counters['written_entries']:,}" + (
-                f" LOST {counters['dropped_entries']:,}" if counters["dropped_entries"] else ""
-            )
-        self._status = (
-            f"{seconds:6.0f} s | {count_text(peers, 'peer')} | OpenIGTLink in {rates[Kind.IGTL_IN]:.0f}/s "
-            f"out {rates[Kind.IGTL_OUT]:.0f}/s | ROS in {rates[Kind.ROS_IN]:.0f}/s out {rates[Kind.ROS_OUT]:.0f}/s | "
-            f"dropped {dropped:,} rejected {watch.refused:,}{recorded}"
-        )
+        self._status = f"{seconds:6.0f} s | {self._status_line(bridge, watch, seconds)}"
         live_line(self._status)
 
     def stopped(self, bridge: Bridge, watch: EntryWatch) -> None:
@@ -189,8 +203,8 @@ class JsonOutput:
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
 
-    def _print(self, event: str, stamp_ns: int = 0, **facts: Any) -> None:
-        print_json({"time": utc_text(stamp_ns or self._clock.utc_ns()), "event": event} | facts)
+    def _print(self, event: str, stamp_ns: int = 0, priority: int = service.INFO, **facts: Any) -> None:
+        print_json({"time": utc_text(stamp_ns or self._clock.utc_ns()), "event": event} | facts, priority)
 
     def started(self, bridge: Bridge, config: Config, notes: list[str], metrics: MetricsServer | None) -> None:
         self._print(
@@ -217,7 +231,7 @@ class JsonOutput:
 
     def problem(self, text: str) -> None:
         """Print why a transition of the managed node failed."""
-        self._print("transition_failed", text=text)
+        self._print("transition_failed", priority=service.ERROR, text=text)
 
     def events(self, events: list[Event]) -> None:
         for event in events:
@@ -225,6 +239,7 @@ class JsonOutput:
             self._print(
                 event.kind.value,
                 event.stamp_ns,
+                _PRIORITIES[note.level],
                 level=note.level.name,
                 code=note.code,
                 text=note.text,

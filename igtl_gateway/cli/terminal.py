@@ -2,6 +2,7 @@
 
 Each argument of :func:`print_line` is one line: line feeds, escape sequences and the like in it are escaped.
 What the encoding of the output does not have is escaped as well, so that no name can stop the program.
+In the journal of systemd each line has its priority in front.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Any, TextIO
 
 from igtl_gateway.base.errors import OutputError
 from igtl_gateway.base.near import did_you_mean, near_names
+from igtl_gateway.base.systems.service import INFO, WARNING, is_journal
 from igtl_gateway.base.untrusted.text import json_line, printable
 
 #: Longer lines are cut: a name of a megabyte must not bury the rest.  ``--json`` has everything.
@@ -30,19 +32,23 @@ class _LiveLine:
     typed = ""
 
 
-def print_line(*lines: str, error: bool = False, flush: bool = False, colour: str = "") -> None:
+def print_line(
+    *lines: str, error: bool = False, flush: bool = False, colour: str = "", priority: int | None = None
+) -> None:
     """Print lines, each as one line whatever foreign text is in it: to stdout, or to stderr for an ``error``.
 
     ``colour`` holds the parameters of the escape sequence SGR (``"1;31"``), for a terminal; the indent has none.  The
-    environment can forbid colours: NO_COLOR (any value), TERM=dumb.
+    environment can forbid colours: NO_COLOR (any value), TERM=dumb.  ``priority`` is that of the journal; a warning for
+    an ``error`` by default.
     """
+    front = _front(WARNING if error and priority is None else priority, error)
     is_coloured = bool(colour) and not os.environ.get("NO_COLOR") and not _is_dumb()
     for line in lines or ("",):
         text = _printable_line(line)
         if is_coloured:
             bare = text.lstrip()
             text = f"{text[: len(text) - len(bare)]}\x1b[{colour}m{bare}\x1b[0m"
-        _write(f"{text}\n", error)
+        _write(f"{front}{text}\n", error)
     if flush:
         _flush(error)
 
@@ -52,14 +58,14 @@ def print_text(text: str, error: bool = False) -> None:
     _write("\n".join(map(printable, text.split("\n"))), error)
 
 
-def print_json(value: Any) -> None:
-    """One JSON object on one line, at once."""
+def print_json(value: Any, priority: int | None = None) -> None:
+    """One JSON object on one line, at once; ``priority`` as in `print_line`."""
     text = json_line(value)
     try:
         text.encode(_stream().encoding or "utf-8")
     except UnicodeEncodeError:
         text = json_line(value, ascii_only=True)
-    _write(f"{text}\n")
+    _write(f"{_front(priority)}{text}\n")
     _flush()
 
 
@@ -222,6 +228,11 @@ def _is_dumb() -> bool:
 def _printable_line(line: str) -> str:
     more = len(line) - LONGEST_LINE
     return printable(line) if more <= 0 else f"{printable(line[:LONGEST_LINE])} … and {more:,} more characters"
+
+
+def _front(priority: int | None, error: bool = False) -> str:
+    """What a line of the journal begins with: always something, so that no foreign text can state a priority."""
+    return f"<{INFO if priority is None else priority}>" if is_journal(_stream(error)) else ""
 
 
 def _stream(error: bool = False) -> TextIO:

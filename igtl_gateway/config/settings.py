@@ -434,7 +434,7 @@ _RECORDING = (
     Setting(
         "record",
         "",
-        "record all messages to this MCAP file",
+        "record all messages to this MCAP file; {time} in its name becomes the start in UTC",
         metavar="FILE",
         reads=notations.recording_name,
         common=True,
