@@ -25,7 +25,9 @@ def setting(name: str) -> str:
 
 
 def analysed(unit: Path, *words: str) -> str:
-    done = subprocess.run(["systemd-analyze", *words, str(unit)], capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(
+        ["systemd-analyze", *words, str(unit)], capture_output=True, text=True, timeout=60, check=False
+    )
     assert done.returncode == 0, done.stdout + done.stderr
     return done.stdout + done.stderr
 

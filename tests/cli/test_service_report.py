@@ -55,7 +55,7 @@ def test_the_watchdog_is_fed_only_while_the_hub_ticks() -> None:
     report.ready()
     assert manager.take() == ["READY=1"]
     assert update(ticks=True) == [ALIVE]
-    assert update(ticks=False) == [], "the hub stands still: its timer has ended, or its lock is held"
+    assert update(ticks=False) == [], "the hub does not tick: its timer has ended, or its lock is held"
     assert update(ticks=True) == [ALIVE]
     report.stopping()
     assert manager.take() == ["STOPPING=1"]

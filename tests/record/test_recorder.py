@@ -507,7 +507,7 @@ def test_signals_to_all_processes_of_a_service_leave_the_end_to_the_bridge(path:
     notes: list[Note] = []
     recorder = Recorder(path, {}, qos_of=lambda *_: None, on_note=notes.append, clock=SystemClock())
     (worker,) = workers(os.getpid())
-    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+    for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP, signal.SIGABRT, signal.SIGQUIT):
         os.kill(worker, number)
     recorder(samples.igtl(1))
     summary = recorder.close({})

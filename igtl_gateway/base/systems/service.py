@@ -23,13 +23,13 @@ LEAST_WATCHDOG_US = 5_000_000
 
 
 class ServiceManager:
-    """Sends the state of this process to its service manager; without one, to nobody.
+    """Sends the state of this process to its service manager, if there is one.
 
     Args:
         environ: of the process.
 
     Attributes:
-        is_present: whether somebody receives the state.
+        is_present: whether there is one.
 
     Raises:
         ConfigError: the watchdog is shorter than the reports allow.

@@ -17,6 +17,8 @@ if sys.platform == "win32":
     ENDINGS: tuple[signal.Signals, ...] = (signal.SIGINT, signal.SIGBREAK, signal.SIGTERM)
     #: What the start of a program in the background may have ignored: nothing.
     KEPT_IGNORED: tuple[signal.Signals, ...] = ()
+    #: What ends a whole group of processes at once, because one of them hangs: nothing.
+    _OF_A_GROUP: tuple[signal.Signals, ...] = ()
     #: What saves a snapshot, and what pauses and resumes a recording: there are no signals for that.
     SAVE: signal.Signals | None = None
     PAUSE: signal.Signals | None = None
@@ -25,13 +27,15 @@ else:
     ENDINGS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     #: What the start of a program in the background may have ignored (nohup): it stays ignored.
     KEPT_IGNORED = (signal.SIGHUP,)
+    #: What ends a whole group of processes at once, because one of them hangs: the watchdog of systemd, Ctrl-\\.
+    _OF_A_GROUP = (signal.SIGABRT, signal.SIGQUIT)
     SAVE = signal.SIGUSR1
     PAUSE = signal.SIGUSR2
 
 
 def ignore_endings() -> None:
-    """Ignore what asks a program to end: another process decides when this one does."""
-    for number in ENDINGS:
+    """Ignore what ends programs: another process decides when this one ends."""
+    for number in (*ENDINGS, *_OF_A_GROUP):
         signal.signal(number, signal.SIG_IGN)
 
 
