@@ -196,6 +196,8 @@ HOMES: dict[str, tuple[str, ...]] = {
     "xxhash": ("addons.zenoh.library",),
     "zenoh": ("addons.zenoh.library",),
     "shtab": ("cli.completion",),
+    "tomli": ("base.versions",),
+    "typing_extensions": ("base.versions",),
     "zstandard": ("record.sessionfile.compression", "base.untrusted.unpack"),
 }
 

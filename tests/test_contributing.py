@@ -7,7 +7,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-import tomllib
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,6 +14,7 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
+from igtl_gateway.base.versions import tomllib
 from tests.conftest import SLOW
 from tests.places import ROOT
 from tests.tables import table

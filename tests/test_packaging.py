@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import tomllib
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import pytest
 from packaging.requirements import Requirement
 
 from igtl_gateway.base.version import __version__
+from igtl_gateway.base.versions import tomllib
 from igtl_gateway.cli.verbs import GROUP, LABORATORY, Verb
 from igtl_gateway_lab import __version__ as lab_version
 from tests.places import ROOT

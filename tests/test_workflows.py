@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,12 +11,13 @@ import pytest
 from ruamel.yaml import YAML
 
 from igtl_gateway.base.version import __version__
+from igtl_gateway.base.versions import tomllib
 from tests.places import ROOT
 
 GITHUB = ROOT / ".github"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 WORKFLOWS = sorted(path.name for path in (GITHUB / "workflows").iterdir())
-PYTHONS = ["3.11", "3.12", "3.13"]
+PYTHONS = ["3.10", "3.11", "3.12", "3.13", "3.14"]
 SYSTEMS = ["ubuntu-22.04", "ubuntu-24.04"]
 #: Where a session over Zenoh is tried.
 OTHER_SYSTEMS = ["macos-latest", "windows-latest"]
@@ -92,7 +92,10 @@ def test_ci_runs_the_gate_and_the_core_on_all_that_we_promise() -> None:
     assert {"push", "pull_request"} <= content["on"].keys()
     assert ".ci/run" in {step.get("run") for _, step in steps("ci.yml")}
     core = content["jobs"]["core"]
-    assert core["strategy"]["matrix"] == {"os": SYSTEMS, "python": PYTHONS}
+    assert core["strategy"]["matrix"] == {"os": SYSTEMS, "python": PYTHONS[1:-1]}
+    ends = content["jobs"]["ends"]
+    assert ends["env"]["PYTHONS"] == f"python{PYTHONS[0]} python{PYTHONS[-1]}"
+    assert ends["steps"][1]["with"]["python-version"].split() == [PYTHONS[0], "3.11", PYTHONS[-1]]
     assert content["jobs"]["systems"]["strategy"]["matrix"] == {
         "os": OTHER_SYSTEMS,
         "python": [PYTHONS[0], PYTHONS[-1]],

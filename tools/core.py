@@ -2,8 +2,8 @@
 
     python -m tools.core [--ros] [PYTHON …]        make core [PYTHONS="python3.12 python3.13"]
 
-Without names it takes each of python3.11, python3.12 and python3.13 that is present, on the path or of pyenv.  Each has
-an environment of its own in out/core, with the versions of constraints.txt, and its own compiled C parts.
+Without names it takes each of python3.10 to python3.14 that is present, on the path or of pyenv.  Each has an
+environment of its own in out/core, with the versions of constraints.txt, and its own compiled C parts.
 
 ``--ros`` adds the extra ``ros`` and the tests of the ROS edge.
 """
@@ -16,19 +16,19 @@ import re
 import shutil
 import subprocess
 import sys
-import tomllib
 from collections.abc import Sequence
 from pathlib import Path
 
 from hatch_build import SOURCES, compiled
+from igtl_gateway.base.versions import tomllib
 
 ROOT = Path(__file__).parents[1]
 WORK = ROOT / "out" / "core"
-NAMES = ("python3.11", "python3.12", "python3.13")
+NAMES = ("python3.10", "python3.11", "python3.12", "python3.13", "python3.14")
 TESTS = tuple(f"tests/{name}" for name in ("wire", "convert", "gateway", "record/sessionfile", "replay", "native"))
 ROS_TESTS = ("tests/edges/ros",)
 #: What these tests need of the extra ``dev``.
-TEST_NEEDS = {"hypothesis", "mcap-ros2-support", "packaging", "pyigtl", "pymcap-cli", "pytest", "pytest-xdist"}
+TEST_NEEDS = {"hypothesis", "mcap-ros2-support", "packaging", "pyigtl", "pymcap-cli", "pytest", "pytest-xdist", "ruff"}
 WORKERS = "2"
 _COMPILE = "from tools.core import compile_c_parts; compile_c_parts()"
 _OF_ROS_WHEELS = ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
@@ -55,7 +55,7 @@ def requirements(*, ros: bool) -> list[str]:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     extras = project["optional-dependencies"]
     dev = [need for need in extras["dev"] if re.split(r"[^\w-]", need)[0] in TEST_NEEDS]
-    return [*project["dependencies"], *dev, *(extras["ros"] if ros else ()), "hatchling"]
+    return [*project["dependencies"], *extras["seal"], *dev, *(extras["ros"] if ros else ()), "hatchling"]
 
 
 def compile_c_parts() -> None:

@@ -299,7 +299,7 @@ def sqlite(bend: Bend, cdr: bytes = _CDR) -> bytes:
             "SELECT 1",
         )))  # fmt: skip
     base.commit()
-    data = base.serialize()
+    data = base.serialize()  # type: ignore[attr-defined]  # from Python 3.11 on
     base.close()
     return data
 

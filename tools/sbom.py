@@ -8,7 +8,7 @@ the metadata of the distributions; hashes are those of our own files.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 from hashlib import sha256
 from importlib.metadata import Distribution, distribution
 from pathlib import Path
@@ -64,7 +64,7 @@ def release_bom(files: Iterable[Path], epoch: int) -> Bom:
         raise ValueError(f"found no {', '.join(absent)}, expected all that {PROJECT} needs to be installed")
     components = {name: _component(name) for name in needs}
     bom = Bom()
-    bom.metadata.timestamp = datetime.fromtimestamp(epoch, UTC)
+    bom.metadata.timestamp = datetime.fromtimestamp(epoch, timezone.utc)
     bom.metadata.component = components[NAME]
     bom.serial_number = uuid5(NAMESPACE_URL, f"{NAME}-{distribution(NAME).version}-{epoch}")
     for path in files:

@@ -52,8 +52,8 @@ apt() {
 # The first Python that will do; $PYTHON goes before all.
 find_python() {
     local candidate
-    for candidate in ${PYTHON:-python3.11 python3 python3.12 python3.13}; do
-        if "$candidate" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then
+    for candidate in ${PYTHON:-python3.11 python3 python3.12 python3.13 python3.14 python3.10}; do
+        if "$candidate" -c 'import sys; sys.exit(sys.version_info < (3, 10))' 2>/dev/null; then
             command -v "$candidate"
             return
         fi
@@ -64,7 +64,7 @@ find_python() {
 make_venv() {
     local python version
     if ! python=$(find_python); then
-        apt python3 python3-venv && python=$(find_python) || { say "Python 3.11 or newer is needed."; exit 1; }
+        apt python3 python3-venv && python=$(find_python) || { say "Python 3.10 or newer is needed."; exit 1; }
     fi
     if ! "$python" -c 'import ensurepip' 2>/dev/null; then
         version=$("$python" -c 'import sys; print("%d.%d" % sys.version_info[:2])')

@@ -86,6 +86,12 @@ if TYPE_CHECKING:
     from igtl_gateway.base.untrusted.xml_text import parse_xml as parse_xml
     from igtl_gateway.base.untrusted.yaml_text import parse_yaml as parse_yaml
     from igtl_gateway.base.version import __version__ as __version__
+    from igtl_gateway.base.versions import Self as Self
+    from igtl_gateway.base.versions import StrEnum as StrEnum
+    from igtl_gateway.base.versions import iso_time as iso_time
+    from igtl_gateway.base.versions import limit_values as limit_values
+    from igtl_gateway.base.versions import python_command as python_command
+    from igtl_gateway.base.versions import read_blob as read_blob
     from igtl_gateway.cli.common import count_text as count_text
     from igtl_gateway.cli.common import load_config as load_config
     from igtl_gateway.cli.common import size_text as size_text
@@ -275,6 +281,8 @@ HOMES: tuple[tuple[str, str], ...] = (
     # Time: integer UTC nanoseconds
     ("base.stamp", "NS_PER_MS NS_PER_S ns_to_ros ros_to_ns"),
     ("base.clock", "Clock SystemClock"),
+    # What Python 3.10 does not have
+    ("base.versions", "Self StrEnum iso_time limit_values python_command read_blob"),
     # The verb: its row, its options, its output, its progress
     ("cli.verbs", "CONVERT INSPECT KEEP MANY Verb"),
     (

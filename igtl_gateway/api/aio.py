@@ -14,13 +14,14 @@ import inspect
 from collections.abc import AsyncIterator, Awaitable, Callable, Generator, Mapping, Sequence
 from contextlib import suppress
 from types import TracebackType
-from typing import Any, Generic, Self, TypeVar
+from typing import Any, Generic, TypeVar
 
 from igtl_gateway.api import conversation
 from igtl_gateway.api.conversation import QUEUE_BYTES, QUEUE_MESSAGES, CommandReply, HeaderVersion, Wait, WhenFull
 from igtl_gateway.api.endpoint import HOST, PORT, TIMEOUT_S, ClientEnd, Endpoint, Line, ServerEnd, options_of
 from igtl_gateway.api.received import ReceivedMessage
 from igtl_gateway.base.errors import LinkClosed
+from igtl_gateway.base.versions import Self
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.query import EmptyQuery
@@ -162,11 +163,12 @@ class AsyncEndpoint(Endpoint):
                     if left_s is not None and left_s <= 0:
                         raise talk.no_reply(wait)
                     talk.wakers.add(wake)
+                timer = None if left_s is None else loop.call_later(left_s, changed.set)
                 try:
-                    with suppress(TimeoutError):
-                        async with asyncio.timeout(left_s):
-                            await changed.wait()
+                    await changed.wait()
                 finally:
+                    if timer:
+                        timer.cancel()
                     with talk.changed:
                         talk.wakers.discard(wake)
         finally:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 from igtl_gateway.api.keywords import checked, of_a_bridge, ros_arguments
 from igtl_gateway.app.bridge import Bridge as RunningBridge
@@ -19,6 +19,7 @@ from igtl_gateway.app.recording import pause, resume, snapshot
 from igtl_gateway.app.settings import declared, settled
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import NoReply, RecordingError
+from igtl_gateway.base.versions import Self
 from igtl_gateway.config.settings import all_settings
 from igtl_gateway.edges.ros.env import prepare_environment
 from igtl_gateway.edges.ros.host import NodeHost

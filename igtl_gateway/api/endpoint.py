@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
 
 from igtl_gateway.api import conversation
 from igtl_gateway.api.conversation import Conversation, Handler, HeaderVersion, PeerCounts, PeerOptions, WhenFull
@@ -13,6 +13,7 @@ from igtl_gateway.api.received import ReceivedMessage
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import LinkClosed
+from igtl_gateway.base.versions import Self
 from igtl_gateway.edges.tcp import LinkInfo, PeerLimits, TcpEdge, TlsFiles
 from igtl_gateway.gateway.log.note import Note
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta, timezone
 from typing import Any
 
 import numpy as np
@@ -21,7 +21,7 @@ Moment = int | float | np.integer[Any] | str | datetime | np.datetime64
 
 #: The first integer that is UTC nanoseconds: 1970-01-12.
 _FIRST_UTC_NS = 10**15
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
 def to_ns(value: Moment, start_ns: int, end_ns: int, name: str, marks: Callable[[], Sequence[Mark]]) -> int:
@@ -39,7 +39,7 @@ def to_ns(value: Moment, start_ns: int, end_ns: int, name: str, marks: Callable[
     if isinstance(value, np.datetime64):
         return int(value.astype("datetime64[ns]").astype(np.int64))
     if isinstance(value, datetime):
-        since = (value if value.tzinfo else value.replace(tzinfo=UTC)) - _EPOCH
+        since = (value if value.tzinfo else value.replace(tzinfo=timezone.utc)) - _EPOCH
         return since // timedelta(microseconds=1) * 1000
     number = int(value) if isinstance(value, np.integer) else value
     if isinstance(number, int | float) and not isinstance(number, bool):

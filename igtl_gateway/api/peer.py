@@ -8,13 +8,14 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
 
 from igtl_gateway.api import conversation
 from igtl_gateway.api.conversation import QUEUE_BYTES, QUEUE_MESSAGES, CommandReply, HeaderVersion, Wait, WhenFull
 from igtl_gateway.api.endpoint import HOST, PORT, TIMEOUT_S, ClientEnd, Endpoint, Line, ServerEnd, options_of
 from igtl_gateway.api.received import ReceivedMessage
 from igtl_gateway.base.errors import LinkClosed
+from igtl_gateway.base.versions import Self
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.query import EmptyQuery

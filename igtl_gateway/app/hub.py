@@ -10,11 +10,12 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Protocol, Self
+from typing import Protocol
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.once import Once
+from igtl_gateway.base.versions import Self
 from igtl_gateway.gateway import TICK, Session
 from igtl_gateway.gateway.fastpath import Prepared
 from igtl_gateway.gateway.log.clocksteps import LEAST_NS, ClockStep

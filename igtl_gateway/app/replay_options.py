@@ -8,10 +8,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 from igtl_gateway.app import bridge_options
 from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.versions import Self
 from igtl_gateway.config.faults import CLOCK_STEP, Faults
 from igtl_gateway.config.notations import STREAM
 from igtl_gateway.config.setting import NONE, Setting, by_name, changed, check_effect, grouped

@@ -8,9 +8,10 @@ import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from typing import IO, Self
+from typing import IO
 
 from igtl_gateway.base.systems.processes import INTERRUPT, apart
+from igtl_gateway.base.versions import Self
 
 #: Lines of the standard error that are kept.
 _KEPT_LINES = 100

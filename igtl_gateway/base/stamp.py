@@ -11,7 +11,7 @@ are 1,000,000,000 ns or more; this module carries them into the seconds.
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 
 NS_PER_S = 1_000_000_000
 NS_PER_MS = 1_000_000
@@ -89,4 +89,4 @@ def ros_to_ns(sec: int, nanosec: int) -> int:
 def utc_text(ns: int) -> str:
     """Return UTC nanoseconds as ISO 8601 text: ``2026-11-21T08:00:00.123456789Z``."""
     seconds, rest = divmod(ns, NS_PER_S)
-    return f"{datetime.fromtimestamp(seconds, UTC):%Y-%m-%dT%H:%M:%S}.{rest:09d}Z"
+    return f"{datetime.fromtimestamp(seconds, timezone.utc):%Y-%m-%dT%H:%M:%S}.{rest:09d}Z"

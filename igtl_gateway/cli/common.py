@@ -7,7 +7,7 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -70,7 +70,7 @@ def size_text(number: float) -> str:
 def utc_text(stamp_ns: int) -> str:
     """UTC nanoseconds for people, to the millisecond: ``2026-11-22T18:00:00.250Z``; otherwise the number itself."""
     try:
-        moment = datetime.fromtimestamp(stamp_ns // NS_PER_S, UTC)
+        moment = datetime.fromtimestamp(stamp_ns // NS_PER_S, timezone.utc)
     except (ValueError, OverflowError, OSError):
         return f"{stamp_ns} ns"
     return f"{moment:%Y-%m-%dT%H:%M:%S}.{stamp_ns % NS_PER_S // _NS_PER_MS:03}Z"

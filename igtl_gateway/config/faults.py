@@ -351,4 +351,4 @@ class FaultLine(Generic[T]):
     def _chance(self, of: str) -> float:
         """Return a number x, 0 ≤ x < 1, that depends only on seed, line, number of the message and purpose."""
         digest = blake2b(f"{self._key}/{self._number}/{of}".encode(), digest_size=8).digest()
-        return (int.from_bytes(digest) >> 11) * 2.0**-53
+        return (int.from_bytes(digest, "big") >> 11) * 2.0**-53

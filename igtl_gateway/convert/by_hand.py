@@ -5,9 +5,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING
 
 from igtl_gateway.base.stamp import ns_to_ros
+from igtl_gateway.base.versions import Self
 from igtl_gateway.convert.cdr import CdrReader, CdrWriter, stamped_pose
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.structs import Point, Pose, Rgba, Struct, fixed_array

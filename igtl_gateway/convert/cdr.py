@@ -195,7 +195,7 @@ class CdrReader:
 
     def u32(self) -> int:
         (value,) = _layout(self._order, "I").unpack_from(self._data, self._take(4, 4))
-        return value  # type: ignore[no-any-return]
+        return value
 
     def i32(self) -> int:
         return int(self.unpack("i", 4)[0])

@@ -12,9 +12,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Self
 
 from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.versions import Self
 from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.wire.image import LPS
 

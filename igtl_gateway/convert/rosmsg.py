@@ -9,13 +9,14 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, ClassVar, Protocol, Self
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.stamp import ns_to_ros, ros_to_ns
+from igtl_gateway.base.versions import Self
 from igtl_gateway.convert.cdr import CdrReader, CdrWriter, stamped_pose
 
 Array = npt.NDArray[Any]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self, get_type_hints
+from typing import Any, ClassVar, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +17,7 @@ import numpy.typing as npt
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.base.stamp import ns_to_ros, ros_to_ns
+from igtl_gateway.base.versions import Self
 from igtl_gateway.convert.cdr import CdrReader, CdrWriter
 from igtl_gateway.convert.rosmsg import DiagnosticStatus, Header
 

@@ -1,6 +1,4 @@
-from typing import Self
-
-from typing_extensions import Buffer
+from typing_extensions import Buffer, Self
 
 class Lock:
     """A lock that Python and the native passage share."""

@@ -23,6 +23,7 @@ from pathlib import Path
 from igtl_gateway.base.clock import Clock, SystemClock
 from igtl_gateway.base.systems.processes import lower_priority
 from igtl_gateway.base.systems.signals import ignore_endings
+from igtl_gateway.base.versions import python_command
 from igtl_gateway.record.options import LARGEST_BYTES, RecordOptions
 from igtl_gateway.record.shared_queue import QueueReader, QueueWriter, memory, shared_memory
 from igtl_gateway.record.worker import WorkerPipe, WorkerSettings, run_worker
@@ -90,7 +91,7 @@ def _start(options: RecordOptions) -> tuple[subprocess.Popen[bytes], WorkerPipe,
         ours, theirs = Pipe()
         with theirs:
             child = subprocess.Popen(
-                [sys.executable, "-P", "-m", __name__, str(theirs.fileno()), str(handle), str(os.getpid())],
+                [*python_command(__name__), str(theirs.fileno()), str(handle), str(os.getpid())],
                 pass_fds=(theirs.fileno(), handle),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,  # readers of the bridge's output wait for the bridge only

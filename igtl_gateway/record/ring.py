@@ -6,7 +6,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
@@ -96,7 +96,7 @@ class Ring:
         self._entries.clear()
 
     def _path(self, utc_ns: int) -> Path:
-        time = datetime.fromtimestamp(utc_ns // NS_PER_S, UTC)
+        time = datetime.fromtimestamp(utc_ns // NS_PER_S, timezone.utc)
         name = f"{self.path.stem if self.path.suffix == '.mcap' else self.path.name}_{time:%Y%m%dT%H%M%SZ}"
         path, number = self.path.with_name(f"{name}.mcap"), 1
         while os.path.exists(path):  # False for a name that is too long: creating the file reports that

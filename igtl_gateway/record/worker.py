@@ -16,12 +16,13 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.errors import ConfigError, DiskRefused, FileTaken, RecordingError, Unavailable
 from igtl_gateway.base.once import Once
 from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.versions import Self
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.black_box import BlackBox

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from datetime import UTC, datetime, timedelta
+from datetime import datetime, timedelta, timezone
 from decimal import Decimal, InvalidOperation
 
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.base.versions import iso_time
 
 #: Numbers from here on are UTC seconds (1973); smaller numbers are seconds from the start (up to three years).
 FIRST_UTC_S = 100_000_000
 
 _MAX_NS = 1 << 63
-_EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
+_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 
 
 def moment(text: str, start_ns: int, option: str) -> int:
@@ -39,10 +40,10 @@ def moment(text: str, start_ns: int, option: str) -> int:
 
 def _iso(text: str, option: str) -> int:
     try:
-        time = datetime.fromisoformat(text)
+        time = iso_time(text)
     except ValueError:
         raise _unreadable(text, option) from None
-    since = (time if time.tzinfo else time.replace(tzinfo=UTC)) - _EPOCH
+    since = (time if time.tzinfo else time.replace(tzinfo=timezone.utc)) - _EPOCH
     return _checked(since // timedelta(microseconds=1) * 1000, text, option)
 
 

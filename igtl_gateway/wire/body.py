@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Protocol, Self
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.header import crc64
 
 

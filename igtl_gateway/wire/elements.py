@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import MalformedBody
+from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.fields import decode_text, visible
 from igtl_gateway.wire.layout import Layout
 from igtl_gateway.wire.transform import Transform

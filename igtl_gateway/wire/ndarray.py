@@ -6,13 +6,14 @@ import math
 import struct
 from dataclasses import dataclass
 from struct import Struct
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import ConversionError, MalformedBody, TruncatedMessage
+from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.body import describe_values
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.elements import Elements
 from igtl_gateway.wire.layout import Layout, of_dtype
 

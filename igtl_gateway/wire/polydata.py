@@ -17,13 +17,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from struct import Struct
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.base.buffers import Buffer, join
 from igtl_gateway.base.errors import MalformedBody, TruncatedMessage
+from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.fields import decode_text, visible
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
 

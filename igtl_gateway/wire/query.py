@@ -9,10 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from struct import Struct
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 from igtl_gateway.base.buffers import Buffer, join
 from igtl_gateway.base.errors import MalformedBody
+from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.body import Body, Raw
 from igtl_gateway.wire.fields import decode_text, encode_text, visible
 from igtl_gateway.wire.header import TYPE_SIZE

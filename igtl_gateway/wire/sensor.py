@@ -15,13 +15,14 @@ import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from struct import Struct
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import MalformedBody, TruncatedMessage
+from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
 
 _VALUES = np.dtype(">f8")

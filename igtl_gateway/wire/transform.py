@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 import struct
 from struct import Struct
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import MalformedBody
 from igtl_gateway.base.values import value
+from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.layout import Field, Layout, compile_struct
 
 

@@ -17,11 +17,7 @@ T = TypeVar("T")
 
 
 def run(main: Coroutine[Any, Any, T]) -> T:
-    async def limited() -> T:
-        async with asyncio.timeout(20):
-            return await main
-
-    return asyncio.run(limited())
+    return asyncio.run(asyncio.wait_for(main, 20))
 
 
 def test_messages_in_both_directions() -> None:

@@ -9,7 +9,7 @@ import struct
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -182,7 +182,7 @@ def test_a_window_is_chosen_by_seconds_nanoseconds_datetime_and_text() -> None:
         for start, end in (
             (2.0, 5.0),
             (START_NS + 2 * 10**9, np.int64(START_NS + 5 * 10**9)),
-            (datetime(2026, 1, 1, 0, 0, 2, tzinfo=UTC), datetime(2026, 1, 1, 0, 0, 5)),
+            (datetime(2026, 1, 1, 0, 0, 2, tzinfo=timezone.utc), datetime(2026, 1, 1, 0, 0, 5)),
             ("2026-01-01T00:00:02Z", "5"),
             (np.datetime64("2026-01-01T00:00:02"), np.datetime64("2026-01-01T00:00:05")),
         ):

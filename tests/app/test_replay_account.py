@@ -78,7 +78,7 @@ def played(
     assert missed.get(NO_PEER, 0) == len(sent) // 10 and missed[LEFT] == 2
     assert min(missed.values()) > 0
     assert account_lines(facts)[0].startswith(f"not sent: {sum(missed.values()):,} of ")
-    return missed  # type: ignore[no-any-return]
+    return missed
 
 
 @table("to", ["igtl", "ros", "both"])

@@ -6,13 +6,13 @@ import json
 import re
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import pytest
 
 from igtl_gateway.base.errors import Unavailable
 from igtl_gateway.base.extras import PURPOSES, in_use, missing
+from igtl_gateway.base.versions import tomllib
 from igtl_gateway.cli.verbs import WITHOUT_LABORATORY
 from tests.places import ROOT
 from tests.tables import all_hold

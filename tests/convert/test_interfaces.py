@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import re
-import tomllib
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import pytest
 
 from igtl_gateway.base.version import __version__
+from igtl_gateway.base.versions import tomllib
 from igtl_gateway.convert.interfaces import PACKAGES, SHARES, definition_folder, interface_files
 from igtl_gateway.record.sessionfile.schemas import RosTypes
 from tests.places import ROOT

@@ -131,7 +131,7 @@ def encodes(peer: ReferencePeer, link: socket.socket, stem: str) -> None:
     peer.send(type_name, message["device_name"], content, stamp["sec"], stamp["frac"])
     sent = read_message(link)
     assert sent[:50] == wire[:50]
-    assert int.from_bytes(sent[50:58]) == crc64.ecma_182(sent[58:])
+    assert int.from_bytes(sent[50:58], "big") == crc64.ecma_182(sent[58:])
     assert sent[58:] == as_the_library_leaves_it(type_name, wire[58:], sent[58:])
 
 
@@ -152,7 +152,7 @@ def as_the_library_leaves_it(type_name: str, body: bytes, sent: bytes) -> bytes:
     expected[reserved::size] = bytes([JUNK]) * (len(body) // size)
     for start in range(SCAN_TIME_AT, len(body), size) if type_name == "IMGMETA" else ():
         time = slice(start, start + 8)
-        assert abs(int.from_bytes(sent[time]) - int.from_bytes(body[time])) <= 2 * STAMP_NS / 1e9 * 2**32
+        assert abs(int.from_bytes(sent[time], "big") - int.from_bytes(body[time], "big")) <= 2 * STAMP_NS / 1e9 * 2**32
         expected[time] = sent[time]
     return bytes(expected)
 
@@ -491,7 +491,7 @@ def agrees(peer: PyigtlPeer, link: socket.socket, stem: str) -> None:
     peer.send(expected["type"], expected["device_name"], outgoing, stamp["sec"], stamp["frac"])
     sent = read_message(link)
     assert sent[:34] + sent[42:] == wire[:34] + wire[42:]
-    assert abs(int.from_bytes(sent[34:42]) - int.from_bytes(wire[34:42])) < 2**32 * 1e-6
+    assert abs(int.from_bytes(sent[34:42], "big") - int.from_bytes(wire[34:42], "big")) < 2**32 * 1e-6
 
 
 @needs_reference

@@ -16,6 +16,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule, run_state_machine_as_test
 
+from igtl_gateway.base.versions import add_note
 from igtl_gateway.record.sessionfile.chunk_rows import add_rows
 from igtl_gateway.record.shared_queue import QueueReader
 from tests.record.native_queue import native_library
@@ -54,7 +55,7 @@ def search(library: ctypes.CDLL, sizes: Sizes, steps: Sequence[Step], states: in
                     getattr(model, name)(*arguments)
                     model.check()
                 except Exception as error:
-                    error.add_note(f"after {path}, at {step}")
+                    add_note(error, f"after {path}, at {step}")
                     raise
                 if (key := model.key()) not in seen:
                     seen.add(key)

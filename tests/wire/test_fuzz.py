@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from random import Random
-from typing import Any, Self
+from typing import Any
 
 import pytest
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import MalformedBody
+from igtl_gateway.base.versions import Self
 from igtl_gateway.wire.body import Raw
 from igtl_gateway.wire.framer import Framer
 from igtl_gateway.wire.registry import BODIES

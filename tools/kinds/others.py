@@ -138,7 +138,7 @@ def rosbag2(make: Maker) -> Files:
         base.execute("INSERT INTO messages VALUES (?, ?, ?, ?)",
                      (at + 1, make.number("message.topic", 1, "i32"), time_ns, data))  # fmt: skip
     base.commit()
-    image = base.serialize()
+    image = base.serialize()  # type: ignore[attr-defined]  # from Python 3.11 on
     base.close()
     return {
         "a/a_0.db3": make.words("sqlite", image, 100),

@@ -12,9 +12,9 @@ import queue
 import sys
 import threading
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Any
 
-from igtl_gateway.addon import NS_PER_S, Child, SystemClock
+from igtl_gateway.addon import NS_PER_S, Child, Self, SystemClock
 from igtl_gateway.addons.cohort.ends import FAILED, KILLED, MEMORY, TIMEOUT
 from igtl_gateway.addons.cohort.run import KnownFile, RunSettings
 from igtl_gateway.base.systems.processes import KILL

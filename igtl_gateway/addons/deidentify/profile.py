@@ -154,7 +154,7 @@ def _numbers(place: str, found: Any, names: str, *, whole: bool = False) -> list
         raise _wrong(place, found, f"[{names}], {'whole ' if whole else ''}numbers")
     if whole and min(found) < 0:
         raise _wrong(place, found, "0 or more")
-    return found  # type: ignore[no-any-return]
+    return found
 
 
 def _rows(name: str, document: Mapping[str, Any]) -> list[Mapping[str, Any]]:

@@ -6,7 +6,8 @@ Each change is counted by the name of its rule.  docs/how-to/deidentify.md has t
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
+
+from igtl_gateway.addon import StrEnum
 
 
 class Action(StrEnum):

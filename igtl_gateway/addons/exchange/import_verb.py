@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 from contextlib import closing
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from igtl_gateway.addon import (
     count_text,
     default,
     is_same,
+    iso_time,
     layout,
     new_recording,
     print_json,
@@ -35,6 +36,7 @@ from igtl_gateway.addon import (
 from igtl_gateway.addons.exchange.formats import open_source
 from igtl_gateway.addons.exchange.source import ImportedStream, Source, numbered
 
+_EPOCH = datetime(1970, 1, 1, tzinfo=timezone.utc)
 EXAMPLES = """\
   # ROS 1 bag; its messages are converted to ROS 2
   igtl-gateway import session.bag -o session.mcap
@@ -76,10 +78,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def epoch(text: str) -> int:
     """Parse an ISO 8601 time; return UTC nanoseconds.  A time without a zone is UTC."""
     try:
-        moment = datetime.fromisoformat(text)
+        moment = iso_time(text)
     except ValueError:
         raise argparse.ArgumentTypeError(f"found {text!r}, expected a time such as 2026-03-14T09:00:00Z") from None
-    since = (moment if moment.tzinfo else moment.replace(tzinfo=UTC)) - datetime(1970, 1, 1, tzinfo=UTC)
+    since = (moment if moment.tzinfo else moment.replace(tzinfo=timezone.utc)) - _EPOCH
     if since.days < 0:
         raise argparse.ArgumentTypeError(f"found {text!r}, expected a time after 1970-01-01")
     return (since.days * 86_400 + since.seconds) * NS_PER_S + since.microseconds * 1000

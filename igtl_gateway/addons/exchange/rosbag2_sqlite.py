@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import DamagedRecording, LimitExceeded, RecordingError, files, limits
+from igtl_gateway.addon import DamagedRecording, LimitExceeded, RecordingError, files, limit_values, limits, read_blob
 from igtl_gateway.addons.exchange.rosbag2_metadata import Key
 
 #: A message of a storage file: time in UTC ns, key, bytes, source stamp in UTC ns or 0.
@@ -89,8 +89,7 @@ class SqliteStorage:
             raise self._damaged(error) from None
 
     def _large(self, row: int) -> bytes:
-        with self._base.blobopen("messages", "data", row, readonly=True) as blob:
-            return blob.read()
+        return read_blob(self._base, "messages", "data", row)
 
     def close(self) -> None:
         """Close the file."""
@@ -101,7 +100,7 @@ class SqliteStorage:
         base.text_factory = _text
         for setting in ("trusted_schema=OFF", "query_only=ON", "cell_size_check=ON", "mmap_size=0"):
             base.execute(f"PRAGMA {setting}")
-        base.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, min(limits.current_limits().memory, max(self._size, 1 << 16)))
+        limit_values(base, min(limits.current_limits().memory, max(self._size, 1 << 16)))
         base.set_progress_handler(self._exceeds_work, _EVERY)
         base.set_authorizer(_authorized)
         self._check_tables()

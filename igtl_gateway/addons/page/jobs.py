@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 import threading
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import NS_PER_S, Child, SystemClock, is_present
+from igtl_gateway.addon import NS_PER_S, Child, SystemClock, is_present, python_command
 from igtl_gateway.addons.page.recordings import child_environment
 from igtl_gateway.cli.next_steps import PROGRAM
 
@@ -104,7 +103,7 @@ class Job:
         try:
             child = Child(
                 "page-job",
-                [sys.executable, "-P", "-m", "igtl_gateway", *command],
+                [*python_command("igtl_gateway"), *command],
                 on_line=self._take,
                 on_error_line=self._take,
                 env=child_environment() | {"NO_COLOR": "1", "COLUMNS": "100"},

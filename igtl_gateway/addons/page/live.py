@@ -18,16 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 from urllib.parse import parse_qs, urlsplit
 
-from igtl_gateway.addon import (
-    NS_PER_S,
-    Child,
-    Entry,
-    GatewayError,
-    Level,
-    MarkNote,
-    Note,
-    SystemClock,
-)
+from igtl_gateway.addon import NS_PER_S, Child, Entry, GatewayError, Level, MarkNote, Note, SystemClock, python_command
 from igtl_gateway.app.recording import pause, resume, snapshot, split
 from igtl_gateway.edges.tcp.http_server import Handler, LocalServer
 
@@ -35,7 +26,7 @@ if TYPE_CHECKING:
     from igtl_gateway.app.bridge import Bridge
     from igtl_gateway.app.note_rate import Event
 
-_COMMAND = [sys.executable, "-P", "-m", "igtl_gateway.addons.page.process"]
+_COMMAND = python_command("igtl_gateway.addons.page.process")
 #: Code of the notes about the page: what was pressed, and that its process has ended.
 PAGE = "page"
 #: Who makes the marks of the page.

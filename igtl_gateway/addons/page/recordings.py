@@ -11,9 +11,9 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import Child
+from igtl_gateway.addon import Child, python_command
 
-_COMMAND = [sys.executable, "-P", "-m", "igtl_gateway.addons.page.listing"]
+_COMMAND = python_command("igtl_gateway.addons.page.listing")
 #: Most recordings of the list, the newest; longest time for one, seconds.
 MAX_LISTED, _PATIENCE_S = 500, 30.0
 

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import json
-import sys
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import Child, ConfigError
+from igtl_gateway.addon import Child, ConfigError, python_command
 from igtl_gateway.addons.page.recordings import child_environment
 from igtl_gateway.config.notations import address
 
-_COMMAND = [sys.executable, "-P", "-m", "igtl_gateway.addons.page.replaying"]
+_COMMAND = python_command("igtl_gateway.addons.page.replaying")
 _LINES = 50
 _END_S = 5.0
 _TARGETS = ("igtl", "ros", "both")

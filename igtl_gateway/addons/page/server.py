@@ -206,4 +206,4 @@ class _Handler(Handler):
 
 
 def _file(name: str) -> bytes:
-    return files(__package__).joinpath("static", name).read_bytes()
+    return files(__package__).joinpath("static").joinpath(name).read_bytes()

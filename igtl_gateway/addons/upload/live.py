@@ -11,12 +11,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import Child, Level, Note
+from igtl_gateway.addon import Child, Level, Note, python_command
 from igtl_gateway.addons.upload.place import UploadPlace
 from igtl_gateway.addons.upload.upload_process import END_S
 from igtl_gateway.addons.upload.uploading import WAITS
 
-_COMMAND = [sys.executable, "-P", "-m", "igtl_gateway.addons.upload.upload_process"]
+_COMMAND = python_command("igtl_gateway.addons.upload.upload_process")
 #: Time until a process that ended is started again, seconds, and how often that happens.
 _AGAIN_S, _MOST_STARTS = 1.0, 100
 #: Time for the end of the process beyond that for what is left, seconds.

@@ -19,7 +19,7 @@ import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 from functools import lru_cache
 from ipaddress import ip_address
 from pathlib import Path
@@ -279,7 +279,7 @@ class S3Store:
         self, keys: _Keys, method: str, path: str, query: str, digest: str, headers: dict[str, str]
     ) -> dict[str, str]:
         """Return the headers with the signature, version 4 of AWS."""
-        now = datetime.fromtimestamp(self._clock.utc_ns() // NS_PER_S, UTC)
+        now = datetime.fromtimestamp(self._clock.utc_ns() // NS_PER_S, timezone.utc)
         stamp, day = f"{now:%Y%m%dT%H%M%SZ}", f"{now:%Y%m%d}"
         usual = self._port == (443 if self._secure else 80)
         headers |= {"host": self._host if usual else f"{self._host}:{self._port}"}

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, Self
+from typing import ClassVar
 
-from igtl_gateway.addon import Buffer
+from igtl_gateway.addon import Buffer, Self
 from igtl_gateway.addon.ros import Marker
 from igtl_gateway.convert.cdr import CdrReader
 

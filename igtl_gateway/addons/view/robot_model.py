@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
+
+from igtl_gateway.addon import StrEnum
 
 Xyz = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]

@@ -15,9 +15,9 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
-from typing import Any, Self
+from typing import Any
 
-from igtl_gateway.addon import ViewerError
+from igtl_gateway.addon import Self, ViewerError
 from igtl_gateway.addons.view.process import ViewerProcess
 
 TIME_LINE = "gateway_time"

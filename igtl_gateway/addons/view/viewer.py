@@ -8,10 +8,9 @@ import sys
 from collections.abc import Mapping, Sequence
 from hmac import compare_digest
 from pathlib import Path
-from typing import Self
 from urllib.parse import quote
 
-from igtl_gateway.addon import ViewerError
+from igtl_gateway.addon import Self, ViewerError
 from igtl_gateway.addons.view.process import ViewerProcess
 from igtl_gateway.edges.tcp.http_server import Handler, LocalServer
 

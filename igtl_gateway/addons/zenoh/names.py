@@ -13,11 +13,10 @@ from __future__ import annotations
 import re
 import struct
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import cache
 from typing import Any
 
-from igtl_gateway.addon import Qos
+from igtl_gateway.addon import Qos, StrEnum
 from igtl_gateway.addons.zenoh.library import import_xxhash
 
 #: The first chunk of all tokens of ROS.

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import re
-import tomllib
 import unicodedata
 from typing import Any
 
 from igtl_gateway.base.errors import DamagedRecording
 from igtl_gateway.base.untrusted import limits
 from igtl_gateway.base.untrusted.numbers import bounded_integer, check_numbers
+from igtl_gateway.base.versions import tomllib
 
 #: Unicode categories that move the cursor, reorder or break lines: control, format, surrogate, line, paragraph.
 _UNSAFE = frozenset({"Cc", "Cf", "Cs", "Zl", "Zp"})

@@ -52,7 +52,7 @@ def direct_publisher(publisher: Any) -> RclPublisher:
     """
     handle: Any = getattr(publisher, "handle", None)
     if not (hasattr(handle, "publish_raw") and hasattr(handle, "get_subscription_count")):
-        return publisher  # type: ignore[no-any-return]
+        return publisher
     small, large = handle.publish_raw, _publish_large(getattr(handle, "pointer", 0))
 
     def publish(cdr: bytes) -> None:

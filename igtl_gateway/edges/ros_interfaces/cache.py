@@ -26,6 +26,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from igtl_gateway.base.extras import missing
+from igtl_gateway.base.versions import add_note, python_command
 from igtl_gateway.convert.interfaces import definition_folder, interface_files
 
 _BUILD = Path(__file__).with_name("build.py")
@@ -201,7 +202,7 @@ def compile_package(
     """
     sys.stderr.write(f"{package}: compiling, once for this environment ...\n")
     # -P: modules must not be imported from the folder of build.py
-    command: list[str | Path] = [sys.executable, "-P", _BUILD, package, definition_folder(package), prefix, work]
+    command: list[str | Path] = [*python_command(_BUILD), package, definition_folder(package), prefix, work]
     if libraries:
         command.append(libraries)
     run = subprocess.run(
@@ -216,5 +217,5 @@ def compile_package(
         output = run.stdout.decode(errors="replace").strip()
         reason = output.rpartition("\n")[2] or f"exit code {run.returncode}"
         error = ImportError(f"{package} could not be compiled: {reason}", name=package)
-        error.add_note(output)
+        add_note(error, output)
         raise error

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass
-from typing import Self
 
+from igtl_gateway.base.versions import Self
 from igtl_gateway_lab.bench.cases import BenchStream, Direction
 
 

@@ -6,10 +6,10 @@ import ctypes
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
 
 from igtl_gateway.base.errors import GatewayError
 from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.base.versions import Self
 from igtl_gateway_lab.programs import EventProgram
 
 

@@ -12,11 +12,12 @@ bit, on every machine.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from igtl_gateway.base.versions import Self
 from igtl_gateway_lab.simulate.star_numbers import Array, Noise
 
 Indices = NDArray[np.int64]

@@ -73,7 +73,7 @@ def authority(folder: Path) -> list[Path]:
     from cryptography.x509.oid import NameOID
 
     folder.mkdir()
-    now = datetime.datetime.now(datetime.UTC)
+    now = datetime.datetime.now(datetime.timezone.utc)
     names = [x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"{folder.name} {what}")]) for what in ("CA", "member")]
     keys = [ec.generate_private_key(ec.SECP256R1()) for _ in names]
     paths = [folder / "ca.pem", folder / "cert.pem", folder / "key.pem"]

@@ -62,7 +62,7 @@ def bag(path: Path, slices: int) -> Path:
     base.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)")
     base.execute("INSERT INTO topics VALUES (1, '/a', 'std_msgs/msg/UInt8MultiArray', 'cdr', '')")
     base.execute(f"INSERT INTO messages VALUES (1, 1, 1700000000000000000, zeroblob({size}))")
-    with base.blobopen("messages", "data", 1) as blob:
+    with base.blobopen("messages", "data", 1) as blob:  # type: ignore[attr-defined]  # from Python 3.11 on
         blob.write(b"\0\1\0\0" + struct.pack("<III", 0, 0, size - 16))
     base.commit()
     base.close()

@@ -12,7 +12,9 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import Any
+
+from igtl_gateway.base.versions import Self
 
 _OPTIONS = (
     "--headless=new",

@@ -122,7 +122,7 @@ def test_when_the_compiler_fails_its_output_is_in_the_note(tmp_path: Path, monke
     with pytest.raises(ImportError) as error:
         cache.compiled("tf2_msgs", [tmp_path / "cache"])
     assert str(error.value) == "tf2_msgs could not be compiled: error: three"
-    assert error.value.__notes__ == ["one\ntwo\nerror: three"]
+    assert vars(error.value)["__notes__"] == ["one\ntwo\nerror: three"]
     assert not list((tmp_path / "cache").glob("*/tf2_msgs"))
 
 

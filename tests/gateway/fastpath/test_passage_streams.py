@@ -106,7 +106,7 @@ class Scene:
     @property
     def ros(self) -> RosEdge:
         ros: Any = self.bridge.ros
-        return ros  # type: ignore[no-any-return]
+        return ros
 
     @property
     def native(self) -> int:

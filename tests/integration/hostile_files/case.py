@@ -8,13 +8,13 @@ import struct
 import zlib
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import cache
 from pathlib import Path
 
 import lz4.frame  # type: ignore[import-untyped]
 
 from igtl_gateway.addons.exchange.targets import TARGETS
+from igtl_gateway.base.versions import StrEnum
 from tests.places import ROOT
 
 GOOD, SMALL = ROOT / "fixtures" / "ultrasound.mcap", ROOT / "fixtures" / "acquisition.mcap"

@@ -78,7 +78,7 @@ def new_authority(folder: Path, name: str, *, days: int = 30, usage: bool = True
 def _certificate(
     subject: str, key: Any, issuer: str, issuer_key: Any, days: int, *, authority: bool, usage: bool = True
 ) -> x509.Certificate:
-    now = datetime.datetime.now(datetime.UTC)
+    now = datetime.datetime.now(datetime.timezone.utc)
     builder = (
         x509.CertificateBuilder()
         .subject_name(x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, subject)]))
