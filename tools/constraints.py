@@ -77,13 +77,13 @@ def installed_pins(project: Requirement) -> dict[str, str]:
 
 
 def pins_of(text: str) -> dict[str, str]:
-    """Return name → version of the pins in a text, without those of the oldest Python."""
+    """Return name → version of the pins in the content of a file, without those of the oldest Python."""
     lines = [line.removesuffix(_NEWER) for line in text.splitlines() if not line.endswith(_OLDER)]
     return {name: version for name, equal, version in (line.partition("==") for line in lines) if equal}
 
 
 def older_pins_of(text: str) -> dict[str, str]:
-    """Return name → version of the pins in a text that only the oldest Python has."""
+    """Return name → version of the pins in the content of a file that only the oldest Python has."""
     lines = [line.removesuffix(_OLDER) for line in text.splitlines() if line.endswith(_OLDER)]
     return {name: version for name, _, version in (line.partition("==") for line in lines)}
 

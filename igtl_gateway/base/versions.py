@@ -78,7 +78,7 @@ def add_note(error: BaseException, text: str) -> None:
 
 
 def python_command(program: str | Path) -> list[str]:
-    """Return the command for a module or a file of ours that does not import from the folder that it is started in."""
+    """Return the command for a module or an own file that does not import from the folder that it is started in."""
     what = [str(program)] if isinstance(program, Path) else ["-m", program]
     if sys.version_info >= (3, 11):
         return [sys.executable, "-P", *what]
