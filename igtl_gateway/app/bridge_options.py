@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
@@ -108,7 +108,7 @@ class BridgeOptions:
         """Return the options of a session that starts at this time: ``{time}`` in the name of its file is replaced."""
         if self.record is None or TIME not in str(self.record):
             return self
-        time = datetime.fromtimestamp(utc_ns // NS_PER_S, UTC)
+        time = datetime.fromtimestamp(utc_ns // NS_PER_S, timezone.utc)
         return replace(self, record=Path(str(self.record).replace(TIME, f"{time:%Y%m%dT%H%M%SZ}")))
 
 
