@@ -16,7 +16,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.errors import ConfigError, DiskRefused, FileTaken, RecordingError, Unavailable
@@ -25,12 +25,9 @@ from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.versions import Self
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.note import Level, Note
-from igtl_gateway.record.black_box import BlackBox
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.parts import PartsWriter
 from igtl_gateway.record.prologue import Prologue
-from igtl_gateway.record.retaining import RetentionThread
-from igtl_gateway.record.retention.side_files import update_side_file
 from igtl_gateway.record.ring import Ring
 from igtl_gateway.record.seal.keys import SigningKey
 from igtl_gateway.record.selection import MAX_STREAMS, OTHERS, SelectionFilter, StateInputRule
@@ -42,7 +39,10 @@ from igtl_gateway.record.sessionfile.sealing import SealSeries
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.record.shared_queue import LARGE_BYTES, QueueReader
 from igtl_gateway.record.sole_file import SoleFile
-from igtl_gateway.record.triggers import TRIGGERED, Triggers
+
+if TYPE_CHECKING:
+    from igtl_gateway.record.black_box import BlackBox
+    from igtl_gateway.record.retaining import RetentionThread
 
 #: Codes of the recorder's notes.
 DROPPED, FAILED, REFUSED, UNDEFINED = "record_drop", "record_failed", "record_refused", "record_undefined"
@@ -265,6 +265,7 @@ class _RecorderWorker:
         self._flushed_ns = self._stated_ns = self._due_ns = clock.monotonic_ns()
         self._seen_refused = 0
         self._asked: list[tuple[int, int]] = []  # snapshots: number, and UTC ns of the request
+        self._box: BlackBox | None = None
         self._writer: SoleFile | PartsWriter | Ring | _NullWriter
         try:
             self._writer = self._open(settings.path, settings.rule)
@@ -274,8 +275,9 @@ class _RecorderWorker:
             self._writer = _NullWriter(settings.path, str(error))
         self._retention: RetentionThread | None = None
         if self.options.retention and not isinstance(self._writer, _NullWriter):
+            from igtl_gateway.record.retaining import RetentionThread  # here: it imports readers and numpy
+
             self._retention = RetentionThread(settings.path, self.options, clock)
-        self._box = self._writer if isinstance(self._writer, BlackBox) else None
         self._row_writer: SoleFile | None = None
         if isinstance(self._writer, SoleFile) and self._writer.file.takes_rows(LARGE_BYTES):
             self._row_writer = self._writer
@@ -284,18 +286,8 @@ class _RecorderWorker:
         """The writer for these options."""
         options = self.options
         if options.triggers:
-            return BlackBox(
-                path,
-                self._open_file,
-                Prologue(rule),
-                seconds=options.snapshot_s,
-                max_bytes=options.snapshot_bytes,
-                rules=options.triggers,
-                triggers=Triggers(options.triggers, self._types),
-                clock=self._clock,
-                counters=self._counters,
-                on_note=self._note_box,
-            )
+            self._box = self._open_box(path, rule)
+            return self._box
         if options.snapshot_s:
             return Ring(
                 path,
@@ -317,11 +309,30 @@ class _RecorderWorker:
             )
         return SoleFile(path, self._open_file, Prologue(rule))
 
-    def _note_box(self, note: Note) -> None:
-        """Pass on a note of the black box; a file may be new to the retention."""
-        self._note(note)
-        if note.code != TRIGGERED:
-            self._apply_retention()
+    def _open_box(self, path: Path, rule: StateInputRule) -> BlackBox:
+        """The writer of a black box."""
+        # here: they import most of the gateway, which no other recorder needs
+        from igtl_gateway.record.black_box import BlackBox
+        from igtl_gateway.record.triggers import TRIGGERED, Triggers
+
+        def on_note(note: Note) -> None:
+            """Pass it on; a file may be new to the retention."""
+            self._note(note)
+            if note.code != TRIGGERED:
+                self._apply_retention()
+
+        return BlackBox(
+            path,
+            self._open_file,
+            Prologue(rule),
+            seconds=self.options.snapshot_s,
+            max_bytes=self.options.snapshot_bytes,
+            rules=self.options.triggers,
+            triggers=Triggers(self.options.triggers, self._types),
+            clock=self._clock,
+            counters=self._counters,
+            on_note=on_note,
+        )
 
     def _open_file(self, path: Path, facts: dict[str, str], prologue: Sequence[Entry]) -> SessionWriter:
         alone = self.options.snapshot_s > 0 or self._is_cut  # the seal of a file that was taken away is not at its end
@@ -726,6 +737,8 @@ class _RecorderWorker:
             self._retention.stop()
             self._report_retention()
             if isinstance(self._writer, PartsWriter):
+                from igtl_gateway.record.retention.side_files import update_side_file
+
                 update_side_file(self._writer.path)
         files = [path for path in self._writer.files if path.exists()]
         summary = RecordingSummary(

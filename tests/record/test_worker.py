@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import random
+import subprocess
+import sys
 import threading
 import time
 from dataclasses import replace
@@ -265,3 +267,10 @@ def test_a_queue_in_which_nothing_comes_is_polled_once_in_a_flush_interval(tmp_p
     time.sleep(1.0)
     assert recorder.counters()["written_entries"] == 1, "within the interval"
     assert recorder.close({}).entries == 1
+
+
+def test_its_process_imports_no_gateway_and_no_numpy() -> None:
+    """Each recording starts one: what only a black box or the retention needs is imported for these."""
+    ask = "import sys, igtl_gateway.record.host; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", ask], capture_output=True, text=True, check=True).stdout.split()
+    assert not {"numpy", "igtl_gateway.gateway.core", "igtl_gateway.record.sessionfile.reader"} & {*loaded}

@@ -10,21 +10,28 @@ one.  The review compares every planned entry and exit point with the tissue aro
 * ``executed`` finds where the tool passed each planned point.
 
 Pure functions on arrays: no file, no clock, no LAPACK.  Formulae and limits: ``docs/how-to/review.md``.
+
+The names load at their first use: the list of verbs imports this package, and needs none of them.
 """
 
-from igtl_gateway.addons.review.assess import review_of
-from igtl_gateway.addons.review.material import Material
-from igtl_gateway.addons.review.model import (
-    Change,
-    CloudReview,
-    EndReview,
-    Executed,
-    Level,
-    PlanReview,
-    Review,
-    StitchReview,
-    Thresholds,
-)
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from igtl_gateway.addons.review.assess import review_of
+    from igtl_gateway.addons.review.material import Material
+    from igtl_gateway.addons.review.model import (
+        Change,
+        CloudReview,
+        EndReview,
+        Executed,
+        Level,
+        PlanReview,
+        Review,
+        StitchReview,
+        Thresholds,
+    )
 
 __all__ = [
     "Change",
@@ -39,3 +46,14 @@ __all__ = [
     "Thresholds",
     "review_of",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Import the names of the package when one of them is first used."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from igtl_gateway.addons.review import assess, material, model
+
+    for module in (assess, material, model):
+        globals().update({each: getattr(module, each) for each in __all__ if hasattr(module, each)})
+    return globals()[name]
