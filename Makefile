@@ -1,8 +1,8 @@
 # Every target works as the first command on a fresh machine: what it needs is installed first (tools/setup.sh).
 BIN := .venv/bin
 READY := .venv/.ready
-# For the tests, on two cores: some of them only wait.
-WORKERS := 3
+# For the tests, on two cores: a test that waits for processes or sockets uses a third of one.
+WORKERS := 5
 PARALLEL := -q -n $(WORKERS) --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 # The folders whose branches `make coverage` holds to a floor, in per cent.
 COVERED := igtl_gateway/gateway/*,igtl_gateway/convert/*,igtl_gateway/record/sessionfile/*
