@@ -63,11 +63,11 @@ def test_values_stay_texts() -> None:
 
 @table("text", HOSTILE.values(), ids=HOSTILE)
 def test_hostile_documents_are_refused_at_once(text: str) -> None:
-    start = time.monotonic()
+    start = time.process_time()
     with pytest.raises(DamagedRecording, match=r"^x\.yaml: ") as found:
         parse_yaml(text, "x.yaml")
     assert len(str(found.value)) < 300
-    assert time.monotonic() - start < 5
+    assert time.process_time() - start < 5
 
 
 def test_what_is_above_the_limits_says_so() -> None:
