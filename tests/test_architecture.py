@@ -110,7 +110,7 @@ GENERATORS = (
 HOMES: dict[str, tuple[str, ...]] = {
     # The live world
     "asyncio": ("api.aio",),
-    "select": ("edges.tcp.sender",),
+    "select": ("edges.tcp.lobby", "edges.tcp.sender"),
     "selectors": ("edges.tcp.loop",),
     # What not every system has
     "fcntl": (
@@ -231,7 +231,7 @@ ABSENT_HOMES: dict[str, tuple[str, ...]] = {
     "os": (SYSTEM, "cli.keys", "edges.ros.env", "base.realtime", "record.shared_queue"),
     "signal": (SYSTEM,),
     "socket": ("edges.tcp.sockets", "base.systems.service", "addons.resim.link"),
-    "select": ("edges.tcp.sender",),
+    "select": ("edges.tcp.lobby", "edges.tcp.sender"),
 }
 
 #: Who may choose a module's name at run time: message types from the graph, verbs from the command line; and the

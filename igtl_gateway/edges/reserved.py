@@ -12,7 +12,7 @@ import sys
 from collections.abc import Iterable
 
 #: Connections that may wait while one callback runs, or before the edge starts; beyond that they come a second later.
-BACKLOG = 256
+BACKLOG = 2048
 
 #: Only addresses of this machine itself: for others the list of allowed networks has to be known first.
 _LOOPBACK = re.compile(r"127\.\d{1,3}\.\d{1,3}\.\d{1,3}")
