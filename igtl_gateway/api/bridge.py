@@ -15,7 +15,7 @@ from igtl_gateway.api.keywords import checked, of_a_bridge, ros_arguments
 from igtl_gateway.app.bridge import Bridge as RunningBridge
 from igtl_gateway.app.bridge_options import bridge_options, zenoh_endpoint
 from igtl_gateway.app.entry_watch import EntryWatch
-from igtl_gateway.app.recording import pause, resume, snapshot
+from igtl_gateway.app.recording import pause, resume, snapshot, start, stop
 from igtl_gateway.app.settings import declared, settled
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import NoReply, RecordingError
@@ -235,6 +235,14 @@ class Bridge:
             yield
         finally:
             self.mark(label, who=who, phase=END)
+
+    def start_recording(self) -> None:
+        """Begin the next file, after a stop or with the setting ``record_wait``.  Raises RecordingError."""
+        self._control(start)
+
+    def stop_recording(self) -> None:
+        """Close the file; the bridge goes on.  Raises RecordingError if none is written."""
+        self._control(stop)
 
     def pause_recording(self) -> None:
         """Pause the recording.  Raises RecordingError if there is none, or it has failed."""

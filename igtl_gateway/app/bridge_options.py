@@ -260,6 +260,8 @@ def record_options(values: Mapping[str, Any]) -> RecordOptions:
     """Return the options of the recording for the values of all settings.  Raises ConfigError."""
     if values["snapshot"] and (values["split_size"] or values["split_duration"]):
         raise ConfigError("--snapshot: found --split-size or --split-duration, expected neither: it records to memory")
+    if values["snapshot"] and values["record_wait"]:
+        raise ConfigError("--record-wait: found --snapshot, expected one of them: it writes on request only")
     rules = tuple(map(trigger, values["trigger"]))
     for rule in rules:
         if rule.before_s is not None and rule.before_s > values["snapshot"]:
@@ -276,6 +278,7 @@ def record_options(values: Mapping[str, Any]) -> RecordOptions:
         triggers=rules,
         selection=Selection(tuple(values["record_include"]), tuple(values["record_exclude"])),
         overwrite=values["overwrite"],
+        waits=values["record_wait"],
         stop_on_failure=values["on_record_failure"] == "stop",
         custom=tuple(map(key_value, values["custom_data"])),
         file_mode=file_mode(values["file_mode"]),

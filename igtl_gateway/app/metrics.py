@@ -155,7 +155,7 @@ METRICS = (
     Metric("link_queue_messages", "gauge", "messages in the send queue", _queues("messages")),
     Metric("link_queue_bytes", "gauge", "bytes in the send queue", _queues("bytes")),
     Metric("ros_messages", "gauge", "messages of a ROS topic by fate, and number of held messages", _ros),
-    Metric("recording", "gauge", "1: recording; 0: paused or failed", _recording),
+    Metric("recording", "gauge", "1: recording; 0: paused, stopped or failed", _recording),
     Metric("recorder_entries_total", "counter", "entries written", _one("recorder", "written_entries")),
     Metric("recorder_dropped_total", "counter", "entries dropped by the recorder", _one("recorder", "dropped_entries")),
     Metric(

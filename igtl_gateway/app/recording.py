@@ -1,6 +1,7 @@
 """The recording of a bridge, with the upload beside it.
 
-Its services are ``~/pause_recording``, ``~/resume_recording``, ``~/split_recording`` and ``~/snapshot``.
+Its services are ``~/start_recording``, ``~/stop_recording``, ``~/pause_recording``, ``~/resume_recording``,
+``~/split_recording`` and ``~/snapshot``.
 """
 
 from __future__ import annotations
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
     from igtl_gateway.record.worker import RecordingSummary
 
 TYPE = "std_srvs/srv/Trigger"
+START, STOP = "~/start_recording", "~/stop_recording"
 PAUSE, RESUME, SNAPSHOT = "~/pause_recording", "~/resume_recording", "~/snapshot"
 SPLIT = "~/split_recording"
 
@@ -144,24 +146,52 @@ class BridgeRecording:
 
 
 def serve_recording(ros: RosSide, recorder: Recorder) -> None:
-    """Create the services of this recording: ``~/snapshot`` for a snapshot buffer, else pause, resume and split."""
+    """Create the services of this recording: ``~/snapshot`` for a snapshot buffer, else those of its files."""
     if recorder.options.snapshot_s:
         ros.serve(SNAPSHOT, TYPE, lambda _request, response: _answer(response, lambda: snapshot(recorder)))
         return
+    ros.serve(START, TYPE, lambda _request, response: _answer(response, lambda: start(recorder)))
+    ros.serve(STOP, TYPE, lambda _request, response: _answer(response, lambda: stop(recorder)))
     ros.serve(PAUSE, TYPE, lambda _request, response: _answer(response, lambda: pause(recorder)))
     ros.serve(RESUME, TYPE, lambda _request, response: _answer(response, lambda: resume(recorder)))
     if recorder.options.split_bytes or recorder.options.split_s:
         ros.serve(SPLIT, TYPE, lambda _request, response: _answer(response, lambda: split(recorder)))
 
 
+#: Why nothing can be done with a file.
+_RESTS = "the recording is stopped; start it first"
+
+
+def start(recorder: Recorder) -> tuple[bool, str]:
+    """Begin the next file; return whether that was possible, and a sentence for people."""
+    if recorder.options.snapshot_s:
+        return False, f"the last {recorder.options.snapshot_s:g} s are kept in memory; save them"
+    if not recorder.rests:
+        return False, recorder.failure or "the recording runs already"
+    recorder.start()
+    return True, "the recording starts"
+
+
+def stop(recorder: Recorder) -> tuple[bool, str]:
+    """Close the file; return whether that was possible, and a sentence for people."""
+    if recorder.failure or recorder.rests or recorder.options.snapshot_s:
+        return False, recorder.failure or ("nothing is written to a file" if recorder.options.snapshot_s else _RESTS)
+    recorder.stop()
+    return True, "the recording is closed"
+
+
 def pause(recorder: Recorder) -> tuple[bool, str]:
     """Pause the recording; return whether that was possible, and a sentence for people."""
+    if recorder.rests:
+        return False, _RESTS
     recorder.pause()
     return not recorder.failure, recorder.failure or "the recording is paused"
 
 
 def resume(recorder: Recorder) -> tuple[bool, str]:
     """Resume the recording; return whether that was possible, and a sentence for people."""
+    if recorder.rests:
+        return False, _RESTS
     recorder.resume()
     return not recorder.failure, recorder.failure or "the recording goes on"
 
@@ -170,6 +200,8 @@ def split(recorder: Recorder) -> tuple[bool, str]:
     """Begin the next part with the next input; return whether that is possible, and a sentence for people."""
     if not (recorder.options.split_bytes or recorder.options.split_s):
         return False, "the recording has one file; start it with --split-size or --split-duration"
+    if recorder.rests:
+        return False, _RESTS
     recorder.split()
     return not recorder.failure, recorder.failure or "the next message begins a new file"
 

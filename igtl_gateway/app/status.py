@@ -97,7 +97,13 @@ class BridgeStatus:
             "native_times": bridge.native_times(),
             "upload": bridge.uploads and bridge.uploads.counters(),
             "recorder": recorder
-            and recorder.counters() | {"path": str(bridge.options.record), "paused": recorder.paused},
+            and recorder.counters()
+            | {
+                "path": str(bridge.options.record),
+                "paused": recorder.paused,
+                "rests": recorder.rests,
+                "file": recorder.file,
+            },
         }
 
     def _watched(self) -> list[dict[str, Any]]:

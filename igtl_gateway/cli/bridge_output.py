@@ -65,7 +65,8 @@ class StatusLine:
         recorded = ""
         if bridge.recorder:
             counters = bridge.recorder.counters()
-            recorded = f" | recorded {'(paused) ' if bridge.recorder.paused else ''}{counters['written_entries']:,}" + (
+            state = "(stopped) " if bridge.recorder.rests else "(paused) " if bridge.recorder.paused else ""
+            recorded = f" | recorded {state}{counters['written_entries']:,}" + (
                 f" LOST {counters['dropped_entries']:,}" if counters["dropped_entries"] else ""
             )
         return (

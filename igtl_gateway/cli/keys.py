@@ -19,6 +19,7 @@ else:
     import termios
 
 PAUSE, NEXT, FASTER, SLOWER, QUIT = "pause", "next", "faster", "slower", "quit"
+RECORD = "record"
 
 _KEYS = {
     b" ": PAUSE,
@@ -32,6 +33,7 @@ _KEYS = {
     b"\x1b[B": SLOWER,
     b"\x1bOB": SLOWER,
     b"q": QUIT,
+    b"r": RECORD,
 }
 _LONGEST = max(map(len, _KEYS))
 _LONGEST_TYPED = 4_400  # bytes of a line: more than any mark has

@@ -6,11 +6,11 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import TYPE_CHECKING
 
-from igtl_gateway.app.recording import pause, resume, snapshot
+from igtl_gateway.app.recording import pause, resume, snapshot, start, stop
 from igtl_gateway.base.errors import GatewayError
 from igtl_gateway.base.systems.signals import PAUSE as PAUSE_SIGNAL
 from igtl_gateway.base.systems.signals import SAVE, signals_in_thread
-from igtl_gateway.cli.keys import NEXT, PAUSE, LineInput, can_read_keys, keyboard
+from igtl_gateway.cli.keys import NEXT, PAUSE, RECORD, LineInput, can_read_keys, keyboard
 from igtl_gateway.cli.terminal import clear_live_line, is_terminal, print_line, show_typed
 
 if TYPE_CHECKING:
@@ -37,19 +37,22 @@ def recording_controls(recorder: Recorder | None, mark: Callable[[str], None]) -
         def save() -> None:
             snapshot(recorder)  # a note reports the result
 
+        def begin_or_end() -> None:
+            (start if recorder.rests else stop)(recorder)
+
         number, action = (SAVE, save) if snapshots else (PAUSE_SIGNAL, toggle)
         stack.enter_context(signals_in_thread({number: action} if number else {}, "igtl-steering"))
         keys = can_read_keys()
         if keys:
             # key s means "next message" in a replay
-            bound = {NEXT: save} if snapshots else {PAUSE: toggle}
+            bound = {NEXT: save} if snapshots else {PAUSE: toggle, RECORD: begin_or_end}
             line = LineInput(b"m", lambda text: _mark(text, mark), _show_line)
             stack.enter_context(keyboard(lambda command: bound.get(command, _nothing)(), line=line))
         ways = (["key s" if snapshots else "space"] if keys else []) + ([number.name] if number else [])
         if snapshots:
             does = f"saves the last {recorder.options.snapshot_s:g} s"
         else:
-            does = "pauses and resumes" if keys else ""
+            does = "pauses and resumes, r stops and starts" if keys else ""
         words = [f"{' or '.join(ways)} {does}"] if ways and does else []
         yield "; ".join([*words, "m and a line of text makes a mark"] if keys else words)
 

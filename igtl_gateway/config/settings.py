@@ -508,6 +508,12 @@ _RECORDING = (
         needs=("record",),
     ),
     Setting(
+        "record_wait",
+        False,
+        "begin FILE when the recording is started: key r, the page or the ROS service ~/start_recording",
+        needs=("record",),
+    ),
+    Setting(
         "split_size",
         0,
         "start a new file after this size",

@@ -44,6 +44,7 @@ class RecordOptions:
         queue_bytes, queue_entries: bounds of the queue.
         overwrite: replace an existing recording instead of refusing it.
         stop_on_failure: the bridge stops when the recording fails.
+        waits: the first file is begun on request.
         custom: keys and values of the user for the metadata of the recording.
         file_mode: mode of the files; directories may also be entered by those who may read files.
         seal: file of the private key that seals the recording; None: it is not sealed.
@@ -65,6 +66,7 @@ class RecordOptions:
     queue_entries: int = QUEUE_ENTRIES
     overwrite: bool = False
     stop_on_failure: bool = False
+    waits: bool = False
     custom: tuple[tuple[str, str], ...] = ()
     file_mode: int = 0o600
     seal: Path | None = None

@@ -41,6 +41,7 @@ class PartsWriter:
         prologue: has to be fresh.
         max_bytes, max_s: a part ends when it has this size or duration; 0: never.
         overwrite: replace an existing split recording.
+        waits: rest at first; the first part has number 1 then: it begins midway, as those after it.
         counters: of the recorder so far, for the ledger of a part that is not the last.
         on_closed: called when a part is closed.
 
@@ -56,6 +57,7 @@ class PartsWriter:
         max_bytes: int,
         max_s: float,
         overwrite: bool,
+        waits: bool = False,
         counters: Callable[[], dict[str, Any]],
         on_closed: Callable[[], None] = lambda: None,
     ) -> None:
@@ -69,17 +71,24 @@ class PartsWriter:
         self._number = 0
         self._asked = False  # the next part
         self._previous = ""  # name of the part before
-        old = _make_folder(self.path, overwrite)
+        self._rests = self._ended = waits  # ended: the part is one of the complete ones
+        self._old = _make_folder(self.path, overwrite)
+        if waits:
+            return
         try:
             self._part = self._open()
         except RecordingError:
             with contextlib.suppress(OSError):  # it holds something
                 self.path.rmdir()
             raise
-        for each in old:  # of an earlier recording: it stays until the new one has begun
+        self._remove_old()
+
+    def _remove_old(self) -> None:
+        """Remove the files of an earlier recording, which stays until the new one has begun."""
+        for each in self._old:
             if each != self._part.path:
                 each.unlink(missing_ok=True)
-        self._ended = False  # the part is one of the complete ones
+        self._old = []
 
     @property
     def entries(self) -> int:
@@ -87,7 +96,7 @@ class PartsWriter:
 
     @property
     def undefined(self) -> list[str]:
-        return self._part.undefined
+        return [] if self._rests else self._part.undefined
 
     @property
     def files(self) -> list[Path]:
@@ -97,23 +106,44 @@ class PartsWriter:
 
     def write(self, entry: Entry) -> None:
         """Add an entry, in the next part if this one is full.  Raises as SessionWriter.write."""
-        if entry.kind.is_input and self._part.entries and self._full(entry):
-            self._end({"recorder": self._counters()}, last_part=False)
-            self._next()
-        self._part.write(entry)
+        if not self._rests:
+            if entry.kind.is_input and self._part.entries and self._full(entry):
+                self._end({"recorder": self._counters()}, last_part=False)
+                self._next()
+            self._part.write(entry)
         self._prologue.observe(entry)
 
     def split(self) -> None:
         """End the part before the next input, whatever its size; a part without entries goes on."""
-        self._asked = self._part.entries > 0
+        self._asked = not self._rests and self._part.entries > 0
 
     def flush(self) -> None:
         """As SessionWriter.flush."""
-        self._part.flush()
+        if not self._rests:
+            self._part.flush()
 
     def close(self, ledger: dict[str, Any]) -> None:
         """End the last part.  Raises RecordingError; what was flushed stays readable."""
-        self._end(ledger)
+        if not self._rests:
+            self._end(ledger)
+
+    @property
+    def present(self) -> Path | None:
+        """The part that is being written; None in a rest."""
+        return None if self._rests else self._part.path
+
+    def rest(self, ledger: dict[str, Any]) -> None:
+        """End the part, and write nothing until `begin`.  Raises RecordingError."""
+        if not self._rests:
+            self._rests = True
+            self._end(ledger, last_part=False)
+
+    def begin(self) -> Path:
+        """Begin the next part after a rest, and return its path.  Raises RecordingError."""
+        self._next()
+        self._rests = False
+        self._remove_old()
+        return self._part.path
 
     def go_on(self) -> tuple[Path, int]:
         """Begin the next part where the file of this one was taken away; return its path, and the entries of this one.
@@ -125,7 +155,8 @@ class PartsWriter:
         return self._part.path, lost
 
     def _next(self) -> None:
-        self._previous = self._part.path.name
+        if self._parts or not self._rests:
+            self._previous = self._part.path.name
         self._number += 1
         self._asked = False
         self._part = self._open()

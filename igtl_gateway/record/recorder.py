@@ -78,7 +78,7 @@ class Recorder:
         self._snapshots: dict[int, Future[Path]] = {}
         self._asked_snapshots = 0
 
-        self._state = WorkerState()
+        self._state = WorkerState(file="" if self.options.waits or self.options.snapshot_s else str(path))
         self._ended = False
         self._summary: RecordingSummary | None = None
         self._sending = threading.Lock()  # of the pipe
@@ -146,6 +146,24 @@ class Recorder:
     def paused(self) -> bool:
         """Whether only links, notes and what the gateway learns is recorded."""
         return self._state.paused
+
+    @property
+    def rests(self) -> bool:
+        """Whether no file is open: before the start of a recording that waits, and after a stop."""
+        return not (self._state.file or self.options.snapshot_s or self._state.failure)
+
+    @property
+    def file(self) -> str:
+        """The file that is being written; "": there is none."""
+        return self._state.file
+
+    def start(self) -> None:
+        """Begin the next file with the next input, after a stop or in a recording that waits."""
+        self._command("start")
+
+    def stop(self) -> None:
+        """Close the file before the next input, and write nothing until the next start."""
+        self._command("stop")
 
     def pause(self) -> None:
         """From the next input on, record no more than what later outputs depend on."""

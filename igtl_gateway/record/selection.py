@@ -144,9 +144,13 @@ class SelectionFilter:
     def _drop_held(self) -> None:
         """Count what was held, and is not wanted after all."""
         for entry in self._held:
-            known = entry.channel in self.left_out or len(self.left_out) < MAX_STREAMS
-            self.left_out[entry.channel if known else OTHERS] += 1
+            self.leave_out(entry)
         self._held.clear()
+
+    def leave_out(self, entry: Entry) -> None:
+        """Count an entry that no file has."""
+        known = entry.channel in self.left_out or len(self.left_out) < MAX_STREAMS
+        self.left_out[entry.channel if known else OTHERS] += 1
 
     def _is_selected(self, entry: Entry) -> bool:
         rule = self._rule

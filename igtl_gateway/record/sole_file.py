@@ -1,9 +1,9 @@
-"""A recording that is not split: one file, and a next one where that was taken away.
+"""A recording that is not split: one file, and a next one where that was taken away, or was closed on request.
 
 A file that another program removes, replaces or changes while it is written cannot be continued.  What comes then goes
 into ``name_1.mcap`` beside it, a later part of the recording: it begins with what is known of the inputs before it.
 These are the ones that were not written as rows (``chunk_rows``): links, settings and the first of each stream are
-among them.
+among them.  So does what comes after a rest, in which nothing is written.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.chunk_rows import RowStream
+from igtl_gateway.record.sessionfile.new_file import create_file
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.record.shared_queue import LARGE_BYTES
 
@@ -31,58 +32,105 @@ class SoleFile:
         path: the file to create.
         open_file: makes its writer.
         prologue: has to be fresh.
+        waits: rest at first.
 
     Raises RecordingError when the file cannot be created.
     """
 
-    def __init__(self, path: Path, open_file: Open, prologue: Prologue) -> None:
+    def __init__(self, path: Path, open_file: Open, prologue: Prologue, *, waits: bool = False) -> None:
         self.path = path
         self._open_file = open_file
         self._prologue = prologue
-        #: The writer of the present file.
-        self.file = open_file(path, {}, ())
         self._number = 0
+        self._previous = ""
+        self._closed: list[Path] = []  # on request
+        self._closed_entries = 0
+        #: The writer of the present file; None in a rest.
+        self.file: SessionWriter | None = None
+        if waits:
+            trial = path.with_name(f".{path.name}.trial")
+            create_file(trial).close()  # an obstacle is reported now, not at the first request
+            trial.unlink()
+        else:
+            self.file = open_file(path, {}, ())
 
     @property
     def entries(self) -> int:
-        return self.file.entries
+        return self._closed_entries + (self.file.entries if self.file else 0)
 
     @property
     def undefined(self) -> list[str]:
-        return self.file.undefined
+        return self.file.undefined if self.file else []
 
     @property
     def files(self) -> list[Path]:
-        """The file that is there."""
-        return [self.file.path]
+        """The files that are there."""
+        return [*self._closed, *([self.file.path] if self.file else [])]
+
+    @property
+    def present(self) -> Path | None:
+        """The file that is being written; None in a rest."""
+        return self.file.path if self.file else None
 
     def write(self, entry: Entry) -> None:
-        """As SessionWriter.write."""
-        self.file.write(entry)
+        """As SessionWriter.write; in a rest only what a later file begins with is kept."""
+        if self.file:
+            self.file.write(entry)
         if entry.size < LARGE_BYTES:  # a larger one may be lent
             self._prologue.observe(entry)
 
     def add_rows(self, room: memoryview, begin: int, end: int, streams: list[RowStream | None]) -> tuple[int, int, int]:
         """As SessionWriter.add_rows."""
+        assert self.file
         self._prologue.skip()
         return self.file.add_rows(room, begin, end, streams)
 
+    def end_full_chunk(self) -> None:
+        """As SessionWriter.end_full_chunk."""
+        assert self.file
+        self.file.end_full_chunk()
+
+    def row_stream(self, entry: Entry) -> RowStream | None:
+        """As SessionWriter.row_stream."""
+        return self.file.row_stream(entry) if self.file else None
+
     def flush(self) -> None:
         """As SessionWriter.flush."""
-        self.file.flush()
+        if self.file:
+            self.file.flush()
 
     def close(self, ledger: dict[str, Any]) -> None:
         """As SessionWriter.close."""
-        self.file.close(ledger)
+        if self.file:
+            self.file.close(ledger)
+
+    def rest(self, ledger: dict[str, Any]) -> None:
+        """Close the file, and write nothing until `begin`.  Raises RecordingError."""
+        if self.file:
+            self.file.close(ledger)
+            self._closed.append(self.file.path)
+            self._closed_entries += self.file.entries
+            self._previous, self.file = self.file.path.name, None
+
+    def begin(self) -> Path:
+        """Open the next file after a rest, and return its path.  Raises RecordingError."""
+        return self._next(None if self._closed or os.path.lexists(self.path) else self.path)
 
     def go_on(self) -> tuple[Path, int]:
         """Open the next file; return its path, and the entries of the one before.  Raises RecordingError."""
         before = self.file
+        assert before
+        self._previous = before.path.name
+        return self._next(None), before.entries
+
+    def _next(self, path: Path | None) -> Path:
+        """Open a later file of the recording; without a path, at a new one."""
         stem = self.path.stem if self.path.suffix == ".mcap" else self.path.name
-        path = self.path
-        while path == self.path or os.path.lexists(path):
-            self._number += 1
-            path = self.path.with_name(f"{stem}_{self._number}.mcap")
-        facts = {layout.PART_KEY: str(self._number), layout.PREVIOUS_KEY: before.path.name}
+        number = self._number + 1
+        if path is None:
+            while os.path.lexists(path := self.path.with_name(f"{stem}_{number}.mcap")):
+                number += 1
+        facts = {layout.PART_KEY: str(number)} | ({layout.PREVIOUS_KEY: self._previous} if self._previous else {})
         self.file = self._open_file(path, facts, self._prologue.entries())
-        return path, before.entries
+        self._number = number
+        return path

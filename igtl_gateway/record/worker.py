@@ -49,6 +49,7 @@ DROPPED, FAILED, REFUSED, UNDEFINED = "record_drop", "record_failed", "record_re
 THREAD = "record_thread"
 CONTINUED = "record_continued"
 PAUSED, RESUMED, SNAPSHOT = "record_paused", "record_resumed", "record_snapshot"
+STARTED, STOPPED = "record_started", "record_stopped"
 
 #: Stream by which entries count as dropped that were in a file that was taken away.
 TAKEN = "(in a file that was taken away)"
@@ -121,6 +122,7 @@ class WorkerState:
         left_out: entries that are not to be there, by stream.
         failure: why the recording ended before its time, or ``""``.
         paused: whether it is.
+        file: the file that is being written; "": there is none, before a start, after a stop, and of a snapshot.
         taken_away: the last file that was removed or changed while it was written, and where it goes on; or ``""``.
     """
 
@@ -129,6 +131,7 @@ class WorkerState:
     left_out: dict[str, int] = field(default_factory=dict)
     failure: str = ""
     paused: bool = False
+    file: str = ""
     taken_away: str = ""
 
     def counters(self, not_queued: Counter[str]) -> dict[str, Any]:
@@ -264,6 +267,7 @@ class _RecorderWorker:
         self._left_out_before = 0  # of the pause that is on
         self._flushed_ns = self._stated_ns = self._due_ns = clock.monotonic_ns()
         self._seen_refused = 0
+        self._wanted: bool | None = None  # a start or a stop that is due
         self._asked: list[tuple[int, int]] = []  # snapshots: number, and UTC ns of the request
         self._box: BlackBox | None = None
         self._writer: SoleFile | PartsWriter | Ring | _NullWriter
@@ -278,9 +282,13 @@ class _RecorderWorker:
             from igtl_gateway.record.retaining import RetentionThread  # here: it imports readers and numpy
 
             self._retention = RetentionThread(settings.path, self.options, clock)
-        self._row_writer: SoleFile | None = None
-        if isinstance(self._writer, SoleFile) and self._writer.file.takes_rows(LARGE_BYTES):
-            self._row_writer = self._writer
+        self._gate.paused = self._rests = self.options.waits
+        self._row_writer = self._writer_of_rows()
+
+    def _writer_of_rows(self) -> SoleFile | None:
+        """Return the writer if it takes entries as rows."""
+        writer = self._writer
+        return writer if isinstance(writer, SoleFile) and writer.file and writer.file.takes_rows(LARGE_BYTES) else None
 
     def _open(self, path: Path, rule: StateInputRule) -> SoleFile | PartsWriter | Ring:
         """The writer for these options."""
@@ -304,10 +312,11 @@ class _RecorderWorker:
                 max_bytes=options.split_bytes,
                 max_s=options.split_s,
                 overwrite=options.overwrite,
+                waits=options.waits,
                 counters=self._counters,
                 on_closed=self._apply_retention,
             )
-        return SoleFile(path, self._open_file, Prologue(rule))
+        return SoleFile(path, self._open_file, Prologue(rule), waits=options.waits)
 
     def _open_box(self, path: Path, rule: StateInputRule) -> BlackBox:
         """The writer of a black box."""
@@ -388,7 +397,7 @@ class _RecorderWorker:
     def _pause_ns(self) -> int:
         """Return the time until the next poll: until the next flush, unless something has to be soon."""
         due_ns = self._flushed_ns + self._flush_ns - self._clock.monotonic_ns()
-        if self._taken > _FEW or self._asked or self._hurried:
+        if self._taken > _FEW or self._asked or self._wanted is not None or self._hurried:
             return min(_LOOK_NS, due_ns) if due_ns > 0 else _LOOK_NS
         return max(_LOOK_NS, due_ns)
 
@@ -430,8 +439,14 @@ class _RecorderWorker:
             dict(self._gate.left_out),
             self._failure,
             self._gate.paused,
+            self._present(),
             self._taken_away,
         )
+
+    def _present(self) -> str:
+        """Return the file that is being written."""
+        writer = self._writer
+        return str(writer.present or "") if isinstance(writer, SoleFile | PartsWriter) else ""
 
     def _qos_of(self, topic: str, ros_type: str) -> Qos | None:
         try:
@@ -463,6 +478,7 @@ class _RecorderWorker:
         self._taken = self._drain()
         if not self._taken and rested:
             self._take_requested_snapshots()
+            self._start_or_stop()
             if self._box:
                 self._box.tick()
         self._run_periodic()
@@ -487,7 +503,7 @@ class _RecorderWorker:
         Nothing depends on what they are: everything is recorded, and into one file.
         """
         writer = self._row_writer
-        if writer is None or self._failure or not self._gate.passes_all:
+        if writer is None or self._failure or not self._gate.passes_all or self._wanted is not None:
             return 0
         room, begin, end = self._queue.rows()
         if begin == end:
@@ -496,7 +512,7 @@ class _RecorderWorker:
             place, rows, size = writer.add_rows(room, begin, end, self._queue.row_streams)
             if rows:
                 self._queue.take_rows(place, rows, size)
-                writer.file.end_full_chunk()
+                writer.end_full_chunk()
         except RecordingError as error:
             self._fail(str(error))
             return 0
@@ -510,14 +526,15 @@ class _RecorderWorker:
             return False
         try:
             if isinstance(item, Entry):
-                if self._asked and item.kind.is_input:
+                if item.kind.is_input and (self._asked or self._wanted is not None):
                     self._take_requested_snapshots()
+                    self._start_or_stop()
                 if self._box:
                     self._box.saw(item)
                 for passed in self._gate.take(item):
                     self._write(passed)
                 if self._row_writer and queue.stream >= 0 and queue.row_streams[queue.stream] is None:
-                    queue.row_streams[queue.stream] = self._row_writer.file.row_stream(item)
+                    queue.row_streams[queue.stream] = self._row_writer.row_stream(item)
             else:
                 self._apply_command(*item)
         finally:
@@ -564,6 +581,8 @@ class _RecorderWorker:
                 self._set_paused(True)
             case "resume":
                 self._set_paused(False)
+            case "start" | "stop":
+                self._wanted = command == "start"
             case "split":
                 if isinstance(self._writer, PartsWriter):
                     self._writer.split()
@@ -573,6 +592,7 @@ class _RecorderWorker:
                 self._fail(*words)
             case "close":
                 self._take_requested_snapshots()
+                self._start_or_stop()
                 self._ledger = json.loads(*words)
 
     def _write(self, entry: Entry) -> None:
@@ -593,6 +613,8 @@ class _RecorderWorker:
             self._note(Note(Level.WARN, UNDEFINED, text, entry.channel))
 
     def _put(self, entry: Entry) -> None:
+        if self._rests:
+            self._gate.leave_out(entry)
         try:
             self._writer.write(entry)
         except FileTaken as error:  # found at the end of a part
@@ -630,7 +652,7 @@ class _RecorderWorker:
         self._note(Note(Level.ERROR, CONTINUED, text, data={"lost": lost, "path": str(path)}))
 
     def _set_paused(self, paused: bool) -> None:
-        if paused == self._gate.paused:
+        if paused == self._gate.paused or self._rests:
             return
         self._gate.paused = paused
         left_out = self._gate.left_out.total()
@@ -641,6 +663,33 @@ class _RecorderWorker:
         missed = left_out - self._left_out_before
         text = f"the recording goes on; {missed:,} entries were left out"
         self._note(Note(Level.INFO, RESUMED, text, data={"left_out": missed}))
+
+    def _start_or_stop(self) -> None:
+        """Begin a file or close it, where that was asked for: as for snapshots, before an input.
+
+        What comes in between is as in a pause: what later outputs depend on is kept for the next file.
+        """
+        start, self._wanted = self._wanted, None
+        writer = self._writer
+        if start is None or not isinstance(writer, SoleFile | PartsWriter) or start == bool(writer.present):
+            return
+        try:
+            if start:
+                self._is_cut = isinstance(writer, SoleFile)
+                text, code = f"the recording begins: {writer.begin()}", STARTED
+            else:
+                text, code = f"the recording is closed: {writer.present}", STOPPED
+                writer.rest({"recorder": self._counters()})
+        except (RecordingError, OSError) as error:
+            self._note(Note(Level.ERROR, FAILED, f"the recording is not {'started' if start else 'closed'}: {error}"))
+            return
+        finally:
+            self._is_cut = False
+        self._gate.paused = self._rests = not start
+        self._queue.row_streams[:] = [None] * len(self._queue.row_streams)  # of the channels of the file before
+        self._row_writer = self._writer_of_rows()
+        self._apply_retention()
+        self._note(Note(Level.INFO, code, text))
 
     def _take_requested_snapshots(self) -> None:
         """Write the snapshots that were asked for: before an input, or when no output can follow the last one.

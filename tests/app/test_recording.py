@@ -61,7 +61,7 @@ def start(recorders: list[Recorder], path: Path, **options: Any) -> tuple[Record
 
 def test_pause_and_resume(recorders: list[Recorder], tmp_path: Path) -> None:
     recorder, graph = start(recorders, tmp_path / "a.mcap")
-    assert set(graph.services) == {"~/pause_recording", "~/resume_recording"}
+    assert set(graph.services) == {f"~/{what}_recording" for what in ("start", "stop", "pause", "resume")}
     recorder(samples.ros(1))
     assert graph.call("~/pause_recording") == (True, "the recording is paused")
     recorder(samples.ros(2))

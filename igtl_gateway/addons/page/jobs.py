@@ -55,16 +55,31 @@ ACTIONS: dict[str, tuple[Callable[[Path], list[str]], str]] = {
 
 
 class Job:
-    """One process of a verb."""
+    """One process of a verb.
 
-    def __init__(self, number: int, action: str, name: str, command: list[str], on_change: Callable[[], None]) -> None:
+    Args:
+        mark: size and time of change (ns) of the recording.
+        command: words of the command line.
+        on_end: called in the job's thread.
+    """
+
+    def __init__(
+        self,
+        number: int,
+        action: str,
+        name: str,
+        mark: tuple[int, int],
+        command: list[str],
+        on_end: Callable[[Job], None],
+    ) -> None:
+        self.mark = mark
         self.number, self.action, self.name = number, action, name
         self.state = RUNNING
         self.lines: deque[str] = deque(maxlen=_LINES)
         self.link = ""
         self._clock = SystemClock()
         self._begun_ns = self._ended_ns = self._clock.monotonic_ns()
-        self._on_change = on_change
+        self._on_end = on_end
         self._cancelled = threading.Event()
         threading.Thread(target=self._run, args=(command,), name="igtl-page-job", daemon=True).start()
 
@@ -93,9 +108,8 @@ class Job:
 
     def _take(self, line: str) -> None:
         self.lines.append(line)
-        if line.strip().startswith("http://127.0.0.1:"):
+        if self.action == "view" and line.strip().startswith("http://127.0.0.1:"):
             self.link = line.strip()
-        self._on_change()
 
     def _run(self, command: list[str]) -> None:
         """Start the process and wait for it: it ends with the thread that has started it."""
@@ -121,19 +135,19 @@ class Job:
             state = CANCELLED if code is None else DONE if code == 0 else FAILED
         self._ended_ns = self._clock.monotonic_ns()
         self.state = state
-        self._on_change()
+        self._on_end(self)
 
 
 class Jobs:
-    """The jobs of a page."""
+    """The jobs of a page; ``on_end`` is called with each that has ended, in a thread of its own."""
 
-    def __init__(self, on_change: Callable[[], None] = lambda: None) -> None:
-        self._on_change = on_change
+    def __init__(self, on_end: Callable[[Job], None] = lambda job: None) -> None:
+        self._on_end = on_end
         self._lock = threading.Lock()
         self._jobs: dict[int, Job] = {}
         self._number = 0
 
-    def start(self, action: str, name: str, path: Path) -> tuple[bool, str]:
+    def start(self, action: str, name: str, path: Path, mark: tuple[int, int] = (0, 0)) -> tuple[bool, str]:
         """Start a job; return whether that was possible, and a sentence for people."""
         if action not in ACTIONS:
             return False, f"found {action[:40]!r}, expected one of {', '.join(ACTIONS)}"
@@ -147,7 +161,7 @@ class Jobs:
             if len(running) >= MAX_RUNNING:
                 return False, f"{MAX_RUNNING} jobs run already; wait for one, or cancel it"
             self._number += 1
-            self._jobs[self._number] = Job(self._number, action, name, words(path), self._on_change)
+            self._jobs[self._number] = Job(self._number, action, name, mark, words(path), self._on_end)
             for old in [job.number for job in self._jobs.values() if job.state != RUNNING][:-_MAX_KEPT]:
                 del self._jobs[old]
         return True, f"{action} of {name} has begun"

@@ -27,13 +27,14 @@ from igtl_gateway.addon import (
 from igtl_gateway.base.systems.processes import lower_priority
 from igtl_gateway.base.systems.signals import ignore_endings
 from igtl_gateway.record.sessionfile.seals import stated_seals
-from igtl_gateway.record.worker import DROPPED, PAUSED, RESUMED
+from igtl_gateway.record.triggers import LOSSES
+from igtl_gateway.record.worker import PAUSED, RESUMED
 from igtl_gateway.replay.marks import marks_of
 
 #: Most places on a time line.
 MAX_PLACES = 500
 #: Code of a note → what it is on the time line.
-_KINDS = {DROPPED: "loss", PAUSED: "pause", RESUMED: "resume", LINK_UP: "link", LINK_DOWN: "link"}
+_KINDS = dict.fromkeys(LOSSES, "loss") | {PAUSED: "pause", RESUMED: "resume", LINK_UP: "link", LINK_DOWN: "link"}
 
 
 def facts_of(path: Path) -> dict[str, Any]:

@@ -18,8 +18,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 from urllib.parse import parse_qs, urlsplit
 
-from igtl_gateway.addon import NS_PER_S, Child, Entry, GatewayError, Level, MarkNote, Note, SystemClock, python_command
-from igtl_gateway.app.recording import pause, resume, snapshot, split
+from igtl_gateway.addon import (
+    NS_PER_S,
+    Child,
+    Entry,
+    GatewayError,
+    Kind,
+    Level,
+    MarkNote,
+    Note,
+    SystemClock,
+    python_command,
+)
+from igtl_gateway.app.recording import pause, resume, snapshot, split, start, stop
 from igtl_gateway.edges.tcp.http_server import Handler, LocalServer
 
 if TYPE_CHECKING:
@@ -32,11 +43,19 @@ PAGE = "page"
 #: Who makes the marks of the page.
 _WHO = "page"
 _NOTES = 60
+#: Notes of what was done, beside PAGE: they stay in a list of their own, whatever else happens.
+_DONE = frozenset(
+    "mark record_started record_stopped record_paused record_resumed record_snapshot record_failed trigger "
+    "trigger_saved trigger_incomplete".split()
+) | {PAGE}
+#: Streams whose types are known.
+_MAX_TYPES = 4_000
 #: A press may write a snapshot of half a gigabyte.
 _DEADLINE_S = 90.0
 #: Pictures are copied for this time after the page has asked for them, and at most once in the second time.
 _LOOKED_NS, _PICTURE_NS = 3 * NS_PER_S, NS_PER_S
 _MAX_PICTURES, _MAX_PICTURE = 16, 32 << 20
+_ROS = frozenset({Kind.ROS_IN, Kind.ROS_OUT})
 _END_S = 2.0
 
 
@@ -57,9 +76,13 @@ class Pictures:
         self._clock = SystemClock()
         self._until_ns = 0
         self._kept: dict[tuple[str, str], tuple[int, bytes]] = {}
+        #: Topic → its type: the first message of each passes here.
+        self.types: dict[str, str] = {}
 
     def __call__(self, entry: Entry) -> Callable[[], None] | None:
         """Return the copy of a picture, to be made without the lock; None for what is not kept."""
+        if entry.kind in _ROS and entry.channel not in self.types and len(self.types) < _MAX_TYPES:
+            self.types[entry.channel] = entry.type
         if not self._until_ns or not entry.channel.startswith("IMAGE/"):
             return None
         now_ns = self._clock.monotonic_ns()
@@ -114,6 +137,7 @@ class BridgePage:
         self._on_stop = on_stop
         self._on_links = on_links
         self._notes: deque[dict[str, Any]] = deque(maxlen=_NOTES)
+        self._done: deque[dict[str, Any]] = deque(maxlen=_NOTES)
         self._number = 0
         self._closing = False
         self._has_ended = threading.Event()
@@ -147,16 +171,17 @@ class BridgePage:
         for event in events:
             note = event.note
             self._number += 1
-            self._notes.append(
-                {
-                    "number": self._number,
-                    "time_ns": event.stamp_ns,
-                    "level": note.level.name,
-                    "code": note.code,
-                    "text": note.text,
-                    "more": event.more,
-                }
-            )
+            row = {
+                "number": self._number,
+                "time_ns": event.stamp_ns,
+                "level": note.level.name,
+                "code": note.code,
+                "text": note.text,
+                "more": event.more,
+            }
+            self._notes.append(row)
+            if note.code in _DONE:
+                self._done.append(row)
         if self._links:
             links, self._links = self._links, None
             self._on_links(*links)
@@ -182,6 +207,8 @@ class BridgePage:
             "facts": session.facts if session else None,
             "recording": _recording(session.bridge) if session else None,
             "notes": list(self._notes),
+            "done": list(self._done),
+            "types": dict(self.pictures.types),
             "pictures": self.pictures.names(),
         }
 
@@ -192,18 +219,20 @@ class BridgePage:
             return False, "no session runs"
         bridge = session.bridge
         if what == "mark":
+            if bridge.recorder and bridge.recorder.rests:
+                return False, "nothing is recorded; start the recording first"
             try:
                 bridge.mark(MarkNote.parse(line, _WHO))
             except GatewayError as error:
                 return False, str(error)
             return True, "the mark is set"
-        if what == "stop":
-            bridge.hub.note(Note(Level.INFO, PAGE, "stop was pressed on the page"))
+        if what == "end":
+            bridge.hub.note(Note(Level.INFO, PAGE, "the end of the bridge was pressed on the page"))
             self._on_stop()
-            return True, "the bridge stops and closes the recording"
+            return True, "the bridge ends and closes the recording"
         action = _ACTIONS.get(what)
         if action is None:
-            return False, f"found {what[:40]!r}, expected one of mark, stop, {', '.join(_ACTIONS)}"
+            return False, f"found {what[:40]!r}, expected one of mark, end, {', '.join(_ACTIONS)}"
         if bridge.recorder is None:
             return False, "there is no recording; start the bridge with --record FILE"
         bridge.hub.note(Note(Level.INFO, PAGE, f"{what} was pressed on the page"))
@@ -219,7 +248,7 @@ class BridgePage:
             return  # a line that was cut off
 
 
-_ACTIONS = {"pause": pause, "resume": resume, "snapshot": snapshot, "split": split}
+_ACTIONS = {"start": start, "stop": stop, "pause": pause, "resume": resume, "snapshot": snapshot, "split": split}
 
 
 def _recording(bridge: Bridge) -> dict[str, Any] | None:
@@ -229,6 +258,7 @@ def _recording(bridge: Bridge) -> dict[str, Any] | None:
         return None
     return {
         "snapshot_s": how.snapshot_s,
+        "triggers": [str(rule) for rule in how.triggers],
         "split": bool(how.split_bytes or how.split_s),
         "sealed": how.seal is not None,
         "path": str(bridge.options.record.absolute()),

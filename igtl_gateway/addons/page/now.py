@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any
 
 from igtl_gateway.doctor.rules import RULES
@@ -20,7 +21,16 @@ SPARK_S = 60
 _RECENT_NS = 10_000_000_000
 #: Rows that a page shows; a peer that invents names must not fill it.
 MAX_ROWS = 300
-_SIDES = {"igtl_in": "OpenIGTLink", "ros_in": "ROS"}
+#: Direction in the ledger → in words.
+_SIDES = {"igtl_in": "from OpenIGTLink", "ros_in": "from ROS", "igtl_out": "to OpenIGTLink", "ros_out": "to ROS"}
+_INPUTS = ("igtl_in", "ros_in")
+#: Fates that count the messages of a stream.
+_COUNTED = ("received", "sent", "published")
+#: Messages are late above this age on arrival, as for rule W306 of `doctor`; above the second one they are of another
+#: epoch, such as replayed ones.
+OLD_NS, _EPOCH_NS = 1_000_000_000, 86_400_000_000_000
+#: A send queue with more is of a peer that reads slowly.
+_QUEUED, _QUEUED_BYTES = 50, 1 << 20
 
 _ADVICE = {rule.id[5:]: rule.advice for rule in RULES}
 #: Reason of a loss, or oddity that the guard reports → rule of `doctor` whose advice applies.
@@ -35,6 +45,7 @@ _RULE_OF = {
     "too_many_streams": "W702",
     "queue": "W114",
     "stale": "W306",
+    "old": "W306",
     "unit_jump": "W501",
     "stamp_backwards": "W304",
     "stamp_still": "W302",
@@ -91,19 +102,28 @@ class Now:
         self._streams: dict[tuple[str, str], _Seen] = {}
         self._links: dict[str, _Seen] = {}
 
-    def rows(self, facts: Mapping[str, Any], now_ns: int, utc_ns: int) -> dict[str, Any]:
+    def rows(
+        self, facts: Mapping[str, Any], now_ns: int, utc_ns: int, types: Mapping[str, str] = MappingProxyType({})
+    ) -> dict[str, Any]:
         """Return the rows for a sample of ``app.status``.
 
         Args:
             facts: the sample.
             now_ns: when it was read, on the monotonic clock.
             utc_ns: the same in UTC.
+            types: topic → type of ROS.
         """
-        streams = self._stream_rows(facts, now_ns)
+        streams = self._stream_rows(facts, now_ns, types)
         links = self._link_rows(facts, now_ns, utc_ns)
-        return {"streams": _sorted(streams), "links": _sorted(links), "more": max(0, len(streams) - MAX_ROWS)}
+        return {
+            "streams": _sorted(streams),
+            "links": _sorted(links),
+            "more": max(0, len(streams) - MAX_ROWS),
+            "inputs": sum(row["side"] in _INPUTS for row in streams),
+        }
 
-    def _stream_rows(self, facts: Mapping[str, Any], now_ns: int) -> list[dict[str, Any]]:
+    def _stream_rows(self, facts: Mapping[str, Any], now_ns: int, types: Mapping[str, str]) -> list[dict[str, Any]]:
+        peers = {peer["link"]: peer["peer"] for peer in facts["peers"] if peer["link"]}
         watched: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
         for one in facts["watched"]:
             watched.setdefault(("igtl_in" if one["link"] else "ros_in", one["stream"]), []).append(one)
@@ -114,19 +134,26 @@ class Now:
                 seen = self._streams.setdefault((side, stream), _Seen(now_ns))
                 dropped = fates.get("dropped", {})
                 lost = sum(number for reason, number in dropped.items() if reason not in HARMLESS)
-                seen.take(now_ns, fates.get("received", 0), lost)
+                seen.take(now_ns, next((fates[fate] for fate in _COUNTED if fate in fates), 0), lost)
                 rate_hz = rates.get(stream, 0.0)
-                seen.rhythm = seen.rhythm or rate_hz >= RHYTHM_HZ
+                seen.rhythm = seen.rhythm or (rate_hz >= RHYTHM_HZ and side in _INPUTS)
                 ones = watched.get((side, stream), [])
                 state, text, advice = _judged(seen, now_ns, dropped, ones)
-                kind, _, name = stream.partition("/") if side == "igtl_in" else ("", "", stream)
+                is_igtl = side.startswith("igtl")
+                kind, _, name = stream.partition("/") if is_igtl else (types.get(stream, ""), "", stream)
+                froms = sorted({peers[one["link"]] for one in ones if one["link"] in peers})
                 rows.append(
                     {
                         "key": f"{side} {stream}",
                         "state": state,
                         "name": name or stream,
                         "type": kind,
-                        "side": title,
+                        "side": side,
+                        "way": f"from {froms[0]}"
+                        if len(froms) == 1
+                        else f"from {len(froms)} peers"
+                        if froms
+                        else title,
                         "rate_hz": rate_hz,
                         "spark": list(seen.spark),
                         "age_s": (now_ns - seen.moved_ns) / 1e9,
@@ -153,12 +180,15 @@ class Now:
             ones = [one for one in facts["watched"] if one["link"] == peer["link"] and peer["link"]]
             queue = facts["queues"].get(number, {"messages": 0, "bytes": 0})
             state, text, rule = OK, "", ""
+            late_ms = _milliseconds(one["age_ns"] for one in ones if _is_old(one))
             if not peer["connected"]:
                 state, text, rule = WAITING, "not connected; the bridge tries again", "not_connected"
             elif seen.lost_ns and now_ns - seen.lost_ns < _RECENT_NS:
                 state, text, rule = ERROR, f"reads too slowly: {lost:,} messages dropped", "queue"
-            elif queue["messages"] > 1 and queue["bytes"] > 1 << 20:
+            elif queue["messages"] > _QUEUED or (queue["messages"] > 1 and queue["bytes"] > _QUEUED_BYTES):
                 state, text, rule = WARNING, f"reads slowly: {queue['messages']:,} messages wait", "queue"
+            elif late_ms:
+                state, text, rule = WARNING, f"is late: its messages are {late_ms / 1e3:.1f} s old on arrival", "old"
             rows.append(
                 {
                     "key": f"{number} {peer['peer']}",
@@ -182,7 +212,7 @@ class Now:
 
 
 def _judged(
-    seen: _Seen, now_ns: int, dropped: Mapping[str, int], watched: Iterable[Mapping[str, Any]]
+    seen: _Seen, now_ns: int, dropped: Mapping[str, int], watched: Sequence[Mapping[str, Any]]
 ) -> tuple[str, str, str]:
     """Return state, sentence and advice, by the rules of ``/diagnostics``."""
     stale = sum(one["stale"] for one in watched)
@@ -196,9 +226,15 @@ def _judged(
         return ERROR, f"{seen.lost:,} messages dropped: {words}", _advice(rule)
     if seen.rhythm and now_ns - seen.moved_ns >= SILENT_NS:
         return SILENT, f"no message for {(now_ns - seen.moved_ns) / 1e9:,.0f} s", _advice("silent")
+    if late_ms := _milliseconds(one["age_ns"] for one in watched if _is_old(one)):
+        return WARNING, f"messages are {late_ms / 1e3:.1f} s old on arrival", _advice("old")
     if odd:
         return WARNING, "; ".join(_ODD.get(code, code) for code in odd), _advice(odd[0])
     return OK, "", ""
+
+
+def _is_old(one: Mapping[str, Any]) -> bool:
+    return one["age_ns"] is not None and OLD_NS < one["age_ns"] < _EPOCH_NS
 
 
 def _stamps(watched: Iterable[Mapping[str, Any]]) -> str:
@@ -223,4 +259,4 @@ def _milliseconds(values: Iterable[int | None]) -> float | None:
 
 
 def _sorted(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    return sorted(rows, key=lambda row: _ORDER[row["state"]])[:MAX_ROWS]
+    return sorted(rows, key=lambda row: (_ORDER[row["state"]], row.get("side", "") not in _INPUTS))[:MAX_ROWS]

@@ -16,10 +16,11 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.addon import NS_PER_S, GatewayError, SystemClock, __version__, failure_text
-from igtl_gateway.addons.page.jobs import Jobs
+from igtl_gateway.addons.page.jobs import CANCELLED, RUNNING, Job, Jobs
 from igtl_gateway.addons.page.now import OK, Now
 from igtl_gateway.addons.page.recordings import Recordings
 from igtl_gateway.addons.page.replays import Replay
+from igtl_gateway.addons.page.results import Results
 from igtl_gateway.addons.page.server import PageServer
 from igtl_gateway.addons.page.source import BridgeSource, Poller
 from igtl_gateway.base.systems.processes import lower_priority
@@ -27,7 +28,7 @@ from igtl_gateway.base.systems.signals import ignore_endings
 from igtl_gateway.edges.tcp.tls import TlsFiles
 
 #: Actions that are the bridge's.
-_BRIDGE = ("pause", "resume", "mark", "snapshot", "split", "stop")
+_BRIDGE = ("start", "stop", "pause", "resume", "mark", "snapshot", "split", "end")
 #: Time over which the growth of a recording is measured, ns.
 _GROWTH_NS = 30 * NS_PER_S
 #: How long the state of jobs and replay is kept at most before browsers get it, ns.
@@ -46,7 +47,8 @@ class Page:
         self._clock = SystemClock()
         self._source = source
         self.recordings = Recordings(folder) if folder else None
-        self.jobs = Jobs()
+        self.jobs = Jobs(self._take_result)
+        self._results = Results(folder)
         self.replay = Replay()
         self._now = Now()
         self._lock = threading.Lock()
@@ -55,8 +57,8 @@ class Page:
         self._state = b""
         self._made_ns = 0
         self._growth: deque[tuple[int, int]] = deque()
-        self._session = ""
-        self._results: dict[tuple[str, str], str] = {}
+        self._session = self._file = ""
+        self._begun_ns = 0  # of the file
         self._poller = Poller(source, self._take) if source else None
 
     def close(self) -> None:
@@ -85,16 +87,23 @@ class Page:
 
     def sessions(self) -> list[dict[str, Any]]:
         """Return the recordings, with the results of the jobs on each."""
-        results: dict[str, dict[str, str]] = {}
-        for job in reversed(self.jobs.rows()):
-            results.setdefault(job["name"], {})[job["action"]] = job["state"]
+        running: dict[str, dict[str, str]] = {}
+        for job in self.jobs.rows():
+            if job["state"] == RUNNING:
+                running.setdefault(job["name"], {})[job["action"]] = RUNNING
         rows = self.recordings.rows() if self.recordings else []
-        return [row | {"results": results.get(row["name"], {})} for row in rows]
+        known = [self._results.of(row["name"], (row["bytes"], row["modified_ns"])) for row in rows]
+        return [row | {"results": found | running.get(row["name"], {})} for row, found in zip(rows, known, strict=True)]
 
     def places(self, name: str) -> dict[str, Any] | None:
         """Return what lies on the time line of a recording; None for an unknown one."""
-        path = self.recordings.path(name) if self.recordings else None
-        return self.recordings.places(path) if self.recordings and path else None
+        return self.recordings.places(name) if self.recordings else None
+
+    def _take_result(self, job: Job) -> None:
+        """Keep the result of a job, if its recording is as it was at the begin."""
+        mark = self.recordings.mark(job.name) if self.recordings else None
+        if mark and mark == job.mark and job.state != CANCELLED:
+            self._results.add(job.name, mark, job.action, job.state)
 
     def lines(self, job: int) -> list[str]:
         """Return the last lines of a job."""
@@ -127,7 +136,8 @@ class Page:
             return False, f"found no recording {name[:80]!r} in the folder"
         if what == "replay":
             return self.replay.start(name, path, words)
-        return self.jobs.start(str(words.get("action")), name, path)
+        mark = self.recordings.mark(name) if self.recordings else None
+        return self.jobs.start(str(words.get("action")), name, path, mark or (0, 0))
 
     def _take(self, found: dict[str, Any] | None) -> None:
         """Take what the bridge reports, None if it does not answer.  In the thread of the poller."""
@@ -138,7 +148,7 @@ class Page:
             if path != self._session:  # another session
                 self._session, self._now = path, Now()
                 self._growth.clear()
-            rows = self._now.rows(facts, self._clock.monotonic_ns(), self._clock.utc_ns())
+            rows = self._now.rows(facts, self._clock.monotonic_ns(), self._clock.utc_ns(), found.get("types", {}))
             rows |= {
                 "version": facts["version"],
                 "uptime_s": facts["uptime_s"],
@@ -147,6 +157,7 @@ class Page:
                 "refused": facts["refused"],
                 "recording": self._recording(facts.get("recorder"), found.get("recording")),
                 "notes": found.get("notes", []),
+                "done": found.get("done", []),
                 "pictures": found.get("pictures", []),
             }
         with self._lock:
@@ -156,11 +167,14 @@ class Page:
         """Return what the view *Recording* shows; None without a recording."""
         if not counters or not how:
             return None
-        path = Path(how["path"])
-        parts = path.with_suffix("")
-        size, files = _size(path, parts)
+        whole, file = Path(how["path"]), counters["file"]
+        path = Path(file).absolute() if file and not how["split"] else whole
+        size, files = _size(path, whole.with_suffix(""))
         now_ns = self._clock.monotonic_ns()
         growth = self._growth
+        if (known := "" if counters["rests"] else str(path)) != self._file:
+            self._file, self._begun_ns = known, now_ns
+            growth.clear()
         growth.append((now_ns, size))
         while len(growth) > 2 and now_ns - growth[1][0] >= _GROWTH_NS:
             growth.popleft()
@@ -176,12 +190,15 @@ class Page:
             "free": free,
             "lasts_s": free / per_s if per_s > 0 else None,
             "paused": counters["paused"],
+            "rests": counters["rests"],
+            "lasted_s": (now_ns - self._begun_ns) / NS_PER_S if known else 0,
             "failure": counters["failure"] or counters.get("taken_away", ""),
             "entries": counters["written_entries"],
             "dropped": counters["dropped_entries"],
             "left_out": counters["left_out_entries"],
             "queued": counters["queued_entries"],
             "snapshot_s": how["snapshot_s"],
+            "triggers": how["triggers"],
             "split": how["split"],
             "sealed": how["sealed"],
             "phases": how["phases"],

@@ -7,7 +7,6 @@ import os
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,8 @@ from igtl_gateway.addon import Child, python_command
 _COMMAND = python_command("igtl_gateway.addons.page.listing")
 #: Most recordings of the list, the newest; longest time for one, seconds.
 MAX_LISTED, _PATIENCE_S = 500, 30.0
+#: Time lines that are kept.
+_MAX_PLACES = 16
 
 
 def child_environment() -> dict[str, str]:
@@ -28,20 +29,24 @@ class Recordings:
 
     Args:
         folder: where the recordings are.
-        on_change: called when more of them is known.
     """
 
-    def __init__(self, folder: Path, on_change: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self._on_change = on_change
         self._lock = threading.Lock()
+        self._placing = threading.Lock()
+        self._places: dict[str, tuple[tuple[int, int], dict[str, Any]]] = {}  # of the last time lines
         self._known: dict[str, tuple[tuple[int, int], dict[str, Any]]] = {}
         self._to_read: list[tuple[str, tuple[int, int]]] = []  # the first is being read
         self._reading = False
 
     def path(self, name: str) -> Path | None:
         """Return the path of a recording of the list; None for any other name."""
-        return self.folder / name if name in {found for found, _, _ in self._found()} else None
+        return self.folder / name if self.mark(name) else None
+
+    def mark(self, name: str) -> tuple[int, int] | None:
+        """Return size and time of change (ns) of a recording of the list; None for any other name."""
+        return next((mark for found, mark, _ in self._found() if found == name), None)
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the recordings, the newest first, with what is known of each."""
@@ -71,13 +76,23 @@ class Recordings:
         found.sort(key=lambda each: -each[1][1])
         return found[:MAX_LISTED]
 
-    def places(self, path: Path) -> dict[str, Any]:
-        """Return what lies on the time line of a recording; waits for it."""
-        reader = _Reader()
-        try:
-            return reader.ask(path, places=True)
-        finally:
-            reader.close()
+    def places(self, name: str) -> dict[str, Any] | None:
+        """Return what lies on the time line of a recording, None for another name; one process at a time reads it."""
+        mark = self.mark(name)
+        if mark is None:
+            return None
+        with self._placing:
+            known, found = self._places.pop(name, (None, {}))
+            if known != mark:
+                reader = _Reader()
+                try:
+                    found = reader.ask(self.folder / name, places=True)
+                finally:
+                    reader.close()
+            self._places[name] = mark, found
+            while len(self._places) > _MAX_PLACES:
+                del self._places[next(iter(self._places))]
+            return found
 
     def _read_all(self) -> None:
         reader = _Reader()
@@ -88,21 +103,28 @@ class Recordings:
                     break
                 name, mark = self._to_read[0]
             facts = reader.ask(self.folder / name)
+            if not reader.is_usable:  # it did not survive the file
+                reader.close()
+                reader = _Reader()
             with self._lock:
                 self._known[name] = mark, facts
                 del self._to_read[0]
-            self._on_change()
         reader.close()
 
 
 class _Reader:
-    """The process, which is started again if it did not survive a file; of one thread."""
+    """The process; of one thread.
+
+    Attributes:
+        is_usable: whether it can be asked again.
+    """
 
     def __init__(self) -> None:
         self._lines: deque[str] = deque()
         self._changed = threading.Condition()
         self._ended = False
-        self._child = self._start()
+        self.is_usable = True
+        self._child = Child("page-listing", _COMMAND, on_line=self._take, on_end=self._end, env=child_environment())
 
     def ask(self, path: Path, *, places: bool = False) -> dict[str, Any]:
         """Return what it reads of a recording."""
@@ -113,17 +135,12 @@ class _Reader:
         if line:
             facts: dict[str, Any] = json.loads(line)
             return facts
-        self.close()
-        self._ended = False
-        self._child = self._start()
+        self.is_usable = False
         return {"closed": False, "problem": f"cannot be read within {_PATIENCE_S:g} s"}
 
     def close(self) -> None:
         """End the process."""
         self._child.kill()
-
-    def _start(self) -> Child:
-        return Child("page-listing", _COMMAND, on_line=self._take, on_end=self._end, env=child_environment())
 
     def _take(self, line: str) -> None:
         with self._changed:

@@ -59,7 +59,9 @@ class _Replay:
     @contextmanager
     def _controls(self, file: SessionFile, player: Player, side: ReplaySides) -> Iterator[None]:
         self._file, self._player = file, player
-        if not self._settings.get("paused"):
+        if self._settings["from_s"]:
+            player.seek(file.start_ns + round(self._settings["from_s"] * NS_PER_S))
+        if not self._settings["paused"]:
             player.resume()
         over = threading.Event()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +16,16 @@ from igtl_gateway.config.notations import address
 _COMMAND = python_command("igtl_gateway.addons.page.replaying")
 _LINES = 50
 _END_S = 5.0
+#: Longest recording: 30 years.
+MAX_S = 1e9
 _TARGETS = ("igtl", "ros", "both")
 _STEERS = ("play", "pause", "step", "rate", "seek", "stop")
 
 
 class Replay:
-    """A replay; ``on_change`` is called when there is something new."""
+    """A replay."""
 
-    def __init__(self, on_change: Callable[[], None] = lambda: None) -> None:
-        self._on_change = on_change
+    def __init__(self) -> None:
         self._lock = threading.Lock()
         self._child: Child | None = None
         self._name = ""
@@ -37,7 +38,8 @@ class Replay:
 
         Args:
             name, path: the recording.
-            how: ``to`` (igtl, ros, both), ``role`` (listen, connect), ``address``, ``rate``, ``loop``.
+            how: ``to`` (igtl, ros, both), ``role`` (listen, connect), ``address``, ``rate``, ``loop``,
+                ``from_s`` (seconds from its begin), ``paused``.
         """
         to, role = str(how.get("to", "igtl")), str(how.get("role", "listen"))
         try:
@@ -45,7 +47,9 @@ class Replay:
                 raise ConfigError(f"found {to[:20]!r} and {role[:20]!r}, expected a target and listen or connect")
             place = str(how.get("address") or "127.0.0.1:18944")
             address(place)
-            rate = float(how.get("rate") or 1)
+            rate, from_s = float(how.get("rate") or 1), float(how.get("from_s") or 0)
+            if not 0 <= from_s < MAX_S:
+                raise ConfigError(f"from_s: found {from_s:g}, expected 0 or more")
         except (ConfigError, ValueError, TypeError) as error:
             return False, f"replay: {error}"
         settings = {
@@ -55,6 +59,7 @@ class Replay:
             "connect": [place] if to != "ros" and role == "connect" else [],
             "rate": rate,
             "loop": bool(how.get("loop")),
+            "from_s": from_s,
             "paused": bool(how.get("paused")),
         }
         with self._lock:
@@ -109,11 +114,9 @@ class Replay:
         ready.set()
         child.wait()
         child.kill()
-        self._on_change()
 
     def _say(self, text: str) -> None:
         self._lines.append(text)
-        self._on_change()
 
     def _take(self, line: str) -> None:
         try:
@@ -125,4 +128,3 @@ class Replay:
         if "line" in found:
             self._lines.append(str(found["line"]))
         self._failed = self._failed or bool(found.get("failed"))
-        self._on_change()

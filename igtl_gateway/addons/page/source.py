@@ -46,7 +46,7 @@ class BridgeSource:
     def press(self, what: str, line: str) -> tuple[bool, str]:
         """Have the bridge do something; return whether it did, and a sentence for people."""
         try:
-            found = json.loads(self._read("/", json.dumps({"do": what, "line": line}).encode(), _PRESS_S))
+            found = json.loads(self._read("/", _json({"do": what, "line": line}), _PRESS_S))
             return bool(found["done"]), str(found["text"])
         except (OSError, URLError, ValueError, KeyError):
             return False, "the bridge does not answer"
@@ -56,6 +56,11 @@ class BridgeSource:
         with self._open(request, timeout=patience_s) as answer:
             data: bytes = answer.read()
         return data
+
+
+def _json(words: dict[str, str]) -> bytes:
+    """Return JSON as short as the browser's: a text of other letters must not become longer than a request may be."""
+    return json.dumps(words, ensure_ascii=False).encode("utf-8", "surrogatepass")
 
 
 class Poller:

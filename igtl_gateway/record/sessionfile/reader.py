@@ -502,7 +502,10 @@ class SessionParts(SessionFile):
                 self.entry_count += part.entry_count
         if not found:
             raise UnsupportedRecording(f"{folder}: found a directory, expected the .mcap file in it")
-        self.missing_parts = tuple((one + 1, two - 1) for one, two in pairwise((-1, *sorted(found))) if two - one > 1)
+        with SessionFile.open(found[min(found)].path) as first:  # without one before it if the recording waited
+            before = -1 if layout.PREVIOUS_KEY in first.session else min(found) - 1
+        numbers = (before, *sorted(found))
+        self.missing_parts = tuple((one + 1, two - 1) for one, two in pairwise(numbers) if two - one > 1)
         # the retention deletes parts from the first one on: the first that is left has a prologue
         if gap := next((first for first, _ in self.missing_parts if first and not incomplete), 0):
             raise DamagedRecording(f"{folder}: part {gap} of the recording is missing")

@@ -2,7 +2,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from igtl_gateway.addons.page.now import ERROR, MAX_ROWS, OK, SILENT, WAITING, WARNING, Now
+from igtl_gateway.addons.page.now import ERROR, MAX_ROWS, OK, OLD_NS, SILENT, WAITING, WARNING, Now
+from igtl_gateway.doctor import checks
 
 _S = 1_000_000_000
 
@@ -101,3 +102,36 @@ def test_a_sparkline_has_a_value_each_second() -> None:
 def test_a_peer_that_invents_names_does_not_fill_the_page() -> None:
     found = Now().rows(facts({f"TRANSFORM/{number}": 1 for number in range(2_000)}), _S, _S)
     assert len(found["streams"]) == MAX_ROWS and found["more"] == 2_000 - MAX_ROWS
+
+
+def test_late_messages_and_the_peer_that_sends_them() -> None:
+    peers = [{"link": 3, "peer": "a:1", "role": "server", "connected": True, "profile": "slicer"}]
+    sample = facts({"TRANSFORM/a": 9}, peers=peers, watched=[watched("TRANSFORM/a", link=3, age_ns=1_400_000_000)])
+    found = Now().rows(sample, _S, _S)
+    (stream,), (link,) = found["streams"], found["links"]
+    assert (stream["state"], stream["text"]) == (WARNING, "messages are 1.4 s old on arrival")
+    assert (link["state"], link["text"]) == (WARNING, "is late: its messages are 1.4 s old on arrival")
+    assert stream["way"] == "from a:1" and stream["advice"] == link["advice"] != ""
+    sample["watched"] = [watched("TRANSFORM/a", link=3, age_ns=400 * 86_400 * _S)]  # a replay
+    assert Now().rows(sample, _S, _S)["links"][0]["state"] == OK
+    assert OLD_NS == checks.OLD_NS
+
+
+def test_a_peer_that_reads_slowly() -> None:
+    peers = [{"link": 1, "peer": "a:1", "role": "server", "connected": True, "profile": ""}]
+    sample = facts({}, peers=peers, queues={"1": {"messages": 51, "bytes": 5_406}})
+    assert Now().rows(sample, _S, _S)["links"][0]["text"] == "reads slowly: 51 messages wait"
+
+
+def test_what_goes_out_is_below_and_is_never_silent() -> None:
+    sample = facts({"TRANSFORM/a": 9})
+    sample["ledger"]["streams"] |= {"ros_out": {"/a": {"published": 9}}, "ros_in": {"/b": {"received": 9}}}
+    now = Now()
+    now.rows(sample, _S, _S)
+    found = now.rows(sample, 30 * _S, 30 * _S, {"/a": "std_msgs/msg/String"})
+    assert [(row["name"], row["way"], row["state"]) for row in found["streams"]] == [
+        ("a", "from OpenIGTLink", SILENT),
+        ("/b", "from ROS", OK),
+        ("/a", "to ROS", OK),
+    ]
+    assert found["streams"][2]["type"] == "std_msgs/msg/String" and found["inputs"] == 2

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 import igtl_gateway
+from igtl_gateway.addon import GatewayError
 from tests.addons.page.browser import CHROMIUM, Browser
 from tests.integration.bridge import Bridge, RawPeer, children, free_port, string
 from tests.places import FIXTURES
@@ -45,7 +46,7 @@ def talking(port: int) -> Iterator[None]:
 @needs_browser
 def test_a_session_is_run_from_the_page(tmp_path: Path) -> None:
     recording = tmp_path / "now.mcap"
-    bridge = Bridge("--no-ros", "--record", str(recording), "--page")
+    bridge = Bridge("--no-ros", "--record", str(recording), "--record-wait", "--page")
     try:
         link = bridge.wait_events(lambda event: event["event"] == "page", "page")[0]["link"]
         with talking(bridge.port), Browser() as page:
@@ -54,7 +55,10 @@ def test_a_session_is_run_from_the_page(tmp_path: Path) -> None:
             page.wait("document.querySelector('#now h1').textContent === 'All 2 streams arrive'")
             assert {"Room", "<script>"} <= set(page.text().split())
             assert "token" not in page.run("location.href") and page.run("document.cookie") == ""
-            # Recording: a mark by the keyboard, a phase, a pause by clicks
+            # Recording: start, a mark by the keyboard, a phase, a pause by clicks
+            page.press("2")
+            page.click("button", "Start recording")
+            page.wait("document.querySelector('#recording h1').textContent === 'Recording'")
             page.press("m")
             page.wait("document.activeElement.id === 'mark-label'")
             page.type("suture-1")
@@ -67,9 +71,14 @@ def test_a_session_is_run_from_the_page(tmp_path: Path) -> None:
             page.wait("document.querySelector('#recording h1').textContent === 'Paused'")
             page.click("button", "Resume")
             page.wait("document.querySelector('#recording h1').textContent === 'Recording'")
-            # Stop, and the page reports that its program has ended
-            page.click("button", "Stop …")
+            # Stop: the file is closed, and the bridge goes on
+            page.click("button", "Stop recording …")
             page.click("dialog button", "Stop")
+            page.wait("document.querySelector('#recording h1').textContent === 'Not recording'")
+            assert not recording_is_open(recording)
+            # End, and the page reports that its program has ended
+            page.click("button", "End the bridge …")
+            page.click("dialog button", "End")
             page.wait("!document.querySelector('#lost').hidden")
             assert [
                 text for text in page.complaints if "ERR_CONNECTION" not in text and "Failed to load" not in text
@@ -81,6 +90,13 @@ def test_a_session_is_run_from_the_page(tmp_path: Path) -> None:
         assert [(mark.label, mark.who) for mark in found.marks] == [("suture-1", "page"), ("approach", "page")]
         pressed = [note.text for note in found.notes if note.code == "page"]
     assert pressed == [f"{what} was pressed on the page" for what in ("pause", "resume", "stop")]
+
+
+def recording_is_open(path: Path) -> bool:
+    """Return whether a recording was not closed."""
+    with suppress(GatewayError), igtl_gateway.open(path):
+        return False
+    return True
 
 
 def test_the_bridge_goes_on_without_its_page(tmp_path: Path) -> None:

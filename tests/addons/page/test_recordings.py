@@ -31,10 +31,9 @@ def test_a_folder(tmp_path: Path) -> None:
     (tmp_path / "noise.mcap").write_bytes(b"x" * 1_000)
     (tmp_path / "notes.txt").write_text("no recording")
     (tmp_path / ".hidden.mcap").write_bytes(b"")
-    changes: list[int] = []
-    recordings = Recordings(tmp_path, lambda: changes.append(1))
+    recordings = Recordings(tmp_path)
     found = rows(recordings)
-    assert found.keys() == {"lego.mcap", "cut.mcap", "noise.mcap"} and len(changes) == 3
+    assert found.keys() == {"lego.mcap", "cut.mcap", "noise.mcap"}
     lego = found["lego.mcap"]
     assert (lego["closed"], lego["sealed"], lego["streams"], lego["marks"]) == (True, False, 33, [])
     assert not found["cut.mcap"]["closed"] and found["noise.mcap"]["problem"]
@@ -51,7 +50,9 @@ def test_the_time_line(tmp_path: Path) -> None:
         bridge.resume_recording()
         time.sleep(0.2)
     recordings = Recordings(tmp_path)
-    found = recordings.places(path)["places"]
+    line = recordings.places("a.mcap")
+    assert line and line == recordings.places("a.mcap") and recordings.places("../a.mcap") is None
+    found = line["places"]
     assert [place["kind"] for place in found] == ["pause", "resume"]
     assert 0 <= found[0]["at_s"] <= found[1]["at_s"]
     assert places_of(tmp_path / "absent.mcap")["places"] == []

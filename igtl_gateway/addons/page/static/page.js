@@ -180,7 +180,8 @@ function draw() {
   const pill = $("pill");
   pill.hidden = !state.has_bridge;
   const [dot, word] = recState();
-  part(pill, [dot, word, rec && [clock(now.uptime_s), bytes(rec.bytes)]], () => [h("span.dot." + dot), h("span", null, word), rec && h("span.sub", null, clock(now.uptime_s))]);
+  const lasted = rec && !rec.rests && clock(rec.lasted_s);
+  part(pill, [dot, word, lasted], () => [h("span.dot." + dot), h("span", null, word), lasted && h("span.sub", null, lasted)]);
   put($("foot"), state.has_bridge ? (now ? `igtl-gateway ${now.version} · runs for ${span(now.uptime_s)}` : `igtl-gateway ${state.version}`) : `igtl-gateway ${state.version} · ${state.folder}`);
   ({ now: drawNow, recording: drawRecording, sessions: drawSessions, replay: drawReplay })[view]();
 }
@@ -189,6 +190,7 @@ function recState() {
   if (state.has_bridge && !state.answers) return ["fail", "No answer"];
   if (!rec) return ["off", "Not recording"];
   if (rec.failure) return ["fail", "Recording failed"];
+  if (rec.rests) return ["off", "Not recording"];
   if (rec.paused) return ["paused", "Paused"];
   return ["rec", rec.snapshot_s ? `Keeps ${number(rec.snapshot_s)} s` : "Recording"];
 }
@@ -261,7 +263,7 @@ function drawNow() {
       : "This page shows a folder of recordings. For links and streams, start a bridge with --page.")));
     return;
   }
-  const wrong = state.wrong, total = now.streams.length + now.more;
+  const wrong = state.wrong, total = now.inputs;
   const worst = [...now.streams, ...now.links].map((row) => row.state).sort((a, b) => "error silent warning waiting ok".indexOf(a) - "error silent warning waiting ok".indexOf(b))[0] || "waiting";
   const title = !total && !wrong ? "No messages yet" : wrong ? `${count(wrong, "thing needs", "things need")} attention` : `All ${count(total, "stream")} arrive`;
   part(at.lead, [title, worst, total, now.links.length, now.ros, now.relay, now.refused], () => h("div.lead", null, icon(total || wrong ? worst : "waiting"), h("div", null, h("h1", null, title),
@@ -275,8 +277,8 @@ function drawNow() {
     const nothing = h("p.empty", null, "No peer is connected.");
     at.links._nothing = nothing;
     html(at.links, card("Links", null, links.element, nothing));
-    streams = new Rows([["State"], ["Stream"], ["From", "wide"], ["Rate", "n"], ["Last minute", "wide"], ["Last", "n"], ["Worst gap", "n"], ["Latency", "n"], ["Dropped", "n"], ["Stamps", "wide"]], () => [
-      stateColumn(), nameColumn(), textCell("wide", (row) => row.side), textCell("n", (row) => `${rate(row.rate_hz)} Hz`), sparkColumn(),
+    streams = new Rows([["State"], ["Stream"], ["Direction", "wide"], ["Rate", "n"], ["Last minute", "wide"], ["Last", "n"], ["Worst gap", "n"], ["Latency", "n"], ["Dropped", "n"], ["Stamps", "wide"]], () => [
+      stateColumn(), nameColumn(), textCell("wide", (row) => row.way), textCell("n", (row) => `${rate(row.rate_hz)} Hz`), sparkColumn(),
       textCell("n", (row) => age(row.age_s)), textCell("n", (row) => (row.gap_s == null ? [NONE, true] : row.gap_s < 1.2 ? ["≤ 1 s", true] : span(row.gap_s))),
       textCell("n", (row) => (row.latency_ms == null ? [NONE, true] : `${number(row.latency_ms, 1)} ms`)), textCell("n", (row) => [number(row.dropped), !row.dropped]), textCell("wide", (row) => row.stamps || [NONE, true])], "Streams");
     at.streams._more = h("span.more");
@@ -313,27 +315,31 @@ function drawPictures(at, pictures) {
 function drawRecording() {
   const at = places($("recording"), "state", "work"), now = bridge(), rec = now?.recording;
   if (!now || !rec) {
-    part(at.state, ["none", Boolean(now), state.has_bridge], () => h("div.card", null, h("p.empty", null, now ? ["This bridge does not record. Start it with ", h("code", null, "--record FILE"), "."] : state.has_bridge ? "The bridge does not answer." : "This page shows a folder of recordings. To record, start a bridge with --record FILE --page.")));
+    part(at.state, ["none", Boolean(now), state.has_bridge], () => h("div.card", null, h("p.empty", null, now ? ["This bridge has no file to record to. Start it with ", h("code", null, "--record FILE"), ", or with ", h("code", null, "--record FILE --record-wait"), " and press Start here."] : state.has_bridge ? "The bridge does not answer." : "This page shows a folder of recordings. To record, start a bridge with --record FILE --page.")));
     part(at.work, [Boolean(now), locked()], () => (now ? [markCard()] : []));
     return;
   }
   const [dot, word] = recState();
   if (at.state._kind !== "recording") { at.state._kind = "recording"; html(at.state, h("div.card", null, h("div.body"), h("dl.facts", { class: "facts" }), h("div.body"))); }
   const [hero, facts, buttons] = at.state.firstChild.children;
-  part(hero, [dot, word, rec.name, rec.folder, rec.failure, clock(now.uptime_s)], () => h("div.hero", null, h("span.dot." + dot), h("div", null, h("h1", null, word), h("p.sub", null, `${rec.name} in ${rec.folder}`), rec.failure && h("p.s-error", null, rec.failure)), h("span.clock", { "aria-label": "duration" }, clock(now.uptime_s))));
+  part(hero, [dot, word, rec.name, rec.folder, rec.failure, rec.rests, clock(rec.lasted_s)], () => h("div.hero", null, h("span.dot." + dot), h("div", null, h("h1", null, word), h("p.sub", null, rec.rests ? `Messages pass. Start writes them to a file in ${rec.folder}` : `${rec.name} in ${rec.folder}`), rec.failure && h("p.s-error", null, rec.failure)), !rec.rests && h("span.clock", { "aria-label": "duration" }, clock(rec.lasted_s))));
   const short = rec.lasts_s != null && rec.lasts_s < 3600;
-  part(facts, [rec.bytes, rec.files, rec.per_s, rec.free, rec.lasts_s, rec.dropped, rec.entries, rec.sealed], () => [
+  part(facts, [rec.bytes, rec.files, rec.per_s, rec.free, rec.lasts_s, rec.dropped, rec.entries, rec.sealed, rec.triggers], () => [
     fact("Size", bytes(rec.bytes), rec.per_s ? `${bytes(rec.per_s)} per second` : rec.files ? count(rec.files, "file") : "nothing is written"),
     fact("Disk", rec.lasts_s == null ? bytes(rec.free) : `lasts ${span(rec.lasts_s)}`, `${bytes(rec.free)} free`, short && "warning"),
     fact("Losses", rec.dropped ? number(rec.dropped) : "none", rec.dropped ? "messages are missing" : "every message is kept", rec.dropped && "error"),
     fact("Messages", number(rec.entries), rec.left_out ? `${number(rec.left_out)} left out` : "written to the file"),
-    fact("Seal", rec.sealed ? "on" : "off", rec.sealed ? "each change will show" : "--seal KEY signs it")]);
-  part(buttons, [rec.paused, rec.snapshot_s, rec.split, locked()], () => h("div.actions", null,
-    !rec.snapshot_s && (rec.paused ? button("Resume", () => act({ do: "resume" }), { kind: ".big.primary", key: "pause" }) : button("Pause", () => act({ do: "pause" }), { kind: ".big", key: "pause" })),
+    fact("Seal", rec.sealed ? "on" : "off", rec.sealed ? "each change will show" : "--seal KEY signs it"),
+    ...(rec.triggers.length ? [fact("Black box", count(rec.triggers.length, "rule"), rec.triggers.join(", "))] : [])]);
+  const takes = !rec.snapshot_s && !rec.failure;
+  part(buttons, [rec.paused, rec.rests, rec.snapshot_s, rec.split, takes, locked()], () => h("div.actions", null,
+    takes && rec.rests && button("Start recording", () => act({ do: "start" }), { kind: ".big.primary", key: "start" }),
+    takes && !rec.rests && (rec.paused ? button("Resume", () => act({ do: "resume" }), { kind: ".big.primary", key: "pause" }) : button("Pause", () => act({ do: "pause" }), { kind: ".big", key: "pause" })),
     Boolean(rec.snapshot_s) && button(`Save the last ${number(rec.snapshot_s)} s`, () => act({ do: "snapshot" }), { kind: ".big.primary" }),
-    button("New file", () => act({ do: "split" }), { kind: ".big", off: rec.split ? "" : "Needs --split-size or --split-duration" }),
+    takes && !rec.rests && rec.split && button("New file", () => act({ do: "split" }), { kind: ".big" }),
+    takes && !rec.rests && button("Stop recording …", async () => { if (await ask("Stop the recording?", "Its file is closed. Messages go on passing, and Start begins the next file.", "Stop")) act({ do: "stop" }); }, { kind: ".big", key: "start" }),
     h("span.gap"),
-    button("Stop …", async () => { if (await ask("Stop the bridge?", "The recording is closed, and all peers are disconnected.", "Stop")) act({ do: "stop" }); }, { kind: ".big.danger" })));
+    button("End the bridge …", async () => { if (await ask("End the bridge?", "The recording is closed, all peers are disconnected, and this page ends.", "End")) act({ do: "end" }); }, { kind: ".danger" })));
   drawMarks(at.work, rec, now);
 }
 function fact(title, value, more, kind) { return h("div", { class: kind ? "s-" + kind : "" }, h("dt", null, title), h("dd", null, value, h("small", null, more))); }
@@ -359,8 +365,8 @@ function drawMarks(at, rec, now) {
   part(left, [locked()], () => [markCard()]);
   const phases = $("phases");
   part(phases, [rec.phases, locked()], () => (rec.phases.length ? h("div.phases", null, "Open phases:", rec.phases.map((label) => button(`End ${label}`, () => act({ do: "mark", line: `-${label}` }), { kind: ".small" }))) : []));
-  const marks = now.notes.filter((each) => ["mark", "page", "record_paused", "record_resumed", "record_snapshot"].includes(each.code));
-  part(right, marks, () => card("Marks and presses", null, marks.length ? h("ul.notes", { tabindex: 0, "aria-label": "Marks and presses" }, [...marks].reverse().map(note)) : h("p.empty", null, "No marks yet. Press M anywhere on this page.")));
+  const marks = now.done;
+  part(right, marks, () => card("What was done", null, marks.length ? h("ul.notes", { tabindex: 0, "aria-label": "What was done" }, [...marks].reverse().map(note)) : h("p.empty", null, "No marks yet. Press M anywhere on this page.")));
 }
 
 // ── sessions ──────────────────────────────────────────────────────────────────────────────────────────────────
@@ -432,7 +438,7 @@ function jobRow(job) {
 
 // ── replay ────────────────────────────────────────────────────────────────────────────────────────────────────
 
-let chosen = "", from = 0, placesOf = {}, target = "igtl listen", loop = false, speed = "1", place = "";
+let chosen = "", from = 0, placesOf = {}, target = "igtl listen", speed = "1", place = "";
 function choose(name, at) {
   chosen = name; from = at || 0;
   if (name && !placesOf[name]) { placesOf[name] = []; get(`/api/places?name=${encodeURIComponent(name)}`).then((answer) => answer.json()).then((found) => { placesOf[name] = found?.places || []; if (state) draw(); }).catch(() => { delete placesOf[name]; }); }
@@ -449,11 +455,10 @@ async function act2(words) {
 async function begin() {
   const [to, way] = target.split(" ");
   const at = from;
-  if (!await act({ do: "replay", name: chosen, to, role: way || "listen", address: place, rate: Number(speed), loop, paused: at > 0 })) return;
-  if (!at) return;
-  for (let tries = 0; tries < 40 && !state.replay?.state?.duration_s; tries++) await new Promise((done) => setTimeout(done, 150));
-  await steer("seek", at); await steer("play");
+  await act({ do: "replay", name: chosen, to, role: way || "listen", address: place || usualPlace(), rate: Number(speed), from_s: at });
 }
+/* Beside a bridge the port of Slicer's connector is often its own. */
+function usualPlace() { return state.has_bridge && !target.includes("connect") ? "127.0.0.1:18945" : "127.0.0.1:18944"; }
 function drawReplay() {
   const at = places($("replay"), "head", "choice", "player", "below"), replay = state.replay, running = replay?.running;
   if (running && chosen !== replay.name) choose(replay.name);
@@ -464,7 +469,7 @@ function drawReplay() {
     h("label.field", null, h("span", null, "Recording"), h("select", { "data-key": "choose", disabled: running, onchange: (event) => { choose(event.target.value); draw(); } }, ready.map((row) => h("option", { value: row.name, selected: row.name === chosen }, row.name)))),
     h("label.field", null, h("span", null, "Send to"), h("select", { "data-key": "target", disabled: running, onchange: (event) => { target = event.target.value; draw(); } },
       [["igtl listen", "OpenIGTLink clients"], ["igtl connect", "an OpenIGTLink server"], ["ros", "ROS 2"], ["both listen", "OpenIGTLink clients and ROS 2"]].map(([value, title]) => h("option", { value, selected: value === target }, title)))),
-    h("label.field", null, h("span", null, target.includes("connect") ? "Its address" : "At address"), h("input", { type: "text", "data-key": "place", disabled: running || target === "ros", value: place, placeholder: "127.0.0.1:18944", oninput: (event) => { place = event.target.value.trim(); } })),
+    h("label.field", null, h("span", null, target.includes("connect") ? "Its address" : "At address"), h("input", { type: "text", "data-key": "place", disabled: running || target === "ros", value: place, placeholder: usualPlace(), oninput: (event) => { place = event.target.value.trim(); } })),
     h("label.field", null, h("span", null, "Rate"), h("select", { "data-key": "speed", disabled: running, onchange: (event) => { speed = event.target.value; } }, ["0.1", "0.25", "0.5", "1", "2", "5", "10"].map((value) => h("option", { value, selected: value === speed }, `${value} ×`)))),
     running ? button("Stop", () => steer("stop"), { kind: ".danger", key: "begin" }) : button("Start", begin, { kind: ".primary", off: chosen ? "" : "No recording", key: "begin" })))));
   const row = (sessions || []).find((each) => each.name === chosen);

@@ -1,0 +1,78 @@
+"""The interface of a bridge for its page, with a bridge in this process and without a browser."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import igtl_gateway
+from igtl_gateway.addons.page.live import BridgePage
+from igtl_gateway.addons.page.source import BridgeSource
+from igtl_gateway.app.note_rate import Event
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.log.note import Level, Note
+
+
+class Session:
+    """What the page needs of a session."""
+
+    def __init__(self, bridge: Any) -> None:
+        self.bridge = bridge
+        self.facts: dict[str, Any] = {}
+
+
+@contextmanager
+def page_of(bridge: Any, stopped: list[bool]) -> Iterator[tuple[BridgePage, BridgeSource]]:
+    page = BridgePage(("127.0.0.1", 0), (), None, None, lambda: stopped.append(True), lambda *_: None)
+    try:
+        page.update(Session(bridge))
+        yield page, BridgeSource(f"http://{page._server.address}", page._token)
+    finally:
+        page.close()
+
+
+def wait(condition: Callable[[], object]) -> None:
+    until = time.monotonic() + 30
+    while not condition():
+        assert time.monotonic() < until
+        time.sleep(0.01)
+
+
+def test_each_button(tmp_path: Path) -> None:
+    recording, stopped, long = tmp_path / "a.mcap", list[bool](), "😀" * 1_000
+    with igtl_gateway.Bridge(listen=["127.0.0.1:0"], ros=False, record=recording, record_wait=True) as bridge:
+        recorder = bridge._bridge.recorder
+        assert recorder
+        with page_of(bridge._bridge, stopped) as (_, source):
+            assert source.press("mark", "early") == (False, "nothing is recorded; start the recording first")
+            assert source.press("pause", "") == (False, "the recording is stopped; start it first")
+            assert source.press("start", "")[0]
+            wait(lambda: not recorder.rests)
+            assert source.press("mark", f"slip: {long}") == (True, "the mark is set")
+            assert not source.press("mark", "\ud800")[0]
+            assert source.press("pause", "")[0] and source.press("resume", "")[0]
+            assert source.press("split", "")[1].startswith("the recording has one file")
+            assert source.press("snapshot", "")[1].startswith("no snapshots")
+            assert source.press("stop", "")[0]
+            wait(lambda: recorder.rests)
+            assert source.press("format", "")[1].startswith("found 'format', expected one of mark, end, start")
+            assert source.press("end", "")[0] and stopped == [True]
+            assert BridgeSource(source._url, "another token").press("end", "") == (False, "the bridge does not answer")
+    with igtl_gateway.open(recording) as found:
+        assert [(mark.label, mark.text) for mark in found.marks] == [("slip", long)]
+        presses = [note.text.partition(" was")[0] for note in found.notes if note.code == "page"]
+    assert presses == ["pause", "resume", "split", "snapshot", "stop"]
+
+
+def test_many_notes_do_not_hide_what_was_done() -> None:
+    with (
+        igtl_gateway.Bridge(listen=["127.0.0.1:0"], ros=False) as bridge,
+        page_of(bridge._bridge, []) as (page, source),
+    ):
+        notes = [Note(Level.INFO, "mark", "mark slip"), *(Note(Level.WARN, "stamp_still", "x") for _ in range(500))]
+        page.update(Session(bridge._bridge), [Event(1, Kind.EDGE_NOTE, note, ()) for note in notes])
+        found = source.facts()
+        assert found and [note["text"] for note in found["done"]] == ["mark slip"] and len(found["notes"]) == 60

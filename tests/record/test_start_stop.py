@@ -1,0 +1,140 @@
+"""A recording that is started and stopped: every file verifies, and has all between its start and its stop."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from random import Random
+from typing import Any
+
+import pytest
+
+from igtl_gateway.app import recording
+from igtl_gateway.base.clock import ManualClock
+from igtl_gateway.cli import main
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.record.host import in_thread
+from igtl_gateway.record.options import RecordOptions
+from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.record.seal.keys import SigningKey
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.seals import stated_seals
+from igtl_gateway.record.worker import STARTED, STOPPED
+from igtl_gateway.replay.verify import DeclaredLosses, verify
+from tests.record import samples
+from tests.record.test_parts import RULE, session, wait_until
+
+
+def recorder_of(path: Path, notes: list[Note], **options: Any) -> Recorder:
+    return Recorder(
+        path,
+        samples.SESSION,
+        qos_of=lambda _topic, _type: None,
+        on_note=notes.append,
+        clock=ManualClock(),
+        host=in_thread,
+        options=RecordOptions(**options),
+        rule=RULE,
+    )
+
+
+def numbers_of(path: Path) -> list[int]:
+    """Return the numbers of the entries of a file that verifies."""
+    with SessionFile.open(path) as file:
+        entries = list(file.entries())
+        report = verify(entries, Config(), DeclaredLosses.of(file.session, file.ledger), before=file.prologue())
+    assert report.good, report.differences[:3]
+    return [entry.seq for entry in entries]
+
+
+@pytest.mark.parametrize("options", [{}, {"split_s": 1e3}], ids=["one file", "parts"])
+@pytest.mark.parametrize("waits", [False, True], ids=["", "waits"])
+@pytest.mark.parametrize("seed", range(4))
+def test_each_file_has_all_between_start_and_stop(
+    tmp_path: Path, options: dict[str, Any], waits: bool, seed: int
+) -> None:
+    chosen, notes, entries = Random(seed), list[Note](), session(3)
+    inputs = [at for at, entry in enumerate(entries) if entry.kind.is_input]
+    turns = sorted(chosen.sample(inputs[1:], 5))
+    recorder = recorder_of(tmp_path / "a.mcap", notes, waits=waits, **options)
+    runs, expected, current = not waits, list[list[int]](), list[int]()
+    for at, entry in enumerate(entries):
+        if at in turns:
+            wait_until(lambda: recorder.rests is not runs)
+            done, _ = (recording.stop if runs else recording.start)(recorder)
+            assert done
+            if runs:
+                expected.append(current)
+            runs, current = not runs, []
+        recorder(entry)
+        if runs:
+            current.append(entry.seq)
+    summary = recorder.close({"streams": {}})
+    expected += [current] * runs
+    files = [path for path in summary.files if path.suffix == ".mcap"]
+    assert [numbers_of(path) for path in files] == [found for found in expected if found]
+    assert summary.entries == sum(map(len, expected)) and not summary.dropped and not summary.failure
+    assert summary.entries + sum(summary.left_out.values()) == len(entries)
+    assert {note.code for note in notes} == {STARTED, STOPPED}
+    if options:
+        with SessionFile.open(summary.path) as file:
+            assert file.entry_count == summary.entries and not file.missing_parts
+
+
+def test_nothing_else_is_done_to_a_recording_that_is_stopped(tmp_path: Path) -> None:
+    notes: list[Note] = []
+    recorder = recorder_of(tmp_path / "a.mcap", notes, waits=True)
+    assert recording.stop(recorder) == (False, "the recording is stopped; start it first")
+    for action in (recording.pause, recording.resume):
+        assert action(recorder) == (False, "the recording is stopped; start it first")
+    assert recording.start(recorder)[0]
+    wait_until(lambda: not recorder.rests)
+    assert recording.start(recorder) == (False, "the recording runs already")
+    assert recorder.close({}).files == (tmp_path / "a.mcap",)
+    kept = recorder_of(tmp_path / "b.mcap", notes, snapshot_s=5.0)
+    assert not recording.start(kept)[0] and not recording.stop(kept)[0]
+    kept.close({})
+
+
+def test_an_obstacle_is_reported_and_the_next_start_succeeds(tmp_path: Path) -> None:
+    folder, notes, entries = tmp_path / "folder", list[Note](), session(1)
+    folder.mkdir()
+    recorder = recorder_of(folder / "a.mcap", notes, waits=True)
+    folder.rename(tmp_path / "elsewhere")
+    recorder.start()
+    wait_until(lambda: bool(notes))
+    assert notes[0].text.startswith("the recording is not started: ") and recorder.rests
+    (tmp_path / "elsewhere").rename(folder)
+    recorder.start()
+    wait_until(lambda: not recorder.rests)
+    entry: Entry
+    for entry in entries:
+        recorder(entry)
+    assert recorder.close({}).entries == len(entries)
+
+
+def test_an_earlier_recording_is_not_replaced(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(b"of yesterday")
+    recorder = recorder_of(tmp_path / "a.mcap", [], waits=True)
+    recorder.start()
+    assert recorder.close({}).files == (tmp_path / "a_1.mcap",)
+    assert (tmp_path / "a.mcap").read_bytes() == b"of yesterday"
+
+
+def test_each_file_has_a_seal_of_its_own(tmp_path: Path) -> None:
+    (tmp_path / "key.pem").write_bytes(SigningKey.generate().private_pem())
+    (tmp_path / "key.pem").chmod(0o600)
+    recorder = recorder_of(tmp_path / "a.mcap", [], seal=tmp_path / "key.pem")
+    entries = session(1)
+    for entry in entries[:-1]:
+        recorder(entry)
+    recorder.stop()
+    wait_until(lambda: recorder.rests)
+    recorder.start()
+    wait_until(lambda: not recorder.rests)
+    recorder(entries[-1])
+    files = recorder.close({}).files
+    assert len(files) == 2 and all(map(stated_seals, files))
+    for path in files:
+        assert main(["verify", str(path), "--seal"]) == 0
