@@ -28,7 +28,7 @@ from igtl_gateway.api.keywords import keywords
 from igtl_gateway.app.commands import SERVICE
 from igtl_gateway.app.mark_service import SERVICE as MARK_SERVICE
 from igtl_gateway.app.metrics import METRICS
-from igtl_gateway.app.recording import PAUSE, RESUME, SNAPSHOT, SPLIT
+from igtl_gateway.app.recording import PAUSE, RESUME, SNAPSHOT, SPLIT, START, STOP
 from igtl_gateway.app.recording import TYPE as TRIGGER
 from igtl_gateway.app.replay_options import REPLAY
 from igtl_gateway.app.ros_traffic import MARKS
@@ -1029,6 +1029,7 @@ def topics() -> str:
             (
                 (f"`{SERVICE}`", "igtl_msgs/SendCommand", "send a COMMAND to a peer and wait for its reply"),
                 (f"`{MARK_SERVICE}`", "igtl_msgs/Mark", "make a [mark](../how-to/marks.md)"),
+                (f"`{START}`, `{STOP}`", TRIGGER, "begin the next file, and close it"),
                 (f"`{PAUSE}`, `{RESUME}`", TRIGGER, "pause and resume the recording"),
                 (f"`{SPLIT}`", TRIGGER, "begin the next file of a split recording"),
                 (f"`{SNAPSHOT}`", TRIGGER, "with `--snapshot`: write the last seconds to a file"),
@@ -1098,8 +1099,7 @@ ros2 param set /or1/gw deny_in "['COMMAND']" """
         prose(
             f"""{code(row.name for row in all_settings() if row.changes)} can change. A change is an input of the
             session, so the recording verifies ([lifecycle.md](../how-to/lifecycle.md)). All other parameters are
-            read-only. Pause, resume and snapshot of a recording are services: `~/pause_recording`,
-            `~/resume_recording`, `~/split_recording`, `~/snapshot`."""
+            read-only. A recording has services ([topics.md](topics.md#services))."""
         ),
         "## Rows of messages",
         prose(

@@ -140,6 +140,8 @@ NOTES: dict[str, dict[str, str]] = {
         "record_refused": "an entry cannot be recorded",
         "record_undefined": "the definition of a ROS type is unknown; its messages are recorded without it",
         "record_thread": "a thread of the bridge writes the file, because no process can be started",
+        "record_started": "a file of the recording begins",
+        "record_stopped": "the file of the recording is closed, and the bridge goes on",
         "record_paused": "the recording is paused",
         "record_resumed": "the recording continues; what it left out",
         "record_snapshot": "the last seconds are in a file",
