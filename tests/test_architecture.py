@@ -75,7 +75,7 @@ MOST_OF_CORE = {
     "exchange": 13,
     "lerobot": 7,
     "merge": 11,
-    "page": 22,
+    "page": 23,
     "resim": 8,
     "review": 7,
     "sync": 4,

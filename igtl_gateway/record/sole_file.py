@@ -128,8 +128,9 @@ class SoleFile:
         stem = self.path.stem if self.path.suffix == ".mcap" else self.path.name
         number = self._number + 1
         if path is None:
-            while os.path.lexists(path := self.path.with_name(f"{stem}_{number}.mcap")):
+            while os.path.lexists(self.path.with_name(f"{stem}_{number}.mcap")):
                 number += 1
+            path = self.path.with_name(f"{stem}_{number}.mcap")
         facts = {layout.PART_KEY: str(number)} | ({layout.PREVIOUS_KEY: self._previous} if self._previous else {})
         self.file = self._open_file(path, facts, self._prologue.entries())
         self._number = number

@@ -84,6 +84,7 @@ WITHOUT_EFFECT = {
     "retention": "--retention 30d",
     "upload": "--upload s3://bucket",
     "upload_rate": "--upload-rate 3",
+    "record_wait": "--record-wait",
     "on_record_failure": "--on-record-failure stop",
     "video_codec": "--no-ros --video-codec h264",
     "video_bit_rate": "--video-bit-rate 100",

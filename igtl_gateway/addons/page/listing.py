@@ -90,7 +90,7 @@ def _kind_of(note: Note) -> str:
 def main() -> None:
     """The process."""
     ignore_endings()
-    lower_priority(19)
+    lower_priority(10)
     for line in sys.stdin:
         path, wants_places = json.loads(line)
         found = places_of(Path(path)) if wants_places else facts_of(Path(path))

@@ -10,11 +10,7 @@ from collections import deque
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import Child, python_command
-
-_COMMAND = python_command("igtl_gateway.addons.page.listing")
-#: Most recordings of the list, the newest; longest time for one, seconds.
-MAX_LISTED, _PATIENCE_S = 500, 30.0
+from igtl_gateway.addon import Child, SystemClock, python_command
 #: Time lines that are kept.
 _MAX_PLACES = 16
 
@@ -37,8 +33,9 @@ class Recordings:
         self._placing = threading.Lock()
         self._places: dict[str, tuple[tuple[int, int], dict[str, Any]]] = {}  # of the last time lines
         self._known: dict[str, tuple[tuple[int, int], dict[str, Any]]] = {}
-        self._to_read: list[tuple[str, tuple[int, int]]] = []  # the first is being read
+        self._to_read: dict[str, tuple[int, int]] = {}  # the first is being read
         self._reading = False
+        self._tries: dict[tuple[str, tuple[int, int]], int] = {}  # of the first, where it was not read
 
     def path(self, name: str) -> Path | None:
         """Return the path of a recording of the list; None for any other name."""
@@ -50,14 +47,16 @@ class Recordings:
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the recordings, the newest first, with what is known of each."""
-        found = self._found()
+        found, now_ns = self._found(), SystemClock().utc_ns()
         with self._lock:
             rows = []
             for name, mark, size in found:
                 known, facts = self._known.get(name, ((0, 0), {}))
-                rows.append({"name": name, "bytes": size, "modified_ns": mark[1], **facts, "read": known == mark})
-                if known != mark and (name, mark) not in self._to_read:
-                    self._to_read.append((name, mark))
+                # one that is being written is read again once it has come to rest
+                is_read = known == mark or (bool(facts) and now_ns - mark[1] < _REST_NS)
+                rows.append({"name": name, "bytes": size, "modified_ns": mark[1], **facts, "read": is_read})
+                if not is_read:
+                    self._to_read.setdefault(name, mark)
             if self._to_read and not self._reading:
                 self._reading = True
                 threading.Thread(target=self._read_all, name="igtl-page-listing", daemon=True).start()
@@ -101,14 +100,17 @@ class Recordings:
                 if not self._to_read:
                     self._reading = False
                     break
-                name, mark = self._to_read[0]
+                name, mark = next(iter(self._to_read.items()))
             facts = reader.ask(self.folder / name)
             if not reader.is_usable:  # it did not survive the file
                 reader.close()
                 reader = _Reader()
             with self._lock:
-                self._known[name] = mark, facts
-                del self._to_read[0]
+                tries = self._tries.get((name, mark), 0) + 1
+                self._tries = {(name, mark): tries} if facts.get("unread") else {}
+                if not facts.get("unread") or tries >= _TRIES:
+                    self._known[name] = mark, facts
+                    del self._to_read[name]
         reader.close()
 
 
@@ -136,7 +138,7 @@ class _Reader:
             facts: dict[str, Any] = json.loads(line)
             return facts
         self.is_usable = False
-        return {"closed": False, "problem": f"cannot be read within {_PATIENCE_S:g} s"}
+        return {"unread": True, "problem": f"cannot be read within {_PATIENCE_S:g} s"}
 
     def close(self) -> None:
         """End the process."""

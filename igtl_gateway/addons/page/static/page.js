@@ -277,8 +277,8 @@ function drawNow() {
     const nothing = h("p.empty", null, "No peer is connected.");
     at.links._nothing = nothing;
     html(at.links, card("Links", null, links.element, nothing));
-    streams = new Rows([["State"], ["Stream"], ["Direction", "wide"], ["Rate", "n"], ["Last minute", "wide"], ["Last", "n"], ["Worst gap", "n"], ["Latency", "n"], ["Dropped", "n"], ["Stamps", "wide"]], () => [
-      stateColumn(), nameColumn(), textCell("wide", (row) => row.way), textCell("n", (row) => `${rate(row.rate_hz)} Hz`), sparkColumn(),
+    streams = new Rows([["State"], ["Stream"], ["Rate", "n"], ["Last minute", "wide"], ["Last", "n"], ["Worst gap", "n"], ["Latency", "n"], ["Dropped", "n"], ["Stamps", "wide"]], () => [
+      stateColumn(), nameColumn(), textCell("n", (row) => `${rate(row.rate_hz)} Hz`), sparkColumn(),
       textCell("n", (row) => age(row.age_s)), textCell("n", (row) => (row.gap_s == null ? [NONE, true] : row.gap_s < 1.2 ? ["≤ 1 s", true] : span(row.gap_s))),
       textCell("n", (row) => (row.latency_ms == null ? [NONE, true] : `${number(row.latency_ms, 1)} ms`)), textCell("n", (row) => [number(row.dropped), !row.dropped]), textCell("wide", (row) => row.stamps || [NONE, true])], "Streams");
     at.streams._more = h("span.more");
@@ -297,8 +297,8 @@ function note(each) {
   return h("li", null, h("time", null, time(each.time_ns)), icon(kind), h("span", null, each.text + (each.more ? ` (${number(each.more)} more like it)` : "")));
 }
 function nameColumn() {
-  const name = h("span.name.clip"), chip = h("span.chip"), td = h("td", null, name, " ", chip);
-  return { td, draw: (row) => { put(name, row.name); name.title = row.name; put(chip, row.type); chip.hidden = !row.type; } };
+  const name = h("span.name.clip"), way = h("span.sub.clip"), td = h("td", null, name, h("br"), way);
+  return { td, draw: (row) => { put(name, row.name); put(way, [row.type.split("/").pop(), row.way].filter(Boolean).join(" ")); name.title = row.name; way.title = `${row.type} ${row.way}`; } };
 }
 function drawPictures(at, pictures) {
   const names = pictures.map(([side, stream]) => [side, stream]);
@@ -390,6 +390,7 @@ function result(row, action, none) {
 function sessionState(row) {
   if (row.recording) return ["waiting", "recording"];
   if (!row.read) return ["waiting", "reading"];
+  if (row.unread) return ["warning", "not read"];
   return row.problem ? ["error", "not closed"] : ["ok", "closed"];
 }
 function drawSessions() {

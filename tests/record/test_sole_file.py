@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from random import Random
 from typing import Any
@@ -39,6 +40,10 @@ def recorder_of(path: Path, notes: list[Note], **options: Any) -> Recorder:
     )
 
 
+def _is(recorder: Recorder, *, rests: bool) -> bool:
+    return recorder.rests is rests
+
+
 def numbers_of(path: Path) -> list[int]:
     """Return the numbers of the entries of a file that verifies."""
     with SessionFile.open(path) as file:
@@ -61,7 +66,7 @@ def test_each_file_has_all_between_start_and_stop(
     runs, expected, current = not waits, list[list[int]](), list[int]()
     for at, entry in enumerate(entries):
         if at in turns:
-            wait_until(lambda: recorder.rests is not runs)
+            wait_until(partial(_is, recorder, rests=not runs))
             done, _ = (recording.stop if runs else recording.start)(recorder)
             assert done
             if runs:
