@@ -11,6 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.addon import Child, SystemClock, python_command
+
+_COMMAND = python_command("igtl_gateway.addons.page.listing")
+#: Most recordings of the list, the newest; longest time for one, seconds, and how often it is tried.
+MAX_LISTED, _PATIENCE_S, _TRIES = 500, 30.0, 3
+#: A file that changed within this time is being written, ns.
+_REST_NS = 3_000_000_000
 #: Time lines that are kept.
 _MAX_PLACES = 16
 

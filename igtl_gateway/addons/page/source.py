@@ -59,7 +59,7 @@ class BridgeSource:
 
 
 def _json(words: dict[str, str]) -> bytes:
-    """Return JSON as short as the browser's: a text of other letters must not become longer than a request may be."""
+    """Return JSON as short as the browser's: other letters must not take more than a request may have."""
     return json.dumps(words, ensure_ascii=False).encode("utf-8", "surrogatepass")
 
 
