@@ -71,6 +71,7 @@ from igtl_gateway.wire.sensor import PREFIXES as UNIT_PREFIXES
 from igtl_gateway.wire.sensor import UNITS
 from igtl_gateway.wire.text import CODES
 from tools import deidentify_page
+from tools.judges import page as judges_page
 from tools.note_codes import NOTES
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -1281,6 +1282,11 @@ PARTS: dict[str, dict[str, Callable[[], str]]] = {
 }
 
 
+def real_programs() -> str:
+    """The page evidence/real-programs.md, from what the judges wrote."""
+    return document(judges_page.page())
+
+
 def filled(page: str) -> str:
     """The text of a page in docs/ with its tables as the program has them."""
     text = (DOCS / page).read_text("utf-8")
@@ -1297,6 +1303,7 @@ def filled(page: str) -> str:
 # -- files ------------------------------------------------------------------------------------------------------------
 
 PAGES: dict[str, Callable[[], str]] = {
+    "evidence/real-programs.md": real_programs,
     "reference/conversions.md": conversions,
     "how-to/deidentify.md": deidentification,
     "reference/doctor.md": doctor,

@@ -198,7 +198,7 @@ class RosClient(Program):
         self._answers: queue.Queue[dict[str, Any]] = queue.Queue()
         self._pending: list[tuple[str, Any]] = []
         script, *arguments = program
-        script = str(Path(__file__).with_name(script))
+        script = str(Path(__file__).parent / script)
         env = environment(ROS_DOMAIN_ID=str(domain), **changes)
         super().__init__([*within, sys.executable, script, *arguments, name], env, stdin=subprocess.PIPE)
         for topic, kind in (subscribe or {}).items():

@@ -11,6 +11,9 @@ from igtl_gateway.edges.ros.middleware import qos_of
 from igtl_gateway.edges.ros.node import RosNode
 from igtl_gateway.edges.ros.streams import Topics
 
+#: The vendor of Fast DDS in RTPS.
+FAST_DDS = (0x01, 0x0F)
+
 
 class Graph:
     """Questions to the graph, about the other nodes; each answer is as far as discovery has come."""
@@ -65,6 +68,11 @@ class Graph:
         in_graph = self._node.names.in_graph(topic)
         own = len(self._topics.subscriptions_at(in_graph))
         return int(self._node.host.node.count_subscribers(in_graph)) - own
+
+    def has_foreign_subscription(self, topic: str) -> bool:
+        """Whether a subscription is of another vendor's DDS than ours (DDSI-RTPS 2.5, 9.3.1.5: GUIDs begin with it)."""
+        infos = self._node.host.node.get_subscriptions_info_by_topic(self._node.names.in_graph(topic))
+        return any(tuple(info.endpoint_gid[:2]) != FAST_DDS for info in infos)
 
     def matching_qos(self, topic: str, wanted: Qos) -> Qos:
         """The QoS that every present publisher satisfies, by the rule of foxglove_bridge and rosbag2."""

@@ -28,6 +28,8 @@ from igtl_gateway.native.passage import Publisher as NativePublisher
 #: Subscriptions that the graph knows are matched well within this time, or never (incompatible QoS).
 HOLD_NS = 2_000_000_000
 
+#: A reader of another vendor's DDS ignores what it receives before it has matched our writer, which it does not report.
+FOREIGN_NS = 250_000_000
 _LINGER_NS = 500_000_000  # for acknowledgements at the end; a subscriber that hangs must not delay us
 _MATCHES_MAX = 10_000  # matches not reported yet: at most those of one turn of the keeper
 
@@ -209,10 +211,14 @@ class Publishing(Publishers[TopicPublisher]):
     def _can_send(self, publisher: TopicPublisher) -> bool:
         if not publisher.is_made:  # nor might its topic have a name that the graph can be asked for
             return False
-        if not self._node.is_running or self._clock.monotonic_ns() >= publisher.deadline_ns:
+        now_ns = self._clock.monotonic_ns()
+        if not self._node.is_running or now_ns >= publisher.deadline_ns:
             return True
         known = self._graph.subscriptions_of(publisher.topic)
-        return 0 < known <= self.subscriber_count(publisher.topic)
+        if not 0 < known <= self.subscriber_count(publisher.topic):
+            return False
+        publisher.matched_ns = publisher.matched_ns or now_ns
+        return now_ns >= publisher.matched_ns + FOREIGN_NS or not self._graph.has_foreign_subscription(publisher.topic)
 
     def _make(self, publisher: TopicPublisher, message_class: Any) -> None:
         """Make the publisher of the middleware; the caller has the lock of the node."""

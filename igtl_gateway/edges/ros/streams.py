@@ -183,6 +183,7 @@ class TopicPublisher:
         self.held: deque[bytes] = deque()
         self.held_bytes = 0
         self.deadline_ns = _NEVER_NS
+        self.matched_ns = 0  # when all known subscriptions were matched; 0: not yet
         self.ready = False
         self.burst = qos.depth
 

@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 
 import pytest
 
+from igtl_gateway.doctor.host_checks import MIN_SOCKET_BYTES
 from igtl_gateway.edges.ros import env
 
 CHOSEN_BY_USER = (
@@ -129,6 +130,14 @@ def test_packaged_profile_is_what_it_says() -> None:
     defined = [node.text for node in root.findall(".//dds:transport_descriptor/dds:transport_id", names)]
     used = [node.text for node in root.findall(".//dds:userTransports/dds:transport_id", names)]
     assert defined == used
+
+
+def test_the_profiles_ask_for_what_doctor_asks_for() -> None:
+    """The kernel's default, 208 KiB, holds three of the hundred fragments of a large image from another host."""
+    names = {"dds": "http://www.eprosima.com/XMLSchemas/fastRTPS_Profiles"}
+    for path in (env.PROFILE, env.LOCK_STEP_PROFILE):
+        asked = ElementTree.parse(path).getroot().findtext(".//dds:receiveBufferSize", namespaces=names)
+        assert asked == str(MIN_SOCKET_BYTES)
 
 
 def test_the_profile_for_lock_step_is_the_other_one_with_quick_acknowledgements(
