@@ -91,9 +91,9 @@ class TrackedFrames:
         form = _NAMES.get(message.type)
         return not self.is_over and (form is _POSE or (form is _PICTURE and bool(form.fullmatch(message.device_name))))
 
-    def passed_over(self) -> None:
-        """Count a picture that ``follow`` would only count."""
-        self._searched = min(self._searched + 1, MAX_SEARCHED)
+    def passed_over(self, pictures: int) -> None:
+        """Count pictures that ``follow`` would only count."""
+        self._searched = min(self._searched + pictures, MAX_SEARCHED)
 
     def follow(self, message: Message) -> bool:
         """Return whether the messages up to this one are frames of PLUS."""

@@ -19,6 +19,7 @@
 #include <sys/eventfd.h>
 #include <sys/socket.h>
 #include <sys/syscall.h>
+#include <sys/uio.h>
 #include <time.h>
 #include <unistd.h>
 
@@ -38,6 +39,8 @@
 #define LARGEST_INPUT (32 * 1024)   /* what is larger takes too long for a thread of the middleware */
 #define LARGEST_RECEIVED (256 * 1024) /* what is larger takes too long for the thread that reads the links */
 #define LARGEST_RECORDED (512 * 1024) /* an input and its outputs, which are copied under the locks */
+#define LARGEST_MADE (64 * 1024 * 1024) /* outputs of a message that is converted without the sequence lock */
+#define MAX_PARTS 3 /* of a message that is sent: what is before a picture, the picture, what is after it */
 #define MAX_PLACES 70             /* of a sample, see express.py */
 #define OBSERVATIONS 256
 #define EVENTS 32
@@ -189,7 +192,7 @@ typedef struct Passage {
     Lock *queue_lock;
     PyObject *queue_memory; /* keeps the mapping */
     uint8_t *scratch;       /* MAX_OUTPUTS outputs, guarded by the sequence lock */
-    uint32_t times[2][TIMED_PHASES][TIME_BUCKETS]; /* of messages to ROS and to OpenIGTLink, likewise */
+    uint32_t times[2][TIMED_PHASES][TIME_BUCKETS]; /* of messages to ROS and to OpenIGTLink; atomic */
     /* links and subscriptions that Python has to look at */
     pthread_mutex_t events;
     pthread_cond_t taken_over;
@@ -253,7 +256,7 @@ static void count_time(Passage *self, int direction, int phase, int64_t ns)
 {
     uint64_t time = ns < 8 ? 8 : (uint64_t)ns;
     int power = 63 - __builtin_clzll(time);
-    self->times[direction][phase][4 * power + (int)(time >> (power - 2) & 3)]++;
+    __atomic_add_fetch(&self->times[direction][phase][4 * power + (int)(time >> (power - 2) & 3)], 1, __ATOMIC_RELAXED);
 }
 
 /* Count the phases of a message that ends now; times are monotonic. */
@@ -263,6 +266,16 @@ static void count_times(Passage *self, int direction, int64_t begun_ns, int64_t 
     count_time(self, direction, SEQUENCE, locked_ns - begun_ns);
     count_time(self, direction, CONVERSION, converted_ns - locked_ns);
     count_time(self, direction, OUTPUT, passed_ns - converted_ns);
+    count_time(self, direction, RECORDING, clock_ns(CLOCK_MONOTONIC) - passed_ns);
+}
+
+/* The same of a large message, which was converted before the lock was taken. */
+static void count_large_times(Passage *self, int direction, int64_t begun_ns, int64_t converted_ns, int64_t locked_ns,
+                              int64_t passed_ns)
+{
+    count_time(self, direction, SEQUENCE, locked_ns - converted_ns);
+    count_time(self, direction, CONVERSION, converted_ns - begun_ns);
+    count_time(self, direction, OUTPUT, passed_ns - locked_ns);
     count_time(self, direction, RECORDING, clock_ns(CLOCK_MONOTONIC) - passed_ns);
 }
 
@@ -300,6 +313,42 @@ typedef struct {
     uint64_t begun, taken_over;       /* numbers of own messages so far */
 } Publisher;
 
+/* A large message whose memory the thread that passes it and the stream share; the last one frees it. */
+struct kept {
+    int owners; /* atomic */
+    struct rcl_serialized message; /* only its memory */
+};
+
+/* The memory of a message as one that can be shared; NULL: there is no memory for that. */
+static struct kept *keep(struct rcl_serialized *message)
+{
+    struct kept *kept = calloc(1, sizeof *kept);
+    if (!kept)
+        return NULL;
+    kept->owners = 1;
+    kept->message = *message;
+    return kept;
+}
+
+static struct kept *keep_copy(const uint8_t *data, ssize_t size)
+{
+    struct rcl_serialized message = {.buffer = malloc((size_t)size), .length = (size_t)size};
+    struct kept *kept = message.buffer ? keep(&message) : NULL;
+    if (kept)
+        memcpy(message.buffer, data, (size_t)size);
+    else
+        free(message.buffer);
+    return kept;
+}
+
+static void leave_kept(struct kept *kept)
+{
+    if (!kept || __atomic_sub_fetch(&kept->owners, 1, __ATOMIC_ACQ_REL))
+        return;
+    free(kept->message.buffer);
+    free(kept);
+}
+
 /* One output of a stream. */
 struct output {
     uint8_t *template;           /* of bulk to OpenIGTLink: the bytes before the content */
@@ -310,7 +359,7 @@ struct output {
     char keep;                   /* a full send queue must not drop it */
     uint64_t number;             /* of its stream in the recorder's queue */
     uint64_t sent;               /* messages */
-    uint64_t ignored;            /* messages that a link took no more */
+    long long ignored;           /* messages that a link took no more; atomic */
     Publisher *publisher;
     Link *links[MAX_LINKS];
     int link_count;
@@ -328,7 +377,7 @@ struct Stream {
     ssize_t at, place_at;
     struct igtl_poses from_igtl;
     struct ros_poses from_ros;
-    int is_bulk; /* strings, points and clouds: these instead of the two above */
+    int is_bulk; /* strings, points, clouds and pictures: these instead of the two above */
     struct igtl_bulk bulk_from_igtl;
     struct ros_bulk bulk_from_ros;
     ssize_t places[MAX_PLACES];
@@ -344,7 +393,20 @@ struct Stream {
     int64_t latest_stamp_ns, latest_source_ns;
     uint8_t *latest;
     ssize_t latest_size;
+    char keeps;         /* to ROS: the latest message is kept, too */
+    struct kept *large; /* the latest message, if it is large */
 };
+
+/* Note the latest message of a stream. */
+static void set_latest(Stream *stream, uint64_t seq, int64_t stamp_ns, int64_t source_ns, struct kept *large)
+{
+    stream->latest_seq = seq;
+    stream->latest_stamp_ns = stamp_ns;
+    stream->latest_source_ns = source_ns;
+    leave_kept(stream->large);
+    if ((stream->large = large))
+        __atomic_add_fetch(&large->owners, 1, __ATOMIC_RELAXED);
+}
 
 /* is_unit_jump of guarded_stream.py, without its precision: 1 where Python has to judge. */
 static int might_jump(const double before[3], const double after[3])
@@ -417,8 +479,9 @@ static uint8_t *copied(const void *data, ssize_t size)
 
 /* -- the recorder ----------------------------------------------------------------------------------------------------- */
 
-/* Take the recorder's queue for entries of these streams; 0: Python has to put them. */
-static int begin_record(Passage *self, Stream *stream, struct output *const *outputs, int count, ssize_t bytes)
+/* Take the recorder's queue for entries of these streams; 0: Python has to put them. ``most``: bytes. */
+static int begin_record(Passage *self, Stream *stream, struct output *const *outputs, int count, ssize_t bytes,
+                        ssize_t most)
 {
     if (!self->is_recorded)
         return 1;
@@ -428,7 +491,7 @@ static int begin_record(Passage *self, Stream *stream, struct output *const *out
     for (int i = 0; i < count; i++)
         known &= queue_knows(&self->queue, outputs[i]->number);
     stream->is_stale |= !known;
-    if (known && bytes <= LARGEST_RECORDED && queue_fits(&self->queue, (uint64_t)count + 1, (uint64_t)bytes))
+    if (known && bytes <= most && queue_fits(&self->queue, (uint64_t)count + 1, (uint64_t)bytes))
         return 1;
     pthread_mutex_unlock(&self->queue_lock->mutex);
     return 0;
@@ -451,6 +514,36 @@ static void record(Passage *self, const Stream *stream, struct output *const *ou
         queue_add(&self->queue, outputs[i]->number, seq + 1 + i, (uint64_t)(stamp_ns + 1 + i), (uint64_t)shown_ns,
                   scratch_of(self, i), (uint64_t)sizes[i]);
     end_record(self);
+}
+
+/* Have places for the payloads of an input and its outputs in the recorder's queue, which is free then: they are to be
+ * filled at once, without the locks. */
+static void reserve(Passage *self, const Stream *stream, struct output *const *outputs, const ssize_t *sizes, int count,
+                    uint64_t seq, int64_t stamp_ns, int64_t source_ns, int64_t shown_ns, ssize_t size, uint8_t **slots)
+{
+    if (!self->is_recorded)
+        return;
+    slots[0] = queue_reserve(&self->queue, stream->number, seq, (uint64_t)stamp_ns, (uint64_t)source_ns, (uint64_t)size);
+    for (int i = 0; i < count; i++)
+        slots[1 + i] = queue_reserve(&self->queue, outputs[i]->number, seq + 1 + i, (uint64_t)(stamp_ns + 1 + i),
+                                     (uint64_t)shown_ns, (uint64_t)sizes[i]);
+    end_record(self);
+}
+
+/* Copy the parts, one after the other, to ``to``. */
+static void join_parts(uint8_t *to, const struct iovec *parts, int count)
+{
+    for (int i = 0; i < count; to += parts[i++].iov_len)
+        memcpy(to, parts[i].iov_base, parts[i].iov_len);
+}
+
+/* Fill a place in the recorder's queue, if there is one. */
+static void fill(uint8_t *slot, const struct iovec *parts, int count)
+{
+    if (!slot)
+        return;
+    join_parts(slot, parts, count);
+    queue_filled(slot);
 }
 
 /* Number an input of this time and its outputs; return the number of the input. */
@@ -492,12 +585,70 @@ static void publish(Passage *self, Publisher *publisher, uint8_t *cdr, ssize_t s
     }
 }
 
-/* Build what is constant for a message of bulk; 0: it must go to Python. */
-static int prepare_bulk(Stream *stream, struct ros_form *form, struct output *output, const uint8_t *data, ssize_t size)
+/* The outputs of a message, of which a row of the table may have none, and those without a subscriber are left out. */
+struct chosen {
+    struct output *outputs[MAX_OUTPUTS];
+    struct ros_form forms[MAX_OUTPUTS]; /* of bulk */
+    ssize_t sizes[MAX_OUTPUTS], bytes;  /* bytes: of all */
+    int heard[MAX_OUTPUTS], count, wanted;
+};
+
+/* Choose the outputs of a message, each of at most ``most`` bytes; 0: it must go to Python. */
+static int choose_outputs(Passage *self, Stream *stream, const uint8_t *data, ssize_t size, ssize_t most,
+                          struct chosen *chosen)
 {
     const struct igtl_bulk *bulk = &stream->bulk_from_igtl;
-    *form = output->form;
-    return prepare_form(form, data + bulk->at, size - bulk->at - bulk->tail) && form->size <= LARGEST_OUTPUT;
+    chosen->count = chosen->wanted = 0, chosen->bytes = 0;
+    for (int i = 0; i < stream->output_count; i++) {
+        struct output *output = &stream->outputs[i];
+        int count = chosen->count;
+        struct ros_form *form = &chosen->forms[count];
+        if (stream->is_bulk) {
+            *form = output->form;
+            if (!prepare_form(form, data + bulk->at, size - bulk->at - bulk->tail) || form->size > most)
+                return 0;
+        }
+        chosen->sizes[count] = stream->is_bulk ? form->size : output->size; /* 0: the row does not apply */
+        if (output->publisher->by_python) {
+            if (!chosen->sizes[count])
+                continue;
+            stream->is_stale = 1; /* there might be another publisher now */
+            return 0;
+        }
+        int hears = output->publisher->pointer && has_subscriber(self, output->publisher);
+        if (output->publisher->latched && !hears && !self->builds_all)
+            return 0; /* Python keeps it for the first subscriber */
+        if (!hears && !self->builds_all)
+            continue;
+        chosen->wanted++;
+        if (!chosen->sizes[count])
+            continue;
+        chosen->heard[count] = hears || output->publisher->latched;
+        chosen->bytes += chosen->sizes[count];
+        chosen->outputs[chosen->count++] = output;
+    }
+    return 1;
+}
+
+/* Publish an output, or count that it has no subscriber. */
+static void publish_output(Passage *self, const struct chosen *chosen, int i, uint8_t *cdr)
+{
+    Publisher *publisher = chosen->outputs[i]->publisher;
+    if (chosen->heard[i])
+        publish(self, publisher, cdr, chosen->sizes[i]);
+    else if (publisher->pointer)
+        add(&publisher->unheard);
+}
+
+static void count_to_ros(Passage *self, Stream *stream, const struct chosen *chosen)
+{
+    for (int i = 0; i < chosen->count; i++)
+        chosen->outputs[i]->sent++;
+    stream->received++;
+    if (chosen->count || self->builds_all)
+        stream->converted++;
+    else
+        stream->unheard++;
 }
 
 /* Pass a whole message on; 0, and nothing has happened: it must go to Python.  The caller has the sequence lock. */
@@ -511,67 +662,46 @@ static int pass_to_ros(Passage *self, Stream *stream, const uint8_t *data, ssize
         return 0;
     int64_t source_ns = ticks_to_ns(get_u64(data + TICKS_AT));
     int64_t shown_ns = stream->own && source_ns > 0 ? source_ns : stamp_ns;
-    struct output *built[MAX_OUTPUTS];
-    struct ros_form forms[MAX_OUTPUTS];
-    ssize_t bytes = size, sizes[MAX_OUTPUTS];
-    int count = 0, wanted = 0, heard[MAX_OUTPUTS];
-    for (int i = 0; i < stream->output_count; i++) {
-        struct output *output = &stream->outputs[i];
-        if (is_bulk && !prepare_bulk(stream, &forms[count], output, data, size))
-            return 0;
-        sizes[count] = is_bulk ? forms[count].size : output->size; /* 0: the row does not apply */
-        if (output->publisher->by_python) {
-            if (!sizes[count])
-                continue;
-            stream->is_stale = 1; /* there might be another publisher now */
-            return 0;
-        }
-        int hears = output->publisher->pointer && has_subscriber(self, output->publisher);
-        if (output->publisher->latched && !hears && !self->builds_all)
-            return 0; /* Python keeps it for the first subscriber */
-        if (!hears && !self->builds_all)
-            continue;
-        wanted++;
-        if (!sizes[count])
-            continue;
-        forms[count].out = scratch_of(self, count);
-        heard[count] = hears || output->publisher->latched;
-        bytes += sizes[count];
-        built[count++] = output;
-    }
-    if (is_bulk && (!wanted || !bulk_from_igtl(&stream->bulk_from_igtl, data, size, forms, count, shown_ns)))
+    struct chosen chosen;
+    if (!choose_outputs(self, stream, data, size, LARGEST_OUTPUT, &chosen))
+        return 0;
+    int count = chosen.count;
+    for (int i = 0; i < count; i++)
+        chosen.forms[i].out = scratch_of(self, i);
+    if (is_bulk && (!chosen.wanted || !bulk_from_igtl(&stream->bulk_from_igtl, data, size, chosen.forms, count, shown_ns)))
         return 0; /* without a subscriber, only the full path checks it */
     for (int i = 0; i < 3 && !is_bulk; i++)
         place[i] = get_f32(data + stream->place_at + 4 * i);
-    if (!begin_record(self, stream, built, count, bytes))
+    struct kept *kept = stream->keeps ? keep_copy(data, size) : NULL;
+    if ((stream->keeps && !kept) ||
+        !begin_record(self, stream, chosen.outputs, count, size + chosen.bytes, LARGEST_RECORDED)) {
+        leave_kept(kept);
         return 0;
+    }
     if (!passes_guard(stream->guard, stamp_ns, shown_ns, is_bulk ? NULL : place)) {
         end_record(self);
+        leave_kept(kept);
         return 0;
     }
     uint64_t seq = take_numbers(self, count, now_ns, stamp_ns);
+    if (kept) {
+        set_latest(stream, seq, stamp_ns, source_ns, kept);
+        leave_kept(kept);
+    }
     int64_t converted_ns = clock_ns(CLOCK_MONOTONIC);
     for (int i = 0; i < count; i++) {
-        struct output *output = built[i];
+        struct output *output = chosen.outputs[i];
         uint8_t *cdr = scratch_of(self, i);
         if (!is_bulk) {
             memcpy(cdr, output->template, output->size);
             put_ros_pose(cdr, output->size, output->at, shown_ns, pose);
         }
-        if (heard[i])
-            publish(self, output->publisher, cdr, sizes[i]);
-        else if (output->publisher->pointer)
-            add(&output->publisher->unheard);
-        output->sent++;
+        publish_output(self, &chosen, i, cdr);
     }
     int64_t passed_ns = clock_ns(CLOCK_MONOTONIC);
-    record(self, stream, built, sizes, count, seq, stamp_ns, source_ns, shown_ns, data, size);
+    record(self, stream, chosen.outputs, chosen.sizes, count, seq, stamp_ns, source_ns, shown_ns, data, size);
     count_times(self, TO_ROS, begun_ns, locked_ns, converted_ns, passed_ns);
-    stream->received++;
-    if (count || self->builds_all)
-        stream->converted++;
-    else
-        stream->unheard++;
+    count_to_ros(self, stream, &chosen);
     return 1;
 }
 
@@ -591,6 +721,7 @@ struct unsent {
 /* A large message that was read whole, for Python. */
 struct large {
     struct rcl_serialized message; /* only its memory */
+    char is_checked;               /* its CRC is right */
     struct large *next;
 };
 
@@ -608,6 +739,8 @@ struct Link {
     ssize_t start, filled; /* of what was received and not passed on */
     uint8_t *body; /* a large message that is being read; NULL: the chunk is filled */
     ssize_t body_size, body_filled;
+    char checks;       /* its CRC is taken while it is read, and still in the cache */
+    uint64_t body_crc; /* of what is read */
     struct {
         uint8_t names[NAMES_BYTES];
         ssize_t most; /* bytes of a message */
@@ -716,6 +849,87 @@ static int pass_body(Link *self)
     return 1;
 }
 
+/* Give a large message, whose outputs are made, its number and its places in the recorder's queue; 0: Python's.
+ * ``data``: at least its header.  The caller has the sequence lock. */
+static int admit_to_ros(Link *self, Stream *stream, const uint8_t *data, const struct chosen *chosen, struct kept *kept,
+                        int64_t *shown_ns, uint8_t **slots)
+{
+    Passage *passage = self->passage;
+    ssize_t size = (ssize_t)kept->message.length;
+    int64_t stamp_ns = 0, now_ns = time_of_input(passage, &stamp_ns), source_ns = ticks_to_ns(get_u64(data + TICKS_AT));
+    if (!now_ns || stream_of(self, data) != stream)
+        return 0;
+    for (int i = 0; i < chosen->count; i++)
+        if (chosen->outputs[i]->publisher->by_python)
+            return 0;
+    *shown_ns = stream->own && source_ns > 0 ? source_ns : stamp_ns;
+    if (!begin_record(passage, stream, chosen->outputs, chosen->count, size + chosen->bytes, size + chosen->bytes))
+        return 0;
+    if (!passes_guard(stream->guard, stamp_ns, *shown_ns, NULL)) {
+        end_record(passage);
+        return 0;
+    }
+    uint64_t seq = take_numbers(passage, chosen->count, now_ns, stamp_ns);
+    reserve(passage, stream, chosen->outputs, chosen->sizes, chosen->count, seq, stamp_ns, source_ns, *shown_ns, size, slots);
+    count_to_ros(passage, stream, chosen);
+    if (stream->keeps)
+        set_latest(stream, seq, stamp_ns, source_ns, kept);
+    return 1;
+}
+
+/* Pass a large message on without the sequence lock, except for its number; 0, and nothing has happened: it must go to
+ * Python.  The caller owns a reference to the stream. */
+static int pass_large_to_ros(Link *self, Stream *stream, struct kept *kept, int is_checked)
+{
+    Passage *passage = self->passage;
+    uint8_t *data = kept->message.buffer;
+    ssize_t size = (ssize_t)kept->message.length;
+    struct igtl_bulk bulk = stream->bulk_from_igtl;
+    int64_t begun_ns = clock_ns(CLOCK_MONOTONIC), shown_ns;
+    struct chosen chosen;
+    if (!stream->is_bulk || !bulk_from_igtl_fits(&stream->bulk_from_igtl, data, size) ||
+        !choose_outputs(passage, stream, data, size, LARGEST_MADE, &chosen) || !chosen.wanted ||
+        chosen.bytes > LARGEST_MADE)
+        return 0;
+    bulk.check_crc &= !is_checked;
+    /* The pixels of a picture stay where they are: what was before them is kept apart. */
+    int stays = chosen.count == 1 && chosen.forms->form == PICTURE && chosen.forms->room <= bulk.at && !bulk.check_crc;
+    uint8_t *made = malloc(stays ? (size_t)bulk.at : (size_t)chosen.bytes + 1), *end = made, *slots[1 + MAX_OUTPUTS] = {NULL};
+    for (int i = 0; made && i < chosen.count; end += chosen.sizes[i++])
+        chosen.forms[i].out = stays ? data + bulk.at - chosen.forms->room : end;
+    if (made && stays) {
+        memcpy(made, data, (size_t)bulk.at);
+        put_frame(chosen.forms, size - bulk.at - bulk.tail, 0);
+    }
+    int passes = made && (stays || bulk_from_igtl(&bulk, data, size, chosen.forms, chosen.count, 0));
+    int64_t converted_ns = clock_ns(CLOCK_MONOTONIC), locked_ns = converted_ns;
+    if (passes) {
+        wait_for_sequence(passage);
+        locked_ns = clock_ns(CLOCK_MONOTONIC);
+        passes = admit_to_ros(self, stream, stays ? made : data, &chosen, kept, &shown_ns, slots);
+        unlock_sequence(passage);
+    }
+    if (passes) {
+        for (int i = 0; i < chosen.count; i++) {
+            if (chosen.forms[i].stamp_at)
+                put_ros_stamp(chosen.forms[i].out + chosen.forms[i].stamp_at, shown_ns);
+            publish_output(passage, &chosen, i, chosen.forms[i].out);
+        }
+        int64_t passed_ns = clock_ns(CLOCK_MONOTONIC);
+        const struct iovec input[2] = {{stays ? made : data, (size_t)bulk.at}, {data + bulk.at, (size_t)(size - bulk.at)}};
+        fill(slots[0], input, 2);
+        for (int i = 0; i < chosen.count; i++) {
+            const struct iovec output = {chosen.forms[i].out, (size_t)chosen.sizes[i]};
+            fill(slots[1 + i], &output, 1);
+        }
+        count_large_times(passage, TO_ROS, begun_ns, converted_ns, locked_ns, passed_ns);
+    } else if (made && stays) {
+        memcpy(data, made, (size_t)bulk.at);
+    }
+    free(made);
+    return passes;
+}
+
 /* Leave a large message that was read whole to Python, and go on reading; the caller has `reading`. */
 static void end_large(Link *self)
 {
@@ -727,6 +941,7 @@ static void end_large(Link *self)
     }
     large->message.buffer = self->body;
     large->message.length = large->message.capacity = (size_t)self->body_size;
+    large->is_checked = self->checks && self->body_crc == get_u64(self->body + CRC_AT);
     self->body = NULL;
     self->received_messages++;
     self->room--;
@@ -746,12 +961,15 @@ static int begin_large(Link *self, uint64_t total)
 {
     wait_for_sequence(self->passage);
     ssize_t most = most_of_large(self, self->chunk + self->start);
+    Stream *stream = total > LARGEST_RECEIVED ? stream_of(self, self->chunk + self->start) : NULL;
+    self->checks = stream && stream->is_bulk && stream->bulk_from_igtl.check_crc;
     unlock_sequence(self->passage);
     if (total > (uint64_t)most || !(self->body = malloc(total)))
         return 0;
     self->body_size = (ssize_t)total;
     self->body_filled = self->filled - self->start;
     memcpy(self->body, self->chunk + self->start, self->body_filled);
+    self->body_crc = self->checks ? crc64_update(0, self->body + HEADER_SIZE, self->body_filled - HEADER_SIZE) : 0;
     self->start = self->filled = 0;
     return 1;
 }
@@ -800,6 +1018,8 @@ static int receive(Link *self)
         return has_message(self);
     }
     self->body_filled += count;
+    if (self->checks)
+        self->body_crc = crc64_update(self->body_crc, place, count);
     if (self->body_filled == self->body_size && !pass_body(self))
         end_large(self);
     return 0;
@@ -981,23 +1201,30 @@ static int lock_links(Stream *stream)
 /* Send a message; what the kernel does not take is Python's, so that a link that is read slowly leaves the others native.
  * A link that takes nothing any more, because its peer has left, is passed over likewise.
  * The caller has the lock of the link. */
-static void send_to_link(Link *self, const uint8_t *message, ssize_t size, struct output *output)
+static void send_to_link(Link *self, const struct iovec *parts, int count, ssize_t size, struct output *output)
 {
     if (self->muted) {
-        output->ignored++;
+        add(&output->ignored);
         return;
     }
-    ssize_t sent = self->clear ? send(self->fd, message, size, MSG_DONTWAIT | MSG_NOSIGNAL) : 0;
+    struct msghdr message = {.msg_iov = (struct iovec *)(uintptr_t)parts, .msg_iovlen = (size_t)count};
+    ssize_t sent = !self->clear ? 0 : count > 1 ? sendmsg(self->fd, &message, MSG_DONTWAIT | MSG_NOSIGNAL)
+                                                : send(self->fd, parts->iov_base, size, MSG_DONTWAIT | MSG_NOSIGNAL);
     if (sent == size) {
         self->sent_messages++;
         self->sent_bytes += size;
         return;
     }
     struct unsent *unsent = calloc(1, sizeof *unsent);
+    uint8_t *data = malloc(size);
     self->clear = 0;
-    if (!unsent)
+    if (!unsent) {
+        free(data);
         return;
-    *unsent = (struct unsent){copied(message, size), size, sent > 0 ? sent : 0, strdup(output->channel), output->keep, NULL};
+    }
+    if (data)
+        join_parts(data, parts, count);
+    *unsent = (struct unsent){data, size, sent > 0 ? sent : 0, strdup(output->channel), output->keep, NULL};
     int is_first = !self->unsent;
     *self->unsent_end = unsent;
     self->unsent_end = &unsent->next;
@@ -1052,7 +1279,7 @@ static int pass_to_igtl(Passage *self, Stream *stream, const uint8_t *cdr, ssize
         bytes += sizes[i];
     if (!is_bulk)
         memcpy(place, cdr + stream->place_at, sizeof place);
-    if (!begin_record(self, stream, built, count, bytes))
+    if (!begin_record(self, stream, built, count, bytes, LARGEST_RECORDED))
         return 0;
     if (!lock_links(stream)) {
         end_record(self);
@@ -1073,8 +1300,9 @@ static int pass_to_igtl(Passage *self, Stream *stream, const uint8_t *cdr, ssize
             put_u64(message + TICKS_AT, ns_to_ticks(shown_ns));
             put_igtl_pose(message, output->size, output->at, stream->from_ros.bytes, output->digits_at, numbers, header_ns);
         }
+        const struct iovec whole = {message, (size_t)sizes[i]};
         for (int k = 0; k < output->link_count; k++)
-            send_to_link(output->links[k], message, sizes[i], output);
+            send_to_link(output->links[k], &whole, 1, sizes[i], output);
         output->sent++;
     }
     unlock_links(stream, count, 0);
@@ -1085,9 +1313,7 @@ static int pass_to_igtl(Passage *self, Stream *stream, const uint8_t *cdr, ssize
     count_times(self, TO_IGTL, begun_ns, locked_ns, converted_ns, passed_ns);
     stream->received++;
     stream->converted++;
-    stream->latest_seq = seq;
-    stream->latest_stamp_ns = stamp_ns;
-    stream->latest_source_ns = source_ns;
+    set_latest(stream, seq, stamp_ns, source_ns, NULL);
     stream->latest_size = size;
     memcpy(stream->latest, cdr, size);
     return 1;
@@ -1138,6 +1364,128 @@ static void count_received(Subscription *self)
     if (self->last_number && number > self->last_number + 1)
         __atomic_add_fetch(&self->missing, (long long)(number - self->last_number - 1), __ATOMIC_RELAXED);
     self->last_number = number;
+}
+
+/* A large message to OpenIGTLink: its outputs, with stamps that are still to be set. */
+struct large_outputs {
+    struct output *outputs[MAX_OUTPUTS];
+    struct iovec parts[MAX_OUTPUTS][MAX_PARTS];
+    ssize_t sizes[MAX_OUTPUTS], bytes;
+    int count, parts_count;
+    uint8_t *made;
+};
+
+/* Make the outputs of a large message, whose pixels stay where they are if they need not be changed; 0: Python's. */
+static int make_large(Stream *stream, const struct found *found, struct large_outputs *large)
+{
+    struct igtl_form forms[MAX_OUTPUTS];
+    int apart = stream->bulk_from_ros.form == PICTURE;
+    ssize_t made = 0;
+    large->count = stream->output_count, large->parts_count = apart ? MAX_PARTS : 1;
+    large->bytes = 0;
+    for (int i = 0; i < large->count; i++) {
+        const struct output *output = large->outputs[i] = &stream->outputs[i];
+        large->sizes[i] = output->size + found->size + output->tail_size;
+        large->bytes += large->sizes[i];
+        made += large->sizes[i] - (apart ? found->size : 0);
+        if (!fits_digits(output->digits_at, found->header_ns) || large->bytes > LARGEST_MADE)
+            return 0;
+    }
+    uint8_t *end = large->made = malloc((size_t)made + 1);
+    for (int i = 0; end && i < large->count; i++) {
+        const struct output *output = large->outputs[i];
+        struct iovec *parts = large->parts[i];
+        forms[i] = (struct igtl_form){output->template, output->tail, output->size, output->tail_size, output->digits_at, end};
+        if (apart) {
+            parts[0] = (struct iovec){end, (size_t)output->size};
+            parts[1] = (struct iovec){(void *)(uintptr_t)found->data, (size_t)found->size};
+            parts[2] = (struct iovec){end + output->size, (size_t)output->tail_size};
+            end += output->size + output->tail_size;
+        } else {
+            parts[0] = (struct iovec){end, (size_t)large->sizes[i]};
+            end += large->sizes[i];
+        }
+    }
+    if (end && apart)
+        frame_pixels(found, forms, large->count, 0);
+    return end && (apart || bulk_from_ros(&stream->bulk_from_ros, found, forms, large->count, 0));
+}
+
+/* Whether a link of a stream has more to send than the passage may add to. */
+static int is_behind(const Stream *stream)
+{
+    for (int i = 0; i < stream->output_count; i++)
+        for (int k = 0; k < stream->outputs[i].link_count; k++)
+            if (__atomic_load_n(&stream->outputs[i].links[k]->unsent_bytes, __ATOMIC_RELAXED) > MOST_UNSENT)
+                return 1;
+    return 0;
+}
+
+/* As admit_to_ros. */
+static int admit_to_igtl(Subscription *self, Stream *stream, const struct found *found, const struct large_outputs *large,
+                         struct kept *kept, uint8_t **slots)
+{
+    Passage *passage = self->passage;
+    ssize_t size = (ssize_t)kept->message.length;
+    int64_t stamp_ns = 0, now_ns = time_of_input(passage, &stamp_ns), source_ns = self->info.source_ns;
+    int64_t sent_ns = found->header_ns ? found->header_ns : source_ns;
+    int64_t shown_ns = stream->own && sent_ns > 0 ? sent_ns : stamp_ns;
+    if (!now_ns || self->stream != stream || is_behind(stream) ||
+        !begin_record(passage, stream, large->outputs, large->count, size + large->bytes, size + large->bytes))
+        return 0;
+    if (!passes_guard(stream->guard, stamp_ns, shown_ns, NULL)) {
+        end_record(passage);
+        return 0;
+    }
+    uint64_t seq = take_numbers(passage, large->count, now_ns, stamp_ns);
+    reserve(passage, stream, large->outputs, large->sizes, large->count, seq, stamp_ns, source_ns, shown_ns, size, slots);
+    for (int i = 0; i < large->count; i++) {
+        put_u64((uint8_t *)large->parts[i][0].iov_base + TICKS_AT, ns_to_ticks(shown_ns));
+        large->outputs[i]->sent++;
+    }
+    stream->received++;
+    stream->converted++;
+    set_latest(stream, seq, stamp_ns, source_ns, kept);
+    if (source_ns)
+        count_time(passage, TO_IGTL, MIDDLEWARE, now_ns - passage->ahead_ns - source_ns);
+    return 1;
+}
+
+/* As pass_large_to_ros. */
+static int pass_large_to_igtl(Subscription *self, Stream *stream, struct kept *kept)
+{
+    Passage *passage = self->passage;
+    int64_t begun_ns = clock_ns(CLOCK_MONOTONIC);
+    struct found found = {0};
+    struct large_outputs large = {.made = NULL};
+    uint8_t *slots[1 + MAX_OUTPUTS] = {NULL};
+    int passes = stream->is_bulk &&
+                 find_in_ros(&stream->bulk_from_ros, kept->message.buffer, (ssize_t)kept->message.length, &found) &&
+                 make_large(stream, &found, &large);
+    int64_t converted_ns = clock_ns(CLOCK_MONOTONIC), locked_ns = converted_ns;
+    if (passes) {
+        wait_for_sequence(passage);
+        locked_ns = clock_ns(CLOCK_MONOTONIC);
+        passes = admit_to_igtl(self, stream, &found, &large, kept, slots);
+        unlock_sequence(passage);
+    }
+    if (passes) {
+        for (int i = 0; i < large.count; i++)
+            for (int k = 0; k < large.outputs[i]->link_count; k++) {
+                Link *link = large.outputs[i]->links[k];
+                pthread_mutex_lock(&link->sending->mutex);
+                send_to_link(link, large.parts[i], large.parts_count, large.sizes[i], large.outputs[i]);
+                pthread_mutex_unlock(&link->sending->mutex);
+            }
+        int64_t passed_ns = clock_ns(CLOCK_MONOTONIC);
+        const struct iovec input = {kept->message.buffer, kept->message.length};
+        fill(slots[0], &input, 1);
+        for (int i = 0; i < large.count; i++)
+            fill(slots[1 + i], large.parts[i], large.parts_count);
+        count_large_times(passage, TO_IGTL, begun_ns, converted_ns, locked_ns, passed_ns);
+    }
+    free(large.made);
+    return passes;
 }
 
 /* Pass on a message that was taken; 0: it is Python's.  The caller has the sequence lock. */
@@ -1250,6 +1598,7 @@ static void stream_dealloc(Stream *self)
 {
     free(self->sample);
     free(self->latest);
+    leave_kept(self->large);
     for (int i = 0; i < self->output_count; i++) {
         struct output *output = &self->outputs[i];
         free(output->template);
@@ -1285,6 +1634,23 @@ static PyObject *stream_remove(Stream *self, PyObject *nothing)
     Py_RETURN_NONE;
 }
 
+/* The latest message of a stream with one; Python gets the memory of a large one, unless a thread still reads it. */
+static PyObject *latest_bytes(Stream *self)
+{
+    struct kept *large = self->large;
+    if (!large)
+        return PyBytes_FromStringAndSize((const char *)self->latest, self->latest_size);
+    int is_read = __atomic_load_n(&large->owners, __ATOMIC_ACQUIRE) > 1;
+    PyObject *bytes = is_read ? PyBytes_FromStringAndSize((const char *)large->message.buffer,
+                                                          (Py_ssize_t)large->message.length)
+                              : python_bytes(&large->message);
+    if (bytes) {
+        self->large = NULL;
+        leave_kept(large);
+    }
+    return bytes;
+}
+
 static PyObject *stream_collect(Stream *self, PyObject *nothing)
 {
     (void)nothing;
@@ -1292,14 +1658,16 @@ static PyObject *stream_collect(Stream *self, PyObject *nothing)
     for (int i = 0; sent && ignored && i < self->output_count; i++) {
         struct output *output = &self->outputs[i];
         PyTuple_SET_ITEM(sent, i, PyLong_FromUnsignedLongLong(output->sent));
-        PyTuple_SET_ITEM(ignored, i, PyLong_FromUnsignedLongLong(output->ignored));
-        output->sent = output->ignored = 0;
+        PyTuple_SET_ITEM(ignored, i, PyLong_FromLongLong(taken(&output->ignored)));
+        output->sent = 0;
     }
-    PyObject *latest = self->latest_seq ? Py_BuildValue("KLLy#", (unsigned long long)self->latest_seq,
-                                                        (long long)self->latest_stamp_ns,
-                                                        (long long)self->latest_source_ns, (const char *)self->latest,
-                                                        (Py_ssize_t)self->latest_size)
-                                        : Py_NewRef(Py_None);
+    uint64_t seq = self->latest_seq;
+    PyObject *latest = Py_NewRef(Py_None), *bytes = seq ? latest_bytes(self) : NULL;
+    if (seq)
+        Py_SETREF(latest, bytes ? Py_BuildValue("KLLN", (unsigned long long)seq, (long long)self->latest_stamp_ns,
+                                                (long long)self->latest_source_ns, bytes)
+                                : NULL);
+    self->latest_seq = 0;
     if (sent && ignored && latest)
         found = Py_BuildValue("KKKOOO", (unsigned long long)self->received, (unsigned long long)self->converted,
                               (unsigned long long)self->unheard, sent, ignored, latest);
@@ -1307,7 +1675,7 @@ static PyObject *stream_collect(Stream *self, PyObject *nothing)
     Py_XDECREF(ignored);
     Py_XDECREF(latest);
     if (found)
-        self->received = self->converted = self->unheard = self->latest_seq = 0;
+        self->received = self->converted = self->unheard = 0;
     return found;
 }
 
@@ -1538,12 +1906,12 @@ static PyObject *passage_to_ros_bulk(Passage *self, PyObject *args)
     Link *link;
     const char *names, *sample;
     Py_ssize_t names_size, size, at, tail;
-    int check_crc, own;
+    int check_crc, own, keeps;
     double times, by;
     unsigned long long number;
     PyObject *outputs;
-    if (!PyArg_ParseTuple(args, "O!y#y#nnppddKO!", &Link_Type, &link, &names, &names_size, &sample, &size, &at, &tail,
-                          &check_crc, &own, &times, &by, &number, &PyTuple_Type, &outputs))
+    if (!PyArg_ParseTuple(args, "O!y#y#nnppddKO!p", &Link_Type, &link, &names, &names_size, &sample, &size, &at, &tail,
+                          &check_crc, &own, &times, &by, &number, &PyTuple_Type, &outputs, &keeps))
         return NULL;
     if (names_size != NAMES_BYTES || tail < 0 || at + tail != size || at < HEADER_SIZE + (sample[1] == 2 ? EXTENDED_SIZE : 0)) {
         PyErr_SetString(PyExc_ValueError, "to_ros_bulk: a sample that is not all but the content");
@@ -1556,7 +1924,7 @@ static PyObject *passage_to_ros_bulk(Passage *self, PyObject *args)
     memcpy(stream->names, names, NAMES_BYTES);
     stream->is_bulk = 1;
     stream->bulk_from_igtl = (struct igtl_bulk){stream->sample, at, tail, check_crc, times, by};
-    stream->own = own, stream->number = number;
+    stream->own = own, stream->number = number, stream->keeps = (char)keeps;
     for (Py_ssize_t i = 0; i < PyTuple_GET_SIZE(outputs); i++) {
         const char *template;
         Py_ssize_t room, stamp_at, width_at;
@@ -1565,7 +1933,7 @@ static PyObject *passage_to_ros_bulk(Passage *self, PyObject *args)
         if (!PyArg_ParseTuple(PyTuple_GET_ITEM(outputs, i), "iy#nnKO!", &form, &template, &room, &stamp_at, &width_at,
                               &number, &Publisher_Type, &publisher))
             goto failed;
-        if (form < TEXT || form > CLOUD || stamp_at < 0 || width_at < 0 ||
+        if (form < TEXT || form > PICTURE || stamp_at < 0 || width_at < 0 ||
             (form != TEXT && (room < 32 || stamp_at + 8 > room || width_at + 4 > room))) {
             PyErr_SetString(PyExc_ValueError, "to_ros_bulk: a form without room for stamp and width");
             goto failed;
@@ -1662,7 +2030,7 @@ static PyObject *passage_to_igtl_bulk(Passage *self, PyObject *args)
                           &form, &own, &times, &by, &number, &PyTuple_Type, &outputs))
         return NULL;
     Py_ssize_t count = PyTuple_GET_SIZE(places);
-    if (form < TEXT || form > CLOUD || form == POINT || count > MAX_PLACES || (form != TEXT && (count < 6 || count % 2))) {
+    if (form < TEXT || form > BLUE_FIRST || form == POINT || count > MAX_PLACES || (form != TEXT && (count < 6 || count % 2))) {
         PyErr_SetString(PyExc_ValueError, "to_igtl_bulk: invalid form or places");
         return NULL;
     }
@@ -1924,6 +2292,29 @@ static PyObject *link_add_large(Link *self, PyObject *args)
     Py_RETURN_NONE;
 }
 
+/* Whether a large message has passed natively: then it has no memory any more.  The caller has the GIL. */
+static int pass_read(Link *self, struct rcl_serialized *message, int is_checked)
+{
+    lock_from_python(&self->passage->sequence);
+    Stream *stream = (Stream *)Py_XNewRef((PyObject *)stream_of(self, message->buffer));
+    pthread_mutex_unlock(&self->passage->sequence);
+    struct kept *kept = stream ? keep(message) : NULL;
+    int passed = 0;
+    if (kept) {
+        Py_BEGIN_ALLOW_THREADS
+        passed = pass_large_to_ros(self, stream, kept, is_checked);
+        Py_END_ALLOW_THREADS
+        if (passed) {
+            message->buffer = NULL;
+            leave_kept(kept);
+        } else {
+            free(kept);
+        }
+    }
+    Py_XDECREF((PyObject *)stream);
+    return passed;
+}
+
 static PyObject *link_take_large(Link *self, PyObject *nothing)
 {
     (void)nothing;
@@ -1934,10 +2325,10 @@ static PyObject *link_take_large(Link *self, PyObject *nothing)
     pthread_mutex_unlock(&self->passage->events);
     if (!large)
         Py_RETURN_NONE;
-    PyObject *bytes = python_bytes(&large->message);
+    PyObject *found = pass_read(self, &large->message, large->is_checked) ? Py_NewRef(Py_True) : python_bytes(&large->message);
     free(large->message.buffer);
     free(large);
-    return bytes;
+    return found;
 }
 
 /* Python has handled a large message: read on. */
@@ -2001,7 +2392,7 @@ static PyMethodDef link_methods[] = {
     {"take_pauses", (PyCFunction)link_take_pauses, METH_NOARGS, "Return how often the link was not read for a while, since the last call."},
     {"close", (PyCFunction)link_close, METH_NOARGS, "Report nothing more."},
     {"add_large", (PyCFunction)link_add_large, METH_VARARGS, "Read large messages with these names natively, up to a size; with the sequence lock."},
-    {"take_large", (PyCFunction)link_take_large, METH_NOARGS, "Return a large message, or None; large_done must follow it."},
+    {"take_large", (PyCFunction)link_take_large, METH_NOARGS, "Return the next large message, True if it has passed natively, or None: there is none; large_done must follow the first two."},
     {"large_done", (PyCFunction)link_large_done, METH_NOARGS, "A large message was handled."},
     {NULL, NULL, 0, NULL},
 };
@@ -2077,6 +2468,31 @@ static void subscription_dealloc(Subscription *self)
     Py_TYPE(self)->tp_free((PyObject *)self);
 }
 
+/* Whether the held message, a large one, has passed natively; the caller has the GIL. */
+static int pass_held(Subscription *self)
+{
+    size_t size = self->message.length;
+    lock_from_python(&self->passage->sequence);
+    Stream *stream = (Stream *)Py_XNewRef((PyObject *)self->stream);
+    pthread_mutex_unlock(&self->passage->sequence);
+    struct kept *kept = stream && size > LARGEST_INPUT ? keep(&self->message) : NULL;
+    int passed = 0;
+    if (kept) {
+        Py_BEGIN_ALLOW_THREADS
+        passed = pass_large_to_igtl(self, stream, kept);
+        Py_END_ALLOW_THREADS
+        if (passed) {
+            self->message.buffer = NULL;
+            self->message.length = self->message.capacity = 0;
+            leave_kept(kept);
+        } else {
+            free(kept);
+        }
+    }
+    Py_XDECREF((PyObject *)stream);
+    return passed;
+}
+
 /* Python takes the next message that does not pass natively, until there is none. */
 static PyObject *subscription_take(Subscription *self, PyObject *nothing)
 {
@@ -2098,6 +2514,10 @@ static PyObject *subscription_take(Subscription *self, PyObject *nothing)
     }
     self->is_held = 0;
     self->last_size = self->message.length;
+    if (pass_held(self)) {
+        count_received(self);
+        return PyLong_FromSize_t(self->last_size);
+    }
     PyObject *cdr = python_bytes(&self->message);
     if (!cdr)
         return NULL;
@@ -2119,7 +2539,8 @@ static PyObject *subscription_collect(Subscription *self, PyObject *nothing)
 
 static PyMethodDef subscription_methods[] = {
     {"take", (PyCFunction)subscription_take, METH_NOARGS,
-     "Return bytes, source stamp (UTC ns) and number of the next message that does not pass natively; None: there is none."},
+     "Return bytes, source stamp (UTC ns) and number of the next message that does not pass natively, the size of a large one "
+     "that does, or None: there is none."},
     {"again", (PyCFunction)subscription_again, METH_NOARGS, "Come back to this subscription after the others."},
     {"collect", (PyCFunction)subscription_collect, METH_NOARGS,
      "Return received and missing messages since the last call, and the number of the last message."},
@@ -2363,8 +2784,8 @@ static PyMethodDef passage_methods[] = {
     {"__enter__", (PyCFunction)passage_enter, METH_NOARGS, "Take the sequence lock."},
     {"__exit__", (PyCFunction)passage_exit, METH_VARARGS, "Release the sequence lock."},
     {"to_ros", (PyCFunction)passage_to_ros, METH_VARARGS, "Add a stream from a link; with the sequence lock."},
-    {"to_ros_bulk", (PyCFunction)passage_to_ros_bulk, METH_VARARGS, "As to_ros, of strings, points and clouds."},
-    {"to_igtl_bulk", (PyCFunction)passage_to_igtl_bulk, METH_VARARGS, "As to_igtl, of strings, points and clouds."},
+    {"to_ros_bulk", (PyCFunction)passage_to_ros_bulk, METH_VARARGS, "As to_ros, of strings, points, clouds and pictures, whose last one is kept."},
+    {"to_igtl_bulk", (PyCFunction)passage_to_igtl_bulk, METH_VARARGS, "As to_igtl, of strings, points, clouds and pictures."},
     {"to_igtl", (PyCFunction)passage_to_igtl, METH_VARARGS, "Add the stream of a subscription; with the sequence lock."},
     {"use_rcl", (PyCFunction)passage_use_rcl, METH_VARARGS, "Set the addresses of take, publish and count of subscribers."},
     {"record_into", (PyCFunction)passage_record_into, METH_VARARGS, "Put entries into the queue of a recorder."},

@@ -134,6 +134,25 @@ static inline void queue_publish(struct queue *queue, uint64_t size)
     __atomic_store_n(&counters[QUEUE_HEAD], counters[QUEUE_HEAD] + queue_need(size), __ATOMIC_RELEASE);
 }
 
+/* Put an entry, under the conditions of queue_begin, whose payload is to be copied to the place that is returned, also
+ * without the lock; queue_filled has to follow. */
+static inline uint8_t *queue_reserve(struct queue *queue, uint64_t stream, uint64_t number, uint64_t stamp_ns,
+                                     uint64_t source_ns, uint64_t size)
+{
+    uint8_t *at = queue_begin(queue, stream, number, stamp_ns, source_ns, size);
+    const uint64_t what = (stream & 0xFFFFFFFF) | QUEUE_FILLING;
+    memcpy(at - QUEUE_RECORD_BYTES, &what, sizeof what);
+    queue_publish(queue, size);
+    return at;
+}
+
+/* Hand an entry to the reader whose payload is in its place now. */
+static inline void queue_filled(uint8_t *at)
+{
+    uint64_t *what = (uint64_t *)(void *)(at - QUEUE_RECORD_BYTES);
+    __atomic_store_n(what, *what & ~QUEUE_FILLING, __ATOMIC_RELEASE);
+}
+
 /* Put an entry, under the conditions of queue_begin. */
 static inline void queue_add(struct queue *queue, uint64_t stream, uint64_t number, uint64_t stamp_ns,
                              uint64_t source_ns, const void *payload, uint64_t size)

@@ -8,6 +8,9 @@ same way in C:
   ``send``;
 * to ROS: in one thread that reads all links, from ``recv`` to ``rcl_publish_serialized_message``.
 
+Large pictures and clouds pass in two threads of Python's, which need the GIL only between messages.  The sequence lock
+covers no more than their number.
+
 It passes only what a compiled stream (`igtl_gateway.gateway.fastpath`) fits, with the same numbers, stamps, counts and
 bytes as Python.  Everything else goes to Python: the message, and the link or the subscription with it, until Python
 has nothing more to do for it.

@@ -167,12 +167,15 @@ class NativeReceiver(_EventPolling):
                 return
             if taken is None or self._stopping:
                 return
-            cdr, source_ns, number = taken
-            try:
-                callback(cdr, {"source_timestamp": source_ns, "publication_sequence_number": number})
-            except Exception as error:  # a defect of our own costs this message
-                self._on_error(error)
-            size += len(cdr)
+            if isinstance(taken, int):  # it has passed natively
+                size += taken
+            else:
+                cdr, source_ns, number = taken
+                try:
+                    callback(cdr, {"source_timestamp": source_ns, "publication_sequence_number": number})
+                except Exception as error:  # a defect of our own costs this message
+                    self._on_error(error)
+                size += len(cdr)
             if size > _TAKE_BYTES:
                 break
         native.again()

@@ -1,4 +1,4 @@
-"""The threads in which `igtl_gateway.native.passage` reads links, and Python handles large messages.
+"""The threads in which `igtl_gateway.native.passage` reads links, and in which large messages pass.
 
 A picture takes milliseconds: it is handled in a thread of its own, while the passage reads and passes what follows it.
 There the links take turns, each with one message (``turns``).
@@ -101,12 +101,13 @@ class NativeReader:
                 self._turns.used(turn, thread_ns() - begun_ns)
 
     def _handle(self, link: Link) -> None:
-        """Handle one large message, and have another turn if there are more."""
+        """Handle one large message, unless it passes natively, and have another turn if there are more."""
         message = link.take_large()
         if message is None:
             return
         try:
-            self._on_large(link.number, message)
+            if not isinstance(message, bool):  # else it has passed natively
+                self._on_large(link.number, message)
         finally:
             link.large_done()
             with self._changed:

@@ -44,7 +44,7 @@ class CompiledToRos:
         place_at: offset of the translation in the message, for poses.
         waiting: last messages of latched topics without a subscriber, and the latched topics of ``forms``.
         volume: for images, of which later messages may be parts.
-        passed_over: counts a message that the search for PLUS leaves out.
+        passed_over: counts messages that the search for PLUS leaves out.
         defer: keeps a message for latched topics without a subscriber; None: then the full path takes it.
 
     Attributes:
@@ -52,7 +52,7 @@ class CompiledToRos:
         outputs: topic, ROS type, form and counts of each output.
         channel, type: of the stream.
         count: counts of the stream.
-        is_plain: no later message depends on it: the native passage can take it, except while it ``waits``.
+        keeps: the last message is kept for later ones, which may be parts of it.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class CompiledToRos:
         waiting: tuple[dict[str, Any], frozenset[str]],
         volume: Volume | None = None,
         defer: Defer | None = None,
-        passed_over: Callable[[], None] | None = None,
+        passed_over: Callable[[int], None] | None = None,
     ) -> None:
         self._fill = fill
         self.sample = sample
@@ -91,17 +91,29 @@ class CompiledToRos:
         self._volume = volume
         self._defer = defer
         self._passed_over = passed_over
-        self.is_plain = volume is None
+        self.keeps = volume is not None
 
     @property
-    def is_latched(self) -> bool:
-        """Whether a topic is latched."""
-        return bool(self._latched)
+    def depends(self) -> bool:
+        """Whether the native passage has to leave it to Python at times; see ``waits``."""
+        return bool(self._latched) or self.keeps
 
     @property
-    def waits(self) -> bool:
-        """Whether the last message of a latched topic waits for its first subscriber."""
-        return not self._latched.isdisjoint(self._waiting)
+    def waits(self) -> str:
+        """Why only Python can pass its next message; "" if there is no cause."""
+        if not self._latched.isdisjoint(self._waiting):
+            return "a latched topic of it waits for its first subscriber"
+        if self._volume and not self._volume[0].takes(self._volume[1]):
+            return "its images may be parts of a volume"
+        return ""
+
+    def has_passed(self, messages: int, last: Buffer | None) -> None:
+        """Take over what later messages depend on: how many have passed, and the last one if the stream ``keeps``."""
+        if self._volume and last is not None:
+            (at, size), (assembler, form, dtype) = self.places, self._volume
+            assembler.keep(form, dtype, memoryview(last)[at : len(last) - size])
+        if self._passed_over is not None:
+            self._passed_over(messages)
 
     def prepare(self, payload: Sequence[Buffer], ask: HasSubscriber | None) -> Prepared | None:
         """Convert a message before it has a number; None if the result depends on its gateway time, or on others."""
@@ -144,7 +156,6 @@ class CompiledToRos:
                 return []  # the full path keeps the message for the first subscriber
             if not outputs and self._place is None:
                 return []  # without a subscriber, only the full path checks bulk data
-        at, size = self.places
         volume = self._volume
         if volume and not volume[0].takes(volume[1]):
             return []
@@ -169,11 +180,7 @@ class CompiledToRos:
             self._waiting.pop(topic, None)
         if self._defer is not None:
             self._waiting.update((topic, self._defer(entries[0], topic, shown_ns)) for topic in later)
-        if volume:
-            assembler, form, dtype = volume
-            assembler.keep(form, dtype, memoryview(payload[0])[at : len(payload[0]) - size])
-        if self._passed_over is not None:
-            self._passed_over()
+        self.has_passed(1, payload[0])
         count = self.count
         count["received"] = count.get("received", 0) + 1
         count["decoded"] = count.get("decoded", 0) + 1

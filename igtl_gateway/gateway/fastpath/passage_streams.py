@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from igtl_gateway.convert.express import CLOUD, POINT, POINTS, TEXT
+from igtl_gateway.convert.express import BLUE_FIRST, CLOUD, PICTURE, POINT, POINTS, TEXT
 from igtl_gateway.gateway.fastpath.common import Key
 from igtl_gateway.gateway.fastpath.compiled_to_igtl import CompiledToIgtl
 from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos
@@ -19,8 +19,8 @@ from igtl_gateway.gateway.log.fates import CONVERTED, UNSUBSCRIBED
 from igtl_gateway.native.passage import Guard, Link, Passage, Publisher, Stream, Subscription
 from igtl_gateway.wire.header import HEADER_SIZE
 
-#: Conversions of bulk that can pass natively: the others are of large messages.
-_FORMS = frozenset({TEXT, POINT, POINTS, CLOUD})
+#: Conversions of bulk that can pass natively.
+_FORMS = frozenset({TEXT, POINT, POINTS, CLOUD, PICTURE, BLUE_FIRST})
 
 #: Largest message, in bytes, that the passage reads for Python, if the limits of the links permit it.
 LARGEST_BYTES = 16 << 20
@@ -32,8 +32,7 @@ _RETRY_AFTER = 16
 #: Why a stream has no copy.
 _BY_PYTHON = "Python has the connection, as with TLS"
 _NO_NUMBER = "the recorder has no more streams"
-_LARGE = "images and surfaces are converted by Python"
-_WAITS = "a latched topic of it waits for its first subscriber"
+_SURFACE = "surfaces are converted by Python"
 
 #: Kind, channel, type and links of entries → number of their stream in the recorder's queue; None: it has none.
 NumberOf = Callable[[Kind, str, str, tuple[int, ...]], int | None]
@@ -131,7 +130,7 @@ class PassageStreams:
         self._later = Publisher(0)
         self._later.leave()
         self._copies: dict[Key, _Copy] = {}
-        self._latched: dict[Key, CompiledToRos] = {}  # those with a copy and a latched topic
+        self._depending: dict[Key, CompiledToRos] = {}  # those with a copy that has to be left to Python at times
         self._guards = _Guards()
         self._tries: dict[Key, int] = {}  # messages that Python has passed since the streams were compiled
         self._missing: dict[Key, tuple[CompiledToRos | CompiledToIgtl, str]] = {}  # those without a copy, and why
@@ -195,19 +194,19 @@ class PassageStreams:
             copied.native.remove()
             raise
         self._copies[key] = copied
-        if isinstance(stream, CompiledToRos) and stream.is_latched:
-            self._latched[key] = stream
+        if isinstance(stream, CompiledToRos) and stream.depends:
+            self._depending[key] = stream
 
     def handled_in_full(self) -> None:
         self._guards.set_all()
         self._leave_waiting()
 
     def _leave_waiting(self) -> None:
-        """Drop the copies of streams with a message that waits for a subscriber: Python knows whether one is newer."""
-        for key in [key for key, compiled in self._latched.items() if compiled.waits]:
-            compiled = self._latched[key]
-            self.drop(key)
-            self._missing[key] = compiled, _WAITS
+        """Drop the copies of streams of which only Python knows what their next message depends on."""
+        for key, compiled, why in [(key, one, one.waits) for key, one in self._depending.items()]:
+            if why:
+                self.drop(key)
+                self._missing[key] = compiled, why
 
     def drop(self, key: Key) -> None:
         self.replace(key, None)
@@ -215,7 +214,7 @@ class PassageStreams:
     def replace(self, key: Key, stream: CompiledToRos | CompiledToIgtl | None) -> None:
         self._tries.pop(key, None)
         self._missing.pop(key, None)
-        self._latched.pop(key, None)
+        self._depending.pop(key, None)
         old = self._copies.pop(key, None)
         if old is None:
             return
@@ -240,10 +239,8 @@ class PassageStreams:
         if link and not compiled.place_at:
             link.add_large(names, min(LARGEST_BYTES, HEADER_SIZE + self._edges.max_body(compiled.type)))
         number = self._number_of(Kind.IGTL_IN, compiled.channel, compiled.type, (link_number,))
-        if not compiled.is_plain:
-            return "its images may be parts of a volume"
-        if compiled.waits:
-            return _WAITS
+        if why := compiled.waits:
+            return why
         if link is None:
             return _BY_PYTHON
         if number is None:
@@ -253,7 +250,7 @@ class PassageStreams:
             publisher = self._edges.publisher(topic, ros_type)
             own_number = self._number_of(Kind.ROS_OUT, topic, ros_type, ())
             if not compiled.place_at and form[0] not in _FORMS:
-                return _LARGE
+                return _SURFACE
             if publisher is None and form[0] == POINT and not compiled.place_at:
                 publisher = self._later  # most messages have no single point, and its topic has no publisher
             if publisher is None:
@@ -274,6 +271,7 @@ class PassageStreams:
             *place,
             number,
             tuple(outputs),
+            *(() if place else (compiled.keeps,)),
         )
         return _Copy(compiled, native, compiled.channel, compiled.type)
 
@@ -282,7 +280,7 @@ class PassageStreams:
         subscription = self._edges.subscription(topic, ros_type)
         number = self._number_of(Kind.ROS_IN, topic, ros_type, ())
         if not (compiled.is_pose or compiled.size in _FORMS):
-            return _LARGE
+            return _SURFACE
         if subscription is None:
             return "the topic is published as well, or this rclpy lacks what the passage needs"
         if number is None:
@@ -324,6 +322,7 @@ class PassageStreams:
                 _add(counter, {"published": number})
             self._on_passed(Kind.IGTL_IN, received)
             self._on_passed(Kind.ROS_OUT, sum(sent))
+            compiled.has_passed(received, latest[3] if latest else None)
         else:
             for (output, links, counter), number, left in zip(compiled.outputs, sent, ignored, strict=True):
                 _add(counter, {"sent": number * links})
