@@ -131,7 +131,16 @@ static PyObject *copy_parts(PyObject *module, PyObject *const *args, Py_ssize_t 
     return fits ? Py_NewRef(Py_None) : NULL;
 }
 
+/* (): order what this thread has read and written before what it reads and writes after this */
+static PyObject *barrier(PyObject *module, PyObject *nothing)
+{
+    (void)module, (void)nothing;
+    __atomic_thread_fence(__ATOMIC_SEQ_CST);
+    Py_RETURN_NONE;
+}
+
 static PyMethodDef functions[] = {
+    {"barrier", barrier, METH_NOARGS, "See shared_queue.py."},
     {"copy_parts", (PyCFunction)(void (*)(void))copy_parts, METH_FASTCALL, "See shared_queue.py."},
     {"put_entry", (PyCFunction)(void (*)(void))put_entry, METH_FASTCALL, "See shared_queue.py."},
     {NULL, NULL, 0, NULL},

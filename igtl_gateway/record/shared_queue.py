@@ -106,6 +106,20 @@ LARGE_BYTES = 64 << 10
 #: Arguments: the memory of the queue, the numbers of the streams, the entry.
 put_entry: Callable[[mmap.mmap, dict[_Stream, int], Entry], bool] | None = None
 
+_turns = threading.Lock()
+
+
+def barrier() -> None:
+    """Have the other process see what was read and written before this, before what is read and written after it.
+
+    The compiled one is a fence.  A lock that is taken once orders nothing on ARM: what is around may move into it from
+    both sides.  Its second taking does not pass its first release (docs/adr/0010-weak-memory.md).
+    """
+    with _turns:
+        pass
+    with _turns:
+        pass
+
 
 def copy_parts(room: memoryview, place: int, parts: list[memoryview]) -> None:
     """Copy the parts, one after the other, to a place in the room.  The compiled one does not need the interpreter."""
@@ -116,7 +130,7 @@ def copy_parts(room: memoryview, place: int, parts: list[memoryview]) -> None:
 
 if not TYPE_CHECKING:
     try:
-        from igtl_gateway.native._queue import copy_parts, put_entry
+        from igtl_gateway.native._queue import barrier, copy_parts, put_entry
     except ImportError:  # pragma: no cover - installed without the C part
         pass
 
@@ -197,9 +211,7 @@ class QueueSlot:
         begin, self._begin = self._begin, -1
         self._parts.clear()
         (what,) = _WORD.unpack_from(self._room, begin)
-        barrier = threading.Lock()
-        with barrier:  # as for the position: the payload is there before the record is complete
-            pass
+        barrier()  # as for the position: the payload is there before the record is complete
         _WORD.pack_into(self._room, begin, what & ~_FILLING | mark)
 
 
@@ -216,7 +228,6 @@ class QueueWriter(_QueueEnd):
         self._counters[_MAX_ENTRIES], self._counters[_MAX_BYTES] = max_entries, max_bytes
         self._max_entries, self._max_bytes = max_entries, max_bytes
         self._max_large = max_bytes - max_bytes // 8
-        self._barrier = threading.Lock()
         self._run = (0, 0)  # position and place of the first record since the last mark
         self._runs: deque[tuple[int, int, int]] = deque()  # those before, with the place of their end
         self._streams: dict[_Stream, int] = {}
@@ -256,7 +267,7 @@ class QueueWriter(_QueueEnd):
         """
         if sys.platform != "win32" and _REMOVE is not None:
             with suppress(OSError):  # --lock-memory locks it
-                self._map.madvise(_REMOVE, _PAGE, self._size // _PAGE * _PAGE)
+                self._map.madvise(_REMOVE, mmap.PAGESIZE, len(self._map) - mmap.PAGESIZE)
 
     def stream_number(self, kind: Kind, channel: str, type_name: str, links: tuple[int, ...]) -> int:
         """The stream by which the native writer names the entries with these fields; -1 if there is no room for it.
@@ -354,6 +365,7 @@ class QueueWriter(_QueueEnd):
 
     def signal(self) -> bool:
         """Ask for the getter's attention; False if it was asked already, and has not looked since."""
+        barrier()  # the position is there before this looks whether the getter slept
         if self._counters[_BELL]:
             return False
         self._counters[_BELL] = 1
@@ -408,8 +420,7 @@ class QueueWriter(_QueueEnd):
 
     def _publish(self, need: int) -> None:
         """Have the position include a record or mark of this size."""
-        with self._barrier:  # on processors that reorder writes, the record is there before the position includes it
-            pass
+        barrier()  # on processors that reorder writes, the record is there before the position includes it
         self._counters[_HEAD] += need
 
     def _reserve(self, need: int) -> bool:
@@ -492,7 +503,6 @@ class QueueReader(_QueueEnd):
         self._free = 0  # position up to which the putter has its room back
         self._begin = 0  # place from which on it has not
         self._gone: list[tuple[int, int]] = []  # what it has not, before the last mark
-        self._barrier = threading.Lock()
         self._streams: list[_Stream] = []
         #: For each stream that has a number, what the caller needs to take its entries as rows; None at first.
         self.row_streams: list[RowStream | None] = []
@@ -512,6 +522,7 @@ class QueueReader(_QueueEnd):
     def clear_signal(self) -> None:
         """From here on it may be rung again."""
         self._counters[_BELL] = 0
+        barrier()  # what was put without ringing is seen by the next look
 
     def get(self) -> Entry | tuple[Any, ...] | None:
         """The next entry or the words of the next command; None if nothing waits.  To be followed by :meth:`done`."""
@@ -528,8 +539,7 @@ class QueueReader(_QueueEnd):
                 continue
             if what < _MAX_STREAMS:
                 if size >= LARGE_BYTES:
-                    with self._barrier:  # as for the position
-                        pass
+                    barrier()  # as for the position
                 begin = place + _RECORD_BYTES
                 kind, channel, type_name, links = self._streams[what]
                 self.stream = what
@@ -600,8 +610,7 @@ class QueueReader(_QueueEnd):
     def _poll(self) -> bool:
         """Whether there is more than was there when this looked last."""
         self._head = self._counters[_HEAD]
-        with self._barrier:
-            pass
+        barrier()
         if self._position != self._head:
             if self._counters[_RESTART] == self._position:
                 self._begin = self._place = 0
@@ -621,12 +630,14 @@ class QueueReader(_QueueEnd):
     def _release(self) -> None:
         """Give the putter its room back, and the system the memory that only a burst needs: before, not after."""
         for begin, end in (*self._gone, (self._begin, self._place)):
-            start = -(-(_PAGE + max(begin, _KEPT_BYTES)) // _PAGE) * _PAGE
-            length = (_PAGE + end) // _PAGE * _PAGE - start
+            # whole pages of the system: it would also empty the rest of a page that the end is in
+            start = -(-(_PAGE + max(begin, _KEPT_BYTES)) // mmap.PAGESIZE) * mmap.PAGESIZE
+            length = (_PAGE + end) // mmap.PAGESIZE * mmap.PAGESIZE - start
             if sys.platform != "win32" and length > 0 and _REMOVE is not None:
                 with suppress(OSError):  # --lock-memory locks it where the getter is a thread of the bridge
                     self._map.madvise(_REMOVE, start, length)
         self._gone.clear()
         self._begin = self._place
         self._free = self._position
+        barrier()  # what was read is read before the putter may write there again
         self._counters[_TAIL] = self._free

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import array
 import ctypes
+import errno
 import mmap
 import os
 import random
@@ -55,6 +56,52 @@ def small(monkeypatch: pytest.MonkeyPatch) -> Iterator[Pair]:
     shrink(monkeypatch)
     pair = Pair(max_bytes=20_000, largest=10_000)
     yield pair
+    os.close(pair.memory)
+
+
+class LargePages:
+    """The memory of a queue on a system whose pages have 16 KiB: it takes back whole pages only."""
+
+    PAGE = 16 << 10
+
+    def __init__(self, memory: mmap.mmap) -> None:
+        self._memory = memory
+        self.pages = 0
+
+    def madvise(self, _advice: int, start: int, length: int) -> None:
+        if start % self.PAGE:
+            raise OSError(errno.EINVAL, "not a page")
+        end = start - -length // self.PAGE * self.PAGE  # Linux rounds up
+        self._memory[start:end] = bytes(len(self._memory[start:end]))  # the last page of the file is a part
+        self.pages += (end - start) // self.PAGE
+
+    def __len__(self) -> int:
+        return len(self._memory)
+
+
+def test_pages_of_16_kib_go_back_whole_and_take_nothing_with_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before, the rest of the page that a record ended in was emptied, with the records in it; or no page went back."""
+    shrink(monkeypatch)
+    monkeypatch.setattr(shared_queue, "_ENOUGH_BYTES", 1 << 20)
+    monkeypatch.setattr(shared_queue, "_FREE_BYTES", 40_000)
+    monkeypatch.setattr(mmap, "PAGESIZE", LargePages.PAGE)
+    pair = Pair(max_bytes=200_000, largest=10_000)
+    pages = LargePages(pair.getter._map)
+    monkeypatch.setattr(pair.getter, "_map", pages)
+    draw = random.Random(4)
+    waiting: deque[bytes] = deque()
+    for seq in range(1, 800):
+        payload = draw.randbytes(draw.randrange(4000))
+        if pair.putter.put(replace(samples.igtl(seq), payload=(payload,))):
+            waiting.append(payload)
+        while len(waiting) > draw.randrange(1, 30):
+            entry = pair.get()
+            assert isinstance(entry, Entry) and entry.data() == waiting.popleft()
+    assert pages.pages > 20
+    released = LargePages(pair.putter._map)
+    monkeypatch.setattr(pair.putter, "_map", released)
+    pair.putter.release()
+    assert released.pages == -(-len(released) // LargePages.PAGE) - 1, "all but the page with the counters"
     os.close(pair.memory)
 
 
