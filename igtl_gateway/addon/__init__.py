@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from igtl_gateway.base.buffers import Buffer as Buffer
     from igtl_gateway.base.buffers import join as join
     from igtl_gateway.base.child import Child as Child
+    from igtl_gateway.base.child import report_facts as report_facts
     from igtl_gateway.base.clock import Clock as Clock
     from igtl_gateway.base.clock import SystemClock as SystemClock
     from igtl_gateway.base.errors import BeingRecorded as BeingRecorded
@@ -303,7 +304,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("base.globs", "matches"),
     ("base.once", "Once"),
     ("base.systems.leaving", "expect_threads_of"),
-    ("base.child", "Child"),
+    ("base.child", "Child report_facts"),
     ("base.version", "__version__"),
 )
 #: Name here → name there, where the latter alone would be unclear.

@@ -1,14 +1,16 @@
-"""Programs in processes of their own: started, read line by line, and ended."""
+"""Programs in processes of their own: started, read line by line, and ended; and what they report themselves."""
 
 from __future__ import annotations
 
+import json
+import os
 import signal
 import subprocess
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from typing import IO
+from typing import IO, Any
 
 from igtl_gateway.base.systems.processes import INTERRUPT, apart
 from igtl_gateway.base.versions import Self
@@ -17,6 +19,8 @@ from igtl_gateway.base.versions import Self
 _KEPT_LINES = 100
 
 OnLine = Callable[[str], None]
+
+_OUTPUT = threading.Lock()
 
 
 class Child:
@@ -144,3 +148,11 @@ def _read(stream: IO[str], on_line: OnLine, on_end: Callable[[], None]) -> None:
         for line in stream:
             on_line(line.rstrip("\n"))
     on_end()
+
+
+def report_facts(facts: Mapping[str, Any]) -> None:
+    """Write facts as a line of the standard output of this process, which who started it reads; from any thread."""
+    data = json.dumps(facts).encode() + b"\n"
+    with _OUTPUT:
+        while data:
+            data = data[os.write(1, data) :]

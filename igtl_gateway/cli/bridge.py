@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import gc
+import sys
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
@@ -11,7 +13,6 @@ from importlib.util import find_spec
 from typing import Any
 
 from igtl_gateway.app.bridge_options import bridge_options, zenoh_endpoint
-from igtl_gateway.app.interpreter import tune_interpreter
 from igtl_gateway.app.managed import ManagedBridge
 from igtl_gateway.app.settings import declared
 from igtl_gateway.base.addons import check_present, part_of
@@ -36,6 +37,9 @@ from igtl_gateway.config.settings import all_settings
 from igtl_gateway.edges.ros.env import prepare_environment, tune_malloc
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.gateway.log.marks import MarkNote
+
+#: Switch interval of the interpreter.  With Python's default of 5 ms, a pose waits that long for an image.
+_SWITCH_S = 0.0005
 
 EXAMPLES = """\
   # OpenIGTLink server on 127.0.0.1:18944, ROS 2 node /igtl_gateway
@@ -189,7 +193,7 @@ def run(options: argparse.Namespace) -> int:
             runner.start()
             started_ns = clock.monotonic_ns()
             show.update(runner.bridge)
-            tune_interpreter()
+            _tune_interpreter()
             service.ready()
             while not stop.wait(_STATUS_EVERY_S):
                 while problems:
@@ -376,3 +380,13 @@ def _window(config: Config) -> LiveWindow:
         raise ViewerError(missing("rerun"))
     window: LiveWindow = part_of("view", "live:LiveWindow")(config)
     return window
+
+
+def _tune_interpreter() -> None:
+    """Exclude all existing objects from garbage collection, and set the switch interval.  Call this after the start.
+
+    With rclpy and numpy loaded, a full collection takes tens of milliseconds.
+    """
+    gc.collect()
+    gc.freeze()
+    sys.setswitchinterval(_SWITCH_S)

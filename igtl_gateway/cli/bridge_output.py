@@ -15,7 +15,6 @@ from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.stamp import NS_PER_S, utc_text
 from igtl_gateway.base.systems import service
 from igtl_gateway.base.version import __version__
-from igtl_gateway.cli import admission
 from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.losses import losses
 from igtl_gateway.cli.terminal import clear_live_line, live_line, print_json, print_line
@@ -23,8 +22,10 @@ from igtl_gateway.cli.type_tables import mapping, profiles
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.edges.interface import DISCOVERY_NS
 from igtl_gateway.gateway import FAULT
+from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.note import Level
+from igtl_gateway.wire.registry import BODIES
 
 if TYPE_CHECKING:
     from igtl_gateway.app.metrics import MetricsServer
@@ -122,7 +123,7 @@ class TextOutput:
             print_line(f"metrics      {metrics.url}")
         if config.faults:
             print_line(f"faults       {config.faults}, seed {config.fault_seed} (fault injection)")
-        for line in (*admission.denials(config), *profiles(config)):
+        for line in (*denied_lines(config), *profiles(config)):
             print_line(line)
         if bridge.ros:
             for line in mapping(config):
@@ -270,3 +271,15 @@ class JsonOutput:
         if times := bridge.native_times():
             facts["native_times"] = times
         self._print("stopped", **facts, ledger=bridge.losses)
+
+
+def denied_lines(config: Config) -> list[str]:
+    """Return the denied messages as lines, with a mark at a name that matches no known type: it might be misspelt."""
+    lines = []
+    for globs, way in ((config.deny_in, "from"), (config.deny_out, "to")):
+        known = [
+            glob if any(map(Denials([glob]).type, BODIES)) else f"{glob} (matches no known type)" for glob in globs
+        ]
+        if known:
+            lines.append(f"denied       {way} peers: {', '.join(known)}")
+    return lines

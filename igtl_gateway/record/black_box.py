@@ -215,9 +215,9 @@ class BlackBox(Ring):
 
     def _report(self, cause: Cause) -> None:
         """Write a note of the trigger: at most one a second of each rule, with the count of those before it."""
-        told_ns, untold = self._untold.get(cause.rule, (0, 0))
-        if told_ns and cause.at_ns - told_ns < _TOGETHER_NS:
-            self._untold[cause.rule] = told_ns, untold + 1
+        noted_ns, untold = self._untold.get(cause.rule, (0, 0))
+        if noted_ns and cause.at_ns - noted_ns < _TOGETHER_NS:
+            self._untold[cause.rule] = noted_ns, untold + 1
             return
         self._untold[cause.rule] = cause.at_ns, 0
         more = f"; {untold:,} more before it" if untold else ""

@@ -18,7 +18,7 @@ import zenoh
 
 from igtl_gateway.addons.zenoh import names
 from igtl_gateway.addons.zenoh.names import Kind, Node
-from igtl_gateway.addons.zenoh.types import TypeHashes
+from igtl_gateway.addons.zenoh.own_node import TypeHashes
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.convert.rosmsg import String
 from igtl_gateway.gateway.log.entry import Kind as EntryKind

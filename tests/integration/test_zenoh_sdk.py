@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.addons.zenoh.types import TypeHashes
+from igtl_gateway.addons.zenoh.own_node import TypeHashes
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.convert.rosmsg import String
 from tests.addons.zenoh.routers import router

@@ -7,7 +7,6 @@ each further one a command.  Each line of its output has as JSON a ``line`` of t
 from __future__ import annotations
 
 import json
-import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -15,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import NS_PER_S, GatewayError, SessionFile, failure_text
+from igtl_gateway.addon import NS_PER_S, GatewayError, SessionFile, failure_text, report_facts
 from igtl_gateway.app.player import Player
 from igtl_gateway.app.replay_options import REPLAY, ReplayOptions
 from igtl_gateway.app.replay_sides import ReplaySides
@@ -23,7 +22,6 @@ from igtl_gateway.app.replaying import ReplayEvents, run_replay
 from igtl_gateway.base.systems.signals import ignore_endings
 
 _STATE_S = 0.2
-_OUTPUT = threading.Lock()
 
 
 def main() -> None:
@@ -46,15 +44,15 @@ class _Replay:
         given = {name: self._settings[name] for name in ("to", "rate", "loop")}
         given |= {name: tuple(self._settings[name]) for name in ("listen", "connect") if self._settings[name]}
         given |= {"wait_peers": 0, "start_paused": True}
-        events = ReplayEvents(on_line=lambda text: _print({"line": text}), controls=self._controls)
+        events = ReplayEvents(on_line=lambda text: report_facts({"line": text}), controls=self._controls)
         try:
             how = ReplayOptions.of({row.name: row.default for row in REPLAY} | given)
             result = run_replay(Path(self._settings["file"]), how, self._stop, events)
         except GatewayError as error:
-            _print({"line": f"! {failure_text(error)}", "failed": True})
+            report_facts({"line": f"! {failure_text(error)}", "failed": True})
             return
         if result:
-            _print({"line": f"{result.messages:,} messages were sent", "ended": True})
+            report_facts({"line": f"{result.messages:,} messages were sent", "ended": True})
 
     @contextmanager
     def _controls(self, file: SessionFile, player: Player, side: ReplaySides) -> Iterator[None]:
@@ -76,7 +74,7 @@ class _Replay:
                     "sent": player.played.messages,
                     "peers": side.listeners.present() if side.listeners else [],
                 }
-                _print({"state": state})
+                report_facts({"state": state})
                 if over.wait(_STATE_S):
                     return
 
@@ -108,13 +106,6 @@ class _Replay:
         }
         if action := actions.get(command["do"]):
             action()
-
-
-def _print(facts: dict[str, Any]) -> None:
-    data = json.dumps(facts).encode() + b"\n"
-    with _OUTPUT:
-        while data:
-            data = data[os.write(1, data) :]
 
 
 if __name__ == "__main__":

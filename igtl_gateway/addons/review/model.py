@@ -1,4 +1,6 @@
-"""The results of a review: values without arithmetic.
+"""What a user can choose of a review, and its results: values without arithmetic.
+
+A choice is a field that has the help of its option.
 
 Positions are in metres, in the frame of the cloud.  Lengths with ``_mm`` in their name are for the reader, in
 millimetres.  Stamps are UTC ns.  ``None`` stands for a figure that could not be determined.
@@ -6,16 +8,34 @@ millimetres.  Stamps are UTC ns.  ``None`` stands for a figure that could not be
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import Enum
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy.typing as npt
 
-from igtl_gateway.addons.review.options import limit
+from igtl_gateway.addon import Setting
 
+T = TypeVar("T")
 Array = npt.NDArray[Any]
 Point = tuple[float, float, float]
+
+
+def option(default: T, metavar: str, about: str, **more: Any) -> T:
+    """A field with its default, the placeholder and the help of its option, and other columns of its row."""
+    made: T = field(default=default, metadata={"metavar": metavar, "about": about, **more})
+    return made
+
+
+def limit(default: float, metavar: str, about: str) -> float:
+    """A threshold: a number above 0; the help has what it is, and the reason of the default."""
+    return option(default, metavar, about, least=0, open_ends=True)
+
+
+def rows_of(kind: Any, group: str = "") -> tuple[Setting, ...]:
+    """Return the options of a dataclass of such fields."""
+    rows: list[Any] = list(fields(kind))
+    return tuple(Setting(each.name, each.default, group=group, **each.metadata) for each in rows)
 
 
 class Level(Enum):

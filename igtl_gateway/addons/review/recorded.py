@@ -10,7 +10,7 @@ from pathlib import Path
 from igtl_gateway.addon import ConfigError, GatewayError, Mark, SessionFile, config_to_run, marks_of, scale
 from igtl_gateway.addons.review import Material, Review, StitchReview, Thresholds, review_of
 from igtl_gateway.addons.review.material import CLOUDS
-from igtl_gateway.addons.review.options import option
+from igtl_gateway.addons.review.model import option
 
 
 @dataclass(frozen=True, slots=True)

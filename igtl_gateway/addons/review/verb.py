@@ -18,7 +18,7 @@ from igtl_gateway.addon import (
     values_with_effect,
 )
 from igtl_gateway.addons.review import Thresholds
-from igtl_gateway.addons.review.options import rows_of
+from igtl_gateway.addons.review.model import rows_of
 from igtl_gateway.addons.review.output import print_review, review_facts, write_csv
 from igtl_gateway.addons.review.recorded import ReviewSelection, checked_thresholds, review_recording
 

@@ -8,7 +8,6 @@ gone: it ends at once, and the next upload continues.
 from __future__ import annotations
 
 import json
-import os
 import sys
 import threading
 from contextlib import suppress
@@ -16,7 +15,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import NS_PER_S, ConfigError, Level, Note, SystemClock
+from igtl_gateway.addon import NS_PER_S, ConfigError, Level, Note, SystemClock, report_facts
 from igtl_gateway.addons.upload.place import upload_place
 from igtl_gateway.addons.upload.uploading import WAITS, Uploader
 from igtl_gateway.base.systems.processes import lower_priority
@@ -41,7 +40,6 @@ def main() -> None:
 
 
 #: Lines are whole: two threads write them.
-_OUTPUT = threading.Lock()
 
 
 class _Process:
@@ -74,14 +72,14 @@ class _Process:
                 if ending and done:
                     break
                 self._woken.wait(0.2 if self._end_ns else _LOOK_S)
-            _print({"counts": asdict(uploader.counts)})
+            report_facts({"counts": asdict(uploader.counts)})
         uploader.close()
 
     def _report(self, uploader: Uploader) -> None:
         """Write the counts from time to time, also while a large file is sent."""
         with suppress(BrokenPipeError):
             while True:
-                _print({"counts": asdict(uploader.counts)})
+                report_facts({"counts": asdict(uploader.counts)})
                 self._never.wait(_REPORT_S)
 
     def _stops(self) -> bool:
@@ -97,14 +95,7 @@ class _Process:
 
 
 def _note(note: Note) -> None:
-    _print({"note": {"level": note.level.value, "code": note.code, "text": note.text, "data": note.data}})
-
-
-def _print(facts: dict[str, Any]) -> None:
-    data = json.dumps(facts).encode() + b"\n"
-    with _OUTPUT:
-        while data:
-            data = data[os.write(1, data) :]
+    report_facts({"note": {"level": note.level.value, "code": note.code, "text": note.text, "data": note.data}})
 
 
 if __name__ == "__main__":

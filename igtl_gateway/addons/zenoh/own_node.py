@@ -1,12 +1,17 @@
-"""The gateway's node in the sessions of Zenoh, one after the other: what its publishers and subscriptions declare."""
+"""The gateway's node in the sessions of Zenoh, one after the other: what its publishers and subscriptions declare.
+
+The two ends of a topic or service find each other by the hash of its type.
+"""
 
 from __future__ import annotations
 
 from typing import Any
 
+from igtl_gateway.addon import UnknownTypeError
 from igtl_gateway.addons.zenoh.connection import Connection
 from igtl_gateway.addons.zenoh.names import Node, data_key
-from igtl_gateway.addons.zenoh.types import TypeHashes
+from igtl_gateway.addons.zenoh.services import SERVICES
+from igtl_gateway.record.sessionfile.schemas import RosTypes
 
 
 class OwnNode:
@@ -41,3 +46,24 @@ class OwnNode:
         """Return data key and type hash of a topic or service.  Raises ValueError, UnknownTypeError."""
         type_hash = self.hashes.of(type_name)
         return data_key(self.domain, name, type_name, type_hash), type_hash
+
+
+class TypeHashes:
+    """Finds hashes, and keeps them: those of messages by their definitions, as recordings have them."""
+
+    def __init__(self) -> None:
+        self._types: RosTypes | None = None
+        self._found: dict[str, str] = {}
+
+    def of(self, ros_type: str) -> str:
+        """Return the hash of a message or service.  Raises UnknownTypeError without its definition."""
+        if ros_type not in self._found:
+            self._types = self._types or RosTypes()
+            service = SERVICES.get(ros_type)
+            if service:
+                self._found[ros_type] = self._types.service_hash(ros_type, service.definition)
+            elif definition := self._types.find(ros_type):
+                self._found[ros_type] = definition.type_hash
+            else:
+                raise UnknownTypeError(f"unknown type, found no definition of it (share/{ros_type}.msg)")
+        return self._found[ros_type]

@@ -23,11 +23,11 @@ from igtl_gateway.cli.options import (
 from igtl_gateway.cli.terminal import print_json, print_line, print_text
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway import Gateway
-from igtl_gateway.gateway.log.content import ContentDigest
 from igtl_gateway.record.sessionfile.beside import written
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway_lab.cli import stage
 from igtl_gateway_lab.simulate.catalogue import SCENARIOS
+from igtl_gateway_lab.simulate.content import ContentDigest
 from igtl_gateway_lab.simulate.load import SENDERS, SIZES, Load
 from igtl_gateway_lab.simulate.scenario import SYNTHETIC, Scenario
 

@@ -13,7 +13,7 @@ import zenoh
 from igtl_gateway.addons.zenoh import names
 from igtl_gateway.addons.zenoh.edge import ZenohEdge
 from igtl_gateway.addons.zenoh.names import Kind, Node
-from igtl_gateway.addons.zenoh.types import TypeHashes
+from igtl_gateway.addons.zenoh.own_node import TypeHashes
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.qos import Qos

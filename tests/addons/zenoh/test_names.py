@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from igtl_gateway.addons.zenoh import names
 from igtl_gateway.addons.zenoh.names import Entity, Kind, Node, read_attachment, read_token
-from igtl_gateway.addons.zenoh.types import TypeHashes
+from igtl_gateway.addons.zenoh.own_node import TypeHashes
 from igtl_gateway.base.qos import Qos
 from tests.tables import table
 

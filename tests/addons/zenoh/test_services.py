@@ -10,8 +10,8 @@ import pytest
 import zenoh
 
 from igtl_gateway.addons.zenoh import names
+from igtl_gateway.addons.zenoh.own_node import TypeHashes
 from igtl_gateway.addons.zenoh.services import TriggerRequest, TriggerResponse
-from igtl_gateway.addons.zenoh.types import TypeHashes
 from igtl_gateway.convert.igtl_msgs import MetadataItem, SendCommandRequest, SendCommandResponse
 from tests.addons.zenoh.routers import client, router
 from tests.addons.zenoh.test_edge import DOMAIN, GID, VALID, Side, port, sides, started, until

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from igtl_gateway.gateway.log.content import ContentDigest
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.sessionfile.compression import COMPRESSIONS
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
+from igtl_gateway_lab.simulate.content import ContentDigest
 from tests.record import samples
 
 ENTRIES = [samples.ros(1), samples.igtl(2), samples.ros(3)]

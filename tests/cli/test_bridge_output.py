@@ -1,4 +1,4 @@
-"""The options that decide which peers are admitted."""
+"""What ``bridge`` prints first: the options that decide which peers are admitted."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from igtl_gateway.app import bridge_options
 from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.cli import admission, bridge
+from igtl_gateway.cli import bridge, bridge_output
 from igtl_gateway.cli.settings import settled
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.notations import peer_address
@@ -54,6 +54,6 @@ def test_limits() -> None:
 
 
 def test_what_is_denied_is_said_and_slips_are_seen() -> None:
-    assert admission.denials(Config()) == []
-    lines = admission.denials(Config(deny_in=("command", "TRANFORM"), deny_out=("*",)))
+    assert bridge_output.denied_lines(Config()) == []
+    lines = bridge_output.denied_lines(Config(deny_in=("command", "TRANFORM"), deny_out=("*",)))
     assert lines == ["denied       from peers: command, TRANFORM (matches no known type)", "denied       to peers: *"]
