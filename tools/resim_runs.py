@@ -2,7 +2,8 @@
 
 ``python tools/resim_runs.py`` runs each kind 1,000 times, in turns of 100, and prints the table after each turn of all.
 The load is that of the machine beside the runs (mean of the last minute); start it beside work of your own, or with
-``--load 4``, which keeps four processes busy.  Exit code 1 if any run differs or could not be judged.
+``--load 4``, which keeps four processes busy.  ``--share 20`` lets 20 programs in Python share the start of their
+interpreter (`tools/resim_forks.py`).  Exit code 1 if any run differs or could not be judged.
 """
 
 from __future__ import annotations
@@ -21,19 +22,29 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
+from unittest.mock import patch
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+from igtl_gateway.addons.resim import engine
 from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, Run, run
 from igtl_gateway.addons.resim.igtl_peer import IgtlRole
+from igtl_gateway.addons.resim.processes import Process
 from igtl_gateway.addons.resim.verdict import compare, is_judged
+from igtl_gateway.cli import main as gateway
 from tests.addons.resim import sessions, test_igtl_peer
 from tests.addons.resim.runs import PROGRAMS, compiled, program
 from tests.peers import reference
 from tests.places import FIXTURES
+from tools.resim_forks import Forked, Start
 
 #: Scenario → its ROS actors.
 SCENARIOS = {"ultrasound": "navigator", "lego": "lego_robot", "star": "star_sensors star_robot"}
+#: Scenario → seconds of its recording in which all actors have inputs.
+SECONDS = {"ultrasound": ("0", "4"), "lego": ("22", "27"), "star": ("1.5", "2.5")}
+#: What an actor imports.
+LAB = "igtl_gateway_lab.cli.stage"
 SERVER = IgtlRole(is_server=True)
 HEADER = "| kind | runs | messages | hashes | wrong turns | load | s a run |\n|---|---|---|---|---|---|---|"
 
@@ -89,16 +100,25 @@ def texts(count: int) -> Callable[[Path], Path]:
 
 
 def transforms(path: Path) -> Path:
-    rows = [(ns, "/tf", sessions.TF, sessions.transforms(each)) for ns, _, _, each in sessions.poses(100)]
+    rows = [(ns, "/tf", sessions.TF, sessions.transforms(each)) for ns, _, _, each in sessions.poses(60)]
     return sessions.write(path, rows)
 
 
 def pairs(path: Path) -> Path:
-    return sessions.write(path, [*sessions.poses(100), *sessions.images(20)])
+    return sessions.write(path, [*sessions.poses(60), *sessions.images(12)])
 
 
 def scenario(name: str) -> Callable[[Path], Path]:
-    return lambda path: FIXTURES / f"{name}.mcap"
+    """The first seconds, in which all actors have inputs."""
+
+    def record(path: Path) -> Path:
+        start, end = SECONDS[name]
+        words = ["slice", str(FIXTURES / f"{name}.mcap"), "-o", str(path), "--start", start, "--end", end]
+        if code := gateway(words):
+            raise SystemExit(code)
+        return path
+
+    return record
 
 
 def named(*lines: str) -> Callable[[Path], Sequence[Program]]:
@@ -127,13 +147,13 @@ def rows() -> list[Row]:
     found = []
     if find_spec("rclpy"):
         found += [
-            Row("one thread", texts(50), named("single")),
-            Row("several threads", texts(50), named("multithreaded")),
+            Row("one thread", texts(20), named("single")),
+            Row("several threads", texts(20), named("multithreaded")),
             Row("tf2", transforms, named("frames")),
             Row("image and pose", pairs, named("pairs")),
             Row("lifecycle", texts(60), named("lifecycle", "manager")),
-            Row("service", texts(40), named("caller", "switch"), ResimOptions(latency_ns=1_000_000)),
-            Row("C on rcl", texts(50), in_c),
+            Row("service", texts(25), named("caller", "switch"), ResimOptions(latency_ns=1_000_000)),
+            Row("C on rcl", texts(20), in_c),
         ]
         as_they_are = ResimOptions(lead_ns=1_000_000_000, clocks=Clocks.SESSION)
         found += [
@@ -149,13 +169,35 @@ def rows() -> list[Row]:
     return found
 
 
+def sharing(count: int) -> Callable[..., Process]:
+    """What starts a process: programs in Python as forks, `count` of one interpreter."""
+    left = 0
+
+    def start(name: str, command: Sequence[str], *rest: Any) -> Process:
+        nonlocal left
+        if command[0] != sys.executable:
+            return Process(name, command, *rest)
+        if not left:
+            if hasattr(Forked, "start"):
+                Forked.start.close()
+            Forked.start, left = Start(LAB), count
+        left -= 1
+        return Forked(name, command, *rest)
+
+    return start
+
+
 def main() -> int:
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # a node would compile its 200 modules in each run
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--runs", type=int, default=1000, help="of each kind (default: 1000)")
     parser.add_argument("--turn", type=int, default=100, help="runs of a kind before the next one (default: 100)")
     parser.add_argument("--only", default="", help="only kinds whose name matches this pattern")
     parser.add_argument("--load", type=int, default=0, help="processes to keep busy meanwhile (default: 0)")
+    parser.add_argument("--share", type=int, default=0, help="programs that share an interpreter's start (default: 0)")
     options = parser.parse_args()
+    if options.share:
+        patch.object(engine, "Process", sharing(options.share)).start()
     found = [row for row in rows() if re.search(options.only, row.name)]
     place = Path(tempfile.mkdtemp(prefix="resim-runs-"))
     busy = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(options.load)]

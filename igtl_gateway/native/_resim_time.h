@@ -387,6 +387,7 @@ static void *watch(void *nothing)
     (void)nothing;
     own_is_other = true;
     T.watcher = tid_of_this();
+    prctl(PR_SET_NAME, "igtl-resim"); /* the coordinator leaves it out where it looks whether the program computes */
     sem_post(&T.is_watching);
     for (;;) {
         long delay_ns = 50000;

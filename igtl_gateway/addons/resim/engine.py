@@ -40,7 +40,7 @@ from igtl_gateway.addons.resim.inputs import Inputs, topics_of
 from igtl_gateway.addons.resim.library import library_path
 from igtl_gateway.addons.resim.link import Gone, Listener
 from igtl_gateway.addons.resim.outputs import OutputFile, OutputStream
-from igtl_gateway.addons.resim.processes import Process, command_of, cpu_with_children_s
+from igtl_gateway.addons.resim.processes import Process, command_of, cpu_with_children_s, is_computing
 from igtl_gateway.addons.resim.services import recorded_services
 
 #: Nothing traces the program, so it does not wait for LTTng.
@@ -49,8 +49,10 @@ _ENVIRONMENT = {"LTTNG_UST_REGISTER_TIMEOUT": "0"}
 _CHILD_IDLE_NS = 3_000_000_000
 #: Real time that a process may take from closing its connection to its end.
 _ENDING_NS = 5_000_000_000
-#: A process that uses less of a processor than one part in this number waits for something.
-_LEAST_CPU = 10
+#: After this many wall limits a program hangs, even if it computes now and then.
+_MOST_LIMITS = 10
+#: At most this counts of the real time between two looks: this process might have had no processor itself.
+_MOST_BETWEEN_LOOKS_NS = 500_000_000
 _NO_NODE = "made no ROS 2 node, or is linked statically"
 _NO_SOCKET = "made no TCP socket, or is linked statically"
 _OTHER_MIDDLEWARE = re.compile(r"librmw_(?!fastrtps|implementation|dds_common)\w+\.so")
@@ -119,7 +121,8 @@ class ResimOptions:
         swap_ties: in every second run, timers come before recorded inputs of the same time, so that runs differ if the
             outputs depend on which of them is first.
         until_ns: session time at which runs end, UTC ns; at the latest they end with the recording.
-        wall_s: real seconds without an event, and without CPU time, after which a program counts as hanging.
+        wall_s: real seconds without an event, in which no thread computes or waits for a processor, after which it
+            counts as hanging.
         cpu_s: CPU seconds without an event after which a program counts as busy without end.
         most_outputs: messages that a run may have; more count as a flood.
     """
@@ -380,10 +383,10 @@ def _chosen(topic: str, options: ResimOptions) -> bool | None:
 
 @dataclass(slots=True)
 class _Started:
-    """A process that a program has started: since when it has not computed, and its CPU seconds until then."""
+    """A process that a program has started: for how long it has not computed, and its CPU seconds until then."""
 
     program: str
-    idle_since_ns: int
+    idle_ns: int = 0
     cpu_s: float = 0.0
 
 
@@ -392,7 +395,7 @@ class _Watch:
 
     def __init__(self, processes: list[Process], clock: SystemClock, options: ResimOptions) -> None:
         self._processes, self._clock, self._options = processes, clock, options
-        self._since_ns = 0
+        self._looked_ns = self._waited_ns = self._idle_ns = 0
         self._cpu_s: dict[int, float] = {}
         self._children: dict[int, _Started] = {}
         #: Whether the last process is expected to connect.
@@ -404,12 +407,12 @@ class _Watch:
 
     def begin(self) -> None:
         """An event happened: the time of the next one begins."""
-        self._since_ns = 0
+        self._looked_ns = 0
 
     def take(self, peer: Peer, remark: Remark) -> None:
         """Take a remark of a program."""
         if remark.code == "f":
-            self._children[int(remark.text)] = _Started(peer.name, self._clock.monotonic_ns())
+            self._children[int(remark.text)] = _Started(peer.name)
         elif remark.code == "s":
             self.remarks.add(f"{peer.name}: has a socket of its own: what it receives there comes in real time")
 
@@ -430,8 +433,8 @@ class _Watch:
         """Raise ProgramFault if a process has ended, hangs, or is busy without end."""
         options = self._options
         now_ns = self._clock.monotonic_ns()
-        if not self._since_ns:
-            self._since_ns = now_ns
+        if not self._looked_ns:
+            self._looked_ns, self._waited_ns, self._idle_ns = now_ns, 0, 0
             self._cpu_s = {each.pid: each.cpu_s() for each in self._processes}
         absent = _NO_SOCKET if self.side else _NO_NODE
         if ended := self.ended():
@@ -439,19 +442,23 @@ class _Watch:
             raise ProgramFault(f"{ended}; {absent}" if is_absent else ended)
         if self.is_joining and self.side:
             self.side.look()
+        passed_ns = min(now_ns - self._looked_ns, _MOST_BETWEEN_LOOKS_NS)
+        self._looked_ns = now_ns
+        self._waited_ns += passed_ns
+        self._idle_ns += 0 if any(each.is_computing() for each in self._processes) else passed_ns
         for pid, child in list(self._children.items()):
             if not (command := command_of(pid)):
                 del self._children[pid]
                 continue
-            if (cpu_s := cpu_with_children_s(pid)) > child.cpu_s:
-                child.cpu_s, child.idle_since_ns = cpu_s, now_ns
-                self._since_ns = now_ns  # the program waits for it
-            if now_ns - child.idle_since_ns > min(_CHILD_IDLE_NS, options.wall_s * 1e9) or cpu_s > options.cpu_s:
+            child.idle_ns += passed_ns
+            if (cpu_s := cpu_with_children_s(pid)) > child.cpu_s or is_computing(pid):
+                child.cpu_s, child.idle_ns = cpu_s, 0
+                self._waited_ns = self._idle_ns = 0  # the program waits for it
+            if child.idle_ns > min(_CHILD_IDLE_NS, options.wall_s * 1e9) or cpu_s > options.cpu_s:
                 raise ProgramFault(
                     f"{child.program}: started another process, which still runs: {command}; "
                     "run each as a program of its own (--recipe), or not at all"
                 )
-        waited_s = (now_ns - self._since_ns) / 1e9
         used = {each: each.cpu_s() - self._cpu_s.get(each.pid, 0.0) for each in self._processes}
         busy = max(used, key=lambda each: used[each], default=None)
         if busy is None:
@@ -463,7 +470,7 @@ class _Watch:
                 f"{busy.name}: {what} within {options.cpu_s:g} s of CPU time (the CPU limit): "
                 f"thread {thread.name!r} is busy"
             )
-        if waited_s > options.wall_s and (used[busy] < waited_s / _LEAST_CPU or waited_s > _LEAST_CPU * options.wall_s):
+        if max(self._idle_ns, self._waited_ns / _MOST_LIMITS) > options.wall_s * 1e9:
             name = self._processes[-1].name if self.is_joining else busy.name
             raise ProgramFault(f"{name}: {what} within {options.wall_s:g} s (the wall limit)")
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +14,10 @@ from igtl_gateway.base.systems.processes import KILL, end_session, ticks_per_sec
 
 #: Seconds that a program has to end after the session, as after Ctrl-C.
 _END_S = 2.0
+#: The thread of the library that looks whether all others wait (`_resim_time.h`).
+_WATCHER = "igtl-resim"
+#: States of a thread that computes, or waits for a processor or a disk.
+_COMPUTING = "RD"
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,11 +96,12 @@ class Process:
 
     def busiest(self) -> ThreadUse:
         """The thread that runs, or else the one with the most CPU time."""
-        with suppress(OSError):
-            uses = [_use(task / "stat") for task in Path(f"/proc/{self.pid}/task").iterdir()]
-            if uses:
-                return max(uses, key=lambda use: (use.state == "R", use.cpu_s))
-        return ThreadUse("", "", 0.0)
+        uses = _threads(self.pid)
+        return max(uses, key=lambda use: (use.state == "R", use.cpu_s), default=ThreadUse("", "", 0.0))
+
+    def is_computing(self) -> bool:
+        """Whether a thread of the program computes, or would if this machine had a processor for it."""
+        return is_computing(self.pid)
 
     def libraries(self) -> set[str]:
         """Names of the libraries that it has loaded."""
@@ -124,17 +129,33 @@ def command_of(pid: int) -> str:
     return ""
 
 
+def is_computing(pid: int) -> bool:
+    """Whether a thread of a process, or of those that it has started, computes, or waits for a processor or a disk."""
+    return any(use.state in _COMPUTING for each in _family(pid) for use in _threads(each) if use.name != _WATCHER)
+
+
 def cpu_with_children_s(pid: int) -> float:
     """CPU seconds that a process, and those that it has started, have used; 0 if it has ended."""
-    total, coming = 0.0, [pid]
+    uses = [_use(Path(f"/proc/{each}/stat")) for each in _family(pid)]
+    return sum(use.cpu_s + use.children_s for use in uses)
+
+
+def _family(pid: int) -> Iterator[int]:
+    """The numbers of a process and of those that it has started, and so on."""
+    coming = [pid]
     while coming:
-        place = Path(f"/proc/{coming.pop()}")
-        use = _use(place / "stat")
-        total += use.cpu_s + use.children_s
+        yield (parent := coming.pop())
         with suppress(OSError):
-            for task in (place / "task").iterdir():
+            for task in Path(f"/proc/{parent}/task").iterdir():
                 coming += map(int, (task / "children").read_text("ascii").split())
-    return total
+
+
+def _threads(pid: int) -> list[ThreadUse]:
+    """The threads of a process; none if it has ended."""
+    with suppress(OSError):
+        uses = [_use(task / "stat") for task in Path(f"/proc/{pid}/task").iterdir()]
+        return [use for use in uses if use.state]
+    return []
 
 
 def _use(stat: Path) -> ThreadUse:

@@ -9,6 +9,7 @@ import re
 import sys
 import threading
 import time
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -16,8 +17,10 @@ import pytest
 
 from igtl_gateway.addon import ConfigError
 from igtl_gateway.addons.resim import engine
+from igtl_gateway.addons.resim.coordinator import ProgramFault
 from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, run
 from igtl_gateway.addons.resim.verdict import compare
+from igtl_gateway.base.clock import ManualClock
 from tests.addons.resim import sessions
 from tests.addons.resim.runs import judged, published, strings
 
@@ -46,7 +49,7 @@ def _processes(mark: str) -> list[str]:
         ("ends", "faulty: ended with exit code 0"),
         ("raises", "faulty: ended with exit code 1: ValueError: found 3 wheels, expected 4"),
         ("crashes", "faulty: was ended by signal 11"),
-        ("hangs", "faulty: did not come to rest within 6 s (the wall limit)"),
+        ("hangs", "faulty: did not come to rest within 1 s (the wall limit)"),
         ("loops", "faulty: did not come to rest within 1 s of CPU time (the CPU limit): thread 'python"),
         ("forks", "faulty: started another process, which still runs: "),
         (
@@ -61,7 +64,7 @@ def test_a_fault_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wh
     monkeypatch.setenv("MARK_OF_THIS_TEST", mark)
     recording = sessions.write(tmp_path / "in.mcap", sessions.texts(40))
     cpu_s = 60.0 if what == "floods" else 1.0
-    wall_s = 6.0 if what == "hangs" else 30.0  # the start of a program counts, too
+    wall_s = 1.0 if what == "hangs" else 30.0
     result, verdict = judged(
         recording, tmp_path, f"faulty {what}", runs=3, wall_s=wall_s, cpu_s=cpu_s, most_outputs=5000
     )
@@ -72,6 +75,40 @@ def test_a_fault_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wh
     assert _processes(mark) == []
     if what in ("ends", "raises", "crashes", "forks", "spawns"):
         assert len(published(result.runs[0].outputs, "/out")) in (19, 20)  # the outputs so far
+
+
+@pytest.mark.parametrize(("is_computing", "limit_s"), [(True, 10.0), (False, 1.0)])
+def test_a_program_that_waits_for_a_processor_does_not_hang(is_computing: bool, limit_s: float) -> None:
+    """Beside a load of 50, a program gets 1 % of a processor: it computes, as its states show."""
+    clock, program = ManualClock(), Waiting(is_computing)
+    watch = engine._Watch([program], clock, ResimOptions(wall_s=1.0))  # type: ignore[list-item, arg-type]
+    with pytest.raises(ProgramFault, match=r"did not come to rest within 1 s \(the wall limit\)"):
+        while True:
+            clock.advance(100_000_000)
+            watch.look()
+    assert clock.monotonic_ns() / 1e9 == pytest.approx(limit_s, abs=0.3)
+    clock.advance(100_000_000_000)  # this process had no processor itself
+    watch.begin()
+    watch.look()
+    clock.advance(100_000_000_000)
+    watch.look()
+
+
+@dataclass(eq=False)
+class Waiting:
+    """A process that has not come to rest, and gets no processor."""
+
+    is_busy: bool
+    name: str = "program"
+    pid: int = 0
+    is_running: bool = True
+    has_failed: bool = False
+
+    def is_computing(self) -> bool:
+        return self.is_busy
+
+    def cpu_s(self) -> float:
+        return 0.0
 
 
 def test_a_process_that_ends_is_no_fault(tmp_path: Path) -> None:

@@ -4,11 +4,12 @@ The arguments are the scenario and the actor.
 """
 
 import os
+import runpy
 import sys
 
 reading, writing = os.pipe()  # stays open: the end of the input would end the program
 os.write(writing, b"begin\n")
 os.dup2(reading, 0)
-os.set_inheritable(writing, True)
 scenario, actor = sys.argv[1:]
-os.execv(sys.executable, [sys.executable, "-m", "igtl_gateway", "simulate", scenario, "--actor", actor])
+sys.argv = ["igtl-gateway", "simulate", scenario, "--actor", actor]
+runpy.run_module("igtl_gateway", run_name="__main__")
