@@ -126,7 +126,7 @@ def _become(command: Sequence[str], env: Mapping[str, str]) -> None:
 
 
 def main() -> None:
-    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody asks how they ended
+    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # their exit codes are not needed
     _import(sys.argv[1:])
     while line := os.read(0, 1 << 20):
         command, env = json.loads(line)

@@ -36,6 +36,7 @@ from igtl_gateway.addons.resim.coordinator import Roles
 from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, Run, RunResult
 from igtl_gateway.addons.resim.engine import run as run_programs
 from igtl_gateway.addons.resim.igtl_peer import IgtlRole, check_role
+from igtl_gateway.addons.resim.races import find_race
 from igtl_gateway.addons.resim.recipe import read_recipe
 from igtl_gateway.addons.resim.report import junit_xml
 from igtl_gateway.addons.resim.verdict import Verdict, compare, is_judged
@@ -210,6 +211,9 @@ def run(options: argparse.Namespace) -> int:
         if verdict.unequal_run:
             again = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="igtl-resim-")))
             verdict.cause = likely_cause(options.file, programs, settings, verdict, again)
+        elif verdict.is_deterministic:
+            again = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="igtl-resim-")))
+            verdict.race = find_race(result, programs, settings, again)
         if options.record and result.runs and result.runs[0].outputs.is_file():
             with (
                 written(options.record, overwrite=options.overwrite) as place,
@@ -341,6 +345,7 @@ def facts_of(result: RunResult, verdict: Verdict) -> dict[str, object]:
         "exit_code": verdict.exit_code,
         "fault": verdict.fault,
         "deterministic": verdict.is_deterministic,
+        "race": verdict.race.text(verdict.start_ns) if verdict.race else "",
         "roles": asdict(result.roles) if result.roles else None,
         "runs": [
             {

@@ -103,6 +103,26 @@ class StreamVerdict:
         self.first = self.first or found
 
 
+@dataclass(frozen=True, slots=True)
+class Race:
+    """An output that an input causes, and that depends on the phase of timers (``races.find_race``).
+
+    Attributes:
+        difference: the first one from a run that started earlier.
+        topic: of the input; ``""`` if none has that time.
+        earlier_ns: how much earlier.
+    """
+
+    difference: Difference
+    topic: str
+    earlier_ns: int
+
+    def text(self, start_ns: int) -> str:
+        """One line for a person; ``start_ns``: start of the session."""
+        what = f"a timer races {self.topic or 'an input'}"
+        return f"{what}: {self.difference.text(start_ns)}, if the programs start {self.earlier_ns / 1e6:.1f} ms earlier"
+
+
 @dataclass(slots=True)
 class Verdict:
     """The result.
@@ -114,6 +134,7 @@ class Verdict:
         unequal_run: number of the first run that differs from the first one; 0 = none.
         cause: what probably makes it differ (``causes.likely_cause``); ``""`` if that was not looked for.
         between_runs: the streams of that run in which it differs.
+        race: what depends on the phase of timers, although the runs are equal; None: nothing, or not looked for.
         reference: what the outputs were compared with; None = nothing.
         streams: the streams in the reference and in the first run.
     """
@@ -124,6 +145,7 @@ class Verdict:
     unequal_run: int = 0
     cause: str = ""
     between_runs: list[StreamVerdict] = field(default_factory=list)
+    race: Race | None = None
     reference: Path | None = None
     streams: list[StreamVerdict] = field(default_factory=list)
 
@@ -155,6 +177,8 @@ class Verdict:
             likely = f"; likely cause: {self.cause}" if self.cause else ""
             return f"NOT DETERMINISTIC: run {self.unequal_run} differs from run 1: {first.text(self.start_ns)}{likely}"
         same = f"deterministic: {self.runs} of {self.runs} runs equal" if self.runs > 1 else "1 run"
+        if self.race:
+            same += f", but {self.race.text(self.start_ns)}"
         if not self.reference:
             return same
         if not self.streams:
@@ -280,6 +304,25 @@ def _strictly(one: Path, other: Path, names: Sequence[str], tolerance: Tolerance
         return []
     with SessionFile.open(one) as first, SessionFile.open(other) as second:
         return [_compare_stream(name, _Side(first, name), _Side(second, name), tolerance) for name in names]
+
+
+def first_at_one_time(one: Path, other: Path, names: Sequence[str]) -> Difference | None:
+    """Return the first message whose values differ from those of the other run at that time, in the order of time.
+
+    Messages of a time that only one run has do not count.
+    """
+    found = []
+    with SessionFile.open(one) as first, SessionFile.open(other) as second:
+        for name in names:
+            verdict, left, right = StreamVerdict(name), _Side(first, name), _Side(second, name)
+            while left.fill() and right.fill() and not verdict.first:
+                later_ns = right.ahead[0].stamp_ns - left.ahead[0].stamp_ns
+                if later_ns:
+                    (left if later_ns > 0 else right).take()
+                else:
+                    _compare_pair(verdict, left, right, EXACT)
+            found += [verdict.first] if verdict.first else []
+    return min(found, key=lambda each: each.time_ns, default=None)
 
 
 def _compare_stream(name: str, one: _Side, other: _Side, tolerance: Tolerance) -> StreamVerdict:

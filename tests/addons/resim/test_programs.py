@@ -11,10 +11,11 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.addon import Kind, Qos
-from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, run
-from igtl_gateway.addons.resim.verdict import compare
+from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, RunResult, run
+from igtl_gateway.addons.resim.races import find_race
+from igtl_gateway.addons.resim.verdict import Race, compare
 from tests.addons.resim import sessions
-from tests.addons.resim.runs import PROGRAMS, RUNS, compiled, judged, published, strings
+from tests.addons.resim.runs import PROGRAMS, RUNS, compiled, judged, program, published, strings
 from tests.places import FIXTURES
 
 pytestmark = [pytest.mark.ros, pytest.mark.skipif(not find_spec("rclpy"), reason="needs ROS 2")]
@@ -112,6 +113,7 @@ def test_transforms_with_a_listener_in_a_thread_of_its_own(tmp_path: Path) -> No
     assert verdict.line() == f"deterministic: {RUNS} of {RUNS} runs equal"
     assert result.roles and result.roles.inputs == {"/tf": 200}
     assert len(published(result.runs[0].outputs, "/tf")) == 19
+    assert race_of(result, "frames") is None  # what its timer publishes has another time then
 
 
 def test_images_and_poses_in_pairs(tmp_path: Path) -> None:
@@ -220,15 +222,25 @@ def test_waits_of_c_end_in_session_time(tmp_path: Path) -> None:
 
 
 def test_a_timer_that_races_a_topic(tmp_path: Path) -> None:
-    """At equal times, messages come before timers; the other order shows that the outputs depend on it."""
+    """It shows if the programs start earlier, and at equal times in the other order of ties."""
     rows = [(7_000_000 * number, *row[1:]) for number, row in enumerate(sessions.texts(40), 1)]
     recording = sessions.write(tmp_path / "in.mcap", rows)
-    _, verdict = judged(recording, tmp_path, "planted timer", runs=3)
+    result, verdict = judged(recording, tmp_path, "planted timer", runs=2)
+    verdict.race = race_of(result, "planted", "timer")
+    assert verdict.line() == (
+        "deterministic: 2 of 2 runs equal, but a timer races /in: /out, message 21 at 0.140000 s: "
+        "data is 'm20 19' and 'm20 21', if the programs start 13.7 ms earlier"
+    )
     assert verdict.exit_code == 0
     _, verdict = judged(recording, tmp_path, "planted timer", runs=2, swap_ties=True)
     assert verdict.first
     assert (verdict.first.stream, verdict.first.number) == ("/out", 21)
     assert verdict.line().endswith("data is 'm20 19' and 'm20 20'")
+
+
+def race_of(result: RunResult, *words: str) -> Race | None:
+    (folder := result.runs[0].outputs.with_name("earlier")).mkdir()
+    return find_race(result, [program(*words)], ResimOptions(), folder)
 
 
 def test_use_sim_time_follows_the_session(tmp_path: Path) -> None:
