@@ -29,7 +29,7 @@ from typing import Any
 from unittest.mock import patch
 
 from igtl_gateway.base.clock import Clock, SystemClock
-from igtl_gateway.base.errors import DamagedRecording
+from igtl_gateway.base.errors import DamagedRecording, UnsupportedRecording
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.triggers import Trigger, trigger
 from igtl_gateway.gateway import LINK_UP, LINKS_TOPIC, Session, make_core
@@ -244,7 +244,7 @@ def judge(folder: Path, notes: Sequence[Note], entries: Sequence[Entry], *, is_p
                 content = list(file.entries())
                 ledger = file.ledger or {}
                 report = verify(content, Config(), DeclaredLosses.of(file.session, file.ledger), before=file.prologue())
-        except DamagedRecording:
+        except (DamagedRecording, UnsupportedRecording):  # also one that is still empty
             reasons_of_notes += f"; {path.name} was not closed"
             continue
         outcome.files += 1

@@ -323,7 +323,8 @@ class BlackBox(Ring):
         if window.writer is None:
             lacks.append(f"no file: {window.why_not}")
         if window.forgotten_ns >= begin_ns:
-            lacks.append(f"{(window.forgotten_ns - begin_ns) / NS_PER_S:.3f} s before it: memory had no room for them")
+            lost_ns = min(window.forgotten_ns, row.until_ns) - begin_ns
+            lacks.append(f"{lost_ns / NS_PER_S:.3f} s of its window: memory had no room for them")
         if row.until_ns > max(self._last_ns, window.end_ns if not window.is_open else 0):
             lacks.append(f"{(row.until_ns - self._last_ns) / NS_PER_S:.3f} s after it: the recording ended")
         lost = sum(count for begin, end, count in self._gaps if end >= begin_ns and begin <= row.until_ns)

@@ -59,6 +59,7 @@ class Page:
         self._growth: deque[tuple[int, int]] = deque()
         self._session = self._file = ""
         self._begun_ns = 0  # of the file
+        self._written = ""  # name in the list of what is being recorded
         self._poller = Poller(source, self._take) if source else None
 
     def close(self) -> None:
@@ -93,7 +94,11 @@ class Page:
                 running.setdefault(job["name"], {})[job["action"]] = RUNNING
         rows = self.recordings.rows() if self.recordings else []
         known = [self._results.of(row["name"], (row["bytes"], row["modified_ns"])) for row in rows]
-        return [row | {"results": found | running.get(row["name"], {})} for row, found in zip(rows, known, strict=True)]
+        now = {"recording": True, "read": True}
+        return [
+            row | (now if row["name"] == self._written else {}) | {"results": found | running.get(row["name"], {})}
+            for row, found in zip(rows, known, strict=True)
+        ]
 
     def places(self, name: str) -> dict[str, Any] | None:
         """Return what lies on the time line of a recording; None for an unknown one."""
@@ -175,6 +180,8 @@ class Page:
         if (known := "" if counters["rests"] else str(path)) != self._file:
             self._file, self._begun_ns = known, now_ns
             growth.clear()
+            recorded = whole.with_suffix("") if how["split"] else path
+            self._written = recorded.name if known and not how["snapshot_s"] else ""
         growth.append((now_ns, size))
         while len(growth) > 2 and now_ns - growth[1][0] >= _GROWTH_NS:
             growth.popleft()

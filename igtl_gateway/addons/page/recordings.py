@@ -17,6 +17,8 @@ _COMMAND = python_command("igtl_gateway.addons.page.listing")
 MAX_LISTED, _PATIENCE_S, _TRIES = 500, 30.0, 3
 #: A file that changed within this time is being written, ns.
 _REST_NS = 3_000_000_000
+#: One that could not be read in time is tried again after this time, ns.
+_AGAIN_NS = 60_000_000_000
 #: Time lines that are kept.
 _MAX_PLACES = 16
 
@@ -59,7 +61,8 @@ class Recordings:
             for name, mark, size in found:
                 known, facts = self._known.get(name, ((0, 0), {}))
                 # one that is being written is read again once it has come to rest
-                is_read = known == mark or (bool(facts) and now_ns - mark[1] < _REST_NS)
+                is_late = bool(facts.get("unread")) and now_ns - facts["unread"] > _AGAIN_NS
+                is_read = (known == mark and not is_late) or (bool(facts) and now_ns - mark[1] < _REST_NS)
                 rows.append({"name": name, "bytes": size, "modified_ns": mark[1], **facts, "read": is_read})
                 if not is_read:
                     self._to_read.setdefault(name, mark)
@@ -144,7 +147,7 @@ class _Reader:
             facts: dict[str, Any] = json.loads(line)
             return facts
         self.is_usable = False
-        return {"unread": True, "problem": f"cannot be read within {_PATIENCE_S:g} s"}
+        return {"unread": SystemClock().utc_ns(), "problem": f"cannot be read within {_PATIENCE_S:g} s"}
 
     def close(self) -> None:
         """End the process."""
