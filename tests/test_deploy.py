@@ -1,7 +1,8 @@
-"""The files of ``deploy/``: the unit of systemd."""
+"""The files of ``deploy/``: the unit of systemd, and the container."""
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 import shutil
@@ -58,3 +59,13 @@ def test_the_command_of_the_unit_is_one_of_the_program() -> None:
     options = parser.parse_args([word for word in words if not word.startswith("$")])
     assert (options.verb, options.record) == ("bridge", "/var/lib/igtl-gateway/{time}.mcap")
     assert setting("RestartPreventExitStatus") == "2"
+
+
+def test_the_container_copies_what_exists_and_runs_a_command_of_the_program() -> None:
+    text = (ROOT / "deploy" / "Containerfile").read_text("utf-8")
+    copied = [name for line in re.findall(r"(?m)^COPY (?!--)(.*) \S+$", text) for name in line.split()]
+    assert copied and [name for name in copied if not (ROOT / name).exists()] == []
+    assert "\nUSER 10001" in text.rpartition("FROM ")[2]
+    (words,) = re.findall(r"(?m)^CMD (.*)$", text)
+    parser, _ = parser_of_all_verbs()
+    assert parser.parse_args(json.loads(words)).record == "/recordings/{time}.mcap"

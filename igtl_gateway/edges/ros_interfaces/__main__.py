@@ -23,6 +23,7 @@ from igtl_gateway.edges.ros_interfaces.cache import (
     wheels_folder,
 )
 
+#: In a checkout, those that are imported are of the installed package, and not these.
 _STAND_INS = Path(__file__).parent / "python"
 
 
@@ -35,7 +36,7 @@ def main() -> int:
     for package in PACKAGES:
         real = find_spec(package)
         try:
-            if real and real.origin and _STAND_INS not in Path(real.origin).parents:
+            if real and real.origin and Path(real.origin).parents[1].parts[-3:] != _STAND_INS.parts[-3:]:
                 sys.stdout.write(f"{package}: {Path(real.origin).parent} (installed)\n")
             else:
                 sys.stdout.write(f"{package}: {package_path(package)[0]}\n")

@@ -34,6 +34,20 @@ def test_each_package_is_printed_with_its_folder(
     assert printed == [f"{package}: {places[package]}" for package in PACKAGES]
 
 
+def test_stand_ins_of_an_installed_package_are_not_compiled_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """In the folder of a checkout, its module runs, and finds the stand-ins of the environment."""
+    folder = tmp_path / "igtl_gateway" / "edges" / "ros_interfaces" / "python"
+    for package in PACKAGES:
+        (folder / package).mkdir(parents=True)
+        (folder / package / "__init__.py").touch()
+    monkeypatch.syspath_prepend(folder)
+    monkeypatch.setattr(program, "package_path", lambda package: [f"/compiled/{package}"])
+    assert program.main() == 0
+    assert capsys.readouterr().out.splitlines() == [f"{package}: /compiled/{package}" for package in PACKAGES]
+
+
 def test_a_package_that_cannot_be_compiled_is_an_error(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
