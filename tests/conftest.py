@@ -127,6 +127,7 @@ LONG = (
     "test_gateway_fuzz.py",
     "test_notebooks.py",
     "test_release.py",
+    "test_try_extras.py::test_the_oldest_and_the_newest_python",
     "test_site.py",
     "lab/bench/",
     "lab/cli/test_bench.py",

@@ -247,6 +247,8 @@ CLOCK_CALLS = frozenset({"now", "today", "utcnow"})
 #: Tests of no single module, relative to the folder of tests; a folder stands for all that is in it.
 UNMIRRORED = (
     "record/test_memory_order.py",  # shared_queue.py and _queue.h on ARM
+    "convert/test_distributions.py",  # definitions of ROS 2 distributions
+    "replay/test_versions.py",  # recordings of all versions
     "record/test_ring_model.py",  # shared_queue.py against a model
     "record/test_node_reader.py",  # our files in a reader of another language
     "integration",
@@ -265,6 +267,7 @@ UNMIRRORED = (
     "cli/test_main.py",  # the verbs' common entry, cli/__init__.py
     "addons/test_absent.py",  # base/addons.py, and what each add-on needs
     "test_architecture.py",
+    "test_try_extras.py",  # tools/try_extras.py
     "test_commit_message.py",  # tools/commit_message.py
     "test_contributing.py",  # Makefile, git hooks, workflow
     "test_defects.py",  # docs/evidence/defects.md

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -49,6 +50,8 @@ _MODULES = {
 }
 #: Module → what helps as well.
 _ALTERNATIVES = {"rclpy": " (Linux x86_64), or source a ROS 2 installation"}
+#: Module → the first Python that has it.
+_FIRST = {"rerun": (3, 11)}
 #: The extra whose modules the running function needs.
 _IN_USE: ContextVar[str] = ContextVar("extra in use", default="")
 
@@ -63,6 +66,9 @@ def missing(module: str, error: ImportError | None = None) -> str:
         module: ``rclpy``, ``rerun``, ``av``, ``nibabel`` …
         error: exception of the import; it is part of the message unless it is that the module does not exist.
     """
+    first = _FIRST.get(module)
+    if first and sys.version_info[:2] < first:
+        return f"{module} is not installed here: it needs Python {first[0]}.{first[1]} or newer"
     extras, in_use = _MODULES[module], _IN_USE.get()
     extra = in_use if in_use in extras else extras[0]
     found = "is not installed here"

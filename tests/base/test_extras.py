@@ -33,6 +33,12 @@ def test_a_broken_installation_is_told_from_none() -> None:
     assert broken.startswith("av cannot be imported (libx264.so.164: cannot open shared object file): pip install")
 
 
+def test_what_an_older_python_cannot_have(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "version_info", (3, 10, 12))
+    assert missing("rerun") == "rerun is not installed here: it needs Python 3.11 or newer"
+    assert missing("av") == 'av is not installed here: pip install "igtl-gateway[video]"'
+
+
 def test_the_extra_is_that_of_the_function() -> None:
     with in_use("lerobot"):
         assert missing("av").endswith('"igtl-gateway[lerobot]"') and missing("pyarrow").endswith('[lerobot]"')

@@ -1,0 +1,31 @@
+"""Recordings of all versions: each file of ``tests/data/versions`` is read and verified by this one.
+
+A version that changes the file, or what is in it, adds a file of its own, ``VERSION-formatNUMBER-KIND.mcap``, made by
+``igtl-gateway slice fixtures/paper-types.mcap --end 0.4``; none is ever written again.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from igtl_gateway.app.verification import verify_recording
+from igtl_gateway.base.version import __version__
+from igtl_gateway.record.sessionfile.layout import FORMAT_VERSION
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from tests.places import ROOT
+
+FILES = sorted((ROOT / "tests" / "data" / "versions").glob("*.mcap"))
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: path.stem)
+def test_a_file_of_each_version_is_read_and_verified(path: Path) -> None:
+    with SessionFile.open(path) as file:
+        assert len(list(file.entries())) == 20
+    result = verify_recording(path)
+    assert result.good and result.outputs == result.equal > 0
+
+
+def test_this_version_has_a_file() -> None:
+    assert [path for path in FILES if path.name.startswith(f"{__version__}-format{FORMAT_VERSION}-")]

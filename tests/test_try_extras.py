@@ -1,0 +1,41 @@
+"""tools/try_extras.py: the wheel alone and with each extra; what is absent is one line with the right extra."""
+
+from __future__ import annotations
+
+import pytest
+
+from igtl_gateway.base.extras import PURPOSES, missing
+from tests.test_workflows import PYTHONS
+from tools import core, try_extras
+from tools.try_extras import CALLS, Call, fault
+
+
+def test_each_extra_has_a_call() -> None:
+    beside = {"video", "pandas", "lab"}  # no verb that needs nothing else; tables in Python; another distribution
+    assert {call.extra for call in CALLS} == {"", *PURPOSES} - beside
+
+
+@pytest.mark.parametrize(
+    ("extra", "code", "errors", "wrong"),
+    [
+        ("", 1, missing("pyarrow"), ""),
+        ("seal", 1, missing("pyarrow"), ""),
+        ("", 1, missing("rerun"), "expected code 1 and one line with arrow"),
+        ("", 0, "", "expected code 1 and one line with arrow"),
+        ("", 1, "one\n" + missing("pyarrow"), "of 2 lines"),
+        ("", 1, "Traceback (most recent call last):\nImportError: x", "found a traceback (ImportError: x)"),
+        ("arrow", 0, "", ""),
+        ("cohort", 2, "no such file", ""),
+        ("arrow", 1, missing("pyarrow"), "found that arrow is absent"),
+    ],
+)
+def test_faults(extra: str, code: int, errors: str, wrong: str) -> None:
+    found = fault(Call("export", "arrow"), extra, code, errors)
+    assert wrong in found and bool(wrong) == bool(found)
+
+
+def test_the_oldest_and_the_newest_python() -> None:
+    present = [path for version in (PYTHONS[0], PYTHONS[-1]) if (path := core.present(f"python{version}"))]
+    if not present:
+        pytest.skip(f"found neither Python {PYTHONS[0]} nor {PYTHONS[-1]}")
+    assert try_extras.main([word for path in present for word in ("--python", path)]) == 0

@@ -1,0 +1,158 @@
+"""Install the wheel plainly and with each extra alone, and run the verbs: what is absent is one line with its extra.
+
+    .venv/bin/python tools/try_extras.py [--python python3.10 …] [--extras view,seal] [--wheels dist]
+
+Strategy: a table has a call for each use of an extra.  In an environment without that extra the call must end with
+code 1 and one line that names the extra; with it, no line names an extra; nowhere is a traceback.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gzip
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parent.parent))
+
+from igtl_gateway.base.extras import PURPOSES
+
+ROOT = Path(__file__).parents[1]
+SMALL, STAR = (str(ROOT / "fixtures" / f"{name}.mcap") for name in ("paper-types", "star"))
+LONGEST_S = 120
+#: Extra → the extras that have all that it has.
+_ALSO = {"arrow": ("pandas", "lerobot", "cohort"), "video": ("lerobot",)}
+_NAMED = re.compile(r"igtl-gateway\[([a-z]+)\]")
+
+
+@dataclass(frozen=True)
+class Call:
+    """Words of a call, and the extra that it needs ("": none); ``ends`` is False if it would run on with the extra."""
+
+    words: str
+    extra: str = ""
+    ends: bool = True
+
+
+CALLS = (
+    *(Call(f"{verb} --help") for verb in "bridge replay info view verify diff review sync decode import".split()),
+    *(Call(f"{verb} --help") for verb in "export slice merge recover deidentify seal keep mark cohort page".split()),
+    Call("--version"),
+    Call(f"info {SMALL}"),
+    Call(f"verify {SMALL}"),
+    Call(f"diff {SMALL} {SMALL}"),
+    Call(f"slice {SMALL} -o slice.mcap --end 0.5"),
+    Call(f"recover {SMALL} -o recovered.mcap"),
+    Call(f"deidentify {SMALL} -o blank.mcap"),
+    Call(f"mark {SMALL} --list"),
+    Call("completion bash"),
+    Call("bridge --no-ros --duration 0.1 --listen :0"),
+    *(Call(f"export {SMALL} --to {target} -o {target}") for target in ("csv", "ply", "vtk", "nrrd", "rosbag2")),
+    *(Call(f"export {SMALL} --to {target} -o {target}", "arrow") for target in ("parquet", "arrow")),
+    Call(f"export {SMALL} --to lerobot --write-recipe recipe.toml", "lerobot"),
+    Call("import volume.nii.gz -o volume.mcap", "nifti"),
+    Call("import packets.pcapng -o packets.mcap", "pcap"),
+    Call(f"view {SMALL} -o view.rrd", "view"),
+    Call("bridge --no-ros --view --duration 0.1 --listen :0", "view", ends=False),
+    Call("bridge --duration 0.1 --listen :0", "ros", ends=False),
+    Call(f"replay {SMALL} --to ros", "ros", ends=False),
+    Call("doctor --listen :0 --ros --seconds 0.1", "ros", ends=False),
+    Call("bridge --ros zenoh --duration 0.1 --listen :0", "zenoh", ends=False),
+    Call("zenoh-router --listen tcp/127.0.0.1:0", "zenoh", ends=False),
+    Call("seal keys new recorder.key", "seal"),
+    Call("cohort info . -o cohort", "cohort"),
+    Call(f"sync {STAR} --plot sync.svg", "plot"),
+)
+
+
+def fault(call: Call, installed: str, code: int, errors: str) -> str:
+    """Return what is wrong with the end of a call, or ``""``; ``installed`` is the extra of the environment."""
+    named = _NAMED.findall(errors)
+    if "Traceback" in errors:
+        return f"found a traceback ({errors.strip().splitlines()[-1]}), expected one line"
+    if call.extra in ("", installed) or installed in _ALSO.get(call.extra, ()):
+        return f"found that {named[0]} is absent, expected nothing absent" if named else ""
+    lines = errors.strip().splitlines()
+    right = call.extra in named or (call.extra == "view" and "needs Python" in errors)
+    if code == 1 and len(lines) == 1 and right:
+        return ""
+    return f"found code {code} and {lines[-1:]} of {len(lines)} lines, expected code 1 and one line with {call.extra}"
+
+
+def calls_in(installed: str) -> Iterator[Call]:
+    """Yield the calls that are tried beside an extra: without it all, with it those that end."""
+    for call in CALLS:
+        if call.ends or call.extra != installed:
+            yield call
+
+
+def write_inputs(folder: Path) -> None:
+    """Write a NIfTI volume and a pcapng file as far as their readers look before they need a library."""
+    header = (348).to_bytes(4, "little") + bytes(340) + b"n+1\0" + bytes(4)
+    (folder / "volume.nii.gz").write_bytes(gzip.compress(header))
+    (folder / "packets.pcapng").write_bytes(bytes.fromhex("0a0d0d0a1c0000004d3c2b1a01000000ffffffffffffffff1c000000"))
+
+
+def faults_of(python: str, extra: str, wheels: Path) -> list[str]:
+    """Install the wheel with an extra ("": plainly) for a Python, run the calls, return what is wrong."""
+    uv = str(Path(sys.executable).with_name("uv"))
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        subprocess.run([uv, "venv", "-q", "--python", python, folder / "venv"], check=True)
+        own = folder / "venv" / "bin"
+        wanted = f"igtl-gateway[{extra}]" if extra else "igtl-gateway"
+        limits = ("-c", str(ROOT / "constraints.txt"), "--find-links", str(wheels))
+        subprocess.run([uv, "pip", "install", "-q", "--python", own / "python", *limits, wanted], check=True)
+        write_inputs(folder)
+        found = []
+        for call in calls_in(extra):
+            done = subprocess.run(
+                [own / "igtl-gateway", *call.words.split()],
+                cwd=folder,
+                env=os.environ | {"PYTHONPATH": "", "XDG_CACHE_HOME": str(folder / "cache")},
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                text=True,
+                timeout=LONGEST_S,
+                check=False,
+            )
+            if text := fault(call, extra, done.returncode, done.stderr):
+                found.append(f"{python}, {extra or 'plain'}: {call.words}: {text}")
+        return found
+
+
+def build(folder: Path) -> None:
+    """Write the pure wheels of the package and of the laboratory."""
+    for source in (ROOT, ROOT / "lab"):
+        command = [sys.executable, "-m", "build", "--no-isolation", "--wheel", "--outdir", str(folder), str(source)]
+        subprocess.run(command, env=os.environ | {"IGTL_GATEWAY_PURE": "1"}, stdout=subprocess.DEVNULL, check=True)
+
+
+def main(args: Sequence[str] | None = None) -> int:
+    """Try all environments; 1 if a call ends otherwise than it must."""
+    parser = argparse.ArgumentParser(description="Install with each extra alone, and run the verbs.")
+    parser.add_argument("--python", action="append", metavar="PYTHON", help="(repeatable)")
+    parser.add_argument("--extras", default=",".join(("", *PURPOSES)), help="extras to try; an empty name: none")
+    parser.add_argument("--wheels", type=Path, metavar="FOLDER", help="wheels to install (default: built here)")
+    options = parser.parse_args(args)
+    with tempfile.TemporaryDirectory() as folder:
+        wheels = options.wheels or Path(folder)
+        if options.wheels is None:
+            build(wheels)
+        found = []
+        for python in options.python or [sys.executable]:
+            for extra in options.extras.split(","):
+                wrong = faults_of(python, extra, wheels)
+                print(f"{python}, {extra or 'plain'}: {len(wrong)} wrong", *wrong, sep="\n  ", flush=True)
+                found += wrong
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
