@@ -14,7 +14,7 @@ from igtl_gateway.base.errors import BeingRecorded, ConfigError, DamagedRecordin
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.text import parse_json
 from igtl_gateway.cli.common import count_text, print_damaged_indexes, size_text, utc_text
-from igtl_gateway.cli.info_source import recording_of
+from igtl_gateway.cli.info_source import STANDARD_INPUT, recording_of
 from igtl_gateway.cli.losses import DIRECTIONS, losses
 from igtl_gateway.cli.merge_output import print_merge
 from igtl_gateway.cli.next_steps import info_steps, print_next
@@ -95,13 +95,14 @@ def _run(options: argparse.Namespace, place: Path) -> int:
 def _run_damaged(options: argparse.Namespace, place: Path, error: DamagedRecording) -> int:
     """The same of whatever can be read: a finding, unless the recording has not ended yet."""
     growing = isinstance(error, BeingRecorded)
+    why = str(error).replace(str(place), str(options.file))
     with Salvage.open(place) as file:
         content = ContentSummary.of(file.entries())
         report = file.report
         summary = _facts(place, file, content, report.start_ns, report.end_ns)
         summary |= {"file": str(options.file), "skipped": []}
     summary["bytes"] = place.stat().st_size
-    summary |= {"being_recorded": True} if growing else {"damaged": {"why": str(error), **asdict(report)}}
+    summary |= {"being_recorded": True} if growing else {"damaged": {"why": why, **asdict(report)}}
     if options.json:
         print_json(summary)
         return 0 if growing else 1
@@ -110,8 +111,9 @@ def _run_damaged(options: argparse.Namespace, place: Path, error: DamagedRecordi
         return 0
     print_line("  DAMAGED")
     print_losses(report)
-    hint = recover_hint(options.file)
-    print_line(f"igtl-gateway info: {str(error).removesuffix(hint)}{hint}", error=True)
+    is_named = options.file != STANDARD_INPUT
+    hint = recover_hint(options.file if is_named else Path("FILE"))
+    print_line(f"igtl-gateway info: {why.removesuffix(recover_hint(options.file))}{hint}", error=True)
     return 1
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from igtl_gateway.base.addons import part_of
-from igtl_gateway.base.errors import ConfigError, UnsupportedRecording
+from igtl_gateway.base.errors import ConfigError, RecordingError, UnsupportedRecording
 from igtl_gateway.record.sessionfile.new_file import open_new
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.side_file import SIDE_FILE
@@ -38,7 +38,10 @@ def recording_of(path: Path) -> Iterator[Path]:
                 shutil.copyfileobj(sys.stdin.buffer, file)
         else:
             part_of("exchange", "as_session:write_session")(path, place)
-        yield place
+        try:
+            yield place
+        except RecordingError as error:  # it names the temporary file
+            raise type(error)(str(error).replace(str(place), str(path))) from None
 
 
 def _is_bag(path: Path) -> bool:

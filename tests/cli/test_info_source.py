@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import shutil
 import sqlite3
@@ -13,6 +14,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from igtl_gateway.cli import main
+from tests.tables import table
 
 CRTK = Path("fixtures/crtk.mcap")
 
@@ -55,3 +57,20 @@ def test_the_standard_input(
     monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: True))
     assert main(["info", "-"]) == 2
     assert "expected one: igtl-gateway info - < out.mcap" in capsys.readouterr().err
+
+
+@table(
+    "data, why",
+    [
+        (b"", "-: the file is empty"),
+        (b"\x00" * 99, "-: not an MCAP file"),
+        (CRTK.read_bytes()[:5000], "-: was cut off after 5,000 bytes; run: igtl-gateway recover FILE"),
+    ],
+)
+def test_a_damaged_standard_input_is_no_temporary_file(
+    data: bytes, why: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=io.BytesIO(data), isatty=lambda: False))
+    assert main(["info", "-"]) in (1, 2)
+    told = capsys.readouterr().err
+    assert f"igtl-gateway info: {why}" in told and "session.mcap" not in told
