@@ -41,6 +41,12 @@ TESTS = (
     "tests/wire", "tests/convert", "tests/native", "tests/gateway/fastpath", "tests/record/test_shared_queue.py",
     "tests/record/test_recorder.py", "tests/record/sessionfile",
 )  # fmt: skip
+#: What fails under qemu for other reasons: it ignores madvise, and the folder has no ruff.
+LEFT_OUT = (
+    "tests/record/test_shared_queue.py::test_memory_that_is_locked_stays",
+    "tests/record/test_shared_queue.py::test_what_a_burst_took_goes_back_to_the_system",
+    "tests/convert/test_igtl_msgs.py::test_the_classes_are_what_the_definitions_give",
+)
 #: ELF header: the number of the machine at offset 18.
 ELF_AARCH64 = (183).to_bytes(2, "little")
 _BINFMT = Path("/proc/sys/fs/binfmt_misc")
@@ -189,7 +195,10 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         copy_checkout(options.tree, cross_wheel(Path(folder)))
     with emulation():
-        return run_tests(options.tree, options.words or ["-m", "not slow and not ros", *TESTS])
+        return run_tests(
+            options.tree,
+            options.words or ["-m", "not slow and not ros", *(f"--deselect={name}" for name in LEFT_OUT), *TESTS],
+        )
 
 
 if __name__ == "__main__":
