@@ -271,6 +271,7 @@ UNMIRRORED = (
     "test_commit_message.py",  # tools/commit_message.py
     "test_contributing.py",  # Makefile, git hooks, workflow
     "test_defects.py",  # docs/evidence/defects.md
+    "test_judges.py",  # tools/judges
     "test_deploy.py",  # deploy/
     "test_docs.py",  # tools/docs.py
     "api/test_documents.py",  # docs/how-to/python-*.md
