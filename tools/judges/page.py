@@ -15,9 +15,10 @@ MARK = "<!-- measured by tools/judges, written by tools/docs.py -->"
 INTRODUCTION = """
 Programs of others, run against the gateway, and what each message became. A judge in `tools/judges` starts
 a bridge and the program, compares message by message, and writes `docs/evidence/real-programs/NAME.jsonl`; nothing is
-adjusted afterwards. *exact*: each field as the table of conversions has it. *differs*: how, and whose fault it is.
-*cannot*: the program has no means to send it. The number in brackets is that of the messages. A plus behind a commit:
-with changes that were not committed. The judges are not a part of the gate: they need the program.
+adjusted afterwards. *exact*: each field as the table of conversions has it, or all that the program prints.
+*differs*: how, and whose fault it is. *cannot*: the program has no means to send it. The number in brackets is that of
+the messages. A plus behind a commit: with changes that were not committed. The judges are not a part of the gate: they
+need the program.
 """
 
 

@@ -87,7 +87,7 @@ class PageServer:
             deadline_s=_DEADLINE_S,
             tls=tls.server() if tls else None,
         )
-        base = f"{'https' if secure else 'http'}://{self._server.address}/?token="
+        base = f"{'https' if secure else 'http'}://{self._server.reachable}/?token="
         self.link, self.spectators = base + tokens[0], base + tokens[1]
 
     def close(self) -> None:

@@ -39,17 +39,17 @@ class KnownHosts:
 
     Args:
         given: the name or address that the user listens on.
-        bound: the address of the socket; if it is that of all networks, each IP address is accepted, and the name of
-            this machine.
+        bound: the address of the socket; if it is that of all networks (``every``), each IP address is accepted, and
+            the name of this machine.
     """
 
     def __init__(self, given: str, bound: str) -> None:
-        self._every = ipaddress.ip_address(bound.partition("%")[0]).is_unspecified
+        self.every = ipaddress.ip_address(bound.partition("%")[0]).is_unspecified
         self._names = {_name(given), _name(bound), *_LOOPBACK_NAMES}
-        if self._every:
+        if self.every:
             own = _name(socket.gethostname())
             self._names |= {own, own.partition(".")[0], own.partition(".")[0] + ".local"}
-        self.expected = "an IP address or the name of this machine" if self._every else f"localhost or {given}"
+        self.expected = "an IP address or the name of this machine" if self.every else f"localhost or {given}"
 
     def __contains__(self, host: str) -> bool:
         """Return whether a ``Host`` of a request, with or without a port, is this machine."""
@@ -60,7 +60,7 @@ class KnownHosts:
             address = ipaddress.ip_address(name.partition("%")[0])
         except ValueError:
             return False
-        return self._every or address.is_loopback
+        return self.every or address.is_loopback
 
 
 def _name(host: str) -> str:
@@ -72,6 +72,7 @@ class LocalServer:
 
     Attributes:
         address: ``host:port`` that it listens on.
+        reachable: the same for a link: with the name of this machine if it listens on all networks.
 
     Args:
         host, port: address to listen on; port 0 chooses a free port.
@@ -96,6 +97,8 @@ class LocalServer:
     ) -> None:
         self._server = _Server(host, port, handler, AllowList(allow), deadline_s, tls)
         self.address = address_text(self._server.server_address)
+        port = self._server.server_address[1]
+        self.reachable = f"{socket.gethostname()}:{port}" if self._server.hosts.every else self.address
         serve = partial(self._server.serve_forever, _POLL_S)
         self._thread = threading.Thread(target=serve, name=name, daemon=True)
         self._thread.start()

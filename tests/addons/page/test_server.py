@@ -137,6 +137,14 @@ def test_the_table_is_in_the_documents() -> None:
     assert PAGE.read_text("utf-8").partition(BEGIN)[2].partition(END)[0] == table()
 
 
+def test_the_link_of_all_networks_has_the_name_of_this_machine() -> None:
+    server = PageServer("0.0.0.0", 0, Fake(), allow=("10.0.0.0/8",))
+    try:
+        assert urlsplit(server.link).hostname == socket.gethostname().lower()
+    finally:
+        server.close()
+
+
 def test_tls() -> None:
     server = PageServer("127.0.0.1", 0, Fake(), tls=TlsFiles(PEMS / "server.pem"))
     try:
