@@ -45,6 +45,8 @@ def test_parameters_and_settings_change_together(tmp_path: Path) -> None:
 
         assert shown() == (["SENSOR"], ["IMAGE"], 2.5)
         other.subscribe(EVENTS, "rcl_interfaces/msg/ParameterEvent")
+        # the bridge discovers endpoints in their order: when it answers a later client, it knows the subscriber
+        call("list_parameters", "ListParameters", {"prefixes": ["deny_in"], "depth": 1})
         bridge.change(deny_in=["STRING"], active=False, max_age_s=2.5)  # that is what it is: no event
         (event,) = [other.receive(EVENTS)]
         assert (event["node"], [each["name"] for each in event["changed_parameters"]]) == (NODE, ["deny_in"])

@@ -9,6 +9,7 @@ import pytest
 import igtl_gateway
 from igtl_gateway import Bridge
 from tests import domains
+from tests.edges.tcp.world import until
 from tests.integration.bridge import RosClient
 
 LOCAL = ["127.0.0.1:0"]
@@ -28,7 +29,7 @@ def test_a_text_on_the_topic_is_a_mark(tmp_path: Path) -> None:
         other.wait_readers(TOPIC)
         for text in ("+suture: first", "-other", "-suture", ""):
             other.publish(TOPIC, {"data": text})
-        other.wait_until(lambda: sum("mark" in note.code for note in bridge.notes) == 4, "marks")
+        until(lambda: sum("mark" in note.code for note in bridge.notes) == 4)
     with igtl_gateway.open(out) as recording:
         assert [(mark.label, mark.text, mark.who, mark.is_open) for mark in recording.marks] == [
             ("suture", "first", "ros", False)

@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import GatewayError, parse_json, written
+from igtl_gateway.addon import GatewayError, parse_json, write_text, written
 
 NAME = ".igtl-gateway-page.json"
 #: Bytes that are read, and recordings with results.
@@ -50,7 +50,7 @@ class Results:
             words = {each: {"mark": mark, "results": found} for each, (mark, found) in self._of.items()}
             if self._path:
                 with suppress(GatewayError, OSError), written(self._path, overwrite=True) as path:
-                    path.write_text(json.dumps(words), "utf-8")
+                    write_text(path, json.dumps(words))
 
 
 def _read(path: Path) -> dict[str, tuple[Mark, dict[str, str]]]:
