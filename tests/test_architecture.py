@@ -76,7 +76,7 @@ MOST_OF_CORE = {
     "lerobot": 7,
     "merge": 11,
     "page": 23,
-    "resim": 8,
+    "resim": 9,
     "review": 7,
     "sync": 4,
     "upload": 6,

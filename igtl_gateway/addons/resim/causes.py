@@ -1,6 +1,7 @@
 """Why runs differ: the programs run again, three times for each thing that may differ between runs and is now the same.
 
-The runs end at the first difference.  If they are equal now, that thing is the likely cause.
+The runs end at the first difference.  If they are equal now, that thing is the likely cause.  After `MOST_S` no run
+begins: the cause is not worth more.
 """
 
 from __future__ import annotations
@@ -9,9 +10,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, run
+from igtl_gateway.addon import NS_PER_S, GatewayError, SystemClock
+from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, Run, run
 from igtl_gateway.addons.resim.verdict import Verdict, compare
 
+#: Real seconds after which no run begins.
+MOST_S = 60
 #: Of each try: two may be equal by chance.
 _RUNS = 3
 #: Session time behind the first difference: the message has to be there.
@@ -41,6 +45,8 @@ _CAUSES = (
     _Cause("random numbers without a seed", env={"IGTL_GATEWAY_RESIM_RANDOM": "1"}),
     _Cause("the order of addresses in memory", command=("setarch", "-R")),
 )
+#: With ties and all causes at once.
+MOST_RUNS = _RUNS * (len(_CAUSES) + 2)
 _TIES = "which of two events of one time is first"
 _SEVERAL = "several: the wall clock, hashes, random numbers or addresses"
 _OTHER = "threads that race, or something outside of the session"
@@ -60,19 +66,24 @@ def likely_cause(
     if not verdict.unequal_run or first is None:
         return ""
     shorter = replace(options, runs=_RUNS, until_ns=first.time_ns + _BEHIND_NS)
-    if options.swap_ties:
-        shorter = replace(shorter, swap_ties=False)
-        if _is_equal(recording, programs, shorter, folder):
-            return _TIES
-    for cause in _CAUSES:
-        if _is_equal(
-            recording, _with(programs, cause), replace(shorter, clocks=cause.clocks or options.clocks), folder
-        ):
-            return cause.text
-    every = programs
-    for cause in _CAUSES:
-        every = _with(every, cause)
-    return _SEVERAL if _is_equal(recording, every, replace(shorter, clocks=Clocks.SESSION), folder) else _OTHER
+    tries = _Tries(recording, folder)
+    try:
+        if options.swap_ties:
+            shorter = replace(shorter, swap_ties=False)
+            if tries.is_equal(programs, shorter):
+                return _TIES
+        every = programs
+        for cause in _CAUSES:
+            every = _with(every, cause)
+            if tries.is_equal(_with(programs, cause), replace(shorter, clocks=cause.clocks or options.clocks)):
+                return cause.text
+        return _SEVERAL if tries.is_equal(every, replace(shorter, clocks=Clocks.SESSION)) else _OTHER
+    except _Late:
+        return f"not found within {MOST_S} s"
+
+
+class _Late(GatewayError):
+    """The time of all tries is over."""
 
 
 def _with(programs: Sequence[Program], cause: _Cause) -> list[Program]:
@@ -82,6 +93,16 @@ def _with(programs: Sequence[Program], cause: _Cause) -> list[Program]:
     ]
 
 
-def _is_equal(recording: Path, programs: Sequence[Program], options: ResimOptions, folder: Path) -> bool:
-    found = compare(run(recording, programs, options, folder))
-    return found.is_deterministic
+class _Tries:
+    """Runs the programs again; raises _Late after a run that ends too late."""
+
+    def __init__(self, recording: Path, folder: Path) -> None:
+        self._recording, self._folder, self._clock = recording, folder, SystemClock()
+        self._end_ns = self._clock.monotonic_ns() + MOST_S * NS_PER_S
+
+    def is_equal(self, programs: Sequence[Program], options: ResimOptions) -> bool:
+        return compare(run(self._recording, programs, options, self._folder, on_run=self._look)).is_deterministic
+
+    def _look(self, _one: Run) -> None:
+        if self._clock.monotonic_ns() > self._end_ns:
+            raise _Late

@@ -42,6 +42,7 @@ from igtl_gateway.addons.resim.link import Gone, Listener
 from igtl_gateway.addons.resim.outputs import OutputFile, OutputStream
 from igtl_gateway.addons.resim.processes import Process, command_of, cpu_with_children_s, is_computing
 from igtl_gateway.addons.resim.services import recorded_services
+from igtl_gateway.base.systems.signals import endings_held
 
 #: Nothing traces the program, so it does not wait for LTTng.
 _ENVIRONMENT = {"LTTNG_UST_REGISTER_TIMEOUT": "0"}
@@ -222,6 +223,7 @@ def run(
         ConfigError: nothing to run, another middleware, or an invalid folder.
         Unavailable: the library is not built on this machine.
         RecordingError: the recording cannot be read.
+        KeyboardInterrupt: Ctrl-C; the programs have ended, and the files of outputs are closed.
     """
     if not programs or not all(program.command for program in programs):
         raise ConfigError("found no program, expected one behind --")
@@ -251,13 +253,18 @@ def run(
                 result.roles = roles
                 on_roles(roles)
 
-        one = Run(number, folder / f"run-{number}.mcap")
+        one = Run(number, run_file(folder, number))
         result.runs.append(one)
         _run_once(recording, programs, replaced, options, library, one, take)
         on_run(one)
         if one.fault:
             break
     return result
+
+
+def run_file(folder: Path, number: int) -> Path:
+    """Where the outputs of a run go."""
+    return folder / f"run-{number}.mcap"
 
 
 def _run_once(
@@ -288,6 +295,7 @@ def _run_once(
                 raise ProgramFault(f"{', '.join(asked)}: {why}; --without TOPIC runs the programs without it")
 
     with ExitStack() as stack:
+        look_for_signals = stack.enter_context(endings_held())
         file = stack.enter_context(SessionFile.open(recording))
         outputs = OutputFile(one.outputs, recording.name, overwrite=True)
         stack.callback(outputs.close)
@@ -297,7 +305,7 @@ def _run_once(
         listener = Listener(place)
         stack.callback(listener.close)
         processes: list[Process] = []
-        watch = _Watch(processes, clock, options)
+        watch = _Watch(processes, clock, options, look_for_signals)
         coordinator: Coordinator | None = None
         try:
             peers = []
@@ -393,8 +401,11 @@ class _Started:
 class _Watch:
     """Looks after the processes while they are waited for: whether they run, and what time they use."""
 
-    def __init__(self, processes: list[Process], clock: SystemClock, options: ResimOptions) -> None:
+    def __init__(
+        self, processes: list[Process], clock: SystemClock, options: ResimOptions, look_for_signals: Callable[[], None]
+    ) -> None:
         self._processes, self._clock, self._options = processes, clock, options
+        self._look_for_signals = look_for_signals
         self._looked_ns = self._waited_ns = self._idle_ns = 0
         self._cpu_s: dict[int, float] = {}
         self._children: dict[int, _Started] = {}
@@ -406,8 +417,9 @@ class _Watch:
         self.remarks: set[str] = set()
 
     def begin(self) -> None:
-        """An event happened: the time of the next one begins."""
+        """An event happened: the time of the next one begins.  Raises KeyboardInterrupt after Ctrl-C."""
         self._looked_ns = 0
+        self._look_for_signals()
 
     def take(self, peer: Peer, remark: Remark) -> None:
         """Take a remark of a program."""
@@ -430,7 +442,8 @@ class _Watch:
                     self.remarks.add(f"{each.name}: has loaded {name}: what a GPU computes may differ from run to run")
 
     def look(self) -> None:
-        """Raise ProgramFault if a process has ended, hangs, or is busy without end."""
+        """Raise ProgramFault if a process has ended, hangs, or is busy; KeyboardInterrupt after Ctrl-C."""
+        self._look_for_signals()
         options = self._options
         now_ns = self._clock.monotonic_ns()
         if not self._looked_ns:

@@ -101,35 +101,8 @@ class Inputs:
     """
 
     def __init__(self, file: SessionFile, links: Collection[int] = ()) -> None:
-        self._coming = self._read(file, links)
+        self._coming = _read(file, links)
         self._waiting: deque[RecordedInput] = deque()
-
-    def _read(self, file: SessionFile, links: Collection[int]) -> Iterator[RecordedInput]:
-        kinds = _ROS | {Kind.IGTL_OUT} if links else _ROS
-        number = 0
-        has_clock = any(channel.topic == CLOCK for channel in file.channels)
-        clock_ns = NEVER if has_clock else file.start_ns
-        for entry in file.entries_of_kinds(kinds):
-            if entry.seq and entry.kind in kinds:
-                stamp_ns = entry.stamp_ns
-                while clock_ns <= stamp_ns:
-                    number += 1
-                    yield _clock(number, clock_ns)
-                    clock_ns += _CLOCK_NS
-                if entry.kind is Kind.IGTL_OUT:
-                    for link in filter(links.__contains__, entry.links):
-                        number += 1
-                        name = input_name(link, entry.channel)
-                        yield RecordedInput(number, stamp_ns, name, entry.type, entry.data(), stamp_ns, True)
-                    continue
-                number += 1
-                source_ns = entry.source_ns or stamp_ns
-                ours = entry.kind is Kind.ROS_OUT
-                yield RecordedInput(number, stamp_ns, entry.channel, entry.type, entry.data(), source_ns, ours)
-        while clock_ns <= file.end_ns:
-            number += 1
-            yield _clock(number, clock_ns)
-            clock_ns += _CLOCK_NS
 
     def peek(self) -> RecordedInput | None:
         """The next message; None at the end."""
@@ -147,3 +120,31 @@ class Inputs:
     def give_back(self, message: RecordedInput) -> None:
         """Put a message back, before all others."""
         self._waiting.appendleft(message)
+
+
+def _read(file: SessionFile, links: Collection[int]) -> Iterator[RecordedInput]:
+    kinds = _ROS | {Kind.IGTL_OUT} if links else _ROS
+    number = 0
+    has_clock = any(channel.topic == CLOCK for channel in file.channels)
+    clock_ns = NEVER if has_clock else file.start_ns
+    for entry in file.entries_of_kinds(kinds):
+        if entry.seq and entry.kind in kinds:
+            stamp_ns = entry.stamp_ns
+            while clock_ns <= stamp_ns:
+                number += 1
+                yield _clock(number, clock_ns)
+                clock_ns += _CLOCK_NS
+            if entry.kind is Kind.IGTL_OUT:
+                for link in filter(links.__contains__, entry.links):
+                    number += 1
+                    name = input_name(link, entry.channel)
+                    yield RecordedInput(number, stamp_ns, name, entry.type, entry.data(), stamp_ns, True)
+                continue
+            number += 1
+            source_ns = entry.source_ns or stamp_ns
+            ours = entry.kind is Kind.ROS_OUT
+            yield RecordedInput(number, stamp_ns, entry.channel, entry.type, entry.data(), source_ns, ours)
+    while clock_ns <= file.end_ns:
+        number += 1
+        yield _clock(number, clock_ns)
+        clock_ns += _CLOCK_NS

@@ -31,9 +31,9 @@ from igtl_gateway.addon import (
     written,
 )
 from igtl_gateway.addons.resim.bisect import Step, bisect, bisection_facts
-from igtl_gateway.addons.resim.causes import likely_cause
+from igtl_gateway.addons.resim.causes import MOST_RUNS, MOST_S, likely_cause
 from igtl_gateway.addons.resim.coordinator import Roles
-from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, Run, RunResult
+from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, Run, RunResult, run_file
 from igtl_gateway.addons.resim.engine import run as run_programs
 from igtl_gateway.addons.resim.igtl_peer import IgtlRole, check_role
 from igtl_gateway.addons.resim.races import find_race
@@ -198,29 +198,29 @@ def run(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="igtl-resim-")))
         is_text = not options.json
-        result = run_programs(
-            options.file,
-            programs,
-            settings,
-            folder,
-            on_roles=_print_roles if is_text else lambda roles: None,
-            on_run=_print_run if is_text else lambda run: None,
-        )
+        try:
+            result = run_programs(
+                options.file,
+                programs,
+                settings,
+                folder,
+                on_roles=_print_roles if is_text else lambda roles: None,
+                on_run=_print_run if is_text else lambda run: None,
+            )
+        except KeyboardInterrupt:
+            _keep(options, folder)
+            raise
         reference = options.baseline or options.file
         verdict = compare(result, reference=reference, tolerance=tolerance, outputs=settings.outputs)
+        _keep(options, folder)
         if verdict.unequal_run:
             again = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="igtl-resim-")))
+            if is_text:
+                print_line(f"looking for the cause in up to {MOST_RUNS} shorter runs, for at most {MOST_S} s")
             verdict.cause = likely_cause(options.file, programs, settings, verdict, again)
         elif verdict.is_deterministic:
             again = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="igtl-resim-")))
             verdict.race = find_race(result, programs, settings, again)
-        if options.record and result.runs and result.runs[0].outputs.is_file():
-            with (
-                written(options.record, overwrite=options.overwrite) as place,
-                result.runs[0].outputs.open("rb") as source,
-                open_new(place, "wb") as copy,
-            ):
-                shutil.copyfileobj(source, copy)
         if options.junit:
             with written(options.junit, overwrite=options.overwrite) as place:
                 write_bytes(place, junit_xml(result, verdict, settings.outputs))
@@ -229,6 +229,18 @@ def run(options: argparse.Namespace) -> int:
     else:
         _print_verdict(result, verdict)
     return verdict.exit_code
+
+
+def _keep(options: argparse.Namespace, folder: Path) -> None:
+    """Write ``--record``: the outputs of the first run, also if it was interrupted."""
+    outputs = run_file(folder, 1)
+    if options.record and outputs.is_file():
+        with (
+            written(options.record, overwrite=options.overwrite) as place,
+            outputs.open("rb") as source,
+            open_new(place, "wb") as copy,
+        ):
+            shutil.copyfileobj(source, copy)
 
 
 def _run_bisect(

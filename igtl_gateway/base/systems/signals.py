@@ -61,6 +61,38 @@ def endings_interrupt() -> Iterator[None]:
 
 
 @contextmanager
+def endings_held() -> Iterator[Callable[[], None]]:
+    """Context manager: what asks a program to end waits for a good moment: the call of the value, or the end of it.
+
+    A handler that raises does so between any two steps of the main thread, such as after a lock was taken and before
+    the block that releases it: whoever waits for that lock then waits forever, and a process that was just started is
+    known to nobody.  Here its handler runs at that moment instead.
+    """
+    came: list[int] = []
+
+    def on_signal(number: int, _frame: Any) -> None:
+        came.append(number)
+
+    ours = threading.current_thread() is threading.main_thread()
+    before = {number: handler for number in ENDINGS if ours and callable(handler := signal.getsignal(number))}
+
+    def look() -> None:
+        if came:
+            number = came[0]
+            came.clear()  # one is enough: timeout(1) sends two
+            before[signal.Signals(number)](number, None)
+
+    for number in before:
+        signal.signal(number, on_signal)
+    try:
+        yield look
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        look()
+
+
+@contextmanager
 def signals_in_thread(
     actions: Mapping[signal.Signals, Callable[[], None]], name: str, *, once: bool = False
 ) -> Iterator[None]:

@@ -64,7 +64,8 @@ def _in_turn(
 ) -> Iterator[tuple[ChunkEntry, list[Row] | None]]:
     """One chunk after the other."""
     waiting: deque[tuple[ChunkEntry, Future[bytes] | None]] = deque()
-    with ThreadPoolExecutor(1, "igtl-unpack") as thread:
+    thread = ThreadPoolExecutor(1, "igtl-unpack")
+    try:
         for chunk in chunks:
             while waiting and (len(waiting) > _AHEAD or chunk.size > SMALL_BYTES):
                 yield from _taken(*waiting.popleft())
@@ -77,6 +78,9 @@ def _in_turn(
                 yield from _taken(*waiting.popleft())
         while waiting:
             yield from _taken(*waiting.popleft())
+    finally:
+        # the garbage collection may do this in any thread, under any lock of the interpreter: nothing is waited for
+        thread.shutdown(wait=False, cancel_futures=True)
 
 
 def _taken(chunk: ChunkEntry, unpacking: Future[bytes] | None) -> Iterator[tuple[ChunkEntry, list[Row] | None]]:

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from igtl_gateway.addons.resim import causes
 from igtl_gateway.addons.resim.causes import likely_cause
-from igtl_gateway.addons.resim.engine import ResimOptions
+from igtl_gateway.addons.resim.engine import ResimOptions, Run
 from tests.addons.resim import sessions
 from tests.addons.resim.runs import judged, program
 
@@ -32,3 +35,22 @@ def test_the_cause_is_named(tmp_path: Path, what: str, cause: str) -> None:
     assert found == cause
     verdict.cause = found
     assert verdict.line().endswith(cause)
+
+
+def test_the_cause_is_not_looked_for_without_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(40))
+    _, verdict = judged(recording, tmp_path, "planted wall", runs=2)
+    monkeypatch.setattr(causes, "MOST_S", 0)
+    numbers: list[int] = []
+    begin = causes.run
+
+    def counted(*arguments: Any, on_run: Callable[[Run], None]) -> Any:
+        def take(one: Run) -> None:
+            numbers.append(one.number)
+            on_run(one)
+
+        return begin(*arguments, on_run=take)
+
+    monkeypatch.setattr(causes, "run", counted)
+    cause = likely_cause(recording, [program("planted", "wall")], ResimOptions(), verdict, tmp_path)
+    assert (cause, numbers) == ("not found within 0 s", [1])

@@ -5,29 +5,34 @@ from __future__ import annotations
 import fcntl
 import os
 import platform
+import random
 import re
+import signal
+import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pytest
 
-from igtl_gateway.addon import ConfigError
+from igtl_gateway.addon import ConfigError, SessionFile
 from igtl_gateway.addons.resim import engine
 from igtl_gateway.addons.resim.coordinator import ProgramFault
-from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, run
+from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, run, run_file
 from igtl_gateway.addons.resim.verdict import compare
 from igtl_gateway.base.clock import ManualClock
 from tests.addons.resim import sessions
-from tests.addons.resim.runs import judged, published, strings
+from tests.addons.resim.runs import PROGRAMS, compiled, judged, published, strings
 
 pytestmark = [pytest.mark.ros, pytest.mark.skipif(not find_spec("rclpy"), reason="needs ROS 2")]
 
 
-def _processes(mark: str) -> list[str]:
+def processes_with(mark: str) -> list[str]:
     """Commands of running processes with a word in their environment."""
     found = []
     for place in Path("/proc").glob("[0-9]*"):
@@ -72,7 +77,7 @@ def test_a_fault_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wh
     assert verdict.fault.startswith(line)
     assert "\n" not in verdict.line()
     assert len(result.runs) == 1
-    assert _processes(mark) == []
+    assert processes_with(mark) == []
     if what in ("ends", "raises", "crashes", "forks", "spawns"):
         assert len(published(result.runs[0].outputs, "/out")) in (19, 20)  # the outputs so far
 
@@ -81,7 +86,7 @@ def test_a_fault_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wh
 def test_a_program_that_waits_for_a_processor_does_not_hang(is_computing: bool, limit_s: float) -> None:
     """Beside a load of 50, a program gets 1 % of a processor: it computes, as its states show."""
     clock, program = ManualClock(), Waiting(is_computing)
-    watch = engine._Watch([program], clock, ResimOptions(wall_s=1.0))  # type: ignore[list-item, arg-type]
+    watch = engine._Watch([program], clock, ResimOptions(wall_s=1.0), lambda: None)  # type: ignore[list-item, arg-type]
     with pytest.raises(ProgramFault, match=r"did not come to rest within 1 s \(the wall limit\)"):
         while True:
             clock.advance(100_000_000)
@@ -200,3 +205,69 @@ def test_another_middleware_is_refused_by_name(tmp_path: Path) -> None:
     zenoh = Program(("true",), env={"RMW_IMPLEMENTATION": "rmw_zenoh_cpp"})
     with pytest.raises(ConfigError, match="found RMW_IMPLEMENTATION=rmw_zenoh_cpp, expected rmw_fastrtps_cpp"):
         run(recording, [zenoh], ResimOptions(), tmp_path)
+
+
+def beside_calls(action: Callable[[], None], on_call: Callable[[int], None]) -> None:
+    """Do something, and call a function with the number of each call of a function by the main thread."""
+    count = 0
+
+    def look(frame: Any, event: str, argument: Any) -> None:
+        nonlocal count
+        count += event != "return"
+        on_call(count)
+
+    sys.setprofile(look)
+    try:
+        action()
+    finally:
+        sys.setprofile(None)
+
+
+def test_ctrl_c_at_any_moment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mark = f"mark-{os.getpid()}-interrupts"
+    monkeypatch.setenv("MARK_OF_THIS_TEST", mark)
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(5))
+    programs = [Program((str(compiled("echo", tmp_path)),))]
+
+    def once() -> None:
+        run(recording, programs, ResimOptions(runs=1), tmp_path)
+
+    once()  # it imports
+    calls = [0]
+    beside_calls(once, lambda number: calls.__setitem__(0, number))
+    chance = random.Random(1)
+    for _ in range(12):
+        moments = sorted(chance.sample(range(100, calls[0] * 9 // 10), 2))
+
+        def interrupt(number: int, moments: list[int] = moments) -> None:
+            if number in moments:
+                signal.raise_signal(signal.SIGINT)
+
+        with pytest.raises(KeyboardInterrupt):
+            beside_calls(once, interrupt)
+        assert processes_with(mark) == [], moments
+        assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+        if (path := run_file(tmp_path, 1)).exists():
+            SessionFile.open(path).close()
+            path.unlink()
+    assert not [each.name for each in threading.enumerate() if each.name.startswith("igtl-resim")]
+
+
+def test_two_signals_as_of_timeout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    mark = f"mark-{os.getpid()}-two"
+    monkeypatch.setenv("MARK_OF_THIS_TEST", mark)
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(20))
+    command = [sys.executable, "-m", "igtl_gateway", "resim", str(recording), "--runs", "1000"]
+    command += ["--record", str(tmp_path / "kept.mcap"), "--", sys.executable, str(PROGRAMS / "single.py")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as gateway:
+        assert gateway.stdout
+        for line in gateway.stdout:
+            if line.startswith("run 1:"):
+                break
+        for _ in range(2):
+            gateway.send_signal(signal.SIGTERM)
+        _, errors = gateway.communicate(timeout=60)
+    assert (gateway.returncode, errors.strip()) == (2, "igtl-gateway resim: interrupted")
+    assert processes_with(mark) == []
+    with SessionFile.open(tmp_path / "kept.mcap") as file:
+        assert any(channel.topic == "/out" and channel.count for channel in file.channels)

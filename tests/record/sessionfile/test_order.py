@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import random
+import threading
 import tracemalloc
 from dataclasses import replace
 from io import BytesIO
@@ -56,6 +58,19 @@ def test_chunks_in_turn_are_not_all_read_at_once() -> None:
     index = read_index(Path("a"), stream)
     found = message_rows(stream, index, "a", is_wanted=lambda chunk: chunk.start_ns == 19)
     assert [rows is None for _, rows in found] == [True] * 19 + [False]
+
+
+def test_messages_that_nobody_takes_are_given_up_without_a_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The garbage collection did it in a thread that just started, under a lock which the wait needs, too."""
+    data = bag(*(Chunk((*DEFINITIONS, *messages(at, at))) for at in range(20))).finish()
+    stream = BytesIO(data)
+    found = message_rows(stream, read_index(Path("a"), stream), "a")
+    next(found)
+    waits: list[threading.Thread] = []
+    monkeypatch.setattr(threading.Thread, "join", waits.append)
+    del found
+    gc.collect()
+    assert waits == []
 
 
 def test_chunks_that_overlap_are_held_within_the_limit() -> None:
