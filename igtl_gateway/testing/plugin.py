@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -67,7 +68,7 @@ def _igtl_resim(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPat
 
     Runs ROS 2 programs on a recording, several times, in session time; returns the ``Resimulation``.  Its ``outputs``
     are kept as long as ``tmp_path``.  The arguments are those of ``igtl_gateway.resim``; programs run in the folder of
-    the test.  Needs the add-on resim.
+    the test.  A timer that races a topic is a warning, and a property of the test in JUnit.  Needs the add-on resim.
     """
     from igtl_gateway.base.addons import part_of
 
@@ -86,6 +87,9 @@ def _igtl_resim(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPat
             raise AssertionError(str(found))
         if not found.inputs:
             raise AssertionError(f"the programs received nothing of {recording}, expected an input\n{found}")
+        if found.race:
+            request.node.user_properties.append(("igtl_resim_race", found.race))
+            warnings.warn(found.race, stacklevel=2)
         return found
 
     return check

@@ -11,6 +11,7 @@ from pathlib import Path
 from igtl_gateway.addon import NS_PER_MS, NS_PER_S, ConfigError, SessionFile
 from igtl_gateway.addons.resim.causes import likely_cause
 from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, RunResult, run
+from igtl_gateway.addons.resim.races import find_race
 from igtl_gateway.addons.resim.recipe import command_of
 from igtl_gateway.addons.resim.report import report_lines
 from igtl_gateway.addons.resim.verdict import Difference, Verdict, compare
@@ -41,6 +42,11 @@ class Resimulation:
     def is_deterministic(self) -> bool:
         """Whether all runs came to their end and are equal."""
         return self.verdict.is_deterministic
+
+    @property
+    def race(self) -> str:
+        """The timer that races an input, in a line; ``""`` for none.  The runs may be equal nevertheless."""
+        return self.verdict.race.text(self.verdict.start_ns) if self.verdict.race else ""
 
     @property
     def inputs(self) -> int:
@@ -129,18 +135,20 @@ def resim(
         cpu_s=cpu_limit_s,
     )
     path = Path(recording)
+    commands = [_program(each, cwd) for each in programs]
     if baseline:  # before the programs run
         SessionFile.open(Path(baseline)).close()
     with tempfile.TemporaryDirectory(prefix="igtl-resim-") as temporary:
         place = Path(folder or temporary)
-        result = run(path, [_program(each, cwd) for each in programs], options, place)
+        result = run(path, commands, options, place)
         reference = Path(baseline) if baseline else path
         tolerance = Tolerance(tolerance_mm, tolerance_deg)
         verdict = compare(result, reference=reference, tolerance=tolerance, outputs=options.outputs)
-        if verdict.unequal_run:
-            with tempfile.TemporaryDirectory(prefix="igtl-resim-") as again:
-                commands = [_program(each, cwd) for each in programs]
+        with tempfile.TemporaryDirectory(prefix="igtl-resim-") as again:
+            if verdict.unequal_run:
                 verdict.cause = likely_cause(path, commands, options, verdict, Path(again))
+            elif verdict.is_deterministic:
+                verdict.race = find_race(result, commands, options, Path(again))
         return Resimulation(result, verdict)
 
 

@@ -65,8 +65,8 @@ def endings_held() -> Iterator[Callable[[], None]]:
     """Context manager: what asks a program to end waits for a good moment: the call of the value, or the end of it.
 
     A handler that raises does so between any two steps of the main thread, such as after a lock was taken and before
-    the block that releases it: whoever waits for that lock then waits forever, and a process that was just started is
-    known to nobody.  Here its handler runs at that moment instead.
+    the block that releases it: the next to wait for that lock waits forever, and a process that was just started is
+    not known yet.  Here its handler runs at that moment instead.
     """
     came: list[int] = []
 

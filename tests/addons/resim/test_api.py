@@ -39,6 +39,10 @@ def test_within_the_tolerance(igtl_resim):
 def test_a_crash(igtl_resim):
     igtl_resim("in.mcap", PLANNER, runs=1)
 
+def test_a_race(igtl_resim):
+    found = igtl_resim("in7.mcap", [sys.executable, "planted.py", "timer"], runs=2)
+    assert found.is_deterministic and found.race.startswith("a timer races /in: /out, message 21 at ")
+
 def test_no_baseline(igtl_resim):
     igtl_resim("in.mcap", PLANNER, baseline="none.mcap")
 
@@ -52,7 +56,10 @@ NODE = "import rclpy; rclpy.init(); rclpy.spin(rclpy.create_node('idle'))"
 def _folder(tmp_path: Path) -> Path:
     """A folder with the planner, a recording of 600 poses, and the outputs of a good run."""
     recording = sessions.write(tmp_path / "in.mcap", sessions.poses(600))
-    (tmp_path / "planner.py").write_bytes((PROGRAMS / "planner.py").read_bytes())
+    rows = [(7_000_000 * number, *row[1:]) for number, row in enumerate(sessions.texts(40), 1)]
+    sessions.write(tmp_path / "in7.mcap", rows)
+    for name in ("planner.py", "planted.py"):
+        (tmp_path / name).write_bytes((PROGRAMS / name).read_bytes())
     (tmp_path / "runs").mkdir()
     found = igtl_gateway.resim(
         recording, [sys.executable, "planner.py", "none"], runs=1, cwd=tmp_path, folder=tmp_path / "runs"
@@ -74,7 +81,8 @@ class TestTheFixture:
         folder = _folder(tmp_path)
         (folder / "test_it.py").write_text(TESTS, "utf-8")
         result = run_pytest(folder)
-        assert "4 failed, 2 passed" in result.stdout, result.stdout + result.stderr
+        assert "4 failed, 3 passed, 1 warning" in result.stdout, result.stdout + result.stderr
+        assert "UserWarning: a timer races /in: /out, message 21 at 0.140000 s" in result.stdout
         assert (
             "AssertionError: DIFFERENT from good.mcap in 1 of 1 streams (1 run): "
             "/plan, message 500 at 4.990000 s: transform.qw is" in result.stdout

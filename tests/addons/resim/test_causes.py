@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.addons.resim import causes
+from igtl_gateway.addons.resim import causes, engine
 from igtl_gateway.addons.resim.causes import likely_cause
 from igtl_gateway.addons.resim.engine import ResimOptions, Run
 from tests.addons.resim import sessions
@@ -42,7 +42,7 @@ def test_the_cause_is_not_looked_for_without_end(tmp_path: Path, monkeypatch: py
     _, verdict = judged(recording, tmp_path, "planted wall", runs=2)
     monkeypatch.setattr(causes, "MOST_S", 0)
     numbers: list[int] = []
-    begin = causes.run
+    begin = engine.run
 
     def counted(*arguments: Any, on_run: Callable[[Run], None]) -> Any:
         def take(one: Run) -> None:

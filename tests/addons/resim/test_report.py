@@ -14,7 +14,7 @@ from igtl_gateway.addons.resim.coordinator import Roles
 from igtl_gateway.addons.resim.engine import Run, RunResult
 from igtl_gateway.addons.resim.outputs import OutputStream
 from igtl_gateway.addons.resim.report import junit_xml, report_lines
-from igtl_gateway.addons.resim.verdict import Difference, StreamVerdict, Verdict
+from igtl_gateway.addons.resim.verdict import Difference, Race, StreamVerdict, Verdict
 from igtl_gateway.replay.compare import Delta
 
 #: Element → the attributes that it must have, those that it may have, and its children.
@@ -22,6 +22,8 @@ RULES: dict[str, tuple[set[str], set[str], set[str]]] = {
     "testsuites": (set(), {"name", "time", "tests", "failures", "disabled", "errors"}, {"testsuite"}),
     "testsuite": ({"name", "tests"}, {"failures", "errors", "time", "skipped"}, {"testcase", "properties"}),
     "testcase": ({"name"}, {"classname", "time"}, {"skipped", "error", "failure"}),
+    "properties": (set(), set(), {"property"}),
+    "property": ({"name", "value"}, set(), set()),
     "failure": (set(), {"message", "type"}, set()),
     "error": (set(), {"message", "type"}, set()),
     "skipped": (set(), {"message", "type"}, set()),
@@ -43,7 +45,8 @@ def parsed(result: RunResult, verdict: Verdict) -> dict[str, tuple[str, str]]:
         assert float(parent.attrib["time"]) >= 0
     assert int(suite.attrib["skipped"]) == len(list(suite.iter("skipped")))
     return {
-        case.attrib["name"]: (case[0].tag, case[0].attrib["message"]) if len(case) else ("passed", "") for case in suite
+        case.attrib["name"]: (case[0].tag, case[0].attrib["message"]) if len(case) else ("passed", "")
+        for case in suite.iter("testcase")
     }
 
 
@@ -94,6 +97,14 @@ def test_runs_that_differ() -> None:
     found = parsed(result_of("/a", "/b"), verdict)
     assert [outcome for outcome, _ in found.values()] == ["failure", "skipped", "failure"]
     assert "NOT DETERMINISTIC: run 2 differs from run 1: /b, message 4" in found["deterministic: 2 runs"][1]
+
+
+def test_a_race_is_a_property() -> None:
+    race = Race(Difference("/out", 4, 7_000_000, "differs", 0, Delta("data", 1, 2)), "/in", 13_700_000)
+    verdict = Verdict(2, 0, race=race, reference=Path("good.mcap"), streams=[StreamVerdict("/out", 3, 3)])
+    assert parsed(result_of("/out"), verdict)["deterministic: 2 runs"] == ("passed", "")
+    (found,) = ElementTree.fromstring(junit_xml(result_of("/out"), verdict)).iter("property")
+    assert found.attrib["value"].startswith("a timer races /in: /out, message 4 at 0.007000 s: data is 1 and 2, if the")
 
 
 def test_a_program_that_ends() -> None:
