@@ -89,10 +89,12 @@ def _shoot(page: Browser, out: Path) -> None:
     time.sleep(4)
     shot("recording")
     page.click("nav button", "Sessions")
-    page.wait("!document.querySelector('#sessions').textContent.includes('reading')", 400)
+    page.wait(
+        "document.querySelectorAll('tr.pick').length > 4 && !/reading|not read/.test($('sessions').textContent)", 400
+    )
     page.click("button.link", "star.mcap")
     page.click("button", "Review")
-    page.wait("document.querySelector('.jobs')?.textContent.match(/good/)", 500)
+    page.wait("/good|failed/.test(document.querySelector('.jobs')?.textContent)", 500)
     page.click("button", "Verify")
     time.sleep(2)
     shot("sessions")

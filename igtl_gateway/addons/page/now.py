@@ -157,7 +157,7 @@ class Now:
                         "rate_hz": rate_hz,
                         "spark": list(seen.spark),
                         "age_s": (now_ns - seen.moved_ns) / 1e9,
-                        "gap_s": seen.gap_ns / 1e9 if seen.rhythm else None,
+                        "gap_s": max(seen.gap_ns, now_ns - seen.moved_ns) / 1e9 if seen.rhythm else None,
                         "latency_ms": _milliseconds(one["age_ns"] for one in ones),
                         "received": seen.received,
                         "dropped": sum(dropped.values()) if lost else 0,

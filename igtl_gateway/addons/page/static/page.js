@@ -15,6 +15,7 @@ function h(tag, props, ...children) {
   if (classes.length) made.className = classes.join(" ");
   for (const [key, value] of Object.entries(props || {})) {
     if (key.startsWith("on")) made.addEventListener(key.slice(2), value);
+    else if (key.startsWith("aria-")) made.setAttribute(key, value);  // "true" and "false" are words there
     else if (value === true) made.setAttribute(key, "");
     else if (value !== false && value != null) made.setAttribute(key, value);
   }
@@ -265,7 +266,7 @@ function drawNow() {
   }
   const wrong = state.wrong, total = now.inputs;
   const worst = [...now.streams, ...now.links].map((row) => row.state).sort((a, b) => "error silent warning waiting ok".indexOf(a) - "error silent warning waiting ok".indexOf(b))[0] || "waiting";
-  const title = !total && !wrong ? "No messages yet" : wrong ? `${count(wrong, "thing needs", "things need")} attention` : `All ${count(total, "stream")} arrive`;
+  const title = !total && !wrong ? "No messages yet" : wrong ? `${count(wrong, "thing needs", "things need")} attention` : total === 1 ? "The stream arrives" : `All ${number(total)} streams arrive`;
   part(at.lead, [title, worst, total, now.links.length, now.ros, now.relay, now.refused], () => h("div.lead", null, icon(total || wrong ? worst : "waiting"), h("div", null, h("h1", null, title),
     h("p", null, [count(now.links.filter((link) => link.link).length, "peer"), count(total, "stream"), now.relay ? "relay" : now.ros ? "with ROS 2" : "without ROS", now.refused ? `${number(now.refused)} messages refused` : "nothing refused"].join(" · ")))));
   if (!links) {
@@ -380,6 +381,8 @@ async function loadSessions() {
   if (view === "sessions" || view === "replay") sessionsTimer = setTimeout(loadSessions, busy ? 700 : 3000);
 }
 const ACTIONS = [["verify", "Verify"], ["lint", "Lint"], ["review", "Review"], ["view", "Open in rerun"], ["export", "Export as CSV"], ["seal", "Check the seal"]];
+/* Names of the machine of the program, where the viewer's link leads somewhere. */
+const HERE = new Set(["127.0.0.1", "localhost", "[::1]"]);
 const RESULTS = { running: ["waiting", "runs"], done: ["ok", "good"], failed: ["error", "not good"], cancelled: ["off", "cancelled"] };
 function result(row, action, none) {
   const found = row.results[action];
@@ -405,7 +408,7 @@ function drawSessions() {
 function sessionRow(row) {
   const open = opened === row.name, [kind, word] = sessionState(row);
   const toggle = () => { opened = open ? "" : row.name; drawSessions(); };
-  const tr = h("tr.pick", { onclick: toggle, "aria-expanded": open },
+  const tr = h(open ? "tr.pick.opened" : "tr.pick", { onclick: toggle },
     h("td", null, h("button.link", { "data-key": row.name, "aria-expanded": open }, h("span.clip", { title: row.name }, row.name))),
     h("td", null, row.start_ns ? day(row.start_ns) : day(row.modified_ns)), h("td.n", null, row.duration_s == null ? NONE : span(row.duration_s)), h("td.n", null, bytes(row.bytes)),
     h("td.n.wide", null, row.streams == null ? NONE : number(row.streams)), h("td.n", { class: row.marks?.length ? "n" : "n zero" }, row.marks ? number(row.marks.length) : NONE),
@@ -430,9 +433,10 @@ setInterval(async () => { if (openJob && view === "sessions") { await readJob();
 function jobRow(job) {
   const [kind, word] = RESULTS[job.state], title = ACTIONS.find(([action]) => action === job.action)[1], open = openJob === job.number;
   return h("li", null, h("div.line1", null, icon(kind), h("b", null, title), h("span.clip", null, job.name), h("span.sub", null, `${word} · ${span(job.seconds)}`), h("span.gap"),
-    job.link && h("a.btn.small.primary", { href: job.link, target: "_blank", rel: "noopener noreferrer" }, "Open the viewer"),
+    job.link && HERE.has(location.hostname) && h("a.btn.small.primary", { href: job.link, target: "_blank", rel: "noopener noreferrer" }, "Open the viewer"),
     h("button.btn.small", { type: "button", "aria-expanded": open, "data-key": `show ${job.number}`, onclick: () => toggleJob(job.number) }, open ? "Hide output" : "Show output"),
     job.state === "running" && button("Cancel", () => act({ do: "cancel", number: job.number }), { kind: ".small.danger", key: `cancel ${job.number}` })),
+    job.link && !HERE.has(location.hostname) && h("p.sub", null, "The viewer listens only on the machine that has the recordings: there, open ", h("code", null, job.link)),
     job.last && !open && h("div.last", null, job.last), job.state === "running" && h("div.bar", { role: "progressbar", "aria-label": `${title} runs` }, h("i")),
     open && h("pre", { tabindex: 0, "aria-label": "Output" }, jobLines.join("\n") || "no output yet"));
 }
@@ -464,17 +468,24 @@ function drawReplay() {
   const at = places($("replay"), "head", "choice", "player", "below"), replay = state.replay, running = replay?.running;
   if (running && chosen !== replay.name) choose(replay.name);
   part(at.head, [running, replay?.name], () => h("div.lead", null, h("div", null, h("h1", null, running ? `Replay of ${replay.name}` : "Replay"), h("p", null, "Sends a recording to OpenIGTLink peers, to ROS, or to both, as it was."))));
-  const ready = (sessions || []).filter((row) => row.closed);
+  const row = (sessions || []).find((each) => each.name === chosen);
+  const ready = (sessions || []).filter((each) => each.closed || each.name === chosen);
   if (!chosen && ready.length) choose(ready[0].name);
-  part(at.choice, [ready.map((row) => row.name), chosen, running, locked(), target], () => h("div.card", null, h("div.body", null, h("div.form.four", null,
-    h("label.field", null, h("span", null, "Recording"), h("select", { "data-key": "choose", disabled: running, onchange: (event) => { choose(event.target.value); draw(); } }, ready.map((row) => h("option", { value: row.name, selected: row.name === chosen }, row.name)))),
+  const title = (each) => (each.closed ? each.name : `${each.name} (${sessionState(each)[1]})`);
+  part(at.choice, [ready.map(title), chosen, running, locked(), target], () => h("div.card", null, h("div.body", null, h("div.form.four", null,
+    h("label.field", null, h("span", null, "Recording"), h("select", { "data-key": "choose", disabled: running, onchange: (event) => { choose(event.target.value); draw(); } }, ready.map((each) => h("option", { value: each.name, selected: each.name === chosen }, title(each))))),
     h("label.field", null, h("span", null, "Send to"), h("select", { "data-key": "target", disabled: running, onchange: (event) => { target = event.target.value; draw(); } },
       [["igtl listen", "OpenIGTLink clients"], ["igtl connect", "an OpenIGTLink server"], ["ros", "ROS 2"], ["both listen", "OpenIGTLink clients and ROS 2"]].map(([value, title]) => h("option", { value, selected: value === target }, title)))),
     h("label.field", null, h("span", null, target.includes("connect") ? "Its address" : "At address"), h("input", { type: "text", "data-key": "place", disabled: running || target === "ros", value: place, placeholder: usualPlace(), oninput: (event) => { place = event.target.value.trim(); } })),
     h("label.field", null, h("span", null, "Rate"), h("select", { "data-key": "speed", disabled: running, onchange: (event) => { speed = event.target.value; } }, ["0.1", "0.25", "0.5", "1", "2", "5", "10"].map((value) => h("option", { value, selected: value === speed }, `${value} ×`)))),
     running ? button("Stop", () => steer("stop"), { kind: ".danger", key: "begin" }) : button("Start", begin, { kind: ".primary", off: chosen ? "" : "No recording", key: "begin" })))));
-  const row = (sessions || []).find((each) => each.name === chosen);
-  if (!row || row.duration_s == null) { for (const each of [at.player, at.below]) { each._track = null; part(each, null, () => []); } return; }
+  if (row?.duration_s == null) {
+    at.player._track = at.below._track = null;
+    part(at.below, null, () => []);
+    const why = row && (row.problem ? `${row.name} ${row.problem}` : `${row.name} is being read`);
+    part(at.player, why, () => (why ? h("div.card", null, h("p.empty", null, sentence(why))) : []));
+    return;
+  }
   drawPlayer(at.player, row, running ? replay.state : null);
   drawBelow(at.below, row, replay, running);
 }
@@ -484,7 +495,7 @@ function marksOf(row) {
 function drawPlayer(at, row, playing) {
   const duration = Math.max(row.duration_s, 1e-3), position = playing?.position_s ?? from, paused = playing?.paused ?? true;
   if (at._track !== row.name) {
-    at._track = row.name;
+    at._track = row.name; at._shown = null;
     at._buttons = h("div.transport"); at._rail = h("div.track", { role: "slider", tabindex: 0, "aria-label": "Position", "aria-valuemin": 0, "data-key": "track" });
     const seek = (event) => { const box = at._rail.getBoundingClientRect(); jump(Math.min(1, Math.max(0, (event.clientX - box.left) / box.width)) * at._duration); };
     at._rail.addEventListener("pointerdown", (event) => { at._rail.setPointerCapture(event.pointerId); seek(event); at._rail.onpointermove = seek; });
@@ -548,7 +559,7 @@ function drawBelow(place, row, replay, running) {
   const mine = replay?.name === row.name ? replay : null, peers = running && mine ? mine.state.peers || [] : [];
   const names = { mark: "Mark", phase: "Phase", finding: "Finding", loss: "Loss", pause: "Pause", link: "Link" };
   part(place, [found, mine?.lines, peers, running, mine?.state?.sent, locked()], () => h("div.split", null,
-    card("On the time line", null, found.length ? h("ul.list", { tabindex: 0, "aria-label": "On the time line" }, found.map((each, number) => h("li", null, h("button", { type: "button", disabled: locked() && running, "data-key": `at ${number}`, onclick: () => jump(each.at_s) }, moment(each.at_s)), h("span.sub", null, names[each.kind]), h("span", null, each.text)))) : h("p.empty", null, "Nothing but messages.")),
+    card("On the time line", null, found.length ? h("ul.list", { tabindex: 0, "aria-label": "On the time line" }, found.map((each, number) => h("li", null, h("button", { type: "button", disabled: locked() && running, "data-key": `at ${number}`, onclick: () => jump(each.at_s) }, h("span.at", null, moment(each.at_s)), h("span.sub", null, names[each.kind]), h("span", null, each.text))))) : h("p.empty", null, "Nothing but messages.")),
     card("Peers", running && mine ? `${number(mine.state.sent || 0)} messages sent` : null, peers.length ? h("ul.list", null, peers.map(([address, profile]) => h("li", null, icon("ok"), h("b", null, address), h("span.sub", null, profile)))) : h("p.empty", null, running ? "No peer is connected: nothing receives the messages." : "Peers appear when the replay runs."),
       mine?.lines.length ? h("ul.notes", null, mine.lines.map((line) => h("li", null, h("span", null, line)))) : null)));
 }
