@@ -92,7 +92,7 @@ def test_from_the_first_screen_to_a_replay_from_the_second_mark(tmp_path: Path) 
                 page.click("#replay button", "Pause")
                 page.click("#replay .list button", "suture")
                 page.click("#replay button", "Play")
-                while len(counts) < 2 or counts[-1] > counts[-2]:  # until it begins anew
+                while len(counts) < 2 or counts[-1] > counts[-2]:  # until it begins again
                     counts.append(_count(client))
             assert before < min(counts) <= after + 1
             assert page.complaints == []

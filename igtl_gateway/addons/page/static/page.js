@@ -446,7 +446,13 @@ function jobRow(job) {
 let chosen = "", from = 0, placesOf = {}, target = "igtl listen", speed = "1", place = "";
 function choose(name, at) {
   chosen = name; from = at || 0;
-  if (name && !placesOf[name]) { placesOf[name] = []; get(`/api/places?name=${encodeURIComponent(name)}`).then((answer) => answer.json()).then((found) => { placesOf[name] = found?.places || []; if (state) draw(); }).catch(() => { delete placesOf[name]; }); }
+}
+/* Asked again until there is an answer: a long recording takes its time. */
+async function readPlaces(name) {
+  if (name in placesOf) return;
+  placesOf[name] = null;
+  try { placesOf[name] = (await (await get(`/api/places?name=${encodeURIComponent(name)}`)).json())?.places || []; } catch { setTimeout(() => delete placesOf[name], 1000); }
+  if (state) draw();
 }
 const steer = (what, value = null) => act2({ do: "steer", steer: what, value });
 async function act2(words) {
@@ -486,6 +492,7 @@ function drawReplay() {
     part(at.player, why, () => (why ? h("div.card", null, h("p.empty", null, sentence(why))) : []));
     return;
   }
+  readPlaces(row.name);
   drawPlayer(at.player, row, running ? replay.state : null);
   drawBelow(at.below, row, replay, running);
 }
@@ -536,9 +543,9 @@ function track(found, duration) {
       if ((each.end_s - each.at_s) / duration > .06) made.append(svg("svg", { x: at(each.at_s, duration), width: at(each.end_s - each.at_s, duration), y: 26, height: 16 }, words(each, 8, 12)));
     }
     else if (each.kind !== "resume") {
-      const low = each.kind !== "mark", place = svg("svg", { x: at(each.at_s, duration), y: low ? 72 : 26, overflow: "visible" }, shape(each.kind));
+      const low = each.kind !== "mark", place = svg("svg", { x: at(each.at_s, duration), y: low ? 72 : 17, overflow: "visible" }, shape(each.kind));
       place.firstChild.append(svg("title", {}, each.text)); made.append(place);
-      if (!low && (each.at_s - lane) / duration > .08) { made.append(svg("svg", { x: at(each.at_s, duration), y: 0, overflow: "visible" }, words(each, 0, 12))); lane = each.at_s; }
+      if (!low && (each.at_s - lane) / duration > .1) { made.append(svg("svg", { x: at(each.at_s, duration), y: 0, overflow: "visible" }, words(each, 13, 17))); lane = each.at_s; }
     }
   }
   if (paused != null) made.append(svg("rect", { class: "pause", x: at(paused, duration), y: 44, width: at(duration - paused, duration), height: 16 }));
@@ -558,8 +565,8 @@ function drawBelow(place, row, replay, running) {
   const found = [...marksOf(row), ...(placesOf[row.name] || [])].filter((each) => each.kind !== "resume").sort((a, b) => a.at_s - b.at_s).slice(0, 200);
   const mine = replay?.name === row.name ? replay : null, peers = running && mine ? mine.state.peers || [] : [];
   const names = { mark: "Mark", phase: "Phase", finding: "Finding", loss: "Loss", pause: "Pause", link: "Link" };
-  part(place, [found, mine?.lines, peers, running, mine?.state?.sent, locked()], () => h("div.split", null,
-    card("On the time line", null, found.length ? h("ul.list", { tabindex: 0, "aria-label": "On the time line" }, found.map((each, number) => h("li", null, h("button", { type: "button", disabled: locked() && running, "data-key": `at ${number}`, onclick: () => jump(each.at_s) }, h("span.at", null, moment(each.at_s)), h("span.sub", null, names[each.kind]), h("span", null, each.text))))) : h("p.empty", null, "Nothing but messages.")),
+  part(place, [found, !placesOf[row.name], mine?.lines, peers, running, mine?.state?.sent, locked()], () => h("div.split", null,
+    card("On the time line", placesOf[row.name] ? null : "findings, losses and pauses are being read", found.length ? h("ul.list", { tabindex: 0, "aria-label": "On the time line" }, found.map((each, number) => h("li", null, h("button", { type: "button", disabled: locked() && running, "data-key": `at ${number}`, onclick: () => jump(each.at_s) }, h("span.at", null, moment(each.at_s)), h("span.sub", null, names[each.kind]), h("span", null, each.text))))) : h("p.empty", null, "Nothing but messages.")),
     card("Peers", running && mine ? `${number(mine.state.sent || 0)} messages sent` : null, peers.length ? h("ul.list", null, peers.map(([address, profile]) => h("li", null, icon("ok"), h("b", null, address), h("span.sub", null, profile)))) : h("p.empty", null, running ? "No peer is connected: nothing receives the messages." : "Peers appear when the replay runs."),
       mine?.lines.length ? h("ul.notes", null, mine.lines.map((line) => h("li", null, h("span", null, line)))) : null)));
 }
