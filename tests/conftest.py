@@ -106,7 +106,7 @@ SLOW = (
 LONG = (
     "addons/exchange/test_targets.py",
     "addons/review/test_assess.py",
-    "addons/page/test_person.py",
+    "integration/test_page_person.py",
     "addons/page/test_process.py::test_a_folder_without_a_bridge",
     "addons/page/test_process.py::test_a_port_in_use_is_a_note",
     "addons/page/test_process.py::test_the_bridge_goes_on_without_its_page",
