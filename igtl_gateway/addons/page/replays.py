@@ -28,7 +28,7 @@ class Replay:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._child: Child | None = None
-        self._name = ""
+        self._name = self._to = ""
         self._state: dict[str, Any] = {}
         self._lines: deque[str] = deque(maxlen=_LINES)
         self._failed = False
@@ -65,7 +65,7 @@ class Replay:
         with self._lock:
             if self._child and self._child.is_running:
                 return False, f"the replay of {self._name} runs; stop it first"
-            self._name, self._state, self._failed = name, {}, False
+            self._name, self._to, self._state, self._failed = name, to, {}, False
             self._lines.clear()
             ready = threading.Event()
             threading.Thread(target=self._run, args=(settings, ready), name="igtl-page-replay", daemon=True).start()
@@ -90,6 +90,7 @@ class Replay:
         state = dict(self._state)
         return {
             "name": self._name,
+            "to": self._to,
             "running": running,
             "failed": self._failed,
             "state": state,

@@ -35,7 +35,7 @@ def test_a_replay_is_steered() -> None:
         assert peer.receive(type_name="TRANSFORM").device
         wait(lambda: state("position_s") > 20 and state("rate") == 5)
         facts = replay.facts()
-        assert facts and len(facts["state"]["peers"]) == 1
+        assert facts and facts["to"] == "igtl" and len(facts["state"]["peers"]) == 1
         assert replay.steer("stop", None)[0]
         wait(lambda: not (replay.facts() or {})["running"])
 

@@ -567,7 +567,7 @@ function drawBelow(place, row, replay, running) {
   const names = { mark: "Mark", phase: "Phase", finding: "Finding", loss: "Loss", pause: "Pause", link: "Link" };
   part(place, [found, !placesOf[row.name], mine?.lines, peers, running, mine?.state?.sent, locked()], () => h("div.split", null,
     card("On the time line", placesOf[row.name] ? null : "findings, losses and pauses are being read", found.length ? h("ul.list", { tabindex: 0, "aria-label": "On the time line" }, found.map((each, number) => h("li", null, h("button", { type: "button", disabled: locked() && running, "data-key": `at ${number}`, onclick: () => jump(each.at_s) }, h("span.at", null, moment(each.at_s)), h("span.sub", null, names[each.kind]), h("span", null, each.text))))) : h("p.empty", null, "Nothing but messages.")),
-    card("Peers", running && mine ? `${number(mine.state.sent || 0)} messages sent` : null, peers.length ? h("ul.list", null, peers.map(([address, profile]) => h("li", null, icon("ok"), h("b", null, address), h("span.sub", null, profile)))) : h("p.empty", null, running ? "No peer is connected: nothing receives the messages." : "Peers appear when the replay runs."),
+    card("Peers", running && mine ? `${number(mine.state.sent || 0)} messages sent` : null, peers.length ? h("ul.list", null, peers.map(([address, profile]) => h("li", null, icon("ok"), h("b", null, address), h("span.sub", null, profile)))) : h("p.empty", null, running ? (mine?.to === "ros" ? "Nodes of ROS receive the messages; the page does not count them." : "No OpenIGTLink peer is connected.") : "Peers appear when the replay runs."),
       mine?.lines.length ? h("ul.notes", null, mine.lines.map((line) => h("li", null, h("span", null, line)))) : null)));
 }
 
