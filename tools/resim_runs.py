@@ -100,7 +100,7 @@ def texts(count: int) -> Callable[[Path], Path]:
 
 
 def transforms(path: Path) -> Path:
-    rows = [(ns, "/tf", sessions.TF, sessions.transforms(each)) for ns, _, _, each in sessions.poses(60)]
+    rows = [(ns, "/tf", sessions.TF, sessions.transforms(each)) for ns, _, _, each in sessions.poses(600)]
     return sessions.write(path, rows)
 
 
@@ -153,7 +153,7 @@ def rows() -> list[Row]:
             Row("image and pose", pairs, named("pairs")),
             Row("lifecycle", texts(60), named("lifecycle", "manager")),
             Row("service", texts(25), named("caller", "switch"), ResimOptions(latency_ns=1_000_000)),
-            Row("C on rcl", texts(20), in_c),
+            Row("C on rcl", texts(400), in_c),
         ]
         as_they_are = ResimOptions(lead_ns=1_000_000_000, clocks=Clocks.SESSION)
         found += [

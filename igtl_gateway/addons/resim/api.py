@@ -10,7 +10,7 @@ from pathlib import Path
 
 from igtl_gateway.addon import NS_PER_MS, NS_PER_S, ConfigError, SessionFile
 from igtl_gateway.addons.resim.causes import likely_cause
-from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, RunResult, run
+from igtl_gateway.addons.resim.engine import MOST_DELAY_S, Clocks, Program, ResimOptions, RunResult, run
 from igtl_gateway.addons.resim.races import find_race
 from igtl_gateway.addons.resim.recipe import command_of
 from igtl_gateway.addons.resim.report import report_lines
@@ -114,10 +114,12 @@ def resim(
         Unavailable: the library is not built on this machine.
         RecordingError: the recording or the baseline cannot be read.
     """
-    distances = ("tolerance_mm", tolerance_mm), ("tolerance_deg", tolerance_deg)
-    for name, value in (*distances, ("latency_ms", latency_ms), ("lead_s", lead_s)):
+    for name, value in (("tolerance_mm", tolerance_mm), ("tolerance_deg", tolerance_deg)):
         if not 0 <= value < inf:
             raise ConfigError(f"{name}: found {value!r}, expected 0 or more")
+    for name, value, most in (("latency_ms", latency_ms, 1000 * MOST_DELAY_S), ("lead_s", lead_s, MOST_DELAY_S)):
+        if not 0 <= value <= most:
+            raise ConfigError(f"{name}: found {value!r}, expected 0 to {most}, a day")
     for name, value in (("wall_limit_s", wall_limit_s), ("cpu_limit_s", cpu_limit_s)):
         if not 0 < value < inf:
             raise ConfigError(f"{name}: found {value!r}, expected more than 0")

@@ -75,6 +75,8 @@ class Clocks(Enum):
     REAL = "real"  #: real time, also sleeps and timeouts: nothing happens in the session meanwhile
 
 
+#: At most this is a delay of messages, or the time of the programs before the recording.
+MOST_DELAY_S = 86_400
 #: The wall clock of each run is later by this than that of the run before: a day and some of every smaller unit.
 WALL_STEP_NS = 90_061_001_001_001
 
@@ -101,7 +103,7 @@ class Program:
     def title(self) -> str:
         if self.name:
             return self.name
-        words = [Path(word).name for word in self.command if word[:1] != "-"] or ["program"]
+        words = [Path(word).name for word in self.command if word[:1] != "-" and Path(word).name] or ["program"]
         if words[:2] == ["ros2", "run"]:
             return words[3 if len(words) > 3 else -1]
         return words[1] if words[0].startswith("python") and len(words) > 1 else words[0]

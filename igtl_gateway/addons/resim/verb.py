@@ -33,7 +33,7 @@ from igtl_gateway.addon import (
 from igtl_gateway.addons.resim.bisect import Step, bisect, bisection_facts
 from igtl_gateway.addons.resim.causes import MOST_RUNS, MOST_S, likely_cause
 from igtl_gateway.addons.resim.coordinator import Roles
-from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, Run, RunResult, run_file
+from igtl_gateway.addons.resim.engine import MOST_DELAY_S, Clocks, Program, ResimOptions, Run, RunResult, run_file
 from igtl_gateway.addons.resim.engine import run as run_programs
 from igtl_gateway.addons.resim.igtl_peer import IgtlRole, check_role
 from igtl_gateway.addons.resim.races import find_race
@@ -168,9 +168,9 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError("found --recipe and a program behind --, expected one of them")
     programs = _programs_of(options)
     tolerance = _tolerance(options.tolerance)
-    for name in ("latency", "lead"):
-        if not 0 <= getattr(options, name) < math.inf:
-            raise ConfigError(f"--{name}: found {getattr(options, name):g}, expected 0 or more")
+    for name, most in (("latency", 1000 * MOST_DELAY_S), ("lead", MOST_DELAY_S)):
+        if not 0 <= getattr(options, name) <= most:
+            raise ConfigError(f"--{name}: found {getattr(options, name):g}, expected 0 to {most}, a day")
     for name in ("wall_limit", "cpu_limit"):
         if not 0 < getattr(options, name) < math.inf:
             raise ConfigError(f"--{name.replace('_', '-')}: found {getattr(options, name):g}, expected more than 0")

@@ -100,7 +100,8 @@ class TestTheFixture:
     [
         ({"runs": 0}, "runs: found 0, expected 1 or more"),
         ({"tolerance_mm": -1.0}, "tolerance_mm: found -1.0, expected 0 or more"),
-        ({"latency_ms": float("nan")}, "latency_ms: found nan, expected 0 or more"),
+        ({"latency_ms": float("nan")}, "latency_ms: found nan, expected 0 to 86400000, a day"),
+        ({"lead_s": 1e300}, r"lead_s: found 1e\+300, expected 0 to 86400, a day"),
         ({"clocks": "libc"}, "clocks: found 'libc', expected one of shifted, session, real"),
         ({"cpu_limit_s": 0.0}, "cpu_limit_s: found 0.0, expected more than 0"),
     ],

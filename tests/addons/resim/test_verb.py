@@ -69,6 +69,8 @@ def test_what_is_refused_before_a_start(recording: Path, capsys: pytest.CaptureF
         (["--recipe", str(folder / "none.toml")], "none.toml: "),
         (["--baseline", str(folder / "none.mcap"), "--", "true"], "none.mcap: No such file or directory"),
         (["--junit", str(folder / "there.xml"), "--", "true"], "there.xml: exists already, expected a new file"),
+        (["--lead", "1e300", "--", "true"], "--lead: found 1e+300, expected 0 to 86400, a day"),
+        (["--", "./"], "program: cannot be started: Permission denied: ./"),
         (["--build", "make", "--", "true"], "--build: has no effect without --bisect"),
     ):
         assert cli.main(["resim", str(recording), *words]) == 2
