@@ -144,7 +144,7 @@ class Browser:
         """The text that a person sees."""
         return str(self.run("document.body?.innerText ?? ''"))
 
-    def click(self, selector: str, text: str = "") -> None:
+    def click(self, selector: str, text: str = "", hold_s: float = 0.0) -> None:
         """Click on the middle of an element: the first of a selector, with this text if there is one."""
         find = (
             f"[...document.querySelectorAll({json.dumps(selector)})].find((each) => "
@@ -157,6 +157,7 @@ class Browser:
         )
         for kind in ("mousePressed", "mouseReleased"):
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+            time.sleep(hold_s if kind == "mousePressed" else 0.0)
 
     def type(self, text: str) -> None:
         """Type text into what has the focus."""

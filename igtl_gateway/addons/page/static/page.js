@@ -19,6 +19,7 @@ function h(tag, props, ...children) {
     else if (value === true) made.setAttribute(key, "");
     else if (value !== false && value != null) made.setAttribute(key, value);
   }
+  if (props?.tabindex === 0) made.dataset.key ||= props["aria-label"];
   made.append(...children.flat(9).filter((child) => child != null && child !== false));
   return made;
 }
@@ -38,14 +39,19 @@ const stateCell = (name, word) => h("span.state.s-" + name, null, icon(name), wo
 
 function put(place, text) { if (place.textContent !== text) place.textContent = text; }
 function html(place, ...children) { place.replaceChildren(...children.filter((child) => child != null && child !== false)); }
-/* Draw a part again only if what it shows has changed, and nobody is typing in it. */
+let pressed = null;
+document.addEventListener("pointerdown", (event) => { pressed = event.target; }, true);
+for (const name of ["pointerup", "pointercancel"]) document.addEventListener(name, () => { pressed = null; }, true);
+/* Draw a part again only if what it shows has changed, and not below a pressed button: a click ends where it began. */
 function part(place, shown, draw) {
   const text = JSON.stringify(shown);
-  if (place._shown === text) return;
+  if (place._shown === text || (pressed && place.contains(pressed))) return;
   place._shown = text;
+  const scrolled = [...place.querySelectorAll("[tabindex='0']")].filter((each) => each.scrollTop).map((each) => [each.dataset.key, each.scrollTop]);
   const focus = place.contains(document.activeElement) ? document.activeElement.dataset.key : null;
   html(place, ...[draw()].flat(9));
   if (focus) place.querySelector(`[data-key="${CSS.escape(focus)}"]`)?.focus();
+  for (const [key, top] of scrolled) { const found = place.querySelector(`[data-key="${CSS.escape(key)}"]`); if (found) found.scrollTop = top; }
 }
 
 // ── numbers ───────────────────────────────────────────────────────────────────────────────────────────────────
