@@ -15,7 +15,8 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -406,3 +407,22 @@ def free_port() -> int:
     with socket.create_server(("127.0.0.1", 0)) as sock:
         port: int = sock.getsockname()[1]
         return port
+
+
+@contextmanager
+def sending(port: int, data: Callable[[], bytes]) -> Iterator[None]:
+    """A peer that sends what a function returns, at 20 Hz."""
+    over = threading.Event()
+
+    def send() -> None:
+        with RawPeer(port) as peer, suppress(OSError):  # the bridge stops
+            while not over.wait(0.05):
+                peer.send(data())
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import struct
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +12,7 @@ import pytest
 
 from igtl_gateway.addon.igtl import Message, Transform, encode, ns_to_ticks
 from tests.addons.page.browser import CHROMIUM, Browser
-from tests.integration.bridge import Bridge, RawPeer, free_port
+from tests.integration.bridge import Bridge, RawPeer, free_port, sending
 from tests.places import FIXTURES
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs a Chromium: apt-get install chromium")
@@ -32,24 +30,14 @@ class Peer:
         self.sent = 0
         self._port, self._device, self._age_ns = port, device, age_ns
 
-    @contextmanager
-    def sending(self) -> Iterator[None]:
-        over = threading.Event()
-        thread = threading.Thread(target=self._run, args=(over,))
-        thread.start()
-        try:
-            yield
-        finally:
-            over.set()
-            thread.join()
+    def sending(self) -> AbstractContextManager[None]:
+        return sending(self._port, self._next)
 
-    def _run(self, over: threading.Event) -> None:
-        with RawPeer(self._port) as peer, suppress(OSError):  # the bridge stops
-            while not over.wait(0.05):
-                self.sent += 1
-                pose = Transform((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, float(self.sent), 0.0, 0.0))
-                ticks = ns_to_ticks(time.time_ns() - self._age_ns)
-                peer.send(b"".join(encode(Message("TRANSFORM", self._device, pose, ticks, 1, 0, ()))))
+    def _next(self) -> bytes:
+        self.sent += 1
+        pose = Transform((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, float(self.sent), 0.0, 0.0))
+        ticks = ns_to_ticks(time.time_ns() - self._age_ns)
+        return b"".join(encode(Message("TRANSFORM", self._device, pose, ticks, 1, 0, ())))
 
 
 def test_from_the_first_screen_to_a_replay_from_the_second_mark(tmp_path: Path) -> None:

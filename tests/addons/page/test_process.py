@@ -7,9 +7,7 @@ import shutil
 import signal
 import subprocess
 import sys
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -17,30 +15,14 @@ import pytest
 import igtl_gateway
 from igtl_gateway.addon import GatewayError
 from tests.addons.page.browser import CHROMIUM, Browser
-from tests.integration.bridge import Bridge, RawPeer, children, free_port, string
+from tests.integration.bridge import Bridge, RawPeer, children, free_port, sending, string
 from tests.places import FIXTURES
 
 needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="needs a Chromium: apt-get install chromium")
 
 
-@contextmanager
-def talking(port: int) -> Iterator[None]:
-    """A peer that sends two streams at 20 Hz."""
-    over = threading.Event()
-
-    def talk() -> None:
-        with RawPeer(port) as peer, suppress(OSError):  # the bridge stops
-            while not over.wait(0.05):
-                peer.send(string("hello", "Room"))
-                peer.send(string("<b>bold</b>", "<script>"))
-
-    thread = threading.Thread(target=talk)
-    thread.start()
-    try:
-        yield
-    finally:
-        over.set()
-        thread.join()
+def two_streams() -> bytes:
+    return string("hello", "Room") + string("<b>bold</b>", "<script>")
 
 
 @needs_browser
@@ -49,7 +31,7 @@ def test_a_session_is_run_from_the_page(tmp_path: Path) -> None:
     bridge = Bridge("--no-ros", "--record", str(recording), "--record-wait", "--page")
     try:
         link = bridge.wait_events(lambda event: event["event"] == "page", "page")[0]["link"]
-        with talking(bridge.port), Browser() as page:
+        with sending(bridge.port, two_streams), Browser() as page:
             page.open(link)
             # Now: links, streams, in words
             page.wait("document.querySelector('#now h1').textContent === 'All 2 streams arrive'")
