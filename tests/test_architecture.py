@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from igtl_gateway import addon
 from tests.conftest import LONGEST
@@ -463,6 +464,61 @@ def test_a_clone_alone_has_what_the_tests_need() -> None:
     beside = re.compile(r"""["'/]shared["'/]""")
     files = [path for folder in ("tests", "tools", "lab") for path in (TESTS.parent / folder).rglob("*.py")]
     assert [str(path) for path in files if beside.search(path.read_text("utf-8"))] == []
+
+
+#: Function in the walks of ARCHITECTURE.md that is handed over → its name in the caller, and who hands it over.
+HANDED = {
+    "Hub.igtl": ("_on_frame", "app.bridge", "on_frame=self.hub.igtl"),
+    "IgtlReceiver.take": ("stage", "gateway.core", "Kind.IGTL_IN: igtl_receiver.take"),
+    "RosReceiver.take": ("stage", "gateway.core", "Kind.ROS_IN: ros_receiver.take"),
+    "Bridge._dispatch": ("sink", "app.bridge", "[self._dispatch, *records"),
+    "Bridge._record": ("sink", "app.bridge", "records: list[Sink] = [self._record]"),
+    "message_callback": ("callback", "edges.ros.edge", "return message_callback(subscription"),
+    "RosTraffic._received": ("on_message", "app.ros_traffic", "on_message=self._received"),
+}
+_STEP = re.compile(r"^( *)(⇢ )?([\w/]+): ([\w.]+)", re.MULTILINE)
+
+
+def function_of(module: str, name: str) -> ast.FunctionDef:
+    """The definition of ``Class.method`` or of a function."""
+    body: list[ast.stmt] = parsed(MODULES[module].read_text("utf-8")).body
+    for part in name.split("."):
+        (found,) = (one for one in body if isinstance(one, ast.ClassDef | ast.FunctionDef) and one.name == part)
+        body = found.body
+    assert isinstance(found, ast.FunctionDef)
+    return found
+
+
+def mentions(function: ast.FunctionDef, name: str, after: int) -> int | None:
+    """The first line from ``after`` on in which a function names another one."""
+    lines = [
+        node.lineno
+        for node in ast.walk(function)
+        if (isinstance(node, ast.Attribute) and node.attr == name) or (isinstance(node, ast.Name) and node.id == name)
+    ]
+    return min((line for line in lines if line >= after), default=None)
+
+
+def test_the_walks_are_those_of_the_code() -> None:
+    """Each line of the two pictures is called by the line that it stands below, no later than its next sibling."""
+    pictures = [part for part in (ROOT / "ARCHITECTURE.md").read_text("utf-8").split("```text\n") if _STEP.match(part)]
+    assert len(pictures) == 2
+    for picture in pictures:
+        callers: list[list[Any]] = []  # of each level: the function, and the line that it has come to
+        for blanks, handed, place, name in _STEP.findall(picture.partition("```")[0]):
+            del callers[len(blanks) // 2 :]
+            called = name.rpartition(".")[2]
+            if handed:
+                called, module, text = HANDED[name]
+                assert text in MODULES[module].read_text("utf-8"), name
+            if callers:
+                caller, line = callers[-1]
+                found = mentions(caller, called, line)
+                assert found, f"{caller.name} does not call {name} after line {line}"
+                callers[-1][1] = found
+            function = function_of(place.replace("/", "."), name)
+            callers.append([function, function.lineno])
+        assert len(callers) > 4
 
 
 def imported_modules() -> dict[str, set[str]]:

@@ -21,10 +21,15 @@ from bisect import bisect_left
 from collections import Counter
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from igtl_gateway.base.errors import ConfigError, ConversionError
 from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
-from igtl_gateway.convert.poses import Quaternion, unit_quaternion
+from igtl_gateway.convert.poses import Quaternion, rotation_matrix, unit_quaternion
 from igtl_gateway.convert.structs import Pose
+from igtl_gateway.convert.units import LengthUnits
+from igtl_gateway.wire.body import Body
+from igtl_gateway.wire.tracking import QuaternionTrackingData, TrackingData
 
 #: History of an edge before its newest sample, ns: as in tf2.
 HISTORY_NS = 10_000_000_000
@@ -330,3 +335,23 @@ class TfRequest:
 
 def _refusal(found: str, expected: str) -> ConfigError:
     return ConfigError(f"--tf-out: found {found}, expected {expected}")
+
+
+def in_frame(content: Body, pose: Pose, lengths: LengthUnits) -> Body:
+    """Transform tracking data to another frame, in which its own frame has ``pose`` (metres)."""
+    if isinstance(content, TrackingData):
+        elements = content.elements.copy()
+        columns = elements["matrix"].astype(np.float64).reshape(-1, 4, 3)
+        turned = np.empty_like(columns)
+        for row, (a, b, c) in enumerate(rotation_matrix(pose[3:])):  # plain sums give the same bits on every machine
+            turned[:, :, row] = a * columns[:, :, 0] + b * columns[:, :, 1] + c * columns[:, :, 2]
+            turned[:, 3, row] += lengths.to_igtl(pose[row])
+        elements["matrix"] = turned.reshape(-1, 12)
+        return TrackingData(elements)
+    assert isinstance(content, QuaternionTrackingData)
+    elements = content.elements.copy()
+    x, y, z = (lengths.to_igtl(value) for value in pose[:3])
+    for element in elements:
+        moved = compose((x, y, z, *pose[3:]), (*element["position"].tolist(), *element["quaternion"].tolist()))
+        element["position"], element["quaternion"] = moved[:3], moved[3:]
+    return QuaternionTrackingData(elements)

@@ -91,7 +91,7 @@ class Gateway:
         composer = Composer(config, streams)
         latest = Latest(streams, guard, tf, composer, forms=config.knows_peers)
         delivery = Delivery(denied_out, tf.tree)
-        tracking = Tracking(peers, latest, delivery)
+        tracking = Tracking(peers, latest)
         self._frames = frames = TfReceiver(tf, guard, peers, delivery, tracking)
         self._converter = Converter(streams, subscribers, frames, beforehand)
         robots = CommandGuard(config, latest.entries.get)

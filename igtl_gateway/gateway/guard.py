@@ -17,12 +17,12 @@ from collections.abc import Iterable
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.rosmsg import TransformStamped
-from igtl_gateway.gateway.guarded_stream import CODES, STALE, GuardedStream, Place, Remark
+from igtl_gateway.gateway.guarded_stream import CODES, STALE, GuardedStream, Place, findings_of
 from igtl_gateway.gateway.log.entry import Entry
-from igtl_gateway.gateway.outcome import Finding, Item
+from igtl_gateway.gateway.outcome import Item
 from igtl_gateway.wire.transform import Position, Transform
 
-__all__ = ["CODES", "MAX_WATCHED", "STALE", "Guard", "GuardedStream", "check_stamp", "findings_of", "translation_of"]
+__all__ = ["CODES", "MAX_WATCHED", "STALE", "Guard", "GuardedStream", "check_stamp", "translation_of"]
 
 #: Maximum number of guarded streams, 1 kB each: enough for eight peers with ``max_streams`` each.  Further ones share
 #: one state for the maximum age and are not watched.
@@ -93,11 +93,6 @@ def check_stamp(
     withheld, remarks = watched.judge(entry.stamp_ns, own_ns)
     remarks += watched.observe(entry.stamp_ns, shown_ns, place)
     return withheld, findings_of(entry, remarks) if remarks else []
-
-
-def findings_of(entry: Entry, remarks: Iterable[Remark]) -> list[Item]:
-    """Return the findings for the remarks about a stream."""
-    return [Finding(level, code, text, entry.channel, entry.links) for level, code, text in remarks]
 
 
 def translation_of(content: object) -> Place | None:

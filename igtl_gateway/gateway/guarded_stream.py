@@ -12,12 +12,14 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
+from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.log.timing import FUTURE_NS, StampTiming
+from igtl_gateway.gateway.outcome import Finding, Item
 
 #: Interval of the checks: cheap for a stream at 1 kHz, and complete for slow streams.
 LOOK_NS = 100 * NS_PER_MS
@@ -290,6 +292,11 @@ def is_unit_jump(before: Sequence[float], after: Sequence[float]) -> bool:
         return False
     cosine = sum((x / one) * (y / other) for x, y in zip(before, after, strict=True))
     return cosine >= _SAME_DIRECTION
+
+
+def findings_of(entry: Entry, remarks: Iterable[Remark]) -> list[Item]:
+    """Return the findings for the remarks about a stream."""
+    return [Finding(level, code, text, entry.channel, entry.links) for level, code, text in remarks]
 
 
 def _seconds(ns: int) -> str:

@@ -21,6 +21,7 @@ from igtl_gateway.convert.profiles import (
     profile_shown_by,
 )
 from igtl_gateway.wire import Message
+from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.capability import Capability
 from igtl_gateway.wire.query import split_query
 
@@ -97,6 +98,11 @@ class Peer:
         if self.profile.may_send(igtl_type):
             return True
         return not self.chosen and (igtl_type in self.knows or (self.profile is UNRECOGNISED and self.shown > 1))
+
+    def expects(self, content: Body) -> tuple[tuple[str, str], ...]:
+        """Return the metadata that the peer expects with a content; none in header version 1, which has no metadata."""
+        metadata = self.profile.expects.get(type(content)) if self.recent and self.version > 1 else None
+        return metadata(content) if metadata else ()
 
     def learn_from(self, message: Message) -> bool:
         """Learn version, profile and types from a message; return whether one of them changed."""

@@ -57,10 +57,10 @@ def answer(igtl_type: str, device: str, now_ns: int, latest: Latest) -> list[Out
     if igtl_type == "CAPABILITY":
         return [OutboundMessage(igtl_type, device, Capability(READABLE), now_ns)]
     found = latest(igtl_type, device)
-    if not found and igtl_type in TRACKING and (out := tracking_content(igtl_type, device, now_ns, latest)):
-        found = [out]
     if not found and igtl_type == "IMGMETA":
-        found = _images(device, now_ns, latest)
+        return _images(device, now_ns, latest)
+    if not found and igtl_type in TRACKING and (out := tracking_content(igtl_type, device, now_ns, latest)):
+        return [out]
     return found
 
 

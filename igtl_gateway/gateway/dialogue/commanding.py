@@ -77,10 +77,14 @@ class Commands:
     def accept(self, entry: Entry, peer: Peer, message: Message) -> list[Item]:
         """Keep a command of a peer until its reply; return a reply for one that cannot be accepted.
 
-        A peer must be able to rely on a failure: a rejected command does not reach ROS.
+        A peer must be able to rely on a failure: a rejected command does not reach ROS.  A reply of a peer ends the
+        waiting of its command from ROS.
         """
         command = message.content
-        if not isinstance(command, Command) or visible(message.type) != "COMMAND":
+        if not isinstance(command, Command):
+            return []
+        if visible(message.type) != "COMMAND":
+            self._to_peers.take(command.command_id, peer.link)
             return []
         deadline_ns = entry.stamp_ns + int(self._config.command_timeout_s * NS_PER_S)
         pending = PendingCommand(
@@ -94,17 +98,13 @@ class Commands:
 
     def deny(self, entry: Entry, peer: Peer, message: Message, why: str) -> list[Item]:
         """Return the reply to a COMMAND that is refused."""
-        return self._reply(entry, _asked(entry, peer, message), CommandReply.FAIL, f"COMMAND is {why}")
+        asked = _asked(entry, peer, message)
+        return self._reply(entry, asked, CommandReply.FAIL, f"COMMAND is {why}")
 
     def marked(self, entry: Entry, peer: Peer, message: Message, refused: str) -> list[Item]:
         """Return the reply to a COMMAND that made a mark, or the reason why it made none."""
-        status = CommandReply.FAIL if refused else CommandReply.SUCCESS
-        return self._reply(entry, _asked(entry, peer, message), status, refused)
-
-    def on_reply(self, peer: Peer, message: Message) -> None:
-        """A peer has replied to a command from ROS: it waits no longer."""
-        if isinstance(message.content, Command) and visible(message.type) != "COMMAND":
-            self._to_peers.take(message.content.command_id, peer.link)
+        asked = _asked(entry, peer, message)
+        return self._reply(entry, asked, CommandReply.FAIL if refused else CommandReply.SUCCESS, refused)
 
     def _reply(self, entry: Entry, pending: PendingCommand, status: int, text: str) -> list[Item]:
         """Return an RTS_COMMAND of the gateway itself."""

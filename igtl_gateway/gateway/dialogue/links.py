@@ -11,6 +11,7 @@ from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.igtl_msgs import LinkStatusList
+from igtl_gateway.convert.profiles import PLUS_1
 from igtl_gateway.convert.rosmsg import Header as RosHeader
 from igtl_gateway.gateway.activity import Activity
 from igtl_gateway.gateway.denials import Denials
@@ -100,6 +101,26 @@ class Links:
         header = RosHeader(now_ns, self._config.base_frame)
         statuses = tuple(peer.status() for peer in self._peers.all())
         return ros_output(LINKS_TOPIC, LinkStatusList(header, statuses), now_ns)
+
+    def learned(self, entry: Entry, peer: Peer, message: Message) -> list[Item]:
+        """Learn version and profile of the sender of a message; return the new list of peers, and the findings."""
+        before, gets = peer.profile, peer.gets
+        if not peer.learn_from(message):
+            return []
+        if peer.gets != gets:  # not with the first message of each peer: all streams would be compiled again
+            self._peers.changed(peer.link)
+        items: list[Item] = [self.status(entry.stamp_ns)]
+        if peer.profile is before:
+            return items
+        text, level = f"{peer.address or 'peer'}: profile {peer.profile.name}, detected from its messages", Level.INFO
+        if peer.profile is PLUS_1:
+            level = Level.WARN
+            text += (
+                ": it looks like PLUS and sends header version 1, which does not mark invalid poses: they are published"
+                f" as valid ones, also on /tf. --peer {peer.address or 'ADDRESS'}=plus, or "
+                'ClientHeaderVersion="2" in <DefaultClientInfo> of PLUS, makes it send version 2'
+            )
+        return [*items, Finding(level, "peer_profile", text, entry.channel, (peer.link,))]
 
     @property
     def due_ns(self) -> int | None:

@@ -105,8 +105,7 @@ def compile_to_igtl(
         return None
     told = [replace(peer) for peer in peers]  # this sends nothing
     first, second = (
-        send(replace(out, ros_stamp_ns=stamp_ns if out.ros_stamp_ns else 0), told, entry.stamp_ns)
-        for stamp_ns in _TWO_STAMPS
+        send(entry, replace(out, ros_stamp_ns=stamp_ns if out.ros_stamp_ns else 0), told) for stamp_ns in _TWO_STAMPS
     )
     if first.refused or first.warnings or not first.outputs:
         return None

@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
 from igtl_gateway.base.errors import ConversionError, WireError
-from igtl_gateway.convert.frames import FrameTree
-from igtl_gateway.convert.profiles import UNRECOGNISED
+from igtl_gateway.convert.frames import FrameTree, in_frame
 from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.log.entry import Entry
-from igtl_gateway.gateway.log.fates import NOT_FOR
 from igtl_gateway.gateway.log.note import Level
-from igtl_gateway.gateway.outcome import Finding, Item, warning_findings
+from igtl_gateway.gateway.outcome import Finding, Item
 from igtl_gateway.gateway.peers import Peer
-from igtl_gateway.gateway.to_igtl.sender import OutboundMessage, SendResult, send
-from igtl_gateway.gateway.to_igtl.trackdata import TRACKING, in_frame
+from igtl_gateway.gateway.to_igtl.sender import OutboundMessage, send
+from igtl_gateway.gateway.to_igtl.trackdata import TRACKING
 
 
 class Delivery:
@@ -54,10 +52,10 @@ class Delivery:
                     Finding(Level.WARN, "denied", text, entry.channel, entry.links, subject=out.igtl_type, loss=loss)
                 )
                 continue
-            sent = send(out, peers, entry.stamp_ns, asked=asked)
+            sent = send(entry, out, peers, asked=asked)
             items += sent.outputs
-            if sent.warnings or sent.refused:
-                items += _profile_findings(entry, sent)
+            items += sent.warnings
+            items += sent.refused
         return items
 
     def deliver_each(
@@ -74,55 +72,38 @@ class Delivery:
                 items.append(Finding(Level.ERROR, "conversion", text, entry.channel, entry.links, loss=loss))
         return items
 
-    def deliver_stream(
-        self, entry: Entry, peers: Iterable[Peer], out: OutboundMessage, lengths: LengthUnits
+    def deliver_streams(
+        self, entry: Entry, sends: Iterable[tuple[Iterable[Peer], OutboundMessage]], lengths: LengthUnits
     ) -> list[Item]:
-        """Deliver a message of a stream at the pace of each peer; tracking data in the frame that each requested."""
-        if out.igtl_type not in TRACKING:
-            return self.to(entry, peers, (out,), asked=False)
+        """Deliver messages of streams, each to its peers at the pace of each.
+
+        Tracking data goes to each peer in the frame that it requested.
+        """
+        items: list[Item] = []
+        for peers, out in sends:
+            for group in self._by_frame(entry, peers, out, lengths) if out.igtl_type in TRACKING else ((peers, out),):
+                if isinstance(group, Finding):
+                    items.append(group)
+                else:
+                    members, moved = group
+                    items += self.to(entry, members, (moved,), asked=False)
+        return items
+
+    def _by_frame(
+        self, entry: Entry, peers: Iterable[Peer], out: OutboundMessage, lengths: LengthUnits
+    ) -> Iterator[tuple[list[Peer], OutboundMessage] | Finding]:
+        """Yield tracking data in each requested frame with its peers; a finding for a frame that is not known."""
         by_frame: dict[str, list[Peer]] = {}
         for peer in peers:
             request = peer.stream_request(out.igtl_type, out.device)
             frame = request.frame if request else ""
             by_frame.setdefault("" if frame == out.frame_id else frame, []).append(peer)
-        items: list[Item] = []
         for frame, members in by_frame.items():
-            moved = out
-            if frame:
-                place = self._frames.latest(out.frame_id, frame)
-                if place is None:
-                    text = f"{out.channel} is not sent: no transform from its frame {out.frame_id!r} to {frame!r}"
-                    items.append(Finding(Level.WARN, "unknown_frame", text, entry.channel, entry.links, subject=frame))
-                    continue
-                content = in_frame(out.content, place[1], lengths)
-                moved = replace(out, content=content, frame_id=frame)
-            items += self.to(entry, members, (moved,), asked=False)
-        return items
-
-
-def _profile_findings(entry: Entry, sent: SendResult) -> list[Item]:
-    """Return findings for peers that get an adapted message, or none."""
-    items = warning_findings(sent.warnings, entry)
-    return items + [held_back(entry, peer, igtl_type) for peer, igtl_type in sent.refused]
-
-
-def held_back(entry: Entry, peer: Peer, igtl_type: str) -> Finding:
-    """Return the finding about a message that a peer is not sent because of its profile."""
-    address, profile = peer.address or "the peer", peer.profile.name
-    unknown = peer.profile is UNRECOGNISED
-    why = f"its profile {profile} cannot receive this type"
-    if unknown:
-        why = (
-            "it is not recognised, and programs such as PLUS lose the stream at this type; a profile "
-            f"(--peer {peer.address or 'ADDRESS'}=default: all types) or --no-cautious sends it"
-        )
-    return Finding(
-        Level.WARN if unknown else Level.INFO,
-        "not_for_peer",
-        f"{igtl_type} is not sent to {address}: {why}",
-        entry.channel,
-        entry.links,
-        subject=igtl_type,
-        by=peer.link,
-        loss=(igtl_type, f"{NOT_FOR}{profile}"),
-    )
+            place = self._frames.latest(out.frame_id, frame) if frame else None
+            if place:
+                yield members, replace(out, content=in_frame(out.content, place[1], lengths), frame_id=frame)
+            elif frame:
+                text = f"{out.channel} is not sent: no transform from its frame {out.frame_id!r} to {frame!r}"
+                yield Finding(Level.WARN, "unknown_frame", text, entry.channel, entry.links, subject=frame)
+            else:
+                yield members, out

@@ -17,7 +17,7 @@ from igtl_gateway.gateway.outcome import Finding, Item, Outcome, conversion_fail
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peers
 from igtl_gateway.gateway.streams import Streams
-from igtl_gateway.gateway.to_igtl.delivery import held_back
+from igtl_gateway.gateway.to_igtl.sender import held_back
 from igtl_gateway.wire import Header, decode
 from igtl_gateway.wire.fields import visible
 

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import chain
 
 from igtl_gateway.base.errors import ConversionError, WireError
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext
+from igtl_gateway.convert.rosmsg import RosMessage
 from igtl_gateway.gateway.activity import INACTIVE, Activity
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.commanding import Commands
-from igtl_gateway.gateway.guard import STALE, Guard, GuardedStream, check_stamp, translation_of
+from igtl_gateway.gateway.guard import STALE, Guard, check_stamp, translation_of
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.fates import CONVERTED, RECORDED_ONLY
 from igtl_gateway.gateway.log.note import Level
@@ -85,14 +87,8 @@ class RosReceiver:
         try:
             message = stream.conversion.message.unpack(entry.payload[0])
             outgoing = stream.conversion.convert(message, to)
-            igtl_type = outgoing.igtl_type or stream.conversion.igtl_type
-            if self._denied and self._denied.content(igtl_type, outgoing.content):
-                return self._deny(entry, stream, outgoing, igtl_type)
-            if is_command and not active:
-                reply = self._commands.refuse_ros(entry, stream, outgoing, "the gateway is not active")
-                return self._refused(entry, Outcome([*reply]))
-            if stream.of_robot and not outgoing.stamp_ns and hasattr(message, "header"):
-                return Outcome([_not_valid(entry)], NOT_VALID)
+            if refusal := self._refusal(entry, stream, message, outgoing):
+                return refusal
             watched = self._guard.of(0, topic, stream.max_age_s)
             if watched:
                 own_ns = outgoing.stamp_ns or entry.source_ns
@@ -103,13 +99,36 @@ class RosReceiver:
             self._latest.entries[topic] = entry
             if unsent:
                 return self._unsent(entry, found)
-            outcome = self._sent(entry, stream, outgoing, watched)
+            if special := self._commands.sender_for(stream.conversion.igtl_type):
+                items, origin = special(entry, stream, outgoing), None
+            else:
+                out = self._composer.compose(entry, stream, stream.conversion, outgoing)
+                sends = chain([(self._addressed(outgoing), out)], self._tracking.due_after(entry, out))
+                items = self._delivery.deliver_streams(entry, sends, stream.lengths)
+                # the validity of a robot's data is checked on the full path only
+                origin = None if stream.of_robot else IgtlOrigin(stream, out, watched)
         except (ConversionError, WireError) as error:
             fate = error.code if isinstance(error, ConversionError) else ConversionError.code
             return Outcome([conversion_failure(error, "not sent", entry), *found], fate)
-        outcome.items += warning_findings(to.warnings, entry)
-        outcome.items += found
-        return outcome
+        sent = any(isinstance(item, Output) and item.kind is Kind.IGTL_OUT for item in items)
+        items += [*warning_findings(to.warnings, entry), *found]
+        return Outcome(items, CONVERTED if sent else "not_wanted", origin=origin)
+
+    def _refusal(
+        self, entry: Entry, stream: ToIgtlStream, message: RosMessage, outgoing: ConvertedMessage
+    ) -> Outcome | None:
+        """Return the outcome of a message that must not be sent, whatever its age: denied, not active, not valid."""
+        igtl_type = outgoing.igtl_type or stream.conversion.igtl_type
+        if self._denied and self._denied.content(igtl_type, outgoing.content):
+            return self._deny(entry, stream, outgoing, igtl_type)
+        if stream.conversion.igtl_type == "COMMAND" and not self._activity.active:
+            reply = self._commands.refuse_ros(entry, stream, outgoing, "the gateway is not active")
+            return Outcome([*reply, self._activity.refuse(entry)], INACTIVE)
+        if stream.of_robot and not outgoing.stamp_ns and hasattr(message, "header"):
+            text = f"{entry.channel}: data without a stamp are not valid (CRTK) and are not sent"
+            finding = Finding(Level.INFO, NOT_VALID, text, entry.channel, entry.links, subject=entry.channel)
+            return Outcome([finding], NOT_VALID)
+        return None
 
     def _unsent(self, entry: Entry, found: list[Item]) -> Outcome:
         """Handle a message that is kept as the latest one of its stream, but not sent."""
@@ -126,21 +145,6 @@ class RosReceiver:
         text = f"more than {self._config.max_streams} streams: {entry.channel} is recorded, not sent"
         finding = Finding(Level.WARN, "too_many_streams", text, entry.channel, entry.links, subject="ros")
         return Outcome([finding], "too_many_streams")
-
-    def _sent(
-        self, entry: Entry, stream: ToIgtlStream, outgoing: ConvertedMessage, watched: GuardedStream | None
-    ) -> Outcome:
-        """Send the converted message to its peers.  Raises ConversionError and WireError."""
-        if special := self._commands.sender_for(stream.conversion.igtl_type):
-            items, origin = special(entry, stream, outgoing), None
-        else:
-            out = self._composer.compose(entry, stream, stream.conversion, outgoing)
-            items = self._delivery.deliver_stream(entry, self._addressed(outgoing), out, stream.lengths)
-            items += self._tracking.follow_pose(entry, out, stream.lengths)
-            # the validity of a robot's data is checked on the full path only
-            origin = None if stream.of_robot else IgtlOrigin(stream, out, watched)
-        sent = any(isinstance(item, Output) and item.kind is Kind.IGTL_OUT for item in items)
-        return Outcome(items, CONVERTED if sent else "not_wanted", origin=origin)
 
     def _deny(self, entry: Entry, stream: ToIgtlStream, outgoing: ConvertedMessage, igtl_type: str) -> Outcome:
         """Reject a message that ``deny_out`` denies; a denied command gets a reply."""
@@ -159,9 +163,3 @@ class RosReceiver:
                 f"found link {outgoing.link}, expected 0 (all peers) or the number of a connected peer"
             )
         return (peer,)
-
-
-def _not_valid(entry: Entry) -> Finding:
-    """Return the finding about data that a robot itself marks as not valid."""
-    text = f"{entry.channel}: data without a stamp are not valid (CRTK) and are not sent"
-    return Finding(Level.INFO, NOT_VALID, text, entry.channel, entry.links, subject=entry.channel)

@@ -6,15 +6,18 @@ Peers that get the same bytes share one entry, so that each form of a message is
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from igtl_gateway.base.stamp import ns_to_ticks
 from igtl_gateway.base.values import value
 from igtl_gateway.convert.igtl_msgs import MetadataItem
-from igtl_gateway.convert.profiles import Adapted
-from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.convert.profiles import UNRECOGNISED, Adapted
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.fates import NOT_FOR
+from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.metadata import compose_metadata
+from igtl_gateway.gateway.outcome import Finding
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peer
 from igtl_gateway.wire import Message, encode
@@ -58,43 +61,46 @@ class SendResult:
 
     Attributes:
         outputs: the encoded messages.
-        refused: (profile, type) of the peers that cannot read the type.
-        warnings: adaptations for some peers.
+        warnings: findings about adaptations for some peers.
+        refused: findings about the peers that cannot read the type.
     """
 
-    outputs: list[Output]
-    refused: list[tuple[Peer, str]]
-    warnings: list[tuple[str, str]]
+    outputs: list[Output] = field(default_factory=list)
+    warnings: list[Finding] = field(default_factory=list)
+    refused: list[Finding] = field(default_factory=list)
 
 
-def send(out: OutboundMessage, peers: Iterable[Peer], now_ns: int, *, asked: bool = False) -> SendResult:
+def send(entry: Entry, out: OutboundMessage, peers: Iterable[Peer], *, asked: bool = False) -> SendResult:
     """Return one output for each form of the message, header version 1 first.
 
     Args:
+        entry: the input that causes it.
         out: the message.
         peers: the addressees.
-        now_ns: gateway time.
         asked: whether it answers a query, so that the pace of streams does not apply.
 
     Raises:
         MalformedBody: a content that cannot be encoded.
     """
-    sent = SendResult([], [], [])
+    sent = SendResult()
     forms: dict[tuple[int, str, tuple[tuple[str, str], ...]], tuple[Body, list[int]]] = {}
     adapted: dict[Adapt, Body] = {}
     for peer in peers:
         if not peer.may_send(out.igtl_type):
-            sent.refused.append((peer, out.igtl_type))
-        elif asked or peer.claim_due(out.igtl_type, out.device, now_ns):
+            sent.refused.append(held_back(entry, peer, out.igtl_type))
+        elif asked or peer.claim_due(out.igtl_type, out.device, entry.stamp_ns):
             content, name = out.content, ""
             if adapt := peer.profile.adapt.get(type(content)):
                 if adapt not in adapted:
-                    adapted[adapt], warning = adapt(content)
-                    sent.warnings += [("adapted", warning)] if warning else []
+                    adapted[adapt], text = adapt(content)
+                    if text:  # reported once for each stream and cause
+                        sent.warnings.append(
+                            Finding(Level.WARN, "adapted", text, entry.channel, entry.links, entry.channel)
+                        )
                 if adapted[adapt] is not content:
                     content, name = adapted[adapt], adapt.__name__
-            forms.setdefault((peer.version, name, _expected(peer, content)), (content, []))[1].append(peer.link)
-            peer.last_sent_ns = now_ns
+            forms.setdefault((peer.version, name, peer.expects(content)), (content, []))[1].append(peer.link)
+            peer.last_sent_ns = entry.stamp_ns
     for (version, _, expected), (content, links) in sorted(forms.items(), key=lambda form: form[0]):
         message = Message(out.igtl_type, out.device, content, ns_to_ticks(out.stamp_ns))
         if version > 1:
@@ -109,7 +115,23 @@ def send(out: OutboundMessage, peers: Iterable[Peer], now_ns: int, *, asked: boo
     return sent
 
 
-def _expected(peer: Peer, content: Body) -> tuple[tuple[str, str], ...]:
-    """Return the metadata that a peer expects with a content; none in header version 1, which has no metadata."""
-    expects = peer.profile.expects.get(type(content)) if peer.recent and peer.version > 1 else None
-    return expects(content) if expects else ()
+def held_back(entry: Entry, peer: Peer, igtl_type: str) -> Finding:
+    """Return the finding about a message that a peer is not sent because of its profile."""
+    address, profile = peer.address or "the peer", peer.profile.name
+    unknown = peer.profile is UNRECOGNISED
+    why = f"its profile {profile} cannot receive this type"
+    if unknown:
+        why = (
+            "it is not recognised, and programs such as PLUS lose the stream at this type; a profile "
+            f"(--peer {peer.address or 'ADDRESS'}=default: all types) or --no-cautious sends it"
+        )
+    return Finding(
+        Level.WARN if unknown else Level.INFO,
+        "not_for_peer",
+        f"{igtl_type} is not sent to {address}: {why}",
+        entry.channel,
+        entry.links,
+        subject=igtl_type,
+        by=peer.link,
+        loss=(igtl_type, f"{NOT_FOR}{profile}"),
+    )

@@ -5,7 +5,8 @@ from __future__ import annotations
 from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.config.configuration import TfOutRow
 from igtl_gateway.convert.common_msgs import TFMessage
-from igtl_gateway.gateway.guard import Guard, findings_of
+from igtl_gateway.gateway.guard import Guard
+from igtl_gateway.gateway.guarded_stream import findings_of
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.fates import CONVERTED
 from igtl_gateway.gateway.log.note import Level
@@ -58,12 +59,18 @@ class TfReceiver:
         lengths = {out.channel: lengths for out, lengths in changed}
         outs = [out for out, _ in changed]
         items += self._delivery.deliver_each(
-            entry, outs, lambda out: self._delivery.deliver_stream(entry, self._peers.all(), out, lengths[out.channel])
+            entry,
+            outs,
+            lambda out: self._delivery.deliver_streams(entry, [(self._peers.all(), out)], lengths[out.channel]),
         )
         # tracking data contains all poses: once for each type, however many poses have changed
         last = {out.igtl_type: out for out in outs}
         return items + self._delivery.deliver_each(
-            entry, last.values(), lambda out: self._tracking.follow_pose(entry, out, lengths[out.channel])
+            entry,
+            last.values(),
+            lambda out: self._delivery.deliver_streams(
+                entry, self._tracking.due_after(entry, out), lengths[out.channel]
+            ),
         )
 
     def send_static(self, entry: Entry, peer: Peer) -> list[Item]:

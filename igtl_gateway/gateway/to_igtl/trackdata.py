@@ -1,4 +1,4 @@
-"""Tracking data: composed of single poses, and transformed to the frame that a peer requested."""
+"""Tracking data: composed of single poses."""
 
 from __future__ import annotations
 
@@ -7,13 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from igtl_gateway.convert.frames import compose
-from igtl_gateway.convert.poses import rotation_matrix
-from igtl_gateway.convert.structs import Pose
-from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.gateway.peers import Peer
 from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
-from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.fields import cut_text, encode_text
 from igtl_gateway.wire.tracking import (
     QTRACKING_DTYPE,
@@ -67,26 +62,6 @@ def _fill(element: Any, pose: OutboundMessage) -> None:
         case Position(position, quaternion):
             element["position"] = position
             element["quaternion"] = quaternion
-
-
-def in_frame(content: Body, pose: Pose, lengths: LengthUnits) -> Body:
-    """Transform tracking data to another frame, in which its own frame has ``pose`` (metres)."""
-    if isinstance(content, TrackingData):
-        elements = content.elements.copy()
-        columns = elements["matrix"].astype(np.float64).reshape(-1, 4, 3)
-        turned = np.empty_like(columns)
-        for row, (a, b, c) in enumerate(rotation_matrix(pose[3:])):  # plain sums give the same bits on every machine
-            turned[:, :, row] = a * columns[:, :, 0] + b * columns[:, :, 1] + c * columns[:, :, 2]
-            turned[:, 3, row] += lengths.to_igtl(pose[row])
-        elements["matrix"] = turned.reshape(-1, 12)
-        return TrackingData(elements)
-    assert isinstance(content, QuaternionTrackingData)
-    elements = content.elements.copy()
-    x, y, z = (lengths.to_igtl(value) for value in pose[:3])
-    for element in elements:
-        moved = compose((x, y, z, *pose[3:]), (*element["position"].tolist(), *element["quaternion"].tolist()))
-        element["position"], element["quaternion"] = moved[:3], moved[3:]
-    return QuaternionTrackingData(elements)
 
 
 def trackers(peers: Iterable[Peer]) -> dict[tuple[str, str], list[Peer]]:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
-from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.gateway.log.entry import Entry
-from igtl_gateway.gateway.outcome import Item
-from igtl_gateway.gateway.peers import Peers
-from igtl_gateway.gateway.to_igtl.delivery import Delivery
+from igtl_gateway.gateway.peers import Peer, Peers
 from igtl_gateway.gateway.to_igtl.latest import Latest
 from igtl_gateway.gateway.to_igtl.pose_forms import as_type
 from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
@@ -20,20 +18,18 @@ _OTHER = {"TDATA": "QTDATA", "QTDATA": "TDATA"}
 
 
 class Tracking:
-    """Sends composed tracking data."""
+    """Composes the tracking data that peers requested."""
 
-    def __init__(self, peers: Peers, latest: Latest, delivery: Delivery) -> None:
+    def __init__(self, peers: Peers, latest: Latest) -> None:
         self._peers = peers
         self._latest = latest
-        self._delivery = delivery
 
-    def follow_pose(self, entry: Entry, out: OutboundMessage, lengths: LengthUnits) -> list[Item]:
-        """Return the tracking data that is due after a pose, for each peer that requested it."""
+    def due_after(self, entry: Entry, out: OutboundMessage) -> Iterator[tuple[Iterable[Peer], OutboundMessage]]:
+        """Yield the tracking data that is due after a pose has been sent, with the peers that requested it."""
         if out.igtl_type in _OTHER:
-            return self._other_form(entry, out, lengths)
+            yield from self._other_form(out)
         if out.igtl_type not in _POSES:
-            return []
-        items: list[Item] = []
+            return
         made: dict[str, OutboundMessage | None] = {}  # shared by all requested device names
         for (igtl_type, device), peers in trackers(self._peers.all()).items():
             name = device or TRACKING_DEVICE
@@ -46,18 +42,14 @@ class Tracking:
                     else tracking_content(igtl_type, "", entry.stamp_ns, lambda *key: self._latest.of(entry, *key))
                 )
             if found := made[igtl_type]:
-                items += self._delivery.deliver_stream(entry, peers, replace(found, device=name), lengths)
-        return items
+                yield peers, replace(found, device=name)
 
-    def _other_form(self, entry: Entry, out: OutboundMessage, lengths: LengthUnits) -> list[Item]:
-        """Return a message of tracking data as the other type, for the peers that requested that and have no other."""
+    def _other_form(self, out: OutboundMessage) -> Iterator[tuple[Iterable[Peer], OutboundMessage]]:
+        """Yield a message of tracking data as the other type, for the peers that requested that and have no other."""
         other = _OTHER[out.igtl_type]
         if self._latest.has_stream_of(other):
-            return []
-        items: list[Item] = []
+            return
         for (igtl_type, device), peers in trackers(self._peers.all()).items():
             if igtl_type == other and (form := as_type(out, other)):
                 name = device or out.device
-                recent = [peer for peer in peers if peer.recent]
-                items += self._delivery.deliver_stream(entry, recent, replace(form, device=name), lengths)
-        return items
+                yield [peer for peer in peers if peer.recent], replace(form, device=name)

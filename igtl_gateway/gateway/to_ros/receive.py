@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from igtl_gateway.base.errors import WireError
 from igtl_gateway.config.configuration import Config
-from igtl_gateway.convert.profiles import PLUS_1
 from igtl_gateway.gateway.activity import INACTIVE, Activity
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.commanding import Commands
@@ -67,7 +66,7 @@ class IgtlReceiver:
         peer = self._peers.get(entry.links[0])
         if is_probe(message):
             return Outcome(self._queries.identify(entry, peer) if peer else [], PROBED, decoded=True)
-        news = self._learned(entry, peer, message) if peer else []
+        news = self._links.learned(entry, peer, message) if peer else []
         if denied := self._denied.message(message):
             return Outcome([*news, *self._deny(entry, peer, message, denied)], "denied", decoded=True)
         if not self._activity.active:
@@ -96,23 +95,9 @@ class IgtlReceiver:
         if makes_mark or news or peer.held_until_ns or peer.must_see(message):
             outcome.origin = None
         outcome.items += self._links.on_message(entry, peer, message)
-        if isinstance(message.content, Command):
-            self._commands.on_reply(peer, message)
-        else:
+        if not isinstance(message.content, Command):
             outcome.items += self._queries.respond(entry, peer, message)
         return outcome
-
-    def _learned(self, entry: Entry, peer: Peer, message: Message) -> list[Item]:
-        """Learn version and profile of the sender; return the findings."""
-        before, gets = peer.profile, peer.gets
-        if not peer.learn_from(message):
-            return []
-        if peer.gets != gets:  # not with the first message of each peer: all streams would be compiled again
-            self._peers.changed(peer.link)
-        items: list[Item] = [self._links.status(entry.stamp_ns)]
-        if peer.profile is not before:
-            items.append(_profile_detected(entry, peer))
-        return items
 
     def _deny(self, entry: Entry, peer: Peer | None, message: Message, denied: str) -> list[Item]:
         """Reject a denied message; a query or command gets a reply."""
@@ -132,16 +117,3 @@ class IgtlReceiver:
         if query := split_query(message.type):
             return [finding, *self._queries.deny(entry, peer, message, *query, why)]
         return [finding]
-
-
-def _profile_detected(entry: Entry, peer: Peer) -> Finding:
-    """Return the finding about a profile that messages have shown."""
-    text = f"{peer.address or 'peer'}: profile {peer.profile.name}, detected from its messages"
-    if peer.profile is not PLUS_1:
-        return Finding(Level.INFO, "peer_profile", text, entry.channel, (peer.link,))
-    text += (
-        ": it looks like PLUS and sends header version 1, which does not mark invalid poses: they are published as"
-        f" valid ones, also on /tf. --peer {peer.address or 'ADDRESS'}=plus, or "
-        'ClientHeaderVersion="2" in <DefaultClientInfo> of PLUS, makes it send version 2'
-    )
-    return Finding(Level.WARN, "peer_profile", text, entry.channel, (peer.link,))
