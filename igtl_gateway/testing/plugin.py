@@ -68,7 +68,8 @@ def _igtl_resim(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPat
 
     Runs ROS 2 programs on a recording, several times, in session time; returns the ``Resimulation``.  Its ``outputs``
     are kept as long as ``tmp_path``.  The arguments are those of ``igtl_gateway.resim``; programs run in the folder of
-    the test.  A timer that races a topic is a warning, and a property of the test in JUnit.  Needs the add-on resim.
+    the test.  A timer that races a topic fails it, unless ``permit_races=True``: then it is a warning, and a property
+    of the test in JUnit.  Needs the add-on resim.
     """
     from igtl_gateway.base.addons import part_of
 

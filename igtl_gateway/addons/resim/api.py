@@ -40,12 +40,12 @@ class Resimulation:
 
     @property
     def is_deterministic(self) -> bool:
-        """Whether all runs came to their end and are equal."""
+        """Whether all runs came to their end and are equal, and no timer races an input."""
         return self.verdict.is_deterministic
 
     @property
     def race(self) -> str:
-        """The timer that races an input, in a line; ``""`` for none.  The runs may be equal nevertheless."""
+        """What depends on a timer, in a line; ``""`` for nothing.  The runs may be equal nevertheless."""
         return self.verdict.race.text(self.verdict.start_ns) if self.verdict.race else ""
 
     @property
@@ -79,6 +79,7 @@ def resim(
     without: Sequence[str] = (),
     latency_ms: float = 0.0,
     lead_s: float = 0.0,
+    permit_races: bool = False,
     clocks: str = "shifted",
     wall_limit_s: float = 30.0,
     cpu_limit_s: float = 60.0,
@@ -99,6 +100,7 @@ def resim(
         without: topics that programs may ask for although nothing has them; globs.
         latency_ms: of messages from program to program, in session time.
         lead_s: session time from the start of the programs to that of the recording.
+        permit_races: whether a timer may race a topic, as of programs that sample by a timer deliberately.
         clocks: what the clocks outside of ROS show: "shifted" (session time, but ``time.time()`` is on another day in
             each run), "session" or "real".
         wall_limit_s: real time in which a program has to come to rest.
@@ -150,6 +152,7 @@ def resim(
             if verdict.unequal_run:
                 verdict.cause = likely_cause(path, commands, options, verdict, Path(again))
             elif verdict.is_deterministic:
+                verdict.permits_races = permit_races
                 verdict.race = find_race(result, commands, options, Path(again))
         return Resimulation(result, verdict)
 

@@ -123,6 +123,7 @@ class ResimOptions:
         without: topics that programs may ask for although nothing has them; globs.
         swap_ties: in every second run, timers come before recorded inputs of the same time, so that runs differ if the
             outputs depend on which of them is first.
+        timers_first: they do so in every run.
         until_ns: session time at which runs end, UTC ns; at the latest they end with the recording.
         wall_s: real seconds without an event, in which no thread computes or waits for a processor, after which it
             counts as hanging.
@@ -138,6 +139,7 @@ class ResimOptions:
     outputs: tuple[str, ...] = ()
     without: tuple[str, ...] = ()
     swap_ties: bool = False
+    timers_first: bool = False
     until_ns: int = NEVER
     wall_s: float = 30.0
     cpu_s: float = 60.0
@@ -278,7 +280,7 @@ def _run_once(
     one: Run,
     on_roles: Callable[[Roles], None],
 ) -> None:
-    is_swapped = options.swap_ties and one.number % 2 == 0
+    is_swapped = options.timers_first or (options.swap_ties and one.number % 2 == 0)
     clock = SystemClock()
     began_ns = clock.monotonic_ns()
 

@@ -13,11 +13,14 @@
     igtl = "client"                      # of OpenIGTLink, or "server"; default: a program of ROS 2
     port = 18944                         # optional; default: a free one, for {port} and in $IGTL_PORT
     link = 1                             # whose peer it replaces; default: the only one of the recording
+
+Before the tables, ``permit_races = true`` permits timers that race an input.
 """
 
 from __future__ import annotations
 
 import shlex
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +32,24 @@ _KEYS = ("name", "command", "env", "folder", "igtl", "port", "link")
 _IGTL = ("client", "server")
 
 
-def read_recipe(path: Path) -> list[Program]:
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """What a file has: the programs, and whether their timers may race an input."""
+
+    programs: list[Program]
+    permits_races: bool = False
+
+
+def read_recipe(path: Path) -> Recipe:
     """Read the programs.  Raises ConfigError with file, place, value found and value expected."""
     document = read_toml(path)
     try:
         for key in document:
-            if key != "program":
+            if key not in ("program", "permit_races"):
                 raise ConfigError(f"{key}: unknown table, expected [[program]]")
+        permits_races = document.get("permit_races", False)
+        if not isinstance(permits_races, bool):
+            raise ConfigError(f"permit_races: found {permits_races!r}, expected true or false")
         tables = document.get("program", [])
         if not isinstance(tables, list) or not all(isinstance(each, dict) for each in tables):
             raise ConfigError("program: found another value, expected tables [[program]]")
@@ -45,7 +59,7 @@ def read_recipe(path: Path) -> list[Program]:
         names = [program.title for program in programs]
         if double := next((name for name in names if names.count(name) > 1), None):
             raise ConfigError(f"program: found {double!r} twice, expected a name of its own for each")
-        return programs
+        return Recipe(programs, permits_races)
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
 

@@ -53,8 +53,8 @@ def _counts(stream: StreamVerdict) -> str:
 def junit_xml(result: RunResult, verdict: Verdict, outputs: tuple[str, ...] = ()) -> bytes:
     """The verdict in the format of JUnit: a test case for determinism, and one for each stream.
 
-    A program that ended or hung is an error, a difference a failure; a stream that nothing could be compared with is
-    skipped; a timer that races a topic is a property of the suite.
+    A program that ended or hung is an error; a difference, or a timer that races a topic, is a failure; a stream that
+    nothing could be compared with is skipped.  A race that is permitted is a property of the suite.
 
     Args:
         result: of ``engine.run``.
@@ -64,13 +64,13 @@ def junit_xml(result: RunResult, verdict: Verdict, outputs: tuple[str, ...] = ()
     suites = ElementTree.Element("testsuites", name="igtl-gateway resim")
     suite = ElementTree.SubElement(suites, "testsuite", name=_xml(result.recording.name))
     seconds = sum(one.seconds for one in result.runs)
-    if verdict.race:  # no failure: a program may sample by a timer deliberately
+    if verdict.race and not verdict.is_racing:
         properties = ElementTree.SubElement(suite, "properties")
         ElementTree.SubElement(properties, "property", name="race", value=_xml(verdict.race.text(verdict.start_ns)))
     runs = _case(suite, result, f"deterministic: {count_text(len(result.runs), 'run')}", seconds)
     if verdict.fault:
         _outcome(runs, "error", "fault", verdict.line(), verdict.line())
-    elif verdict.unequal_run:
+    elif not verdict.is_deterministic:
         _outcome(runs, "failure", "not deterministic", verdict.line(), "\n".join(report_lines(result, verdict)))
     compared = {each.stream: each for each in verdict.between_runs or verdict.streams}
     made = {name for one in result.runs for name in one.streams if is_judged(name, outputs)}

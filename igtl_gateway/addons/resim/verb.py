@@ -115,6 +115,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="in every second run, timers come before messages of the same time: finds timers that race a topic",
     )
     parser.add_argument(
+        "--permit-races",
+        action="store_true",
+        help="a timer may race a topic: for programs that sample by a timer deliberately",
+    )
+    parser.add_argument(
         "--latency", type=float, default=0.0, metavar="MS",
         help="of messages from program to program, in session time " + default(0),
     )  # fmt: skip
@@ -219,6 +224,7 @@ def run(options: argparse.Namespace) -> int:
                 print_line(f"looking for the cause in up to {MOST_RUNS} shorter runs, for at most {MOST_S} s")
             verdict.cause = likely_cause(options.file, programs, settings, verdict, again)
         elif verdict.is_deterministic:
+            verdict.permits_races = options.permit_races
             again = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="igtl-resim-")))
             verdict.race = find_race(result, programs, settings, again)
         if options.junit:
@@ -270,14 +276,16 @@ def _run_bisect(
 
 
 def _programs_of(options: argparse.Namespace) -> list[Program]:
-    """The programs.  Raises ConfigError."""
+    """The programs; sets ``permit_races`` if the recipe does.  Raises ConfigError."""
     is_igtl = options.igtl_client or options.igtl_server is not None
     if is_igtl and options.recipe:
         raise ConfigError("found --recipe and --igtl-client or --igtl-server, expected igtl in the recipe")
     if options.link and not is_igtl:
         raise ConfigError("--link: has no effect without --igtl-client or --igtl-server")
     if options.recipe:
-        return read_recipe(options.recipe)
+        recipe = read_recipe(options.recipe)
+        options.permit_races |= recipe.permits_races
+        return recipe.programs
     programs = _programs(options.programs)
     if not is_igtl:
         return programs

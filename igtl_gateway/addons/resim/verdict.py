@@ -9,8 +9,8 @@ tolerance.  In a live recording the times are those of its day: its messages are
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterator, Sequence, Set
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Sequence, Set
 from dataclasses import dataclass, field
 from itertools import islice
 from math import inf, isfinite, isnan
@@ -28,6 +28,8 @@ from igtl_gateway.replay.diff import DiffInput, StreamDiff, diff
 _RESIM_KEY = "resim_of"
 #: Names of the numbers of a position, of a rotation, and of a pose with both.
 _PARTS = {3: ("x", "y", "z"), 4: ("x", "y", "z", "w"), 7: ("x", "y", "z", "qx", "qy", "qz", "qw")}
+#: Why a race is no accident of the runs.
+_TIE = "a timer and an input at the same time, whose order is chosen"
 #: Messages that are looked at for a late one.
 _AHEAD = 16
 
@@ -105,22 +107,30 @@ class StreamVerdict:
 
 @dataclass(frozen=True, slots=True)
 class Race:
-    """An output that an input causes, and that depends on the phase of timers (``races.find_race``).
+    """An output that depends on a timer which races an input (``races.find_race``).
 
     Attributes:
-        difference: the first one from a run that started earlier.
+        difference: the first one from the run that shows it.
         topic: of the input; ``""`` if none has that time.
-        earlier_ns: how much earlier.
+        earlier_ns: how much earlier that run started; 0: it had timers before inputs of the same time.
     """
 
     difference: Difference
     topic: str
-    earlier_ns: int
+    earlier_ns: int = 0
+
+    @property
+    def is_tie(self) -> bool:
+        """Whether a timer and an input are at one time, so that only a rule has their order."""
+        return not self.earlier_ns
 
     def text(self, start_ns: int) -> str:
         """One line for a person; ``start_ns``: start of the session."""
-        what = f"a timer races {self.topic or 'an input'}"
-        return f"{what}: {self.difference.text(start_ns)}, if the programs start {self.earlier_ns / 1e6:.1f} ms earlier"
+        difference, topic = self.difference.text(start_ns), self.topic or "an input"
+        if self.is_tie:
+            return f"a timer races {topic}: {difference} if the timer is first"
+        early = f"{self.earlier_ns / 1e6:.1f} ms earlier"
+        return f"an output at {topic} depends on when the programs start: {difference} if {early}"
 
 
 @dataclass(slots=True)
@@ -134,7 +144,8 @@ class Verdict:
         unequal_run: number of the first run that differs from the first one; 0 = none.
         cause: what probably makes it differ (``causes.likely_cause``); ``""`` if that was not looked for.
         between_runs: the streams of that run in which it differs.
-        race: what depends on the phase of timers, although the runs are equal; None: nothing, or not looked for.
+        race: what depends on timers, although the runs are equal; None: nothing, or not looked for.
+        permits_races: whether a timer may race an input.
         reference: what the outputs were compared with; None = nothing.
         streams: the streams in the reference and in the first run.
     """
@@ -146,12 +157,18 @@ class Verdict:
     cause: str = ""
     between_runs: list[StreamVerdict] = field(default_factory=list)
     race: Race | None = None
+    permits_races: bool = False
     reference: Path | None = None
     streams: list[StreamVerdict] = field(default_factory=list)
 
     @property
+    def is_racing(self) -> bool:
+        """Whether a timer races an input, and may not."""
+        return self.race is not None and self.race.is_tie and not self.permits_races
+
+    @property
     def is_deterministic(self) -> bool:
-        return not self.fault and not self.unequal_run
+        return not (self.fault or self.unequal_run or self.is_racing)
 
     @property
     def is_as_reference(self) -> bool:
@@ -164,7 +181,9 @@ class Verdict:
 
     @property
     def first(self) -> Difference | None:
-        """The difference that comes first in session time: between runs, or else against the reference."""
+        """The difference that comes first in session time: between runs, of a race, or else against the reference."""
+        if self.race and self.is_racing:
+            return self.race.difference
         found = [each.first for each in self.between_runs or self.streams if each.first]
         return min(found, key=lambda each: (each.time_ns, each.stream), default=None)
 
@@ -176,6 +195,8 @@ class Verdict:
         if self.unequal_run and first:
             likely = f"; likely cause: {self.cause}" if self.cause else ""
             return f"NOT DETERMINISTIC: run {self.unequal_run} differs from run 1: {first.text(self.start_ns)}{likely}"
+        if self.race and self.is_racing:
+            return f"NOT DETERMINISTIC: {self.race.text(self.start_ns)}; likely cause: {_TIE}"
         same = f"deterministic: {self.runs} of {self.runs} runs equal" if self.runs > 1 else "1 run"
         if self.race:
             same += f", but {self.race.text(self.start_ns)}"
@@ -264,6 +285,13 @@ class _Side:
         del self.ahead[index]
         return found
 
+    def take_moment(self) -> list[tuple[int, Entry]]:
+        """Remove the messages ahead that have the time of the first one; with their numbers."""
+        time_ns, found = self.ahead[0].stamp_ns, []
+        while self.ahead and self.ahead[0].stamp_ns == time_ns:
+            found.append((self.taken + 1, self.take()))
+        return found
+
     def count(self, message: Entry) -> int:
         """How many of the messages ahead have the time and the bytes of this one."""
         return sum(each.stamp_ns == message.stamp_ns and each.data() == message.data() for each in self.ahead)
@@ -306,10 +334,17 @@ def _strictly(one: Path, other: Path, names: Sequence[str], tolerance: Tolerance
         return [_compare_stream(name, _Side(first, name), _Side(second, name), tolerance) for name in names]
 
 
-def first_at_one_time(one: Path, other: Path, names: Sequence[str]) -> Difference | None:
+def first_at_one_time(
+    one: Path, other: Path, names: Sequence[str], counts: Callable[[str, int], bool] = lambda name, time_ns: True
+) -> Difference | None:
     """Return the first message whose values differ from those of the other run at that time, in the order of time.
 
-    Messages of a time that only one run has do not count.
+    Messages of a time that only one run has do not count, nor does their order at one time.
+
+    Args:
+        one, other: outputs of both runs.
+        names: their streams.
+        counts: whether the messages of a stream at a time do.
     """
     found = []
     with SessionFile.open(one) as first, SessionFile.open(other) as second:
@@ -319,8 +354,13 @@ def first_at_one_time(one: Path, other: Path, names: Sequence[str]) -> Differenc
                 later_ns = right.ahead[0].stamp_ns - left.ahead[0].stamp_ns
                 if later_ns:
                     (left if later_ns > 0 else right).take()
-                else:
-                    _compare_pair(verdict, left, right, EXACT)
+                    continue
+                time_ns = left.ahead[0].stamp_ns
+                ours, theirs = left.take_moment(), right.take_moment()
+                if counts(name, time_ns):
+                    mine, other_ones = _not_in(ours, theirs), _not_in(theirs, ours)
+                    for (number, message), (_, another) in zip(mine, other_ones, strict=False):
+                        _compare_messages(verdict, number, (left, message), (right, another), EXACT)
             found += [verdict.first] if verdict.first else []
     return min(found, key=lambda each: each.time_ns, default=None)
 
@@ -374,11 +414,30 @@ def _elsewhere(message: Entry, there: _Side, here: _Side) -> int | None:
 
 def _compare_pair(verdict: StreamVerdict, one: _Side, other: _Side, tolerance: Tolerance) -> None:
     """Compare two messages of one time."""
-    left, right = one.take(), other.take()
+    _compare_messages(verdict, one.taken + 1, (one, one.take()), (other, other.take()), tolerance)
+
+
+def _not_in(messages: list[tuple[int, Entry]], others: list[tuple[int, Entry]]) -> list[tuple[int, Entry]]:
+    """The messages whose bytes none of the others has; each of these stands for one."""
+    there = Counter(other.data() for _, other in others)
+    found = []
+    for number, message in messages:
+        if there[message.data()] > 0:
+            there[message.data()] -= 1
+        else:
+            found.append((number, message))
+    return found
+
+
+def _compare_messages(
+    verdict: StreamVerdict, number: int, one: tuple[_Side, Entry], other: tuple[_Side, Entry], tolerance: Tolerance
+) -> None:
+    """Compare two messages; ``number``: of the first one in its stream."""
+    (here, left), (there, right) = one, other
     if left.data() == right.data():
         return
     try:
-        delta = compare_values(one.leaves(left), other.leaves(right), tolerance)
+        delta = compare_values(here.leaves(left), there.leaves(right), tolerance)
     except Undecodable:
         delta = Delta()
         delta.differ(*first_byte(left.data(), right.data()))
@@ -388,7 +447,7 @@ def _compare_pair(verdict: StreamVerdict, one: _Side, other: _Side, tolerance: T
     verdict.mm, verdict.deg = max(verdict.mm, delta.mm), max(verdict.deg, delta.deg)
     if delta.field:
         verdict.different += 1
-        verdict.note(Difference(verdict.stream, one.taken, left.stamp_ns, "differs", 0, delta))
+        verdict.note(Difference(verdict.stream, number, left.stamp_ns, "differs", 0, delta))
     elif delta.mm or delta.deg or delta.elements or delta.largest:
         verdict.within += 1
 

@@ -40,7 +40,10 @@ def test_a_crash(igtl_resim):
     igtl_resim("in.mcap", PLANNER, runs=1)
 
 def test_a_race(igtl_resim):
-    found = igtl_resim("in7.mcap", [sys.executable, "planted.py", "timer"], runs=2)
+    igtl_resim("in7.mcap", [sys.executable, "planted.py", "timer"], runs=2)
+
+def test_a_race_that_is_permitted(igtl_resim):
+    found = igtl_resim("in7.mcap", [sys.executable, "planted.py", "timer"], runs=2, permit_races=True)
     assert found.is_deterministic and found.race.startswith("a timer races /in: /out, message 21 at ")
 
 def test_no_baseline(igtl_resim):
@@ -81,7 +84,8 @@ class TestTheFixture:
         folder = _folder(tmp_path)
         (folder / "test_it.py").write_text(TESTS, "utf-8")
         result = run_pytest(folder)
-        assert "4 failed, 3 passed, 1 warning" in result.stdout, result.stdout + result.stderr
+        assert "5 failed, 3 passed, 1 warning" in result.stdout, result.stdout + result.stderr
+        assert "AssertionError: NOT DETERMINISTIC: a timer races /in: /out, message 21 at 0.140000 s" in result.stdout
         assert "UserWarning: a timer races /in: /out, message 21 at 0.140000 s" in result.stdout
         assert (
             "AssertionError: DIFFERENT from good.mcap in 1 of 1 streams (1 run): "

@@ -55,5 +55,5 @@ def test_the_recipe(tmp_path: Path) -> None:
     (tmp_path / "nodes").mkdir()
     path = tmp_path / "programs.toml"
     path.write_text(text, "utf-8")
-    (program,) = read_recipe(path)
+    (program,) = read_recipe(path).programs
     assert program.name == "planner" and program.env == {"SEED": "1"} and program.folder == tmp_path / "nodes"

@@ -221,21 +221,52 @@ def test_waits_of_c_end_in_session_time(tmp_path: Path) -> None:
     assert result.runs[0].remarks == []
 
 
+def on_a_grid(path: Path, period_ns: int, count: int = 40) -> Path:
+    """A recording with strings at equal distances."""
+    rows = [(period_ns * number, *row[1:]) for number, row in enumerate(sessions.texts(count), 1)]
+    return sessions.write(path, rows)
+
+
 def test_a_timer_that_races_a_topic(tmp_path: Path) -> None:
-    """It shows if the programs start earlier, and at equal times in the other order of ties."""
-    rows = [(7_000_000 * number, *row[1:]) for number, row in enumerate(sessions.texts(40), 1)]
-    recording = sessions.write(tmp_path / "in.mcap", rows)
+    """An input and a tick of a timer of 7 ms are at the same time, and what the input causes depends on their order."""
+    recording = on_a_grid(tmp_path / "in.mcap", 7_000_000)
     result, verdict = judged(recording, tmp_path, "planted timer", runs=2)
     verdict.race = race_of(result, "planted", "timer")
+    place = "/out, message 21 at 0.140000 s: data is 'm20 19' and 'm20 20'"
     assert verdict.line() == (
-        "deterministic: 2 of 2 runs equal, but a timer races /in: /out, message 21 at 0.140000 s: "
-        "data is 'm20 19' and 'm20 21', if the programs start 13.7 ms earlier"
+        f"NOT DETERMINISTIC: a timer races /in: {place} if the timer is first; "
+        "likely cause: a timer and an input at the same time, whose order is chosen"
     )
-    assert verdict.exit_code == 0
+    assert (verdict.exit_code, verdict.is_deterministic) == (1, False)
+    assert verdict.first and (verdict.first.stream, verdict.first.number) == ("/out", 21)
+    verdict.permits_races = True
+    assert verdict.line() == f"deterministic: 2 of 2 runs equal, but a timer races /in: {place} if the timer is first"
+    assert (verdict.exit_code, verdict.is_deterministic) == (0, True)
     _, verdict = judged(recording, tmp_path, "planted timer", runs=2, swap_ties=True)
-    assert verdict.first
-    assert (verdict.first.stream, verdict.first.number) == ("/out", 21)
+    assert verdict.first and (verdict.first.stream, verdict.first.number) == ("/out", 21)
     assert verdict.line().endswith("data is 'm20 19' and 'm20 20'")
+
+
+def test_a_timer_that_is_at_the_time_of_an_input_now_and_then(tmp_path: Path) -> None:
+    """A timer of 7 ms passes on what inputs of each 10 ms set: at the tenth tick, before or after the eighth?"""
+    result, verdict = judged(on_a_grid(tmp_path / "in.mcap", 10_000_000), tmp_path, "planted samples", runs=2)
+    verdict.race = race_of(result, "planted", "samples")
+    place = "/out, message 18 at 0.070000 s: data is '8 by tick 10' and '7 by tick 10'"
+    assert f"NOT DETERMINISTIC: a timer races /in: {place} if the timer is first" in verdict.line()
+
+
+@pytest.mark.parametrize("what", ["timer", "samples"])
+def test_a_timer_that_is_never_at_the_time_of_an_input(tmp_path: Path, what: str) -> None:
+    """Starting earlier only moves its ticks: at most a remark."""
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(40))
+    result, verdict = judged(recording, tmp_path, f"planted {what}", runs=2)
+    verdict.race = race_of(result, "planted", what)
+    assert (verdict.exit_code, verdict.is_deterministic) == (0, True)
+    remark = (
+        ", but an output at /in depends on when the programs start: /out, message 21 at 0.409696 s: "
+        "data is 'm20 58' and 'm20 60' if 13.7 ms earlier"
+    )
+    assert verdict.line() == f"deterministic: 2 of 2 runs equal{remark if what == 'timer' else ''}"
 
 
 def race_of(result: RunResult, *words: str) -> Race | None:

@@ -33,8 +33,11 @@ link = 2
 def test_a_good_one(tmp_path: Path) -> None:
     (tmp_path / "nodes").mkdir()
     path = tmp_path / "programs.toml"
+    path.write_text(f"permit_races = true\n{GOOD}", "utf-8")
+    assert read_recipe(path).permits_races
     path.write_text(GOOD, "utf-8")
-    assert read_recipe(path) == [
+    assert not read_recipe(path).permits_races
+    assert read_recipe(path).programs == [
         Program(("python", "planner.py", "--level", "3"), "planner", {"SEED": "1"}, tmp_path / "nodes"),
         Program(("ros2", "run", "my pkg", "controller")),
         Program(("viewer", "{port}"), igtl=IgtlRole(is_server=True, port=18944, link=2)),
@@ -46,6 +49,7 @@ def test_a_good_one(tmp_path: Path) -> None:
     [
         ("", "found no program, expected [[program]] with a command"),
         ("[program]\ncommand = 'a'", "program: found another value, expected tables [[program]]"),
+        ("permit_races = 1\n[[program]]\ncommand = 'a'", "permit_races: found 1, expected true or false"),
         ("[[programs]]\ncommand = 'a'", "programs: unknown table, expected [[program]]"),
         ("[[program]]", "program[0]: found no command, expected a string or a list of strings"),
         ("[[program]]\ncommand = ''", "program[0].command: found '', expected a string or a list of strings"),

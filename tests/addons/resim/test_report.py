@@ -99,12 +99,17 @@ def test_runs_that_differ() -> None:
     assert "NOT DETERMINISTIC: run 2 differs from run 1: /b, message 4" in found["deterministic: 2 runs"][1]
 
 
-def test_a_race_is_a_property() -> None:
-    race = Race(Difference("/out", 4, 7_000_000, "differs", 0, Delta("data", 1, 2)), "/in", 13_700_000)
+def test_a_race_is_a_failure() -> None:
+    race = Race(Difference("/out", 4, 7_000_000, "differs", 0, Delta("data", 1, 2)), "/in")
     verdict = Verdict(2, 0, race=race, reference=Path("good.mcap"), streams=[StreamVerdict("/out", 3, 3)])
+    found = parsed(result_of("/out"), verdict)
+    text = "a timer races /in: /out, message 4 at 0.007000 s: data is 1 and 2 if the timer is first"
+    assert [outcome for outcome, _ in found.values()] == ["failure", "passed"]
+    assert f"NOT DETERMINISTIC: {text}; likely cause: a timer and an input" in found["deterministic: 2 runs"][1]
+    verdict.permits_races = True
     assert parsed(result_of("/out"), verdict)["deterministic: 2 runs"] == ("passed", "")
-    (found,) = ElementTree.fromstring(junit_xml(result_of("/out"), verdict)).iter("property")
-    assert found.attrib["value"].startswith("a timer races /in: /out, message 4 at 0.007000 s: data is 1 and 2, if the")
+    (remark,) = ElementTree.fromstring(junit_xml(result_of("/out"), verdict)).iter("property")
+    assert remark.attrib["value"] == text
 
 
 def test_a_program_that_ends() -> None:

@@ -19,7 +19,7 @@ class Planted(Node):  # type: ignore[misc]
         self.count = self.total = self.ticks = 0
         self.work = getattr(self, what)
         self.create_subscription(String, "/in", self.take, 10)
-        if what == "timer":
+        if what in ("timer", "samples"):
             self.create_timer(0.007, self.tick)
 
     def take(self, message: String) -> None:
@@ -76,9 +76,14 @@ class Planted(Node):  # type: ignore[misc]
 
     def tick(self) -> None:
         self.ticks += 1
+        if self.work == self.samples:
+            self.publisher.publish(String(data=f"{self.count} by tick {self.ticks}"))
 
     def timer(self, text: str) -> str:
         return f"{text} {self.ticks}"
+
+    def samples(self, text: str) -> str:
+        return text
 
 
 rclpy.init()
