@@ -119,7 +119,7 @@ def _times(path: Path, names: Sequence[str], *, are_inputs: bool = False) -> _Ti
 
 
 def _input_times(result: RunResult) -> _Times:
-    """Times at which the recording has inputs; /clock is none, whose ticks are those of timers."""
+    """Times at which the recording has inputs; without /clock, whose ticks are those of timers."""
     names = [name for name in (result.roles.inputs if result.roles else {}) if name != CLOCK]
     return _times(result.recording, names, are_inputs=True)
 
