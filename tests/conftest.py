@@ -129,6 +129,8 @@ LONG = (
     "test_notebooks.py",
     "test_release.py",
     "test_try_extras.py::test_the_oldest_and_the_newest_python",
+    "test_try_install.py::test_an_upgrade",
+    "test_try_install.py::test_each_installer",
     "test_site.py",
     "lab/bench/",
     "lab/cli/test_bench.py",

@@ -269,6 +269,7 @@ UNMIRRORED = (
     "addons/test_absent.py",  # base/addons.py, and what each add-on needs
     "test_architecture.py",
     "test_try_extras.py",  # tools/try_extras.py
+    "test_try_install.py",  # tools/try_install.py, deploy/conda, ros2/rosdep.yaml
     "test_commit_message.py",  # tools/commit_message.py
     "test_contributing.py",  # Makefile, git hooks, workflow
     "test_defects.py",  # docs/evidence/defects.md

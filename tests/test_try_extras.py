@@ -11,7 +11,7 @@ from tools.try_extras import CALLS, Call, fault
 
 
 def test_each_extra_has_a_call() -> None:
-    beside = {"video", "pandas", "lab"}  # no verb that needs nothing else; tables in Python; another distribution
+    beside = {"video", "pandas"}  # no verb that needs nothing else; tables in Python
     assert {call.extra for call in CALLS} == {"", *PURPOSES} - beside
 
 

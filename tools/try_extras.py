@@ -22,13 +22,16 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parent.parent))
 
 from igtl_gateway.base.extras import PURPOSES
+from igtl_gateway.cli.verbs import LABORATORY
+from tools import core
 
 ROOT = Path(__file__).parents[1]
 SMALL, STAR = (str(ROOT / "fixtures" / f"{name}.mcap") for name in ("paper-types", "star"))
 LONGEST_S = 120
 #: Extra → the extras that have all that it has.
 _ALSO = {"arrow": ("pandas", "lerobot", "cohort"), "video": ("lerobot",)}
-_NAMED = re.compile(r"igtl-gateway\[([a-z]+)\]")
+#: The laboratory is a distribution of its own, which no index needs to have.
+_NAMED = re.compile(r"igtl-gateway(?:\[|-)([a-z]+)")
 
 
 @dataclass(frozen=True)
@@ -68,6 +71,7 @@ CALLS = (
     Call("seal keys new recorder.key", "seal"),
     Call("cohort info . -o cohort", "cohort"),
     Call(f"sync {STAR} --plot sync.svg", "plot"),
+    *(Call(f"{verb} --help", "lab") for verb in LABORATORY),
 )
 
 
@@ -80,15 +84,17 @@ def fault(call: Call, installed: str, code: int, errors: str) -> str:
         return f"found that {named[0]} is absent, expected nothing absent" if named else ""
     lines = errors.strip().splitlines()
     right = call.extra in named or (call.extra == "view" and "needs Python" in errors)
-    if code == 1 and len(lines) == 1 and right:
+    expected = 2 if call.extra == "lab" else 1  # a verb that does not exist, or one that fails
+    if code == expected and len(lines) == 1 and right:
         return ""
-    return f"found code {code} and {lines[-1:]} of {len(lines)} lines, expected code 1 and one line with {call.extra}"
+    found = f"found code {code} and {lines[-1:]} of {len(lines)} lines"
+    return f"{found}, expected code {expected} and one line with {call.extra}"
 
 
 def calls_in(installed: str) -> Iterator[Call]:
-    """Yield the calls that are tried beside an extra: without it all, with it those that end."""
+    """Yield the calls that are tried beside an extra: plainly all, else each that needs one and ends."""
     for call in CALLS:
-        if call.ends or call.extra != installed:
+        if not installed or (call.extra and (call.ends or call.extra != installed)):
             yield call
 
 
@@ -104,7 +110,7 @@ def faults_of(python: str, extra: str, wheels: Path) -> list[str]:
     uv = str(Path(sys.executable).with_name("uv"))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        subprocess.run([uv, "venv", "-q", "--python", python, folder / "venv"], check=True)
+        subprocess.run([uv, "venv", "-q", "--no-python-downloads", "--python", python, folder / "venv"], check=True)
         own = folder / "venv" / "bin"
         wanted = f"igtl-gateway[{extra}]" if extra else "igtl-gateway"
         limits = ("-c", str(ROOT / "constraints.txt"), "--find-links", str(wheels))
@@ -147,8 +153,9 @@ def main(args: Sequence[str] | None = None) -> int:
             build(wheels)
         found = []
         for python in options.python or [sys.executable]:
+            path = core.present(python) or python
             for extra in options.extras.split(","):
-                wrong = faults_of(python, extra, wheels)
+                wrong = faults_of(path, extra, wheels)
                 print(f"{python}, {extra or 'plain'}: {len(wrong)} wrong", *wrong, sep="\n  ", flush=True)
                 found += wrong
     return 1 if found else 0

@@ -93,7 +93,10 @@ VERBS = {
 
 #: Verbs of the laboratory, for the error message if it is not installed.
 LABORATORY = ("simulate", "bench", "demo")
-WITHOUT_LABORATORY = "found no laboratory, which has this verb; install it: pip install igtl-gateway-lab"
+WITHOUT_LABORATORY = (
+    "found no laboratory, which has this verb; install it: pip install --find-links FOLDER igtl-gateway-lab, where "
+    "FOLDER has the files of the release, or pip install ./lab in the sources"
+)
 
 #: Two words → the verb of this name, with one of these words behind them: otherwise the second is a file.
 JOINED: dict[tuple[str, ...], tuple[str, tuple[str, ...]]] = {

@@ -57,7 +57,8 @@ def test_every_extra_has_a_purpose_and_a_message_that_installs_it() -> None:
     for extra, module in MODULES.items():
         with in_use(extra):
             assert f'pip install "igtl-gateway[{extra}]"' in missing(module)
-    assert WITHOUT_LABORATORY.endswith("pip install igtl-gateway-lab")
+    assert "pip install --find-links FOLDER igtl-gateway-lab" in WITHOUT_LABORATORY
+    assert (ROOT / "lab" / "pyproject.toml").is_file() and "pip install ./lab" in WITHOUT_LABORATORY
 
 
 STAR = "fixtures/star.mcap"

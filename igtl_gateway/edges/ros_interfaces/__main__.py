@@ -2,13 +2,16 @@
 
 python -m igtl_gateway.edges.ros_interfaces                   for this environment; prints their folders
 python -m igtl_gateway.edges.ros_interfaces --ahead FOLDER    for a wheel (tools/release.py)
+python -m igtl_gateway.edges.ros_interfaces --remove          before an uninstallation; prints the removed folders
 """
 
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 import tempfile
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -16,6 +19,7 @@ from igtl_gateway.convert.interfaces import PACKAGES
 from igtl_gateway.edges.ros_interfaces.cache import (
     LIBRARIES,
     VERSIONS,
+    cache_folders,
     compile_package,
     package_path,
     prefix_of,
@@ -32,6 +36,9 @@ def main() -> int:
     if sys.argv[1:2] == ["--ahead"]:
         compile_ahead(Path(sys.argv[2]))
         return 0
+    if sys.argv[1:] == ["--remove"]:
+        remove_compiled()
+        return 0
     failed = False
     for package in PACKAGES:
         real = find_spec(package)
@@ -44,6 +51,15 @@ def main() -> int:
             sys.stderr.write(f"{error}\n")
             failed = True
     return 1 if failed else 0
+
+
+def remove_compiled() -> None:
+    """Delete the packages that imports have compiled, of all versions: no installer knows of them."""
+    for folder in filter(Path.is_dir, cache_folders()):
+        shutil.rmtree(folder)
+        with suppress(OSError):  # another program has a file there
+            folder.parent.rmdir()
+        sys.stdout.write(f"removed {folder}\n")
 
 
 def compile_ahead(folder: Path) -> None:

@@ -62,3 +62,16 @@ def test_a_package_that_cannot_be_compiled_is_an_error(
     assert printed.out == "tf2_msgs: /compiled/tf2_msgs\n"
     others = ("igtl_msgs", "foxglove_msgs", "rosbag2_interfaces", "crtk_msgs")
     assert printed.err == "".join(f"{package}: no compiler\n" for package in others)
+
+
+def test_what_imports_have_compiled_is_removed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folders = [tmp_path / place / "igtl_gateway" / "ros_interfaces" for place in ("environment", "user")]
+    (folders[0] / "key" / "igtl_msgs").mkdir(parents=True)
+    (folders[0] / "igtl_msgs.lock").touch()
+    monkeypatch.setattr(program, "cache_folders", lambda: folders)
+    monkeypatch.setattr(sys, "argv", ["ros_interfaces", "--remove"])
+    assert program.main() == 0
+    assert capsys.readouterr().out == f"removed {folders[0]}\n"
+    assert [*tmp_path.iterdir()] == [tmp_path / "environment"] and not [*(tmp_path / "environment").iterdir()]
