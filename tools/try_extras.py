@@ -27,7 +27,7 @@ from tools import core
 
 ROOT = Path(__file__).parents[1]
 SMALL, STAR = (str(ROOT / "fixtures" / f"{name}.mcap") for name in ("paper-types", "star"))
-LONGEST_S = 120
+LONGEST_S = 600
 #: Extra → the extras that have all that it has.
 _ALSO = {"arrow": ("pandas", "lerobot", "cohort"), "video": ("lerobot",)}
 #: The laboratory is a distribution of its own, which no index needs to have.
