@@ -29,7 +29,7 @@ ROOT = Path(__file__).parents[1]
 SMALL, STAR = (str(ROOT / "fixtures" / f"{name}.mcap") for name in ("paper-types", "star"))
 LONGEST_S = 600
 #: Extra → the extras that have all that it has.
-_ALSO = {"arrow": ("pandas", "lerobot", "cohort"), "video": ("lerobot",)}
+_ALSO = {"arrow": ("pandas", "lerobot", "cohort"), "video": ("lerobot",), "plot": ("lab",), "nifti": ("lab",)}
 #: The laboratory is a distribution of its own, which no index needs to have.
 _NAMED = re.compile(r"igtl-gateway(?:\[|-)([a-z]+)")
 

@@ -23,13 +23,20 @@ _WIDTH, _HEIGHT = 9.0, 2.6  # inches of one row
 _STYLE: Any = {"svg.fonttype": "none", "svg.hashsalt": "igtl-gateway", "axes.grid": True, "grid.color": "#dddddd"}
 
 
-def lag_chart(fixed: Signal, lags: Sequence[tuple[Signal, Lag]]) -> str:
-    """Return an SVG with a row of charts for each stream.  Raises ViewerError if matplotlib is missing."""
+def check_library() -> None:
+    """Raise ViewerError if matplotlib is missing: before the search whose result it draws."""
     try:
-        import matplotlib as mpl
-        from matplotlib.figure import Figure
+        import matplotlib.figure  # noqa: F401
     except ImportError as error:
         raise ViewerError(missing("matplotlib", error)) from None
+
+
+def lag_chart(fixed: Signal, lags: Sequence[tuple[Signal, Lag]]) -> str:
+    """Return an SVG with a row of charts for each stream.  Raises ViewerError if matplotlib is missing."""
+    check_library()
+    import matplotlib as mpl
+    from matplotlib.figure import Figure
+
     with mpl.rc_context(_STYLE):
         figure = Figure(figsize=(_WIDTH, 2 * _HEIGHT * len(lags)), layout="constrained")
         rows = figure.subfigures(len(lags), 1, squeeze=False)

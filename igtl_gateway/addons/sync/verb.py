@@ -32,6 +32,7 @@ from igtl_gateway.addon import (
     write_text,
     written,
 )
+from igtl_gateway.addons.sync import plot
 from igtl_gateway.addons.sync.correcting import write_corrected
 from igtl_gateway.addons.sync.correction import StampCorrection, is_corrected
 from igtl_gateway.addons.sync.curves import lag_text
@@ -122,9 +123,7 @@ def run(options: argparse.Namespace) -> int:
     fixed, *others = signals
     lags = [(signal, _measure(fixed, signal, pairs, options)) for signal in others]
     if options.plot:
-        from igtl_gateway.addons.sync.plot import lag_chart  # here: matplotlib is an extra
-
-        chart = lag_chart(fixed, lags)
+        chart = plot.lag_chart(fixed, lags)
         with written(options.plot, overwrite=options.overwrite) as path:
             write_text(path, chart)
     good = all(lag.verdict.has_lag for _, lag in lags)
@@ -153,6 +152,8 @@ def _check(options: argparse.Namespace) -> None:
     for target in (options.output, options.plot):
         if target:
             check_target(target, overwrite=options.overwrite)
+    if options.plot:
+        plot.check_library()
 
 
 def _signals(opened: Sequence[Recording], options: argparse.Namespace) -> list[Signal]:

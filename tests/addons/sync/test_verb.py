@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -219,6 +220,16 @@ def test_plot(recording: Path, tmp_path: Path) -> None:
     assert "SENSOR/Force behind TRANSFORM/Probe" in text
     assert "no movement" in text
     assert main(words) == 2  # the file exists
+
+
+def test_the_library_of_charts_is_missing_before_the_search(
+    recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    monkeypatch.delitem(sys.modules, "matplotlib.figure", raising=False)
+    monkeypatch.setattr("igtl_gateway.addons.sync.verb._signals", lambda *_: pytest.fail("a search"))
+    assert main(["sync", str(recording), "--plot", str(tmp_path / "lag.svg")]) == 1
+    assert 'pip install "igtl-gateway[plot]"' in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
