@@ -123,7 +123,7 @@ OPTIONS = (
             "format of the output; json: one object per line, with its time",
             choices=("text", "json"),
         ),
-        Setting("json", False, "same as --log-format json", common=True),
+        Setting("json", False, "same as --log-format json"),
     ),
 )
 

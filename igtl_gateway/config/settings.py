@@ -159,7 +159,6 @@ _ADDRESSES = (
         "forward all bytes unchanged between each client of --listen and the server of --connect; without ROS",
         GATEWAY,
         parameter=False,
-        common=True,
     ),
 )
 _SECURITY = (
@@ -174,7 +173,7 @@ _SECURITY = (
         common=True,
     ),
     Setting("tls", False, "use TLS at all addresses except those that begin with tcp://", IGTL),
-    Setting("tls_cert", "", "own certificate (PEM); turns TLS on for --listen", IGTL, metavar="FILE", common=True),
+    Setting("tls_cert", "", "own certificate (PEM); turns TLS on for --listen", IGTL, metavar="FILE"),
     Setting(
         "tls_key",
         "",
@@ -190,7 +189,6 @@ _SECURITY = (
         "require a certificate of this CA (PEM) from clients and servers",
         IGTL,
         metavar="FILE",
-        common=True,
     ),
     *(
         Setting(
@@ -522,7 +520,6 @@ _RECORDING = (
         least=0,
         most=1 << 30,
         needs=("record",),
-        common=True,
     ),
     Setting(
         "split_duration",
@@ -544,7 +541,6 @@ _RECORDING = (
         least=0,
         most=_YEAR_S,
         needs=("record",),
-        common=True,
     ),
     Setting(
         "trigger",
@@ -587,7 +583,6 @@ _VIDEO = (
         "encode ROS images that are sent as VIDEO, and decode received VIDEO to ROS images",
         choices=("", *VIDEO_CODECS),
         needs=(ROS_GRAPH,),
-        common=True,
     ),
     Setting(
         "video_bit_rate",
