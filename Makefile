@@ -18,9 +18,9 @@ run_tests = $(BIN)/python -m pytest $(PARALLEL) --durations=10 $(1) || { \
 
 MYPY := $(BIN)/mypy --no-error-summary
 # The checks that end in seconds.
-QUICK := format lint pins documents terms
+QUICK := format lint pins documents terms docstrings
 
-.PHONY: help demo test test-fast test-long check static quick format lint types types-elsewhere pins documents terms peers core coverage hooks pictures fixtures site release clean
+.PHONY: help demo test test-fast test-long check static quick format lint types types-elsewhere pins documents terms docstrings peers core coverage hooks pictures fixtures site release clean
 .DEFAULT_GOAL := help
 
 help:
@@ -89,6 +89,9 @@ documents: $(READY)
 
 terms: $(READY)
 	@$(BIN)/python tools/terms.py
+
+docstrings: $(READY)
+	@$(BIN)/python tools/docstrings.py
 
 coverage: $(READY) peers
 	@$(BIN)/python -m pytest $(PARALLEL) -m "not slow" --cov --cov-report=

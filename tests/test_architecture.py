@@ -276,6 +276,7 @@ UNMIRRORED = (
     "test_judges.py",  # tools/judges
     "test_deploy.py",  # deploy/
     "test_docs.py",  # tools/docs.py
+    "test_docstrings.py",  # tools/docstrings.py
     "api/test_documents.py",  # docs/how-to/python-*.md
     "test_examples.py",  # examples/
     "test_private_files.py",  # who creates files

@@ -3,7 +3,7 @@
     python tools/attacks.py NAME PORT LINKS RATE SECONDS
 
 RATE: messages per second of all links together; 0: as fast as the bridge reads.  The bytes are made before the attack
-begins, so that it costs little, and answers are read and thrown away.  ``ATTACKS`` has all of them.  It prints a line
+begins, so that it costs little, and answers are read and thrown away.  ``names`` has all of them.  It prints a line
 when its links are connected, and the number of messages at the end.
 """
 

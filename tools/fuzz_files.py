@@ -32,7 +32,7 @@ from types import FrameType
 
 from igtl_gateway.addons.exchange.formats import open_source
 from igtl_gateway.addons.exchange.targets import TARGETS
-from igtl_gateway.app.settings import of_file
+from igtl_gateway.app.setting_values import of_file
 from igtl_gateway.base.errors import GatewayError
 from igtl_gateway.base.untrusted.text import printable
 from igtl_gateway.cli import main as command_line

@@ -203,10 +203,10 @@ if TYPE_CHECKING:
     from igtl_gateway.record.sessionfile.ranges import named as named
     from igtl_gateway.record.sessionfile.reader import SessionFile as SessionFile
     from igtl_gateway.record.sessionfile.writer import SessionWriter as SessionWriter
-    from igtl_gateway.replay.marks import carry_marks as carry_marks
-    from igtl_gateway.replay.marks import marks_of as marks_of
     from igtl_gateway.replay.recorded_config import config_to_run as config_to_run
     from igtl_gateway.replay.recorded_config import recorded_units as recorded_units
+    from igtl_gateway.replay.recorded_marks import carry_marks as carry_marks
+    from igtl_gateway.replay.recorded_marks import marks_of as marks_of
 
 #: Names that are others there; the rest of the surface is above.
 __all__ = ["VIDEO_THREADS", "open_recording", "ros_definitions"]
@@ -242,7 +242,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("gateway.log.clocksteps", "CLOCK_STEP"),
     ("gateway.log.marks", "Mark MarkNote"),
     ("record.sessionfile.added_marks", "added_marks marks_files"),
-    ("replay.marks", "carry_marks marks_of"),
+    ("replay.recorded_marks", "carry_marks marks_of"),
     # Conversions of pictures and geometry, one message at a time
     ("convert.context", "ConvertedMessage ToIgtlContext ToRosContext"),
     ("convert.images", "image_to_igtl pixel_layout"),

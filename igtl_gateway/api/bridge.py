@@ -16,7 +16,7 @@ from igtl_gateway.app.bridge import Bridge as RunningBridge
 from igtl_gateway.app.bridge_options import bridge_options, zenoh_endpoint
 from igtl_gateway.app.entry_watch import EntryWatch
 from igtl_gateway.app.recording import pause, resume, snapshot, start, stop
-from igtl_gateway.app.settings import declared, settled
+from igtl_gateway.app.setting_values import declared, settled
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import NoReply, RecordingError
 from igtl_gateway.base.versions import Self

@@ -11,8 +11,8 @@ import numpy as np
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.marks import Mark
-from igtl_gateway.replay.marks import marked_moment
 from igtl_gateway.replay.moment import FIRST_UTC_S
+from igtl_gateway.replay.recorded_marks import marked_moment
 
 #: A moment: seconds from the start of the recording (a number below 100,000,000; negative: from its end), an integer in
 #: UTC nanoseconds, a ``datetime`` (without a zone: UTC), a ``numpy.datetime64``, or a string such as

@@ -18,8 +18,8 @@ from igtl_gateway.record.sessionfile import facts
 from igtl_gateway.record.sessionfile.bulk import MessageBlock
 from igtl_gateway.record.sessionfile.channels import ChannelSummary
 from igtl_gateway.record.sessionfile.reader import SessionFile
-from igtl_gateway.replay.marks import marks_of
 from igtl_gateway.replay.recorded_config import units_of
+from igtl_gateway.replay.recorded_marks import marks_of
 
 if TYPE_CHECKING:
     import pyarrow

@@ -8,7 +8,7 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.app.settings import config_of
+from igtl_gateway.app.setting_values import config_of
 from igtl_gateway.base.addons import part_of
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.realtime import RealtimeOptions

@@ -23,8 +23,8 @@ from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.config.faults import LOSS, Fate, Faults
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.sessionfile.reader import SessionFile
-from igtl_gateway.replay.marks import marked_moment, marks_of
 from igtl_gateway.replay.recorded_config import config_to_run
+from igtl_gateway.replay.recorded_marks import marked_moment, marks_of
 from igtl_gateway.replay.restamp import Restamper
 from igtl_gateway.replay.simclock import period_ns, with_ticks
 from igtl_gateway.replay.timeline import SessionTimeline, clock_steps_of

@@ -14,14 +14,14 @@ from typing import Any
 
 from igtl_gateway.app.bridge_options import bridge_options, zenoh_endpoint
 from igtl_gateway.app.managed import ManagedBridge
-from igtl_gateway.app.settings import declared
+from igtl_gateway.app.setting_values import declared
 from igtl_gateway.base.addons import check_present, part_of
 from igtl_gateway.base.clock import Clock, SystemClock
 from igtl_gateway.base.errors import ConfigError, ViewerError
 from igtl_gateway.base.extras import missing
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.systems.service import ServiceManager
-from igtl_gateway.cli import recording
+from igtl_gateway.cli import recording_keys
 from igtl_gateway.cli.bridge_output import BridgeOutput, JsonOutput, TextOutput
 from igtl_gateway.cli.bridge_session import BridgeSession, LiveWindow, Page, PlainRunner, options_of_session
 from igtl_gateway.cli.common import stop_event
@@ -355,7 +355,7 @@ class _Show:
         self._started_ns = self._clock.monotonic_ns()
         bridge = session.bridge
         keys = self._controls.enter_context(
-            recording.recording_controls(bridge.recorder, lambda line: bridge.mark(MarkNote.parse(line, _WHO)))
+            recording_keys.recording_controls(bridge.recorder, lambda line: bridge.mark(MarkNote.parse(line, _WHO)))
         )
         shared = _SHARED_TF if bridge.gateway.config.publish_tf and self._host and self._host.shares_tf else ""
         notes = [note for note in (*self._notes, shared, bridge.realtime, keys) if note]

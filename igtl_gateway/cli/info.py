@@ -34,7 +34,7 @@ from igtl_gateway.record.sessionfile.index import recover_hint
 from igtl_gateway.record.sessionfile.reader import PartSummary, SessionFile
 from igtl_gateway.record.sessionfile.salvage import Salvage
 from igtl_gateway.record.sessionfile.seals import stated_seals
-from igtl_gateway.replay.marks import marks_of
+from igtl_gateway.replay.recorded_marks import marks_of
 
 EXAMPLES = """\
   # streams, rates, gaps, errors, losses, peers, configuration

@@ -11,7 +11,7 @@ from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.gateway.log.marks import Mark, MarkNote
 from igtl_gateway.record.sessionfile.added_marks import added_marks, write_marks
 from igtl_gateway.record.sessionfile.reader import SessionFile
-from igtl_gateway.replay.marks import find_mark, marked_moment, marks_of
+from igtl_gateway.replay.recorded_marks import find_mark, marked_moment, marks_of
 
 EXAMPLES = """\
   # a moment, 12.5 s after the start

@@ -18,7 +18,7 @@ from igtl_gateway.record.sessionfile.recovery import Recovery, recover
 from igtl_gateway.record.sessionfile.salvage import Salvage
 from igtl_gateway.record.sessionfile.salvage_report import Loss, SalvageReport
 from igtl_gateway.record.sessionfile.side_file import SIDE_FILE, write_side_file
-from igtl_gateway.replay.marks import carry_marks
+from igtl_gateway.replay.recorded_marks import carry_marks
 
 EXAMPLES = """\
   # after a crash: write out.recovered.mcap, closed and with an index

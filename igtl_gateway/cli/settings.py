@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from igtl_gateway.app import settings as app_settings
+from igtl_gateway.app import setting_values
 from igtl_gateway.app.rows import rows_of
 from igtl_gateway.base.addons import ADDON_SETTINGS, check_setting, is_present
 from igtl_gateway.cli.options import Options, StoredOption, default, definitions, keep_spellings, parser_of
@@ -150,5 +150,5 @@ def values_with_effect(
 
 
 def settled(options: argparse.Namespace, overrides: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of all settings of a bridge, see ``app.settings``.  Raises ConfigError."""
-    return app_settings.settled(given(options, all_settings()), overrides)
+    """Return the values of all settings of a bridge, see ``app.setting_values``.  Raises ConfigError."""
+    return setting_values.settled(given(options, all_settings()), overrides)

@@ -31,8 +31,8 @@ from igtl_gateway.record.sessionfile.added_marks import added_marks
 from igtl_gateway.record.sessionfile.beside import written
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
-from igtl_gateway.replay.marks import carry_marks, marked_moment, marks_of
 from igtl_gateway.replay.recorded_config import config_to_run
+from igtl_gateway.replay.recorded_marks import carry_marks, marked_moment, marks_of
 from igtl_gateway.replay.slice import Slice, SliceReport, SliceWindow
 
 EXAMPLES = """\

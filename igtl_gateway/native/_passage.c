@@ -48,7 +48,7 @@
 #define TIME_BUCKETS 256
 #define MAX_LARGE_STREAMS 64
 #define REMEMBERED 64        /* own messages of a latched topic: more than a late subscription gets of them */
-#define REMEMBERED_BYTES 256 /* of their beginning, as in edges/ros/streams.py */
+#define REMEMBERED_BYTES 256 /* of their beginning, as in edges/ros/topics.py */
 #define MAX_LARGE_WAITING 3 /* messages; then TCP makes the peer wait */
 #define LOCK_NS 2000000 /* the longest wait of a thread of the middleware */
 #define SEQUENCE_NS 100000 /* its longest wait for the sequence lock, in which it receives nothing */

@@ -11,7 +11,7 @@ import pytest
 
 from igtl_gateway.app import bridge_options
 from igtl_gateway.app.bridge_options import addresses
-from igtl_gateway.app.settings import config_of, declared, of_parameters
+from igtl_gateway.app.setting_values import config_of, declared, of_parameters
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.cli import bridge, main
 from igtl_gateway.cli.settings import settled

@@ -209,7 +209,7 @@ def test_any_bytes(codec: str, data: bytes, first: int) -> None:
 @table("size", [(64, 64), (130, 98), (322, 246)])
 def test_of_real_encoders(codec: str, pixels: str, size: tuple[int, int]) -> None:
     pytest.importorskip("av")
-    from tests.convert.streams import frames
+    from tests.convert.real_video import frames
 
     told = [(frame_size(codec, data), is_key) for data, is_key in frames(codec, *size, pixels)]
     assert told[0] == (size, True)

@@ -197,7 +197,7 @@ def test_the_bit_stream_tells_key_frames(data: bytes, kind: int) -> None:
 def test_real_streams(codec: str) -> None:
     """A stream of ROS goes out with its key frames and sizes, and comes back as it was."""
     pytest.importorskip("av")
-    from tests.convert.streams import frames
+    from tests.convert.real_video import frames
 
     stream = frames(codec, 130, 98)
     assert {is_key for _, is_key in stream} == {True, False}

@@ -25,7 +25,7 @@ from igtl_gateway.record.sessionfile.added_marks import write_marks
 from igtl_gateway.record.sessionfile.merged import Method
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
-from igtl_gateway.replay.marks import marks_of
+from igtl_gateway.replay.recorded_marks import marks_of
 from tests import marked
 from tests.places import FIXTURES
 from tests.tables import table

@@ -13,8 +13,8 @@ from igtl_gateway.base.errors import RosError
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.edges.interface import TopicCounts
 from igtl_gateway.edges.ros.receiver import NativeReceiver
-from igtl_gateway.edges.ros.streams import TopicSubscription
 from igtl_gateway.edges.ros.subscribing import message_callback
+from igtl_gateway.edges.ros.topics import TopicSubscription
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.native.passage import Passage, Publisher, Subscription
 

@@ -23,7 +23,7 @@ from igtl_gateway.addon import Entry, Kind, MessageDecoder, failure_text, open_t
 from igtl_gateway.addon.igtl import decode, describe_content
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.folder import FileNames, Folder, new_folder
-from igtl_gateway.addons.exchange.recording import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
+from igtl_gateway.addons.exchange.selection import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
 from igtl_gateway.api.columns import (
     HEAD,
     MAX_COLUMNS,

@@ -11,7 +11,7 @@ from typing import BinaryIO, TypeVar
 
 from igtl_gateway.addon import Buffer, Entry, Kind, failure_text, open_new, written_folder
 from igtl_gateway.addons.exchange.account import ExportAccount
-from igtl_gateway.addons.exchange.recording import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
+from igtl_gateway.addons.exchange.selection import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
 
 #: Characters of a stream's name that a file name can contain.
 _MAX_NAME = 100

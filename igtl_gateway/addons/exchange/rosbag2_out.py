@@ -17,8 +17,8 @@ from mcap.writer import CompressionType, Writer
 from igtl_gateway.addon import DamagedRecording, Qos, __version__, layout
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.folder import new_folder
-from igtl_gateway.addons.exchange.recording import ROS_KINDS, Recording, chosen_entries
 from igtl_gateway.addons.exchange.rostypes import definition
+from igtl_gateway.addons.exchange.selection import ROS_KINDS, Recording, chosen_entries
 
 _CHUNK_BYTES = 1 << 20
 _VERSION = 8

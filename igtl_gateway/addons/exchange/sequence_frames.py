@@ -26,7 +26,7 @@ from igtl_gateway.addon import (
 )
 from igtl_gateway.addon.igtl import Image, Transform, decode
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
-from igtl_gateway.addons.exchange.recording import Recording, chosen_entries, matches_stream, message_time_ns
+from igtl_gateway.addons.exchange.selection import Recording, chosen_entries, matches_stream, message_time_ns
 from igtl_gateway.addons.exchange.sequence import TRANSFORM_STATUS
 from igtl_gateway.addons.exchange.volume_out import in_millimetres
 

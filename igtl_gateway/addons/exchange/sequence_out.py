@@ -17,7 +17,7 @@ from igtl_gateway.addon import NS_PER_S, Buffer, UnsupportedRecording, open_new,
 from igtl_gateway.addon.igtl import BIG_ENDIAN, SCALARS, Image
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.metaimage_out import SIZE_KEY, SIZE_WIDTH, metaimage_header
-from igtl_gateway.addons.exchange.recording import Recording
+from igtl_gateway.addons.exchange.selection import Recording
 from igtl_gateway.addons.exchange.sequence import EPOCH_FIELD
 from igtl_gateway.addons.exchange.sequence_frames import IDENTITY, SequenceFrame, SequenceFrames
 from igtl_gateway.api.placement import ImagePlacement

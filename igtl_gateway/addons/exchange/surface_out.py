@@ -37,7 +37,7 @@ from igtl_gateway.addon.igtl import CELL, NORMAL, Attribute, PolyData, decode
 from igtl_gateway.addon.ros import Marker, Mesh, PointCloud2
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.folder import export_one_file_each
-from igtl_gateway.addons.exchange.recording import Recording
+from igtl_gateway.addons.exchange.selection import Recording
 from igtl_gateway.convert.clouds import colour_bytes, colour_field
 
 Array = npt.NDArray[Any]

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.csv_out import export_csv
-from igtl_gateway.addons.exchange.recording import Recording, count_skipped
 from igtl_gateway.addons.exchange.rosbag2_out import export_rosbag2
+from igtl_gateway.addons.exchange.selection import Recording, count_skipped
 from igtl_gateway.addons.exchange.sequence_out import export_sequence
 from igtl_gateway.addons.exchange.surface_out import export_ply, export_vtk
 from igtl_gateway.addons.exchange.volume_out import export_nrrd

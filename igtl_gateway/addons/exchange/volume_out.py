@@ -34,7 +34,7 @@ from igtl_gateway.addon.ros import Image as RosImage
 from igtl_gateway.addon.ros import Volume
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.folder import export_one_file_each
-from igtl_gateway.addons.exchange.recording import Recording
+from igtl_gateway.addons.exchange.selection import Recording
 from igtl_gateway.api.placement import ImagePlacement, Vector, has_own_normal
 
 _TO_IMAGE: dict[str, Callable[[bytes, ToIgtlContext], ConvertedMessage]] = {

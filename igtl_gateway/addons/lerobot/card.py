@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from igtl_gateway.addon import __version__, printable, write_text
+from igtl_gateway.addons.lerobot.card_streams import Facts
 from igtl_gateway.addons.lerobot.frames import Plan
 from igtl_gateway.addons.lerobot.splits import divided
-from igtl_gateway.addons.lerobot.streams import Facts
 from igtl_gateway.addons.sync.lag import Lag, Verdict
 
 _UNKNOWN = "not stated"

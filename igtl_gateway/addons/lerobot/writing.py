@@ -19,11 +19,11 @@ from igtl_gateway.addon import (
     written_folder,
 )
 from igtl_gateway.addons.lerobot.card import write_card
+from igtl_gateway.addons.lerobot.card_streams import Facts as StreamFacts
 from igtl_gateway.addons.lerobot.checksums import write_checksums
 from igtl_gateway.addons.lerobot.frames import Episode, Plan
 from igtl_gateway.addons.lerobot.layout import Facts, Layout, layout_of
 from igtl_gateway.addons.lerobot.stats import PictureStats, Stats, number_stats, sampled
-from igtl_gateway.addons.lerobot.streams import Facts as StreamFacts
 from igtl_gateway.addons.lerobot.video import video_info
 
 PROVENANCE, RECIPE = "provenance.parquet", "recipe.toml"

@@ -29,7 +29,7 @@ from igtl_gateway.base.systems.signals import ignore_endings
 from igtl_gateway.record.sessionfile.seals import stated_seals
 from igtl_gateway.record.triggers import LOSSES
 from igtl_gateway.record.worker import PAUSED, RESUMED
-from igtl_gateway.replay.marks import marks_of
+from igtl_gateway.replay.recorded_marks import marks_of
 
 #: Most places on a time line.
 MAX_PLACES = 500

@@ -62,7 +62,7 @@ class OutputFile:
     Args:
         path: the file to write.
         recording: name of the recording that drove the programs.
-        is_judged: whether a topic is part of the verdict.
+        overwrite: replace an existing file.
     """
 
     def __init__(self, path: Path, recording: str, *, overwrite: bool = False) -> None:

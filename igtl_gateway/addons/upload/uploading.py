@@ -239,7 +239,7 @@ class Uploader:
         state.confirm(recording.name, self._clock.utc_ns())
 
     def _check(self, found: StoredObject | None, known: FileState) -> None:
-        """Raise Differs if the store does not have the file."""
+        """Raise StoreError or ContentDiffers if the store does not have the file."""
         if found is None:
             raise StoreError("the store accepted the file, and does not have it")
         if (found.size, found.sha256) != (known.size, known.sha256):

@@ -11,9 +11,9 @@ Three rules that DDS leaves to its users:
 * **First messages.**  A new publisher reaches no subscriber until discovery has matched it.  Messages are held until
   every subscription that the graph shows has been matched, or a limit has passed (``publishing``).
 * **No echo.**  What we publish does not come back to us: topics that only we publish are not subscribed to, and on
-  topics that others publish too our own messages are recognised (``streams.EchoFilter``).
+  topics that others publish too our own messages are recognised (``topics.EchoFilter``).
 * **Loss is silent.**  A KEEP_LAST queue that overflows raises no event.  Gaps in the publisher's sequence numbers
-  show it (``streams.TopicSubscription``).
+  show it (``topics.TopicSubscription``).
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from igtl_gateway.edges.ros.middleware import import_rclpy, interface_class
 from igtl_gateway.edges.ros.node import RosNode
 from igtl_gateway.edges.ros.publishing import Publishing
 from igtl_gateway.edges.ros.receiver import DirectReceiver, ExecutorReceiver, NativeReceiver, Receiver
-from igtl_gateway.edges.ros.streams import Topics, TopicSubscription
 from igtl_gateway.edges.ros.subscribing import Callback, Subscribing, message_callback
+from igtl_gateway.edges.ros.topics import Topics, TopicSubscription
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.native.passage import Passage
 from igtl_gateway.native.passage import Publisher as NativePublisher

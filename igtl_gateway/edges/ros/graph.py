@@ -9,7 +9,7 @@ from igtl_gateway.base.qos import Endpoint, Qos
 from igtl_gateway.edges.interface import Publication
 from igtl_gateway.edges.ros.middleware import qos_of
 from igtl_gateway.edges.ros.node import RosNode
-from igtl_gateway.edges.ros.streams import Topics
+from igtl_gateway.edges.ros.topics import Topics
 
 #: The vendor of Fast DDS in RTPS.
 FAST_DDS = (0x01, 0x0F)

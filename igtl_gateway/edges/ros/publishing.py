@@ -21,7 +21,7 @@ from igtl_gateway.edges.ros.direct import direct_publisher
 from igtl_gateway.edges.ros.graph import Graph
 from igtl_gateway.edges.ros.middleware import interface_class, profile_of
 from igtl_gateway.edges.ros.node import RosNode
-from igtl_gateway.edges.ros.streams import HOLD_BYTES, HOLD_MESSAGES, TopicPublisher, Topics
+from igtl_gateway.edges.ros.topics import HOLD_BYTES, HOLD_MESSAGES, TopicPublisher, Topics
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.native.passage import Publisher as NativePublisher
 

@@ -12,7 +12,7 @@ from igtl_gateway.edges.ros.graph import Graph
 from igtl_gateway.edges.ros.middleware import interface_class, profile_of
 from igtl_gateway.edges.ros.node import RosNode
 from igtl_gateway.edges.ros.receiver import Receiver
-from igtl_gateway.edges.ros.streams import Topics, TopicSubscription
+from igtl_gateway.edges.ros.topics import Topics, TopicSubscription
 from igtl_gateway.native.passage import Subscription as NativeSubscription
 
 #: Takes the bytes of a message and what the middleware knows of it.

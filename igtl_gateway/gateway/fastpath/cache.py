@@ -105,7 +105,7 @@ class FastPath:
         source_ns: int,
         prepared: Prepared | None = None,
     ) -> list[Entry] | None:
-        """Return the entries of the compiled stream, if there is one that fits the message; see ``Fast``."""
+        """Return the entries of the compiled stream, if there is one that fits the message; see ``FastHandler``."""
         entries: list[Entry] | None = None
         native = self.native
         self._beforehand.results = prepared if isinstance(prepared, Results) else None

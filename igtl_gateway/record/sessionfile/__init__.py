@@ -25,7 +25,7 @@ The way through the folder, from bytes to sessions:
 ``sealing``          seals of a file that is written; ``seal_copy``: of one that exists
 ``units``, ``seals``  what seals cover, and the seals of a file; ``seal_check``, ``deviation``: each byte against them
 ``copying``          messages of one file into another as they are
-``merged``           sessions of several recorders: their parts; ``merge_writer`` writes them
+``merged``           sessions of several recorders: their parts; `addons.merge.writer` writes them
 ``migrations``       files of older versions
 ===================  ==================================================================================================
 

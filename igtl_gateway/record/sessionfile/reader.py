@@ -542,7 +542,7 @@ class SessionParts(SessionFile):
         return self._of_parts(lambda part: part.entries_with_state(start_ns, rule))
 
     def entries_starting_at(self, start_ns: int, seq: int = 0) -> Iterator[Entry]:
-        """As SessionFile.entries_since; parts that end before are not opened."""
+        """As SessionFile.entries_starting_at; parts that end before are not opened."""
         return self._of_parts(lambda part: part.entries_starting_at(start_ns, seq), start_ns)
 
     def blocks(self, channel: ChannelSummary, start_ns: int = 0, end_ns: int = _END_NS) -> Iterator[MessageBlock]:

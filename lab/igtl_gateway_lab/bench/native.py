@@ -92,8 +92,8 @@ class _NativeSide:
     """What both sides have in common: streams that are sent and received by loops in threads.
 
     Args:
-        job: see ``jobs``.
-        library: see ``probe.compile_probe``.
+        job: see ``jobs``; its ``native`` is the file of ``probe.compile_probe``.
+        ros: whether the functions of rcl are needed.
     """
 
     def __init__(self, job: Job, *, ros: bool) -> None:

@@ -9,8 +9,8 @@ from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import GatewayError
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.edges.ros.edge import RosEdge
-from igtl_gateway.edges.ros.streams import TopicSubscription
 from igtl_gateway.edges.ros.subscribing import Callback
+from igtl_gateway.edges.ros.topics import TopicSubscription
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway_lab.bench.cases import payload
 from igtl_gateway_lab.bench.cutter import Arrivals

@@ -16,7 +16,7 @@ from igtl_gateway.app.verification import verify_recording
 from igtl_gateway.cli import main
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.record.sessionfile.reader import SessionFile
-from igtl_gateway.replay.marks import marks_of
+from igtl_gateway.replay.recorded_marks import marks_of
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.transform import Transform
 from tests import marked

@@ -19,7 +19,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from ruamel.yaml import YAML
 
 from igtl_gateway.addons.exchange.account import ExportAccount
-from igtl_gateway.addons.exchange.recording import IGTL_KINDS
+from igtl_gateway.addons.exchange.selection import IGTL_KINDS
 from igtl_gateway.addons.exchange.surface_out import export_surface_of
 from igtl_gateway.addons.exchange.targets import TARGETS, export_to
 from igtl_gateway.base.errors import ConversionError, UnsupportedRecording, WireError

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from igtl_gateway.addons.exchange.folder import FileNames
-from igtl_gateway.addons.exchange.recording import IGTL_KINDS, ROS_KINDS, chosen_entries
+from igtl_gateway.addons.exchange.selection import IGTL_KINDS, ROS_KINDS, chosen_entries
 from igtl_gateway.addons.exchange.sequence_out import export_sequence
 from igtl_gateway.addons.exchange.volume_out import export_nrrd
 from igtl_gateway.api.placement import ImagePlacement

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from igtl_gateway.app.settings import config_of, declared, settled
+from igtl_gateway.app.setting_values import config_of, declared, settled
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.config.setting import Setting
 from igtl_gateway.config.settings import all_settings, parameters

@@ -10,8 +10,8 @@ import pytest
 from igtl_gateway.base.clock import ManualClock
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.edges.interface import TopicCounts
-from igtl_gateway.edges.ros import streams
-from igtl_gateway.edges.ros.streams import EchoFilter, TopicPublisher, TopicSubscription
+from igtl_gateway.edges.ros import topics
+from igtl_gateway.edges.ros.topics import EchoFilter, TopicPublisher, TopicSubscription
 
 QUICK_NS = 1000  # what a call of publish takes here
 
@@ -69,8 +69,8 @@ def test_refused_message_is_counted_and_told_in_one_line() -> None:
 
 
 def test_hold_is_bounded_by_messages_and_by_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(streams, "HOLD_MESSAGES", 3)
-    monkeypatch.setattr(streams, "HOLD_BYTES", 100)
+    monkeypatch.setattr(topics, "HOLD_MESSAGES", 3)
+    monkeypatch.setattr(topics, "HOLD_BYTES", 100)
     for sizes, overflows in (([1] * 3, False), ([1] * 4, True), ([50, 50], False), ([50, 51], True), ([101], False)):
         writer, _, _ = writer_and_publisher()
         for size in sizes:
@@ -127,7 +127,7 @@ def test_echo_knows_what_the_native_passage_has_sent() -> None:
 
 
 def test_echo_forgets_the_oldest(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(streams, "_ECHO_MEMORY", 2)
+    monkeypatch.setattr(topics, "_ECHO_MEMORY", 2)
     _, publisher, clock = writer_and_publisher()
     echo = EchoFilter()
     for _ in range(5):

@@ -14,7 +14,7 @@ import pytest
 from igtl_gateway.app.bridge_options import bridge_options
 from igtl_gateway.base.clock import ManualClock
 from igtl_gateway.base.errors import ConfigError
-from igtl_gateway.cli import recording
+from igtl_gateway.cli import recording_keys
 from igtl_gateway.cli.settings import add_settings, given, settled
 from igtl_gateway.config.settings import all_settings
 from igtl_gateway.gateway.log.marks import MarkNote
@@ -107,7 +107,7 @@ class Bench:
 def test_a_signal_pauses_and_resumes(tmp_path: Path) -> None:
     bench = Bench(tmp_path / "a.mcap")
     before = signal.getsignal(signal.SIGUSR2)
-    with recording.recording_controls(bench.recorder, print):
+    with recording_keys.recording_controls(bench.recorder, print):
         os.kill(os.getpid(), signal.SIGUSR2)
         bench.wait(PAUSED)
         os.kill(os.getpid(), signal.SIGUSR2)
@@ -118,7 +118,7 @@ def test_a_signal_pauses_and_resumes(tmp_path: Path) -> None:
 
 def test_a_signal_writes_a_snapshot(tmp_path: Path) -> None:
     bench = Bench(tmp_path / "a.mcap", snapshot_s=5.0)
-    with recording.recording_controls(bench.recorder, print) as told:
+    with recording_keys.recording_controls(bench.recorder, print) as told:
         assert told == "SIGUSR1 saves the last 5 s"
         os.kill(os.getpid(), signal.SIGUSR1)
         bench.wait(SNAPSHOT)
@@ -127,7 +127,7 @@ def test_a_signal_writes_a_snapshot(tmp_path: Path) -> None:
 
 
 def test_without_a_recording_there_is_nothing_to_steer() -> None:
-    with recording.recording_controls(None, print) as told:
+    with recording_keys.recording_controls(None, print) as told:
         assert told == ""
 
 
@@ -144,7 +144,7 @@ def test_what_the_user_says_is_in_the_recording(tmp_path: Path) -> None:
 
 def test_a_line_is_a_mark_or_the_reason_why_not(capsys: pytest.CaptureFixture[str]) -> None:
     found: list[str] = []
-    recording._mark("suture: first", found.append)
+    recording_keys._mark("suture: first", found.append)
     assert found == ["suture: first"]
-    recording._mark(": first", lambda line: found.append(MarkNote.parse(line, "keyboard").label))
+    recording_keys._mark(": first", lambda line: found.append(MarkNote.parse(line, "keyboard").label))
     assert capsys.readouterr().err.startswith("! mark: found label ''")
