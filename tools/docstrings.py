@@ -18,7 +18,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 FOLDERS = ("igtl_gateway", "lab", "tools")
-#: What also has names: the parts in C, definitions of messages, programs of the page.
+#: What also has names, beside the tests: the parts in C, definitions of messages, programs of the page.
 OTHERS = ("*.c", "*.h", "*.pyi", "*.msg", "*.srv", "*.js", "*.html")
 
 #: Names of other projects and of the system, and names that only a file or a message has.
@@ -106,7 +106,8 @@ def all_faults(sources: Mapping[str, str], others: Iterable[str] = ()) -> list[s
 def main() -> int:
     paths = [path for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.py"))]
     sources = {path.relative_to(ROOT).as_posix(): path.read_text("utf-8") for path in paths}
-    texts = [path.read_text("utf-8") for folder in FOLDERS for kind in OTHERS for path in (ROOT / folder).rglob(kind)]
+    others = [path for folder in FOLDERS for kind in OTHERS for path in (ROOT / folder).rglob(kind)]
+    texts = [path.read_text("utf-8") for path in (*others, *(ROOT / "tests").rglob("*.py"))]
     found = all_faults(sources, {word for text in texts for word in _WORD.findall(text)})
     print(*found, sep="\n", end="\n" if found else "")
     return 1 if found else 0
