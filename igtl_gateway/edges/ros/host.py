@@ -17,6 +17,7 @@ from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.config.setting import Value
 from igtl_gateway.edges.interface import Change
+from igtl_gateway.edges.ros.distributions import node_options
 from igtl_gateway.edges.ros.middleware import import_lifecycle, import_rclpy, interface_class, profile_of
 from igtl_gateway.edges.ros.parameters import changeable, checking_node, declare, overrides, show
 from igtl_gateway.gateway.log.note import Level
@@ -158,7 +159,7 @@ class NodeHost:
                 namespace=self.namespace or None,
                 context=context,
                 enable_rosout=False,
-                enable_logger_service=True,
+                **node_options(rclpy),
             )
             self._log = _Rosout(rclpy, node)
         except Exception as error:

@@ -58,6 +58,7 @@ class Keeper:
                     times.losses_ns = begun_ns + _LOSSES_NS
                     self._subscribing.poll_events()
                     self._subscribing.note_losses()
+                self._publishing.poll_matches()
                 self._publishing.notify_first_subscribers()
                 bursting = self._publishing.send_held()
                 node.notify()

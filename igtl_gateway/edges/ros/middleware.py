@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import os
 import re
 import subprocess
@@ -12,6 +12,7 @@ from typing import Any
 from igtl_gateway.base.errors import RosError, UnknownTypeError, first_line
 from igtl_gateway.base.extras import missing
 from igtl_gateway.base.qos import Qos
+from igtl_gateway.edges.ros.distributions import EVENT_MODULES
 
 _TYPE = re.compile(r"([a-z][a-z0-9_]*)/(msg|srv)/([A-Z][A-Za-z0-9]*)")
 _RMW_CHECK_S = 60
@@ -19,7 +20,6 @@ _SUBMODULES = (
     "callback_groups",
     "context",
     "duration",
-    "event_handler",
     "executors",
     "guard_condition",
     "node",
@@ -38,6 +38,8 @@ def import_rclpy() -> Any:
         rclpy = importlib.import_module("rclpy")
         for name in _SUBMODULES:
             importlib.import_module(f"rclpy.{name}")
+        events = (name for name in EVENT_MODULES if importlib.util.find_spec(f"rclpy.{name}"))
+        importlib.import_module(f"rclpy.{next(events, EVENT_MODULES[0])}")
     except ImportError as error:
         raise RosError(missing("rclpy", error)) from error
     return rclpy

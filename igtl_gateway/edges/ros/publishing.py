@@ -17,6 +17,7 @@ from igtl_gateway.base.errors import first_line
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.edges.interface import DISCOVERY_NS, Publishers, Reports
+from igtl_gateway.edges.ros import distributions
 from igtl_gateway.edges.ros.direct import direct_publisher
 from igtl_gateway.edges.ros.graph import Graph
 from igtl_gateway.edges.ros.middleware import interface_class, profile_of
@@ -51,6 +52,7 @@ class Publishing(Publishers[TopicPublisher]):
         self._topics = topics
         self._graph = graph
         self._on_first_subscriber = on_listener
+        self._matches: list[distributions.CountedMatches] = []  # of publishers whose matches the middleware hides
         self._listened: deque[str] = deque(maxlen=_MATCHES_MAX)  # topics with a new subscriber, not reported yet
         self._to_make: SimpleQueue[tuple[str, TopicPublisher] | None] = SimpleQueue()
         self._maker = threading.Thread(target=self._make_announced, name="igtl-ros-maker", daemon=True)
@@ -184,6 +186,14 @@ class Publishing(Publishers[TopicPublisher]):
             bursting = True
         return bursting
 
+    def poll_matches(self) -> None:
+        """Look for new subscribers where the middleware does not report them."""
+        try:
+            for matches in list(self._matches):  # others are made meanwhile
+                matches.poll()
+        except Exception as error:  # of rcl, after the shutdown of its context
+            self._reports.callback_failed("matches", error, "matches")
+
     def notify_first_subscribers(self) -> None:
         """Report the new subscribers, not under our lock, which another thread of the callee might need."""
         while self._on_first_subscriber and self._listened:
@@ -223,14 +233,17 @@ class Publishing(Publishers[TopicPublisher]):
     def _make(self, publisher: TopicPublisher, message_class: Any) -> None:
         """Make the publisher of the middleware; the caller has the lock of the node."""
         rclpy, topic = self._node.rclpy, publisher.topic
-        events = rclpy.event_handler.PublisherEventCallbacks(
+        made, matches = distributions.create_publisher(
+            rclpy,
+            self._node.handle,
+            message_class,
+            self._node.names.asked(topic),
+            profile_of(rclpy, publisher.qos),
             incompatible_qos=lambda event: self._note_incompatible(topic, event),
             matched=lambda event: self._on_matched(topic, event.current_count_change),
-            use_default_callbacks=False,
         )
-        made = self._node.handle.create_publisher(
-            message_class, self._node.names.asked(topic), profile_of(rclpy, publisher.qos), event_callbacks=events
-        )
+        if matches:
+            self._matches.append(matches)
         publisher.in_graph = self._node.names.in_graph(topic)
         subscriptions = self._topics.subscriptions_at(publisher.in_graph)
         # a latched message might also reach a subscription that we make later

@@ -8,6 +8,7 @@ from typing import Any
 from igtl_gateway.base.errors import RosError
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.edges.interface import OnMessage, Reports, Subscriptions, guarded
+from igtl_gateway.edges.ros import distributions
 from igtl_gateway.edges.ros.graph import Graph
 from igtl_gateway.edges.ros.middleware import interface_class, profile_of
 from igtl_gateway.edges.ros.node import RosNode
@@ -54,6 +55,7 @@ class Subscribing(Subscriptions[TopicSubscription]):
         self._graph = graph
         self._make_callback = make_callback
         self._receiver: Receiver | None = None
+        self._matches: list[distributions.CountedMatches] = []  # where the middleware does not report them
 
     def start(self, receiver: Receiver) -> None:
         """Have this receiver take the messages of all subscriptions."""
@@ -72,6 +74,8 @@ class Subscribing(Subscriptions[TopicSubscription]):
         try:
             with self._node.lock:
                 self._receiver.poll_events()
+                for matches in self._matches:
+                    matches.poll()
         except Exception as error:  # of one callback, or of rclpy internals that have changed
             self._reports.callback_failed("events", error, "events")
 
@@ -92,21 +96,20 @@ class Subscribing(Subscriptions[TopicSubscription]):
                 publisher.native.leave()
         subscription = TopicSubscription(topic, type_name, self._reports.counts(topic), echo)
         subscription.in_graph = in_graph
-        events = rclpy.event_handler.SubscriptionEventCallbacks(
-            incompatible_qos=lambda event: self._note_incompatible(topic, event),
-            message_lost=lambda event: subscription.lost(event.total_count_change),
-            matched=lambda event: subscription.matched(event.current_count),
-            use_default_callbacks=False,
-        )
-        subscription.subscription = node.create_subscription(
+        subscription.subscription, matches = distributions.create_subscription(
+            rclpy,
+            node,
             message_class,
             node_names.asked(topic),
             self._make_callback(subscription),
             profile_of(rclpy, qos),
-            callback_group=self._receiver.group,
-            event_callbacks=events,
-            raw=True,
+            group=self._receiver.group,
+            incompatible_qos=lambda event: self._note_incompatible(topic, event),
+            message_lost=lambda event: subscription.lost(event.total_count_change),
+            matched=lambda event: subscription.matched(event.current_count),
         )
+        if matches:
+            self._matches.append(matches)
         self._subscriptions[topic] = subscription
         subscription.native = self._receiver.add(subscription.subscription)
         return qos
