@@ -76,7 +76,7 @@ MOST_OF_CORE = {
     "exchange": 13,
     "lerobot": 7,
     "merge": 11,
-    "page": 23,
+    "page": 24,
     "resim": 9,
     "review": 7,
     "sync": 4,
@@ -135,7 +135,7 @@ HOMES: dict[str, tuple[str, ...]] = {
     ),  # a measurement has a peer that costs nothing, and a port for any bridge
     "socketserver": (),
     "ssl": ("edges.tcp.tls",),
-    "http": ("edges.tcp.http_server", "addons.upload.s3", "addons.page.server"),
+    "http": ("edges.tcp.http_server", "addons.upload.s3", "addons.page.server", "addons.page.source"),
     "rclpy": ("edges.ros.middleware",),
     # Time and chance: the core is a pure function of its inputs
     "time": ("base.clock",),

@@ -4,8 +4,9 @@
         --against "python -m tools.page_load none {port}" --against "python -m tools.page_load open {port} page.txt"
 
 ``none``: without the page; ``open``: one browser; ``twenty``: 20, and one that never reads; ``killed``: its process is
-killed after ten seconds.  A browser here asks for the state twice a second, as the page does.  The third word is a file
-for the share of a core that the process of the page has used.
+killed after ten seconds.  A browser here asks for the state twice a second, as the page does.  Load and browsers are
+processes of their own: what they cost must not delay the load.  The third word is a file for the share of a core that
+the process of the page has used.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -31,6 +33,10 @@ _POSE = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 10.0, 20.0, 30.0)
 def main(words: list[str]) -> int:
     """Run until the end of the bridge."""
     kind, port, *log = words
+    if kind in _ROLES:
+        threading.Thread(target=_end_with_input, daemon=True).start()
+        _ROLES[kind](port, *log)
+        return 0
     command = [sys.executable, "-m", "igtl_gateway", "bridge", "--json", "--listen", f"127.0.0.1:{port}"]
     bridge = subprocess.Popen([*command, *(["--page"] if kind != "none" else [])], stdout=subprocess.PIPE, text=True)
     signal.signal(signal.SIGINT, lambda *_: bridge.send_signal(signal.SIGINT))
@@ -38,23 +44,33 @@ def main(words: list[str]) -> int:
     assert bridge.stdout
     events = map(json.loads, bridge.stdout)
     next(event for event in events if event["event"] == "started")
-    threading.Thread(target=_load, args=(int(port),), daemon=True).start()
+    roles = [_role("load", port)]
     if kind != "none":
         link = next(event["link"] for event in events if event["event"] == "page")
         page = _page_of(bridge.pid)
-        number = {"open": 1, "twenty": 20, "killed": 1}[kind]
-        for _ in range(number):
-            threading.Thread(target=_browse, args=(link,), daemon=True).start()
+        roles.append(_role("browsers", link, str({"open": 1, "twenty": 20, "killed": 1}[kind])))
         if kind == "twenty":
-            _never_reads(link)
+            roles.append(_role("never_reads", link))
         threading.Thread(target=_watch, args=(kind, page, log), daemon=True).start()
     for _ in events:
         pass
+    for role in roles:
+        role.kill()
+        role.wait()
     return bridge.wait()
 
 
-def _load(port: int) -> None:
-    with RawPeer(port) as peer:
+def _role(*words: str) -> subprocess.Popen[bytes]:
+    return subprocess.Popen([sys.executable, "-m", "tools.page_load", *words], stdin=subprocess.PIPE)
+
+
+def _end_with_input() -> None:
+    sys.stdin.read()
+    os._exit(0)
+
+
+def _load(port: str) -> None:
+    with RawPeer(int(port)) as peer:
         poses = [
             b"".join(encode(Message("TRANSFORM", f"Load{n:03}", Transform(_POSE), 0, 1, 0, ()))) for n in range(100)
         ]
@@ -76,6 +92,12 @@ def _page_of(bridge: int) -> int:
     raise AssertionError("found no process of the page")
 
 
+def _browsers(link: str, number: str) -> None:
+    for _ in range(int(number)):
+        threading.Thread(target=_browse, args=(link,), daemon=True).start()
+    threading.Event().wait()
+
+
 def _request(link: str, path: str) -> bytes:
     place = urlsplit(link)
     cookie = f"Cookie: igtl_page_{place.port}={place.query.partition('=')[2]}"
@@ -85,12 +107,15 @@ def _request(link: str, path: str) -> bytes:
 def _browse(link: str) -> None:
     place = urlsplit(link)
     assert place.port
+    known = ""
     while True:
         try:
             with socket.create_connection((place.hostname, place.port), 5) as sock:
-                sock.sendall(_request(link, "/api/state"))
+                sock.sendall(_request(link, f"/api/state?known={known}"))
+                head = sock.recv(1 << 18)
                 while sock.recv(1 << 18):
                     pass
+                known = head.partition(b"Page-Version: ")[2].partition(b"\r")[0].decode() or known
         except OSError:
             pass
         time.sleep(0.5)
@@ -101,10 +126,11 @@ def _never_reads(link: str) -> None:
     assert place.port
     sock = socket.create_connection((place.hostname, place.port), 5)
     sock.sendall(_request(link, "/api/state"))
-    _KEPT.append(sock)
+    threading.Event().wait()
+    sock.close()
 
 
-_KEPT: list[socket.socket] = []
+_ROLES: dict[str, Callable[..., None]] = {"load": _load, "browsers": _browsers, "never_reads": _never_reads}
 
 
 def _watch(kind: str, page: int, log: list[str]) -> None:

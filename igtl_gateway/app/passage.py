@@ -59,9 +59,8 @@ def percentiles(counts: Sequence[tuple[int, int]]) -> dict[str, float]:
     return found
 
 
-def times_of(passage: Passage) -> dict[str, dict[str, dict[str, float]]]:
-    """Return direction → phase → percentiles, for phases that messages had; the caller has the sequence lock."""
-    rows = passage.times()
+def times_of(rows: Sequence[Sequence[tuple[int, int]]]) -> dict[str, dict[str, dict[str, float]]]:
+    """Return direction → phase → percentiles, for phases that messages had, from the times of a passage."""
     found: dict[str, dict[str, dict[str, float]]] = {}
     for number, row in enumerate(rows):
         if row:
@@ -145,16 +144,20 @@ class BridgePassage:
         self._passage.record_into(recorder.queue.memory, self.recorder_lock)
 
     def collect(self) -> None:
-        """Take over what was counted natively."""
+        """Take over what was counted natively, in slices: messages pass in between."""
         with self._passage:
-            self.streams.collect_all()
+            slices = self.streams.slices()
+        for keys in slices:
+            with self._passage:
+                self.streams.collect_some(keys)
         if self._ros:
             self._ros.sync()
 
     def times(self) -> dict[str, dict[str, dict[str, float]]]:
         """Return where the time of messages went; see ``times_of``."""
         with self._passage:
-            return times_of(self._passage)
+            rows = self._passage.times()
+        return times_of(rows)
 
     def look(self) -> list[Note]:
         """Copy the streams whose publisher has become ready; return notes as `StreamReports`.  Once a second."""

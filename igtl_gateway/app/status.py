@@ -6,7 +6,6 @@ frequent they are, and all values of an answer are of one time.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Mapping
 from typing import Any, Protocol
 
@@ -15,15 +14,7 @@ from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.stamp import NS_PER_S, utc_text
 from igtl_gateway.base.version import __version__
 from igtl_gateway.gateway.log.entry import Kind
-
-#: Time over which rates are averaged, in seconds.
-RATES_OVER_S = 5.0
-
-#: Counts of the ledger that contain all messages of a stream, with any fate.
-_TOTAL_FATES = ("received", "sent", "published")
-
-#: (direction, stream) → messages.
-_Totals = dict[tuple[str, str], int]
+from igtl_gateway.gateway.log.rates import Rates
 
 
 class EntryCounter(Protocol):
@@ -50,7 +41,7 @@ class BridgeStatus:
         self._watcher = watcher
         self._clock = clock
         self._begun_ns = clock.monotonic_ns()
-        self._past: deque[tuple[int, _Totals]] = deque()
+        self._rates = Rates()
 
     def sample(self) -> None:
         """Take a sample; call this from one thread only.  Never raises: monitoring must not stop the bridge."""
@@ -65,7 +56,7 @@ class BridgeStatus:
         bridge, now_ns = self._bridge, self._clock.monotonic_ns()
         ledger = bridge.ledger()
         entries = {kind.value: self._watcher.counts[kind] for kind in Kind}
-        seconds, rates = self._rates(now_ns, _totals(entries, ledger["streams"]))
+        seconds, rates = self._rates.take(now_ns, {"entries": entries} | bridge.gateway.ledger.totals())
         counters = bridge.tcp.counters()
         recorder = bridge.recorder
         return {
@@ -121,29 +112,3 @@ class BridgeStatus:
             }
             for (link, stream), one in self._bridge.gateway.guard.items()
         ]
-
-    def _rates(self, now_ns: int, totals: _Totals) -> tuple[float, dict[str, dict[str, float]]]:
-        """Return the averaging time in seconds, and the rates in messages per second.
-
-        The rates are direction → stream → rate, and "entries" → kind → rate.
-        """
-        past = self._past
-        past.append((now_ns, totals))
-        while len(past) > 2 and now_ns - past[1][0] >= RATES_OVER_S * NS_PER_S:  # keep one sample of at least that age
-            past.popleft()
-        then_ns, before = past[0]
-        seconds = (now_ns - then_ns) / NS_PER_S
-        rates: dict[str, dict[str, float]] = {}
-        for (direction, stream), total in totals.items():
-            rate = (total - before.get((direction, stream), 0)) / seconds if seconds else 0.0
-            rates.setdefault(direction, {})[stream] = round(rate, 3)
-        return seconds, rates
-
-
-def _totals(entries: Mapping[str, int], streams: Mapping[str, Any]) -> _Totals:
-    totals = {("entries", kind): number for kind, number in entries.items()}
-    for direction, books in streams.items():
-        for stream, fates in books.items():
-            if total := next((fates[fate] for fate in _TOTAL_FATES if fate in fates), 0):
-                totals[direction, stream] = total
-    return totals

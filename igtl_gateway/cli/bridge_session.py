@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 from igtl_gateway.app.bridge import Bridge
 from igtl_gateway.app.bridge_options import BridgeOptions
@@ -106,14 +106,9 @@ class BridgeSession:
         self.bridge.change(changes)
 
     def sample(self) -> None:
-        """Take the sample that the server of ``--metrics`` returns, and the page shows."""
-        if self.metrics or self._pictures:
+        """Take the sample that the server of ``--metrics`` returns."""
+        if self.metrics:
             self._status.sample()
-
-    @property
-    def facts(self) -> Mapping[str, Any]:
-        """The last sample."""
-        return self._status.facts
 
     def stop(self) -> None:
         """Close all; a second call has no effect."""

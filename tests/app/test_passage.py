@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import pytest
 
@@ -53,6 +54,40 @@ def test_without_a_native_passage_the_bridge_has_the_cause() -> None:
         assert why_not_native(clock, causes) == "--relay"
         assert why_not_native(clock, dict.fromkeys(causes, False)) == ""
         assert "clock" in why_not_native(ManualClock(), causes)
+
+
+class CountedLock:
+    """The sequence lock, and how often it was taken."""
+
+    def __init__(self, lock: Any) -> None:
+        self.taken = 0
+        self._lock = lock
+
+    def __enter__(self) -> None:
+        self.taken += 1
+        self._lock.__enter__()
+
+    def __exit__(self, *error: object) -> None:
+        self._lock.__exit__(*error)
+
+
+@pytest.mark.skipif(not is_compiled(), reason="the package was installed without its native passage")
+def test_the_counts_of_many_streams_are_taken_over_in_slices(monkeypatch: pytest.MonkeyPatch) -> None:
+    with scene(monkeypatch) as here:
+        peer = here.connect()
+        sent = 0
+        while here.native < 10:
+            peer.send(b"".join(transform(sent, device=f"Tool{number}") for number in range(10)))
+            sent += 10
+            time.sleep(0.002)
+        peer.send(b"".join(transform(sent, device=f"Tool{number}") for number in range(10)))
+        wait_for(lambda: here.received("igtl_in") == sent + 10)
+        passage = here.bridge._passage
+        assert passage
+        lock = CountedLock(passage._passage)
+        monkeypatch.setattr(passage, "_passage", lock)
+        here.bridge.collect()
+        assert lock.taken == 1 + 3  # no more than four streams at a time
 
 
 @pytest.mark.skipif(not is_compiled(), reason="the package was installed without its native passage")

@@ -9,11 +9,12 @@ import pytest
 
 from igtl_gateway.app.bridge import Bridge
 from igtl_gateway.app.bridge_options import BridgeOptions
-from igtl_gateway.app.status import RATES_OVER_S, BridgeStatus
+from igtl_gateway.app.status import BridgeStatus
 from igtl_gateway.base.clock import ManualClock
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.log.rates import RATES_OVER_S
 
 
 @dataclass

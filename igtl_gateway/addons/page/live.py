@@ -1,7 +1,8 @@
 """The page beside a bridge: the interface that its process reads, and that process.
 
-The interface is a server on loopback with a token that only the process knows.  It gives the last sample of the bridge
-and takes what a person has pressed.  Browsers never reach it, so whatever they do, the bridge has one reader.
+The interface is a server on loopback with a token that only the process knows.  It sends a sample of the bridge twice
+a second, as a line each, and takes what a person has pressed.  Browsers never reach it, so whatever they do, the bridge
+has one reader.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import os
 import sys
 import threading
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from hmac import compare_digest
 from pathlib import Path
@@ -30,6 +31,7 @@ from igtl_gateway.addon import (
     SystemClock,
     python_command,
 )
+from igtl_gateway.addons.page.sample import sample_of
 from igtl_gateway.app.recording import pause, resume, snapshot, split, start, stop
 from igtl_gateway.edges.tcp.http_server import Handler, LocalServer
 
@@ -52,11 +54,20 @@ _DONE = frozenset(
 _MAX_TYPES = 4_000
 #: A press may write a snapshot of half a gigabyte.
 _DEADLINE_S = 90.0
+#: Longest time between two samples, also if the bridge has none: the page waits no longer.
+_STILL_S = 2.0
 #: Pictures are copied for this time after the page has asked for them, and at most once in the second time.
 _LOOKED_NS, _PICTURE_NS = 3 * NS_PER_S, NS_PER_S
 _MAX_PICTURES, _MAX_PICTURE = 16, 32 << 20
 _ROS = frozenset({Kind.ROS_IN, Kind.ROS_OUT})
 _END_S = 2.0
+
+
+class Refusals(Protocol):
+    """Counts the messages that were refused."""
+
+    @property
+    def refused(self) -> int: ...
 
 
 class RunningSession(Protocol):
@@ -66,7 +77,7 @@ class RunningSession(Protocol):
     def bridge(self) -> Bridge: ...
 
     @property
-    def facts(self) -> Mapping[str, Any]: ...
+    def watch(self) -> Refusals: ...
 
 
 class Pictures:
@@ -133,7 +144,9 @@ class BridgePage:
         on_links: Callable[[str, str], None],
     ) -> None:
         self.pictures = Pictures()
+        self._clock = SystemClock()
         self._session: RunningSession | None = None
+        self._begun_ns = 0  # of the session, monotonic
         self._on_stop = on_stop
         self._on_links = on_links
         self._notes: deque[dict[str, Any]] = deque(maxlen=_NOTES)
@@ -143,6 +156,7 @@ class BridgePage:
         self._has_ended = threading.Event()
         self._links: tuple[str, str] | None = None
         self._why = ""
+        self._changed, self._version = threading.Condition(), 0
         self._token = os.urandom(24).hex()
         handler = type("_LiveHandler", (_Handler,), {"page": self, "secret": f"Bearer {self._token}"})
         self._server = LocalServer("127.0.0.1", 0, handler, name="igtl-page", deadline_s=_DEADLINE_S)
@@ -166,8 +180,9 @@ class BridgePage:
         self._child.write(json.dumps(settings) + "\n")
 
     def update(self, session: RunningSession | None, events: Sequence[Event] = ()) -> None:
-        """Take the session that runs now, and its notes since the last call.  Twice a second."""
-        self._session = session
+        """Take the session that runs now, and its notes since the last call.  Twice a second, after its ``collect``."""
+        if session is not self._session:
+            self._session, self._begun_ns = session, self._clock.monotonic_ns()
         for event in events:
             note = event.note
             self._number += 1
@@ -190,6 +205,7 @@ class BridgePage:
             why = self._why or self._child.exit_reason() or "its process was ended"
             session.bridge.hub.note(Note(Level.WARN, PAGE, f"the page has ended: {why}; the bridge goes on"))
             self._server.close()
+        self._change()
 
     def close(self) -> None:
         """End the process."""
@@ -200,11 +216,22 @@ class BridgePage:
         self._child.wait(_END_S)
         self._child.kill()
 
+    def wait(self, known: int) -> int:
+        """Wait for another version of the facts than a known one, for some time; return it."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._version != known, _STILL_S)
+            return self._version
+
+    def _change(self) -> None:
+        with self._changed:
+            self._version += 1
+            self._changed.notify_all()
+
     def facts(self) -> dict[str, Any]:
         """Return what the page shows."""
         session = self._session
         return {
-            "facts": session.facts if session else None,
+            "facts": self._facts_of(session) if session else None,
             "recording": _recording(session.bridge) if session else None,
             "notes": list(self._notes),
             "done": list(self._done),
@@ -212,8 +239,18 @@ class BridgePage:
             "pictures": self.pictures.names(),
         }
 
+    def _facts_of(self, session: RunningSession) -> dict[str, Any]:
+        uptime_s = (self._clock.monotonic_ns() - self._begun_ns) / NS_PER_S
+        return sample_of(session.bridge) | {"uptime_s": uptime_s, "refused": session.watch.refused}
+
     def act(self, what: str, line: str) -> tuple[bool, str]:
         """Do what was pressed; return whether it was possible, and a sentence for people."""
+        try:
+            return self._act(what, line)
+        finally:
+            self._change()
+
+    def _act(self, what: str, line: str) -> tuple[bool, str]:
         session = self._session
         if session is None:
             return False, "no session runs"
@@ -274,7 +311,7 @@ class _Handler(Handler):
         if not self._is_the_page():
             return
         if path == "/facts":
-            self.answer(200, "application/json", json.dumps(self.page.facts(), default=str))
+            self._follow()
         elif path == "/picture":
             words = parse_qs(urlsplit(self.path).query)
             data = self.page.pictures.get(*(words.get(name, [""])[0] for name in ("side", "stream")))
@@ -289,6 +326,14 @@ class _Handler(Handler):
         found = json.loads(body)
         done, text = self.page.act(str(found.get("do")), str(found.get("line", "")))
         self.answer(200, "application/json", json.dumps({"done": done, "text": text}))
+
+    def _follow(self) -> None:
+        """Send the facts whenever they change, until the page leaves or the deadline of the server has come."""
+        self.begin(200, "application/x-ndjson", None)
+        known = 0
+        while True:
+            self.wfile.write(json.dumps(self.page.facts(), separators=(",", ":")).encode() + b"\n")
+            known = self.page.wait(known)
 
     def _is_the_page(self) -> bool:
         given = self.headers.get("Authorization", "")

@@ -8,9 +8,11 @@ from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any
 
+from igtl_gateway.addons.page.sample import rows_of
 from igtl_gateway.doctor.rules import RULES
 from igtl_gateway.gateway.diagnostics import HARMLESS, RHYTHM_HZ, SILENT_NS
 from igtl_gateway.gateway.log.fates import DROPPED
+from igtl_gateway.gateway.log.rates import Rates
 
 #: States, the worst first: each has a word, a shape and a colour on the page.
 ERROR, SILENT, WARNING, WAITING, OK = "error", "silent", "warning", "waiting", "ok"
@@ -24,8 +26,6 @@ MAX_ROWS = 300
 #: Direction in the ledger → in words.
 _SIDES = {"igtl_in": "from OpenIGTLink", "ros_in": "from ROS", "igtl_out": "to OpenIGTLink", "ros_out": "to ROS"}
 _INPUTS = ("igtl_in", "ros_in")
-#: Fates that count the messages of a stream.
-_COUNTED = ("received", "sent", "published")
 #: Messages are late above this age on arrival, as for rule W306 of `doctor`; above the second one they are of another
 #: epoch, such as replayed ones.
 OLD_NS, _EPOCH_NS = 1_000_000_000, 86_400_000_000_000
@@ -101,14 +101,15 @@ class Now:
     def __init__(self) -> None:
         self._streams: dict[tuple[str, str], _Seen] = {}
         self._links: dict[str, _Seen] = {}
+        self._rates = Rates()
 
     def rows(
         self, facts: Mapping[str, Any], now_ns: int, utc_ns: int, types: Mapping[str, str] = MappingProxyType({})
     ) -> dict[str, Any]:
-        """Return the rows for a sample of ``app.status``.
+        """Return the rows for a `sample`.
 
         Args:
-            facts: the sample.
+            facts: what `sample_of` returns.
             now_ns: when it was read, on the monotonic clock.
             utc_ns: the same in UTC.
             types: topic → type of ROS.
@@ -125,16 +126,17 @@ class Now:
     def _stream_rows(self, facts: Mapping[str, Any], now_ns: int, types: Mapping[str, str]) -> list[dict[str, Any]]:
         peers = {peer["link"]: peer["peer"] for peer in facts["peers"] if peer["link"]}
         watched: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
-        for one in facts["watched"]:
+        for one in rows_of(facts):
             watched.setdefault(("igtl_in" if one["link"] else "ros_in", one["stream"]), []).append(one)
         rows = []
+        _, all_rates = self._rates.take(now_ns, facts["totals"])
         for side, title in _SIDES.items():
-            rates = facts["rates"].get(side, {})
-            for stream, fates in facts["ledger"]["streams"].get(side, {}).items():
+            rates, totals, drops = all_rates.get(side, {}), facts["totals"].get(side, {}), facts["drops"].get(side, {})
+            for stream in sorted({*totals, *drops}):
                 seen = self._streams.setdefault((side, stream), _Seen(now_ns))
-                dropped = fates.get("dropped", {})
+                dropped = drops.get(stream, {})
                 lost = sum(number for reason, number in dropped.items() if reason not in HARMLESS)
-                seen.take(now_ns, next((fates[fate] for fate in _COUNTED if fate in fates), 0), lost)
+                seen.take(now_ns, totals.get(stream, 0), lost)
                 rate_hz = rates.get(stream, 0.0)
                 seen.rhythm = seen.rhythm or (rate_hz >= RHYTHM_HZ and side in _INPUTS)
                 ones = watched.get((side, stream), [])
@@ -169,24 +171,21 @@ class Now:
         return rows
 
     def _link_rows(self, facts: Mapping[str, Any], now_ns: int, utc_ns: int) -> list[dict[str, Any]]:
-        rows = []
+        rows, watched = [], rows_of(facts)
         for peer in facts["peers"]:
             number = str(peer["link"])
-            counts = facts["ledger"]["links"].get(number, {})
             seen = self._links.setdefault(f"{number} {peer['peer']} {peer['connected']}", _Seen(utc_ns))
-            lost = sum(counts.get("dropped", {}).values())
-            received = counts.get("received_messages", 0) + counts.get("sent_messages", 0)
-            seen.take(now_ns, received, lost)
-            ones = [one for one in facts["watched"] if one["link"] == peer["link"] and peer["link"]]
-            queue = facts["queues"].get(number, {"messages": 0, "bytes": 0})
+            lost, queued = peer["dropped"], peer["queued"]
+            seen.take(now_ns, peer["messages"], lost)
+            ones = [one for one in watched if one["link"] == peer["link"] and peer["link"]]
             state, text, rule = OK, "", ""
             late_ms = _milliseconds(one["age_ns"] for one in ones if _is_old(one))
             if not peer["connected"]:
                 state, text, rule = WAITING, "not connected; the bridge tries again", "not_connected"
             elif seen.lost_ns and now_ns - seen.lost_ns < _RECENT_NS:
                 state, text, rule = ERROR, f"reads too slowly: {lost:,} messages dropped", "queue"
-            elif queue["messages"] > _QUEUED or (queue["messages"] > 1 and queue["bytes"] > _QUEUED_BYTES):
-                state, text, rule = WARNING, f"reads slowly: {queue['messages']:,} messages wait", "queue"
+            elif queued > _QUEUED or (queued > 1 and peer["queued_bytes"] > _QUEUED_BYTES):
+                state, text, rule = WARNING, f"reads slowly: {queued:,} messages wait", "queue"
             elif late_ms:
                 state, text, rule = WARNING, f"is late: its messages are {late_ms / 1e3:.1f} s old on arrival", "old"
             rows.append(
@@ -202,7 +201,7 @@ class Now:
                     "spark": list(seen.spark),
                     "latency_ms": _milliseconds(one["age_ns"] for one in ones),
                     "jitter_ms": _milliseconds(one["jitter_ns"] for one in ones),
-                    "queue": queue["messages"],
+                    "queue": queued,
                     "dropped": lost,
                     "text": text,
                     "advice": _advice(rule),

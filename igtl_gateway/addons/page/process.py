@@ -31,8 +31,6 @@ from igtl_gateway.edges.tcp.tls import TlsFiles
 _BRIDGE = ("start", "stop", "pause", "resume", "mark", "snapshot", "split", "end")
 #: Time over which the growth of a recording is measured, ns.
 _GROWTH_NS = 30 * NS_PER_S
-#: How long the state of jobs and replay is kept at most before browsers get it, ns.
-_FRESH_NS = NS_PER_S // 4
 
 
 class Page:
@@ -52,10 +50,11 @@ class Page:
         self.replay = Replay()
         self._now = Now()
         self._lock = threading.Lock()
-        self._bridge: dict[str, Any] | None = None
+        self._answers = False
+        self._shown = _json(None)  # of the bridge
+        self._wrong = 0
         self._version = 0
         self._state = b""
-        self._made_ns = 0
         self._growth: deque[tuple[int, int]] = deque()
         self._session = self._file = ""
         self._begun_ns = 0  # of the file
@@ -75,15 +74,12 @@ class Page:
         return self._version
 
     def state(self) -> bytes:
-        """Return the state as JSON: the same bytes for all browsers, made at most four times a second."""
+        """Return the state as JSON: the same bytes for all browsers, whose large part is made once for each sample."""
         with self._lock:
-            now_ns = self._clock.monotonic_ns()
-            if not self._made_ns or now_ns - self._made_ns > _FRESH_NS:
-                self._made_ns = now_ns
-                made = json.dumps(self._facts(), separators=(",", ":"), default=str).encode()
-                if made != self._state:
-                    self._state = made
-                    self._version += 1
+            made = _json(self._facts())[:-1] + b',"bridge":' + self._shown + b"}"
+            if made != self._state:
+                self._state = made
+                self._version += 1
             return self._state
 
     def sessions(self) -> list[dict[str, Any]]:
@@ -120,14 +116,10 @@ class Page:
 
     def act(self, what: str, words: dict[str, Any]) -> tuple[bool, str]:
         """Do what was pressed; return whether it was possible, and a sentence for people."""
-        self._made_ns = 0
         if what in _BRIDGE:
             if self._source is None:
                 return False, "there is no bridge: this page shows a folder"
-            done = self._source.press(what, str(words.get("line", "")))
-            if self._poller:
-                self._poller.wake()
-            return done
+            return self._source.press(what, str(words.get("line", "")))
         if what == "cancel":
             number = words.get("number")
             return self.jobs.cancel(number if isinstance(number, int) else 0)
@@ -165,8 +157,10 @@ class Page:
                 "done": found.get("done", []),
                 "pictures": found.get("pictures", []),
             }
+        shown = _json(rows)
+        wrong = sum(row["state"] != OK for row in (*rows["streams"], *rows["links"])) if rows else 0
         with self._lock:
-            self._bridge = rows or ({} if found is not None else None)
+            self._answers, self._shown, self._wrong = found is not None, shown, wrong
 
     def _recording(self, counters: dict[str, Any] | None, how: dict[str, Any] | None) -> dict[str, Any] | None:
         """Return what the view *Recording* shows; None without a recording."""
@@ -212,18 +206,19 @@ class Page:
         }
 
     def _facts(self) -> dict[str, Any]:
-        bridge = self._bridge
-        wrong = [row for row in (*bridge["streams"], *bridge["links"]) if row["state"] != OK] if bridge else []
         return {
             "version": __version__,
             "has_bridge": self._source is not None,
-            "answers": bridge is not None,
-            "bridge": bridge or None,
-            "wrong": len(wrong),
+            "answers": self._answers,
+            "wrong": self._wrong,
             "folder": str(self.recordings.folder) if self.recordings else "",
             "jobs": self.jobs.rows(),
             "replay": self.replay.facts(),
         }
+
+
+def _json(facts: object) -> bytes:
+    return json.dumps(facts, separators=(",", ":"), default=str).encode()
 
 
 def _size(path: Path, parts: Path) -> tuple[int, int]:

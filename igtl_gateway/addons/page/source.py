@@ -1,17 +1,18 @@
-"""What the page knows of a bridge: read twice a second by its interface (``live``), in the process of the page."""
+"""What the page knows of a bridge: samples that its interface (``live``) sends, in the process of the page."""
 
 from __future__ import annotations
 
 import json
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from http.client import HTTPException
 from typing import Any
 from urllib.error import URLError
 from urllib.parse import urlencode
 from urllib.request import ProxyHandler, Request, build_opener
 
-#: Interval of the reading, and the longest time of one, seconds.
-EVERY_S, _PATIENCE_S = 0.5, 5.0
+#: Longest time between two samples, and the time until the next try, seconds.
+_PATIENCE_S, _AGAIN_S = 5.0, 0.1
 _PRESS_S = 90.0
 
 
@@ -28,13 +29,14 @@ class BridgeSource:
         self._headers = {"Authorization": f"Bearer {token}", "Content-Type": "application/json"}
         self._open = build_opener(ProxyHandler({})).open  # the bridge is here, whatever the environment has
 
-    def facts(self) -> dict[str, Any] | None:
-        """Return what the bridge reports; None if it does not answer."""
-        try:
-            found = json.loads(self._read("/facts", None, _PATIENCE_S))
-        except (OSError, URLError, ValueError):
-            return None
-        return found if isinstance(found, dict) else None
+    def samples(self) -> Iterator[dict[str, Any]]:
+        """Yield what the bridge reports, until it closes the connection.
+
+        Raises OSError, HTTPException or ValueError if it does not answer.
+        """
+        with self._open(Request(self._url + "/facts", headers=self._headers), timeout=_PATIENCE_S) as answer:
+            for line in answer:
+                yield json.loads(line)
 
     def picture(self, side: str, stream: str) -> bytes:
         """Return the last picture of a stream as its message; empty if there is none."""
@@ -69,20 +71,19 @@ class Poller:
     def __init__(self, source: BridgeSource, take: Callable[[dict[str, Any] | None], None]) -> None:
         self._source = source
         self._take = take
-        self._woken, self._stopping = threading.Event(), False
+        self._stopping = threading.Event()
         threading.Thread(target=self._run, name="igtl-page-source", daemon=True).start()
 
     def close(self) -> None:
         """Read no more."""
-        self._stopping = True
-        self._woken.set()
-
-    def wake(self) -> None:
-        """Read at once."""
-        self._woken.set()
+        self._stopping.set()
 
     def _run(self) -> None:
-        while not self._stopping:
-            self._take(self._source.facts())
-            self._woken.wait(EVERY_S)
-            self._woken.clear()
+        while not self._stopping.wait(_AGAIN_S):
+            try:
+                for found in self._source.samples():
+                    self._take(found)
+                    if self._stopping.is_set():
+                        return
+            except (OSError, HTTPException, ValueError):
+                self._take(None)

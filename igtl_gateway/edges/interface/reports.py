@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 from igtl_gateway.base.errors import UnknownTypeError, first_line
@@ -37,6 +37,13 @@ class TopicCounts:
     unheard: int = 0
     over_budget: int = 0
 
+    def to_dict(self) -> dict[str, int]:
+        """As JSON values."""
+        return {name: getattr(self, name) for name in _COUNTS}
+
+
+_COUNTS = tuple(field.name for field in fields(TopicCounts))
+
 
 class Reports:
     """Notes go to ``on_note``, from any thread and under no lock of the edge."""
@@ -51,7 +58,7 @@ class Reports:
     def counters(self) -> dict[str, dict[str, int]]:
         """Counts of each topic, as ``TopicCounts`` names them."""
         with self._lock:
-            return {topic: asdict(counts) for topic, counts in sorted(self._counts.items())}
+            return {topic: counts.to_dict() for topic, counts in sorted(self._counts.items())}
 
     def counts(self, topic: str) -> TopicCounts:
         """The counts of a topic, to be continued."""

@@ -231,10 +231,14 @@ class Handler(BaseHTTPRequestHandler):
         if self.command != "HEAD":
             self.wfile.write(data)
 
-    def begin(self, code: int, kind: str, size: int, **more: str) -> None:
-        """Send the head of an answer; ``more`` are further fields, with ``_`` for ``-``."""
+    def begin(self, code: int, kind: str, size: int | None, **more: str) -> None:
+        """Send the head of an answer; ``more`` are further fields, with ``_`` for ``-``.
+
+        ``size``: None: the answer ends with the connection.
+        """
         self.send_response(code)
-        for name, value in {"Content-Type": kind, "Content-Length": str(size), **more}.items():
+        length = {} if size is None else {"Content-Length": str(size)}
+        for name, value in {"Content-Type": kind, **length, **more}.items():
             self.send_header(name.replace("_", "-"), value)
         self.end_headers()
 

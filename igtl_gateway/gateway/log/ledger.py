@@ -70,6 +70,21 @@ class Ledger:
                 known.add(stream)
         return book.setdefault((direction, stream), {})
 
+    def totals(self) -> dict[str, dict[str, int]]:
+        """Return direction → stream → messages with any fate, of the streams that have some."""
+        found: dict[str, dict[str, int]] = {}
+        for (direction, stream), fates in self._counts.copy().items():
+            if total := fates.get("received") or fates.get("sent") or fates.get("published"):
+                found.setdefault(direction, {})[stream] = total
+        return found
+
+    def drops(self) -> dict[str, dict[str, dict[str, int]]]:
+        """Return direction → stream → reason → dropped messages, of the streams that have some."""
+        found: dict[str, dict[str, dict[str, int]]] = {}
+        for (direction, stream), reasons in self._dropped.copy().items():
+            found.setdefault(direction, {})[stream] = reasons.copy()
+        return found
+
     def to_dict(self) -> dict[str, Any]:
         """``{direction: {stream: {fate: n, "dropped": {reason: n}}}}``, sorted."""
         recorded: dict[str, Any] = {}

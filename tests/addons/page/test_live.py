@@ -7,13 +7,21 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
+
+import pytest
 
 import igtl_gateway
+from igtl_gateway.addons.page import live
 from igtl_gateway.addons.page.live import BridgePage
-from igtl_gateway.addons.page.source import BridgeSource
+from igtl_gateway.addons.page.source import BridgeSource, Poller
 from igtl_gateway.app.note_rate import Event
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.note import Level, Note
+
+
+class Watch:
+    refused = 0
 
 
 class Session:
@@ -21,7 +29,7 @@ class Session:
 
     def __init__(self, bridge: Any) -> None:
         self.bridge = bridge
-        self.facts: dict[str, Any] = {}
+        self.watch = Watch()
 
 
 @contextmanager
@@ -67,6 +75,44 @@ def test_each_button(tmp_path: Path) -> None:
     assert presses == ["pause", "resume", "split", "snapshot", "stop"]
 
 
+def test_a_sample_is_made_for_a_reader_only_and_once_for_each_change(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[object] = []
+
+    def sample(bridge: object) -> dict[str, Any]:
+        made.append(bridge)
+        return {}
+
+    monkeypatch.setattr(live, "sample_of", sample)
+    monkeypatch.setattr(live, "Child", MagicMock())  # the reader is this test
+    monkeypatch.setattr(live, "_STILL_S", 60.0)
+    with (
+        igtl_gateway.Bridge(listen=["127.0.0.1:0"], ros=False) as bridge,
+        page_of(bridge._bridge, []) as (page, source),
+    ):
+        session = Session(bridge._bridge)
+        for _ in range(20):
+            page.update(session)
+        assert made == []
+        samples = source.samples()
+        next(samples)
+        for _ in range(3):
+            page.update(session)
+            assert "uptime_s" in next(samples)["facts"]
+        assert len(made) == 4
+        assert source.press("format", "")[0] is False and next(samples)  # a press shows at once
+        page.close()
+        assert list(samples) == []
+
+
+def test_a_bridge_that_does_not_answer_is_none_and_is_asked_again() -> None:
+    found: list[object] = []
+    source = BridgeSource("http://127.0.0.1:9", "x")
+    poller = Poller(source, found.append)
+    wait(lambda: len(found) >= 2)
+    poller.close()
+    assert found[:2] == [None, None]
+
+
 def test_many_notes_do_not_hide_what_was_done() -> None:
     with (
         igtl_gateway.Bridge(listen=["127.0.0.1:0"], ros=False) as bridge,
@@ -74,5 +120,5 @@ def test_many_notes_do_not_hide_what_was_done() -> None:
     ):
         notes = [Note(Level.INFO, "mark", "mark slip"), *(Note(Level.WARN, "stamp_still", "x") for _ in range(500))]
         page.update(Session(bridge._bridge), [Event(1, Kind.EDGE_NOTE, note, ()) for note in notes])
-        found = source.facts()
-        assert found and [note["text"] for note in found["done"]] == ["mark slip"] and len(found["notes"]) == 60
+        found = next(source.samples())
+        assert [note["text"] for note in found["done"]] == ["mark slip"] and len(found["notes"]) == 60

@@ -3,6 +3,7 @@ from __future__ import annotations
 from typing import Any
 
 from igtl_gateway.addons.page.now import ERROR, MAX_ROWS, OK, OLD_NS, SILENT, WAITING, WARNING, Now
+from igtl_gateway.addons.page.sample import WATCHED
 from igtl_gateway.doctor import checks
 
 _S = 1_000_000_000
@@ -12,32 +13,33 @@ def facts(
     received: dict[str, int],
     *,
     dropped: dict[str, dict[str, int]] | None = None,
-    watched: list[dict[str, Any]] | None = None,
+    watched: list[list[Any]] | None = None,
     peers: list[dict[str, Any]] | None = None,
-    links: dict[str, Any] | None = None,
-    queues: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """A sample of a bridge with streams at 10 Hz."""
-    streams: dict[str, Any] = {name: {"received": number} for name, number in received.items()}
-    for name, reasons in (dropped or {}).items():
-        streams[name]["dropped"] = reasons
+    """A sample of a bridge."""
     return {
         "watched": watched or [],
-        "rates": {"igtl_in": dict.fromkeys(received, 10.0)},
-        "ledger": {"streams": {"igtl_in": streams}, "links": links or {}},
+        "totals": {"igtl_in": received},
+        "drops": {"igtl_in": dropped or {}},
         "peers": peers or [],
-        "queues": queues or {},
     }
 
 
-def watched(stream: str, **changes: Any) -> dict[str, Any]:
-    usual = {"link": 1, "stream": stream, "age_ns": 400_000, "jitter_ns": 10_000, "stamped": 9, "unset": 0}
-    return usual | {"stale": 0, "episodes": []} | changes
+def watched(stream: str, **changes: Any) -> list[Any]:
+    usual = {"link": 1, "stream": stream, "age_ns": 400_000, "jitter_ns": 10_000, "stamped": True, "unset": False}
+    found = usual | {"stale": 0, "episodes": []} | changes
+    return [found[name] for name in WATCHED]
+
+
+def peer(number: int, name: str, **changes: Any) -> dict[str, Any]:
+    usual = {"link": number, "peer": name, "role": "server", "connected": True, "profile": "", "messages": 0}
+    return usual | {"dropped": 0, "queued": 0, "queued_bytes": 0} | changes
 
 
 def test_what_is_wrong_is_on_top_with_advice() -> None:
     now = Now()
     names = ["TRANSFORM/a", "TRANSFORM/b", "IMAGE/c", "TRANSFORM/d", "TRANSFORM/e"]
+    now.rows(facts(dict.fromkeys(names, 0)), _S // 2, 0)
     now.rows(facts(dict.fromkeys(names, 10)), _S, _S)
     sample = facts(
         dict.fromkeys(names, 110) | {"IMAGE/c": 10},
@@ -77,12 +79,11 @@ def test_messages_without_a_reader_are_no_loss() -> None:
 def test_links() -> None:
     now = Now()
     peers = [
-        {"link": 1, "peer": "a:1", "role": "server", "connected": True, "profile": "slicer"},
-        {"link": 2, "peer": "b:2", "role": "server", "connected": True, "profile": "plus"},
-        {"link": 0, "peer": "c:3", "role": "client", "connected": False, "profile": ""},
+        peer(1, "a:1", messages=5),
+        peer(2, "b:2", messages=100, dropped=4, queued=9, queued_bytes=99),
+        peer(0, "c:3", role="client", connected=False),
     ]
-    links = {"1": {"received_messages": 5}, "2": {"sent_messages": 100, "dropped": {"IMAGE/x": 4}}}
-    sample = facts({}, peers=peers, links=links, queues={"2": {"messages": 9, "bytes": 99}})
+    sample = facts({}, peers=peers)
     sample["watched"] = [watched("TRANSFORM/a")]
     found = now.rows(sample, _S, 77)["links"]
     assert [(row["peer"], row["state"]) for row in found] == [("b:2", ERROR), ("c:3", WAITING), ("a:1", OK)]
@@ -105,8 +106,8 @@ def test_a_peer_that_invents_names_does_not_fill_the_page() -> None:
 
 
 def test_late_messages_and_the_peer_that_sends_them() -> None:
-    peers = [{"link": 3, "peer": "a:1", "role": "server", "connected": True, "profile": "slicer"}]
-    sample = facts({"TRANSFORM/a": 9}, peers=peers, watched=[watched("TRANSFORM/a", link=3, age_ns=1_400_000_000)])
+    late = watched("TRANSFORM/a", link=3, age_ns=1_400_000_000)
+    sample = facts({"TRANSFORM/a": 9}, peers=[peer(3, "a:1")], watched=[late])
     found = Now().rows(sample, _S, _S)
     (stream,), (link,) = found["streams"], found["links"]
     assert (stream["state"], stream["text"]) == (WARNING, "messages are 1.4 s old on arrival")
@@ -118,15 +119,15 @@ def test_late_messages_and_the_peer_that_sends_them() -> None:
 
 
 def test_a_peer_that_reads_slowly() -> None:
-    peers = [{"link": 1, "peer": "a:1", "role": "server", "connected": True, "profile": ""}]
-    sample = facts({}, peers=peers, queues={"1": {"messages": 51, "bytes": 5_406}})
+    sample = facts({}, peers=[peer(1, "a:1", queued=51, queued_bytes=5_406)])
     assert Now().rows(sample, _S, _S)["links"][0]["text"] == "reads slowly: 51 messages wait"
 
 
 def test_what_goes_out_is_below_and_is_never_silent() -> None:
     sample = facts({"TRANSFORM/a": 9})
-    sample["ledger"]["streams"] |= {"ros_out": {"/a": {"published": 9}}, "ros_in": {"/b": {"received": 9}}}
+    sample["totals"] |= {"ros_out": {"/a": 9}, "ros_in": {"/b": 1}}
     now = Now()
+    now.rows(sample | {"totals": {"ros_in": {"/b": 1}}}, _S // 2, 0)
     now.rows(sample, _S, _S)
     found = now.rows(sample, 30 * _S, 30 * _S, {"/a": "std_msgs/msg/String"})
     assert [(row["name"], row["way"], row["state"]) for row in found["streams"]] == [
