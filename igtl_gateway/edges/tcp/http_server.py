@@ -17,6 +17,8 @@ from functools import partial
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from typing import Any
 
+from igtl_gateway.base.clock import SystemClock
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.edges.tcp.sockets import AllowList, address_text, listening_socket
 from igtl_gateway.edges.tcp.tls import Context
@@ -127,10 +129,11 @@ class _Server(HTTPServer):
         self.socket = listener
         self.hosts = KnownHosts(host, listener.getsockname()[0])
         self._allow = allow
-        self._deadline_s = deadline_s
+        self._patience_ns = round(deadline_s * NS_PER_S)
         self._tls = tls
+        self._clock = SystemClock()
         self._lock = threading.Lock()
-        self._open: dict[socket.socket, threading.Timer] = {}  # the oldest first
+        self._open: dict[socket.socket, int] = {}  # connection → its deadline (monotonic ns), the oldest first
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
         return client_address[0] in self._allow
@@ -139,17 +142,23 @@ class _Server(HTTPServer):
         """Serve a connection in a thread of its own; cut off the oldest one if there are too many."""
         if self._tls:  # the handshake is part of the first read: it has its deadline, too
             request = self._tls.wrap_socket(request, server_side=True, do_handshake_on_connect=False)
-        deadline = threading.Timer(self._deadline_s, _cut_off, (request,))
-        deadline.daemon = True
         with self._lock:
             oldest = next(iter(self._open)) if len(self._open) >= MAX_CONNECTIONS else None
             if oldest is not None:
-                self._open.pop(oldest).cancel()
+                del self._open[oldest]
                 _cut_off(oldest)
-            self._open[request] = deadline
-        deadline.start()
+            self._open[request] = self._clock.monotonic_ns() + self._patience_ns
         serve = partial(self._serve, request, client_address)
         threading.Thread(target=serve, name="igtl-http", daemon=True).start()
+
+    def service_actions(self) -> None:
+        """Cut off the connections whose deadline has passed; called every ``_POLL_S`` at least."""
+        now_ns = self._clock.monotonic_ns()
+        with self._lock:
+            for request, deadline_ns in self._open.items():
+                if now_ns < deadline_ns:
+                    break
+                _cut_off(request)
 
     def _serve(self, request: socket.socket, client_address: Any) -> None:
         try:
@@ -158,15 +167,12 @@ class _Server(HTTPServer):
                 self.finish_request(request, client_address)
         finally:
             with self._lock:
-                deadline = self._open.pop(request, None)
-            if deadline:
-                deadline.cancel()
+                self._open.pop(request, None)
             self.shutdown_request(request)
 
     def cut_off_all(self) -> None:
         with self._lock:
-            for request, deadline in self._open.items():
-                deadline.cancel()
+            for request in self._open:
                 _cut_off(request)
 
 
