@@ -29,7 +29,11 @@ from igtl_gateway.wire.query import split_query
 MAX_STREAM_REQUESTS = 256
 #: Maximum number of types that one peer may show that it knows, likewise.
 MAX_KNOWN = 256
+#: How often the end of tracking data brings poses back to the fast path: each time, they are compiled for all peers.
+MAX_RELEASES = 16
 
+#: Type of tracking data → type of the single poses that it is composed of.
+TRACKING = {"TDATA": "TRANSFORM", "QTDATA": "POSITION"}
 _NOTHING: frozenset[str] = frozenset()
 
 
@@ -67,6 +71,7 @@ class Peer:
         last_sent_ns: gateway time of the last message to the peer.
         sent: number of messages to the peer.
         stream_requests: requests by (type, requested device name).
+        releases: how often the peer has ended its tracking data.
     """
 
     link: int
@@ -82,6 +87,7 @@ class Peer:
     last_sent_ns: int = 0
     sent: int = 0
     stream_requests: dict[tuple[str, str], StreamRequest] = field(default_factory=dict)
+    releases: int = 0
 
     @property
     def version(self) -> int:
@@ -128,9 +134,19 @@ class Peer:
         return (self.frames is not None and self.frames.must_see(message)) or may_show_plus(message)
 
     @property
-    def requested_types(self) -> frozenset[str]:
-        """The types of which the peer has started or stopped streams."""
-        return frozenset(igtl_type for igtl_type, _ in self.stream_requests) if self.stream_requests else _NOTHING
+    def paced_types(self) -> frozenset[str]:
+        """The types whose streams follow the requests of the peer: those that it started or stopped, and their parts."""
+        if not self.stream_requests:
+            return _NOTHING
+        types = {igtl_type for igtl_type, _ in self.stream_requests}
+        if self.tracks or self.releases > MAX_RELEASES:
+            types.update(TRACKING.values())
+        return frozenset(types)
+
+    @property
+    def tracks(self) -> bool:
+        """Whether the peer has requested tracking data, which is composed of the poses of other streams."""
+        return any(key[0] in TRACKING and request.wanted for key, request in self.stream_requests.items())
 
     def stream_request(self, igtl_type: str, device: str) -> StreamRequest | None:
         """Return the request of the peer for a stream: for this device, or for any device."""
@@ -162,8 +178,10 @@ class Peer:
 
     def stop_stream(self, igtl_type: str, device: str) -> None:
         """Stop a stream (STP_); without a device, all streams of the type."""
+        tracked = self.tracks
         for key in [key for key in self.stream_requests if key[0] == igtl_type and device in ("", key[1])]:
             del self.stream_requests[key]
+        self.releases += tracked and not self.tracks
         if len(self.stream_requests) < MAX_STREAM_REQUESTS:
             self.stream_requests[igtl_type, device] = StreamRequest(False)
 

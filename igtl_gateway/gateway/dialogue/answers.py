@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from igtl_gateway.base.stamp import NS_PER_MS, ns_to_ticks
-from igtl_gateway.gateway.peers import MAX_STREAM_REQUESTS, Peer, interval_ns
+from igtl_gateway.gateway.peers import MAX_STREAM_REQUESTS, TRACKING, Peer, interval_ns
 from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
-from igtl_gateway.gateway.to_igtl.trackdata import NAME_BYTES, TRACKING, Latest, name_field, tracking_content
+from igtl_gateway.gateway.to_igtl.trackdata import NAME_BYTES, Latest, name_field, tracking_content
 from igtl_gateway.wire import Message, Raw
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.capability import Capability

@@ -44,9 +44,9 @@ class Queries:
         query = split_query(message.type)
         if query is None:
             return []
-        requested = peer.requested_types
+        paced = peer.paced_types
         items = self._respond(entry, peer, message, *query)
-        if peer.requested_types != requested:  # not with each query: all streams would be compiled again
+        if peer.paced_types != paced:  # not with each query: all streams would be compiled again
             self._peers.changed(peer.link)
         return items
 

@@ -35,7 +35,6 @@ from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peer
 from igtl_gateway.gateway.to_igtl.origin import IgtlOrigin
 from igtl_gateway.gateway.to_igtl.sender import send
-from igtl_gateway.gateway.to_igtl.trackdata import TRACKING
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.header import HEADER_SIZE
 from igtl_gateway.wire.image import HEAD_SIZE as IMAGE_HEAD
@@ -85,8 +84,7 @@ def compile_to_igtl(
     fill: FillTemplate | None = express.pose_to_igtl if size else express.bulk_to_igtl
     if not (size or form is not None) or fill is None or bytes(cdr[:2]) != _LITTLE_ENDIAN:
         return None
-    asked = {out.igtl_type, *TRACKING}  # of tracking data, poses of other streams are parts
-    if any(asked & peer.requested_types or _is_adapted(out.content, peer) for peer in peers):
+    if any(out.igtl_type in peer.paced_types or _is_adapted(out.content, peer) for peer in peers):
         return None
     if form in (MESH, TRIANGLES):  # the bytes around the content are those around any content
         out = replace(out, content=_SMALL)

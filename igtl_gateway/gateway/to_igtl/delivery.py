@@ -12,9 +12,8 @@ from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.outcome import Finding, Item
-from igtl_gateway.gateway.peers import Peer
+from igtl_gateway.gateway.peers import TRACKING, Peer
 from igtl_gateway.gateway.to_igtl.sender import OutboundMessage, send
-from igtl_gateway.gateway.to_igtl.trackdata import TRACKING
 
 
 class Delivery:

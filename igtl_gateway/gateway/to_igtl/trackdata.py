@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from igtl_gateway.gateway.peers import Peer
+from igtl_gateway.gateway.peers import TRACKING, Peer
 from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
 from igtl_gateway.wire.fields import cut_text, encode_text
 from igtl_gateway.wire.tracking import (
@@ -23,9 +23,6 @@ NAME_BYTES = 19  # of 20: the C++ reader drops a name that fills its field
 
 #: Device name of composed tracking data, unless the peer names one.
 TRACKING_DEVICE = "Tracking"
-
-#: Type of tracking data → type of the single poses that it is composed of.
-TRACKING = {"TDATA": "TRANSFORM", "QTDATA": "POSITION"}
 
 #: (type, device or "" for any) → the latest messages, composed.
 Latest = Callable[[str, str], list[OutboundMessage]]

@@ -6,11 +6,11 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 
 from igtl_gateway.gateway.log.entry import Entry
-from igtl_gateway.gateway.peers import Peer, Peers
+from igtl_gateway.gateway.peers import TRACKING, Peer, Peers
 from igtl_gateway.gateway.to_igtl.latest import Latest
 from igtl_gateway.gateway.to_igtl.pose_forms import as_type
 from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
-from igtl_gateway.gateway.to_igtl.trackdata import TRACKING, TRACKING_DEVICE, trackers, tracking_content
+from igtl_gateway.gateway.to_igtl.trackdata import TRACKING_DEVICE, trackers, tracking_content
 
 _POSES = frozenset(TRACKING.values())
 #: Type of tracking data → the other one.

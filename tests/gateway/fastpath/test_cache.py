@@ -23,6 +23,7 @@ from igtl_gateway.gateway.live_settings import LiveSettings
 from igtl_gateway.gateway.log.changes import SETTING
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.gateway.peers import MAX_RELEASES
 from igtl_gateway.wire import HEADER_SIZE, Item, Message, encode
 from igtl_gateway.wire.header import crc64
 from igtl_gateway.wire.image import SCALARS, Image
@@ -429,6 +430,27 @@ def test_a_query_leaves_the_streams_of_all_peers_on_the_fast_path() -> None:
     assert poses() == [Kind.IGTL_IN] * 2  # the last queries
     session.input(T0_NS, Kind.IGTL_IN, (join(encode(Message("STT_TRANS", "Tool", EmptyQuery()))),), links=(1,))
     assert poses().count(Kind.ROS_IN) == 3  # it is sent as often as the peer asked for
+
+
+def test_poses_take_the_full_path_only_while_a_peer_wants_tracking_data() -> None:
+    """STP_TDATA of twenty peers once sent all poses there: at 1 kHz they came half a second late."""
+    session, general = watched_session()
+    cdr = TOOL.pack()
+
+    def poses_after(name: str) -> int:
+        content = StartTracking(20, "") if name.startswith("STT") else EmptyQuery()
+        session.input(T0_NS, Kind.IGTL_IN, (join(encode(Message(name, "", content, 0, 2))),), links=(1,))
+        session.input(T0_NS, Kind.ROS_IN, (cdr,), channel="/igtl/out/Tool", type_name=TOOL.TYPE)
+        general.clear()
+        for _ in range(3):
+            session.input(T0_NS, Kind.ROS_IN, (cdr,), channel="/igtl/out/Tool", type_name=TOOL.TYPE)
+        return general.count(Kind.ROS_IN)
+
+    assert [poses_after(name) for name in ("STP_TDATA", "STP_QTDATA")] == [0, 0]
+    for _ in range(MAX_RELEASES):
+        assert [poses_after(name) for name in ("STT_TDATA", "STT_QTDATA", "STP_TDATA", "STP_QTDATA")] == [3, 3, 3, 0]
+    # now this peer's poses stay there: each return is compiled for all
+    assert [poses_after(name) for name in ("STT_TDATA", "STP_TDATA")] == [3, 3]
 
 
 compiled = pytest.mark.skipif(not express.COMPILED, reason="installed without the C part")
