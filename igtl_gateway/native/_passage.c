@@ -198,10 +198,12 @@ typedef struct Passage {
     pthread_cond_t taken_over;
     int epoll, wake;
     Link *noted;            /* list of links with events */
+    Link *with_large;       /* list of links that have read a large message since wait_large */
+    pthread_cond_t large_read;
     Link *closed_links;     /* list of links that the reading thread may still know; it owns a reference to each */
     Subscription *ready;    /* list of subscriptions that Python owns and that have messages */
     Subscription **ready_end;
-    int woken_links, woken_subscriptions;
+    int woken_links, woken_subscriptions, woken_large;
     /* of the reading thread alone */
     Link *waiting;   /* list of links that wait for a turn */
     Link *limited;   /* list of links that are read again at a time */
@@ -764,8 +766,8 @@ struct Link {
     long long unsent_bytes;
     long long sent_messages, sent_bytes;
     /* events; guarded by the passage */
-    Link *next_noted, *next_closed;
-    char is_noted, is_closed;
+    Link *next_noted, *next_closed, *next_with_large;
+    char is_noted, is_closed, is_with_large;
     /* turns, as in turns.py; of the reading thread alone */
     Link *next_waiting;
     int64_t turn_ns;
@@ -948,12 +950,18 @@ static void end_large(Link *self)
     pthread_mutex_lock(&passage->events);
     *self->large_end = large;
     self->large_end = &large->next;
+    int waiting = __atomic_add_fetch(&self->large_waiting, 1, __ATOMIC_SEQ_CST);
+    if (!self->is_with_large) {
+        self->is_with_large = 1;
+        self->next_with_large = passage->with_large;
+        passage->with_large = self;
+        pthread_cond_signal(&passage->large_read);
+    }
     pthread_mutex_unlock(&passage->events);
-    if (__atomic_add_fetch(&self->large_waiting, 1, __ATOMIC_SEQ_CST) >= MAX_LARGE_WAITING) {
+    if (waiting >= MAX_LARGE_WAITING) {
         epoll_ctl(passage->epoll, EPOLL_CTL_DEL, self->fd, NULL);
         __atomic_store_n(&self->is_paused, 1, __ATOMIC_SEQ_CST);
     }
-    note_link(self);
 }
 
 /* Begin to read a large message, whose beginning is in the chunk; 0: Python has to read it. */
@@ -2362,8 +2370,13 @@ static PyObject *link_close(Link *self, PyObject *nothing)
             *at = self->next_noted;
             break;
         }
+    for (Link **at = &passage->with_large; *at; at = &(*at)->next_with_large)
+        if (*at == self) {
+            *at = self->next_with_large;
+            break;
+        }
     if (!self->is_closed) { /* the reading thread may know it from the events that it has just got */
-        self->is_closed = self->is_noted = 1; /* from now on */
+        self->is_closed = self->is_noted = self->is_with_large = 1; /* from now on */
         self->next_closed = passage->closed_links;
         passage->closed_links = (Link *)Py_NewRef((PyObject *)self);
     }
@@ -2578,7 +2591,7 @@ static PyObject *passage_new(PyTypeObject *type, PyObject *args, PyObject *keywo
     struct epoll_event event = {.events = EPOLLIN, .data.ptr = NULL};
     if (self->epoll < 0 || self->wake < 0 || !self->scratch || begin_mutex(&self->sequence) ||
         begin_mutex(&self->events) || pthread_cond_init(&self->taken_over, NULL) ||
-        epoll_ctl(self->epoll, EPOLL_CTL_ADD, self->wake, &event)) {
+        pthread_cond_init(&self->large_read, NULL) || epoll_ctl(self->epoll, EPOLL_CTL_ADD, self->wake, &event)) {
         Py_DECREF(self);
         return PyErr_SetFromErrno(PyExc_OSError);
     }
@@ -2698,12 +2711,36 @@ static PyObject *passage_wait_subscriptions(Passage *self, PyObject *nothing)
     return found;
 }
 
+static PyObject *passage_wait_large(Passage *self, PyObject *wanted)
+{
+    Link *link;
+    int waits = PyObject_IsTrue(wanted);
+    PyObject *found = waits < 0 ? NULL : PyList_New(0);
+    Py_BEGIN_ALLOW_THREADS
+    pthread_mutex_lock(&self->events);
+    while (waits > 0 && !self->with_large && !self->woken_large)
+        pthread_cond_wait(&self->large_read, &self->events);
+    pthread_mutex_unlock(&self->events);
+    Py_END_ALLOW_THREADS
+    pthread_mutex_lock(&self->events);
+    self->woken_large = 0;
+    while (found && (link = self->with_large)) {
+        self->with_large = link->next_with_large;
+        link->is_with_large = 0;
+        if (PyList_Append(found, (PyObject *)link))
+            Py_CLEAR(found);
+    }
+    pthread_mutex_unlock(&self->events);
+    return found;
+}
+
 static PyObject *passage_wake(Passage *self, PyObject *nothing)
 {
     (void)nothing;
     pthread_mutex_lock(&self->events);
-    self->woken_links = self->woken_subscriptions = 1;
+    self->woken_links = self->woken_subscriptions = self->woken_large = 1;
     pthread_cond_broadcast(&self->taken_over);
+    pthread_cond_broadcast(&self->large_read);
     pthread_mutex_unlock(&self->events);
     wake_links(self);
     Py_RETURN_NONE;
@@ -2792,7 +2829,8 @@ static PyMethodDef passage_methods[] = {
     {"set_callback", (PyCFunction)passage_set_callback, METH_VARARGS, "Let rcl call the passage for a subscription, or no more."},
     {"wait_links", (PyCFunction)passage_wait_links, METH_NOARGS, "Read links; return those that need Python."},
     {"wait_subscriptions", (PyCFunction)passage_wait_subscriptions, METH_NOARGS, "Return the subscriptions that need Python."},
-    {"wake", (PyCFunction)passage_wake, METH_NOARGS, "End both waits."},
+    {"wait_large", (PyCFunction)passage_wait_large, METH_O, "Return the links that have read large messages since; wait for one if that is wanted."},
+    {"wake", (PyCFunction)passage_wake, METH_NOARGS, "End all waits."},
     {NULL, NULL, 0, NULL},
 };
 

@@ -39,8 +39,8 @@ class NativeReader:
         self._on_large = on_large
         self._on_error = on_error
         self._is_stopping = False
-        self._changed = threading.Condition()  # guards the turns; notified of a large message that waits or is handled
-        self._turns = Turns()
+        self._handled = threading.Condition()  # notified of a large message that is handled
+        self._turns = Turns()  # of the second thread alone, as what follows
         self._turn_of: dict[int, Turn] = {}
         self._threads = (
             threading.Thread(target=self._read, name="igtl-passage", daemon=True),
@@ -53,9 +53,9 @@ class NativeReader:
 
     def stop(self) -> None:
         """End the threads; for any thread but these."""
-        with self._changed:
+        with self._handled:
             self._is_stopping = True
-            self._changed.notify_all()
+            self._handled.notify_all()
         self._passage.wake()
         for thread in self._threads:
             if thread.ident is not None:
@@ -63,42 +63,40 @@ class NativeReader:
 
     def wait_large(self, link: Link) -> None:
         """Wait until the large messages of a link are handled: what Python handles next came after them."""
-        with self._changed:
-            self._changed.wait_for(lambda: not link.large_waiting or self._is_stopping)
+        with self._handled:
+            self._handled.wait_for(lambda: not link.large_waiting or self._is_stopping)
 
     def _read(self) -> None:
         while not self._is_stopping:
             for link in self._passage.wait_links():
-                if link.large_waiting:
-                    self._ask(link)
                 if link.pauses or not (link.is_native and link.clear):
                     self._attend(link.number)
 
     def _ask(self, link: Link) -> None:
-        """Have a turn of this link in the second thread."""
-        with self._changed:
-            turn = self._turn_of.get(link.number)
-            if turn is None:
-                if len(self._turn_of) >= _MOST_TURNS:
-                    self._turn_of = {number: one for number, one in self._turn_of.items() if one.waits}
-                turn = self._turn_of[link.number] = Turn(lambda _: self._handle(link), self._on_error)
-            self._turns.ask(turn)
-            self._changed.notify_all()
+        """Have a turn of this link."""
+        turn = self._turn_of.get(link.number)
+        if turn is None:
+            if len(self._turn_of) >= _MOST_TURNS:
+                self._turn_of = {number: one for number, one in self._turn_of.items() if one.waits}
+            turn = self._turn_of[link.number] = Turn(lambda _: self._handle(link), self._on_error)
+        self._turns.ask(turn)
 
     def _handle_large(self) -> None:
         while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._turns or self._is_stopping)
-                turn = self._turns.next()
-            if turn is None:  # all is handled before the end
-                return
+            is_stopping = self._is_stopping
+            for link in self._passage.wait_large(not (self._turns or is_stopping)):
+                self._ask(link)
+            turn = self._turns.next()
+            if turn is None:
+                if is_stopping:  # all is handled before the end
+                    return
+                continue
             begun_ns = thread_ns()
             try:
                 turn.action(0)
             except Exception as error:
                 turn.rescue(error)
-            with self._changed:
-                self._turns.used(turn, thread_ns() - begun_ns)
+            self._turns.used(turn, thread_ns() - begun_ns)
 
     def _handle(self, link: Link) -> None:
         """Handle one large message, unless it passes natively, and have another turn if there are more."""
@@ -110,8 +108,8 @@ class NativeReader:
                 self._on_large(link.number, message)
         finally:
             link.large_done()
-            with self._changed:
-                self._changed.notify_all()
+            with self._handled:
+                self._handled.notify_all()
             if link.large_waiting:
                 self._ask(link)
             if not link.is_native:  # what Python handles next has waited for it

@@ -27,6 +27,7 @@ from igtl_gateway.wire.header import BODY_SIZE, HEADER_SIZE
 _TLS_HELLO, _TLS_ALERT = b"\x16\x03", b"\x15\x03"  # not a header version of OpenIGTLink
 
 
+_MOST_AT_ONCE = 512 << 10  # bytes of a turn, for which all others wait
 _BURST_S = 1.0  # a peer that was silent for this long may send the messages of this time at once
 
 
@@ -251,7 +252,7 @@ class Receiver:
     def _prepare(self) -> bool:
         """Make room for what comes next; False if nothing may come any more."""
         try:
-            self._room = self._framer.buffer()
+            self._room = self._framer.buffer()[:_MOST_AT_ONCE]
         except MessageTooLarge as exc:
             self._refuse(exc)
         except MemoryError:
