@@ -135,7 +135,7 @@ class Peer:
 
     @property
     def paced_types(self) -> frozenset[str]:
-        """The types whose streams follow the requests of the peer: those that it started or stopped, and their parts."""
+        """The types whose streams follow requests of the peer: those that it started or stopped, and their parts."""
         if not self.stream_requests:
             return _NOTHING
         types = {igtl_type for igtl_type, _ in self.stream_requests}
