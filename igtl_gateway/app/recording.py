@@ -182,28 +182,27 @@ def stop(recorder: Recorder) -> tuple[bool, str]:
 
 def pause(recorder: Recorder) -> tuple[bool, str]:
     """Pause the recording; return whether that was possible, and a sentence for people."""
-    if recorder.rests:
-        return False, _RESTS
-    recorder.pause()
-    return not recorder.failure, recorder.failure or "the recording is paused"
+    return _with_file(recorder, recorder.pause, "the recording is paused")
 
 
 def resume(recorder: Recorder) -> tuple[bool, str]:
     """Resume the recording; return whether that was possible, and a sentence for people."""
-    if recorder.rests:
-        return False, _RESTS
-    recorder.resume()
-    return not recorder.failure, recorder.failure or "the recording goes on"
+    return _with_file(recorder, recorder.resume, "the recording goes on")
 
 
 def split(recorder: Recorder) -> tuple[bool, str]:
     """Begin the next part with the next input; return whether that is possible, and a sentence for people."""
     if not (recorder.options.split_bytes or recorder.options.split_s):
         return False, "the recording has one file; start it with --split-size or --split-duration"
+    return _with_file(recorder, recorder.split, "the next message begins a new file")
+
+
+def _with_file(recorder: Recorder, action: Callable[[], object], done: str) -> tuple[bool, str]:
+    """Do something with the file; return whether there is one, and a sentence for people."""
     if recorder.rests:
         return False, _RESTS
-    recorder.split()
-    return not recorder.failure, recorder.failure or "the next message begins a new file"
+    action()
+    return not recorder.failure, recorder.failure or done
 
 
 def snapshot(recorder: Recorder) -> tuple[bool, str]:

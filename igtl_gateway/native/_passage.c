@@ -261,23 +261,13 @@ static void count_time(Passage *self, int direction, int phase, int64_t ns)
     __atomic_add_fetch(&self->times[direction][phase][4 * power + (int)(time >> (power - 2) & 3)], 1, __ATOMIC_RELAXED);
 }
 
-/* Count the phases of a message that ends now; times are monotonic. */
-static void count_times(Passage *self, int direction, int64_t begun_ns, int64_t locked_ns, int64_t converted_ns,
+/* Count the phases of a message that ends now: three durations, and the monotonic time when it had passed. */
+static void count_times(Passage *self, int direction, int64_t sequence_ns, int64_t conversion_ns, int64_t output_ns,
                         int64_t passed_ns)
 {
-    count_time(self, direction, SEQUENCE, locked_ns - begun_ns);
-    count_time(self, direction, CONVERSION, converted_ns - locked_ns);
-    count_time(self, direction, OUTPUT, passed_ns - converted_ns);
-    count_time(self, direction, RECORDING, clock_ns(CLOCK_MONOTONIC) - passed_ns);
-}
-
-/* The same of a large message, which was converted before the lock was taken. */
-static void count_large_times(Passage *self, int direction, int64_t begun_ns, int64_t converted_ns, int64_t locked_ns,
-                              int64_t passed_ns)
-{
-    count_time(self, direction, SEQUENCE, locked_ns - converted_ns);
-    count_time(self, direction, CONVERSION, converted_ns - begun_ns);
-    count_time(self, direction, OUTPUT, passed_ns - locked_ns);
+    count_time(self, direction, SEQUENCE, sequence_ns);
+    count_time(self, direction, CONVERSION, conversion_ns);
+    count_time(self, direction, OUTPUT, output_ns);
     count_time(self, direction, RECORDING, clock_ns(CLOCK_MONOTONIC) - passed_ns);
 }
 
@@ -702,7 +692,7 @@ static int pass_to_ros(Passage *self, Stream *stream, const uint8_t *data, ssize
     }
     int64_t passed_ns = clock_ns(CLOCK_MONOTONIC);
     record(self, stream, chosen.outputs, chosen.sizes, count, seq, stamp_ns, source_ns, shown_ns, data, size);
-    count_times(self, TO_ROS, begun_ns, locked_ns, converted_ns, passed_ns);
+    count_times(self, TO_ROS, locked_ns - begun_ns, converted_ns - locked_ns, passed_ns - converted_ns, passed_ns);
     count_to_ros(self, stream, &chosen);
     return 1;
 }
@@ -924,7 +914,7 @@ static int pass_large_to_ros(Link *self, Stream *stream, struct kept *kept, int 
             const struct iovec output = {chosen.forms[i].out, (size_t)chosen.sizes[i]};
             fill(slots[1 + i], &output, 1);
         }
-        count_large_times(passage, TO_ROS, begun_ns, converted_ns, locked_ns, passed_ns);
+        count_times(passage, TO_ROS, locked_ns - converted_ns, converted_ns - begun_ns, passed_ns - locked_ns, passed_ns);
     } else if (made && stays) {
         memcpy(data, made, (size_t)bulk.at);
     }
@@ -1318,7 +1308,7 @@ static int pass_to_igtl(Passage *self, Stream *stream, const uint8_t *cdr, ssize
     record(self, stream, built, sizes, count, seq, stamp_ns, source_ns, shown_ns, cdr, size);
     if (source_ns)
         count_time(self, TO_IGTL, MIDDLEWARE, now_ns - self->ahead_ns - source_ns - (locked_ns - begun_ns));
-    count_times(self, TO_IGTL, begun_ns, locked_ns, converted_ns, passed_ns);
+    count_times(self, TO_IGTL, locked_ns - begun_ns, converted_ns - locked_ns, passed_ns - converted_ns, passed_ns);
     stream->received++;
     stream->converted++;
     set_latest(stream, seq, stamp_ns, source_ns, NULL);
@@ -1490,7 +1480,7 @@ static int pass_large_to_igtl(Subscription *self, Stream *stream, struct kept *k
         fill(slots[0], &input, 1);
         for (int i = 0; i < large.count; i++)
             fill(slots[1 + i], large.parts[i], large.parts_count);
-        count_large_times(passage, TO_IGTL, begun_ns, converted_ns, locked_ns, passed_ns);
+        count_times(passage, TO_IGTL, locked_ns - converted_ns, converted_ns - begun_ns, passed_ns - locked_ns, passed_ns);
     }
     free(large.made);
     return passes;
