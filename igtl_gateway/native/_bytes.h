@@ -9,6 +9,11 @@
 
 #include "_crc64.h"
 
+/* Bytes are swapped always, and lengths of messages, 32 unsigned bits, are kept in a ssize_t. */
+#if __BYTE_ORDER__ != __ORDER_LITTLE_ENDIAN__ || __SIZEOF_SIZE_T__ < 8
+#error "this part is for little-endian machines of 64 bits; Python does its work on others"
+#endif
+
 /* Sizes and offsets of igtl_gateway/wire/header.py and message.py; tests/wire/test_header.py compares them. */
 #define HEADER_SIZE 58
 #define EXTENDED_SIZE 12

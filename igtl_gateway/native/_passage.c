@@ -829,7 +829,7 @@ static int pass_body(Link *self)
     if (self->body_size > LARGEST_RECEIVED)
         return 0;
     wait_for_sequence(self->passage);
-    Stream *stream = self->large_waiting ? NULL : stream_of(self, self->body); /* perhaps for one of its stream */
+    Stream *stream = __atomic_load_n(&self->large_waiting, __ATOMIC_ACQUIRE) ? NULL : stream_of(self, self->body); /* perhaps for one of its stream */
     int passed = stream && pass_to_ros(self->passage, stream, self->body, self->body_size, self->heard_ns);
     unlock_sequence(self->passage);
     if (!passed)
@@ -1066,7 +1066,7 @@ static int read_link(Link *self, int64_t begun_ns)
         if (body <= CHUNK_BYTES - HEADER_SIZE) {
             wait_for_sequence(passage);
             Stream *stream = stream_of(self, message);
-            int waits = self->large_waiting && most_of_large(self, message); /* for one of its stream */
+            int waits = __atomic_load_n(&self->large_waiting, __ATOMIC_ACQUIRE) && most_of_large(self, message); /* for one of its stream */
             passed = stream && !waits && pass_to_ros(passage, stream, message, HEADER_SIZE + (ssize_t)body, now_ns);
             unlock_sequence(passage);
         } else if (begin_large(self, HEADER_SIZE + body)) {
@@ -1236,7 +1236,7 @@ static void send_to_link(Link *self, const struct iovec *parts, int count, ssize
 /* Build the messages of bulk; 0: it must go to Python. */
 static int build_bulk(Passage *self, Stream *stream, const struct found *found, int64_t shown_ns, ssize_t *sizes)
 {
-    struct igtl_form forms[MAX_OUTPUTS];
+    struct igtl_form forms[MAX_OUTPUTS] = {{0}};
     for (int i = 0; i < stream->output_count; i++) {
         const struct output *output = &stream->outputs[i];
         sizes[i] = output->size + found->size + output->tail_size;
@@ -1376,7 +1376,7 @@ struct large_outputs {
 /* Make the outputs of a large message, whose pixels stay where they are if they need not be changed; 0: Python's. */
 static int make_large(Stream *stream, const struct found *found, struct large_outputs *large)
 {
-    struct igtl_form forms[MAX_OUTPUTS];
+    struct igtl_form forms[MAX_OUTPUTS] = {{0}};
     int apart = stream->bulk_from_ros.form == PICTURE;
     ssize_t made = 0;
     large->count = stream->output_count, large->parts_count = apart ? MAX_PARTS : 1;

@@ -732,13 +732,10 @@ int sem_clockwait(sem_t *restrict semaphore, clockid_t clock, const struct times
 /* Whether the interpreter itself waits, for its lock: that is a matter of real time, every 5 ms. */
 static bool is_interpreter(const void *caller)
 {
-    static struct {
-        _Atomic(const void *) caller;
-        _Atomic int is_interpreter;
-    } known[64];
-    size_t at = ((uintptr_t)caller >> 2) % 64;
-    if (atomic_load(&known[at].caller) == caller)
-        return atomic_load(&known[at].is_interpreter);
+    static _Atomic uintptr_t known[64]; /* twice the caller, and 1 for the interpreter: one word, so never half of it */
+    uintptr_t place = (uintptr_t)caller, before = atomic_load(&known[(place >> 2) % 64]);
+    if (before >> 1 == place)
+        return before & 1;
     Dl_info info;
     bool found = false;
     if (dladdr(caller, &info) && info.dli_fname) {
@@ -746,9 +743,7 @@ static bool is_interpreter(const void *caller)
         file = file ? file + 1 : info.dli_fname;
         found = !strncmp(file, "libpython", 9) || !strncmp(file, "python", 6);
     }
-    atomic_store(&known[at].caller, NULL);
-    atomic_store(&known[at].is_interpreter, found);
-    atomic_store(&known[at].caller, caller);
+    atomic_store(&known[(place >> 2) % 64], place << 1 | found);
     return found;
 }
 

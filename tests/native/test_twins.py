@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import math
 import random
+import shutil
 import struct
+import subprocess
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -24,6 +26,7 @@ from igtl_gateway.gateway.guarded_stream import STILL_LOOKS, GuardedStream, Plac
 from igtl_gateway.wire import HEADER_SIZE, Message, encode
 from igtl_gateway.wire.header import crc64
 from igtl_gateway.wire.transform import Position, Transform
+from tests.places import ROOT
 from tests.wire import handmade
 
 passage = pytest.importorskip("igtl_gateway.native._passage", reason="installed without the C part")
@@ -290,3 +293,16 @@ def test_the_sign_of_a_quaternion() -> None:
                 data, sample, HEADER_SIZE, express.QUATERNION, False, True, T0_NS, (1.0, 1000.0), ((TEMPLATE, 4),)
             )
             assert (made[2][-32:] if made else None) == expected, quaternion
+
+
+# -- other machines -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc here")
+@pytest.mark.parametrize("machine", ["__SIZEOF_SIZE_T__=4", "__BYTE_ORDER__=__ORDER_BIG_ENDIAN__", ""])
+def test_the_c_parts_refuse_machines_that_they_are_not_for(machine: str) -> None:
+    """A length of 32 unsigned bits would be negative in a ssize_t of 32 bits, and pass the checks of bounds."""
+    others = [f"-U{machine.partition('=')[0]}", f"-D{machine}"] if machine else []
+    command = ["gcc", "-E", "-x", "c", *others, str(ROOT / "igtl_gateway/native/_bytes.h")]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (run.returncode != 0, "of 64 bits" in run.stderr) == (bool(machine), bool(machine))

@@ -41,8 +41,8 @@ _PROFILES_IN_CWD = ("DEFAULT_FASTRTPS_PROFILES.xml", "DEFAULT_FASTDDS_PROFILES.x
 
 _SHARED_MEMORY = Path("/dev/shm")
 
-#: Memory that one participant owns.  (Ports, which all participants share, have other names.)
-_SEGMENT = re.compile("fastrtps_[0-9a-f]{16}")
+#: Memory that one participant owns, of Fast DDS 2 and 3.  (Ports, which all participants share, have other names.)
+_SEGMENT = re.compile("fast(?:rtps|dds)_[0-9a-f]{16}")
 
 # Every participant makes a segment of 32 MiB (see the profile).  Where several do not fit, as with the
 # 64 MB that containers get by default, Fast DDS cannot send large messages, and its own small default is better.
@@ -86,7 +86,7 @@ def free_shared_memory(folder: Path) -> int:
     if sys.platform == "win32":  # has no such folder
         return 0
     freed = 0
-    for lock in folder.glob("fastrtps_*_el"):
+    for lock in folder.glob("fast*_*_el"):
         segment = lock.with_name(lock.name.removesuffix("_el"))
         if not _SEGMENT.fullmatch(segment.name):
             continue

@@ -553,7 +553,8 @@ from igtl_gateway.edges.ros.env import prepare_environment
 print(prepare_environment()[0])
 edge = RosEdge(on_message=print, wants=lambda topic, kind: None, on_note=print)
 edge.start()
-maps = re.findall(r"^([0-9a-f]+)-([0-9a-f]+) .*/dev/shm/fastrtps_[0-9a-f]+$", open("/proc/self/maps").read(), re.M)
+segment = r"^([0-9a-f]+)-([0-9a-f]+) .*/dev/shm/fast(?:rtps|dds)_[0-9a-f]+$"
+maps = re.findall(segment, open("/proc/self/maps").read(), re.M)
 print(max((int(end, 16) - int(begin, 16) for begin, end in maps), default=0))
 edge.stop()
 """

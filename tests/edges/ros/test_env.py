@@ -200,6 +200,7 @@ def test_memory_of_processes_that_are_gone_is_freed(tmp_path: Path) -> None:
         return paths
 
     dead, alive = segment("fastrtps_00000000000000a1"), segment("fastrtps_00000000000000a2")
+    dead_3 = segment("fastdds_00000000000000a1")  # of Fast DDS 3
     port, other = segment("fastrtps_port7400"), segment("somebody_else")
     begun = tmp_path / "fastrtps_00000000000000a3_el"  # its process may be about to lock it
     begun.touch()
@@ -215,5 +216,5 @@ def test_memory_of_processes_that_are_gone_is_freed(tmp_path: Path) -> None:
         process.stdin.close()
     assert env.free_shared_memory(tmp_path) >= 8192
     assert set(tmp_path.iterdir()) == {*port, *other, begun}
-    assert not any(path.exists() for path in dead)
+    assert not any(path.exists() for path in (*dead, *dead_3))
     assert env.free_shared_memory(tmp_path / "no such folder") == 0
