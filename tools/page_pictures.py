@@ -9,6 +9,7 @@ future, wrong CRCs, a stream that ends.  What the browser complains about is an 
 
 from __future__ import annotations
 
+import os
 import shutil
 import subprocess
 import sys
@@ -36,8 +37,9 @@ def main(words: list[str]) -> int:
     out = Path(words[0]) if words else PICTURES
     out.mkdir(exist_ok=True)
     with ExitStack() as stack:
-        folder = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "theatre-2"
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(ignore_cleanup_errors=True))) / "theatre-2"
         folder.mkdir()
+        os.environ["HOME"] = str(folder.parent)  # the page shows it as ~
         for name in ("star", "ultrasound", "lego", "brain"):
             shutil.copy(FIXTURES / f"{name}.mcap", folder / f"{name}.mcap")
         _old(folder / "kidney-07.mcap")

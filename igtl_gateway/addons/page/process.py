@@ -184,7 +184,7 @@ class Page:
         free = shutil.disk_usage(path.parent).free
         return {
             "name": path.name,
-            "folder": str(path.parent),
+            "folder": _from_home(path.parent),
             "bytes": size,
             "files": files,
             "per_s": per_s,
@@ -211,7 +211,7 @@ class Page:
             "has_bridge": self._source is not None,
             "answers": self._answers,
             "wrong": self._wrong,
-            "folder": str(self.recordings.folder) if self.recordings else "",
+            "folder": _from_home(self.recordings.folder) if self.recordings else "",
             "jobs": self.jobs.rows(),
             "replay": self.replay.facts(),
         }
@@ -219,6 +219,14 @@ class Page:
 
 def _json(facts: object) -> bytes:
     return json.dumps(facts, separators=(",", ":"), default=str).encode()
+
+
+def _from_home(path: Path) -> str:
+    """Return a path as people write it: that of the user's home is ``~``."""
+    try:
+        return str(Path("~") / path.absolute().relative_to(Path.home()))
+    except (ValueError, RuntimeError):  # elsewhere, or a user without a home
+        return str(path)
 
 
 def _size(path: Path, parts: Path) -> tuple[int, int]:

@@ -7,6 +7,7 @@ each further one a command.  Each line of its output has as JSON a ``line`` of t
 from __future__ import annotations
 
 import json
+import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -44,7 +45,7 @@ class _Replay:
         given = {name: self._settings[name] for name in ("to", "rate", "loop")}
         given |= {name: tuple(self._settings[name]) for name in ("listen", "connect") if self._settings[name]}
         given |= {"wait_peers": 0, "start_paused": True}
-        events = ReplayEvents(on_line=lambda text: report_facts({"line": text}), controls=self._controls)
+        events = ReplayEvents(on_line=self._say, controls=self._controls)
         try:
             how = ReplayOptions.of({row.name: row.default for row in REPLAY} | given)
             result = run_replay(Path(self._settings["file"]), how, self._stop, events)
@@ -53,6 +54,10 @@ class _Replay:
             return
         if result:
             report_facts({"line": f"{result.messages:,} messages were sent", "ended": True})
+
+    def _say(self, text: str) -> None:
+        """Report a line without the folder, which the page names already."""
+        report_facts({"line": text.replace(f"{Path(self._settings['file']).parent}{os.sep}", "")})
 
     @contextmanager
     def _controls(self, file: SessionFile, player: Player, side: ReplaySides) -> Iterator[None]:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
+from urllib.request import HTTPCookieProcessor, OpenerDirector, build_opener
 
 import pytest
 
@@ -99,6 +104,29 @@ def test_the_bridge_goes_on_without_its_page(tmp_path: Path) -> None:
     finally:
         bridge.close()
     assert sum(event.get("code") == "page" for event in bridge.events) == 1
+
+
+def test_the_parameter_of_ros_opens_the_page() -> None:
+    pytest.importorskip("rclpy")
+    bridge = Bridge("--ros-args", "-p", "page:=true")
+    try:
+        link = bridge.wait_events(lambda event: event["event"] == "page", "page")[0]["link"]
+        browser = build_opener(HTTPCookieProcessor())
+        assert b"<!doctype html>" in browser.open(link).read()
+        facts = read_until(browser, link, lambda state: bool(state["bridge"]))
+        assert facts["bridge"]["ros"] and facts["bridge"]["recording"] is None
+        assert bridge.end().code == 0
+    finally:
+        bridge.close()
+
+
+def read_until(browser: OpenerDirector, link: str, wanted: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+    """The state of a page, once it is as wanted."""
+    until = time.monotonic() + 30
+    while not wanted(state := json.loads(browser.open(link.partition("?")[0] + "api/state").read())):
+        assert time.monotonic() < until, state
+        time.sleep(0.05)
+    return state
 
 
 def test_a_port_in_use_is_a_note(tmp_path: Path) -> None:
