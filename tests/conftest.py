@@ -111,7 +111,7 @@ LONG = (
     "addons/page/test_process.py::test_a_port_in_use_is_a_note",
     "addons/page/test_process.py::test_the_bridge_goes_on_without_its_page",
     "addons/page/test_process.py::test_the_parameter_of_ros_opens_the_page",
-    "addons/page/test_views.py",
+    "integration/test_page_views.py",
     "addons/resim/test_causes.py",
     "addons/resim/test_programs.py::test_nodes_of_scenarios",
     "addons/resim/test_api.py::TestTheFixture::test_in_a_project",
