@@ -579,6 +579,17 @@ static bool wait_really(struct waiter *waiter, int64_t timeout_ns)
     return true;
 }
 
+/* The entity that has been ready for longest, of those that a wait asks for; NULL for none.  Under the lock. */
+static struct entity *longest_ready(const struct waiter *waiter)
+{
+    struct entity *found = NULL;
+    for (struct entity *entity = S.entities; entity; entity = entity->next)
+        if (entity->first && (!found || entity->since < found->since) && asks_for(waiter, entity))
+            found = entity;
+    return found;
+}
+
+/* A poll returns guard conditions and an entity at once: rclpy.spin_once(timeout_sec=0) triggers a guard condition each time. */
 ret rmw_wait(struct abi_array *subscriptions, struct abi_array *guards, struct abi_array *services,
              struct abi_array *clients, struct abi_array *events, struct abi_wait_set *set,
              const struct abi_time *timeout)
@@ -594,15 +605,7 @@ ret rmw_wait(struct abi_array *subscriptions, struct abi_array *guards, struct a
     if (!atomic_load(&T.active)) {
         waiter.timed_out = !wait_really(&waiter, timeout_ns);
     } else if (is_poll && ++own_wait.polls < POLLS) {
-        enter();
-        uint64_t least = UINT64_MAX;
-        waiter.timed_out = !has_triggered_guard(&waiter);
-        for (struct entity *entity = S.entities; entity && waiter.timed_out; entity = entity->next)
-            if (entity->first && entity->since < least && asks_for(&waiter, entity))
-                waiter.ready = entity, least = entity->since;
-        if (waiter.ready)
-            waiter.timed_out = false;
-        leave();
+        waiter.timed_out = true;
     } else {
         if (is_poll)
             timeout_ns = POLL_NS;
@@ -613,11 +616,17 @@ ret rmw_wait(struct abi_array *subscriptions, struct abi_array *guards, struct a
             waiter.timed_out = !waiter.ready && !has_triggered_guard(&waiter);
         own_wait.polls = 0;
     }
+    if (is_poll && !waiter.ready && atomic_load(&T.active)) {
+        enter();
+        waiter.ready = longest_ready(&waiter);
+        leave();
+        waiter.timed_out = !waiter.ready && !has_triggered_guard(&waiter);
+    }
     if (!waiter.timed_out)
         own_wait.polls = 0;
     for (int i = 0; i < 5; i++)
-        keep_ready(lists[i], waiter.ready, i == 1, !waiter.timed_out && !waiter.ready);
-    own_wait.has_given = !waiter.timed_out;
+        keep_ready(lists[i], waiter.ready, i == 1, !waiter.timed_out && (is_poll || !waiter.ready));
+    own_wait.has_given = waiter.ready || (!waiter.timed_out && !is_poll);
     return waiter.timed_out ? ABI_TIMEOUT : ABI_OK;
 }
 

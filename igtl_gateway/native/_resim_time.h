@@ -12,13 +12,16 @@
 #define IGTL_GATEWAY_RESIM_TIME_H
 
 enum { CLOCKS_SESSION = 0, CLOCKS_REAL = 1 }; /* whether the clocks and waits of libc have session time */
+enum { MOST_POLLS = 1000 };
 enum { MOST_CHILDREN = 64, MOST_OTHERS = 16, OWN_TIMED = 1024 };
 enum wait_kind { WAIT_ROS, WAIT_SLEEP, WAIT_SIGNAL, WAIT_CONDITION };
 
 #define NEVER INT64_MAX
 #define NS_PER_S 1000000000LL
-/* Session time of steady clocks starts here, three years, above uptimes: the step from the real one goes forward. */
-#define STEADY_START_NS 100000000000000000LL
+/* Session time of steady clocks starts at 24 days, or at three years: above the uptime, so that the step from the real one
+ * goes forward; and if possible so low that a nanosecond more is another float: a deadline of asyncio has to be later. */
+#define STEADY_START_NS (2097152 * NS_PER_S)
+#define LATE_STEADY_START_NS (100000000 * NS_PER_S)
 /* Ends a semaphore's wait or a poll at its session time; programs do not use the last real-time signals but two. */
 #define WAKE_SIGNAL (SIGRTMAX - 2)
 
@@ -50,6 +53,7 @@ static struct {
     _Atomic int64_t now_ns;
     _Atomic int real_waits; /* threads in a sleep or timed wait of real time: they are not quiet */
     int64_t start_ns;
+    int64_t steady_start_ns;
     int64_t wall_offset_ns; /* the wall clock of libc is later than session time by this */
     int clocks;
     struct waiter *waiters;
@@ -540,7 +544,7 @@ static bool is_steady(clockid_t clock)
            clock == CLOCK_BOOTTIME;
 }
 static int64_t wall_ns(void) { return atomic_load(&T.now_ns) + T.wall_offset_ns; }
-static int64_t steady_ns(void) { return atomic_load(&T.now_ns) - T.start_ns + STEADY_START_NS; }
+static int64_t steady_ns(void) { return atomic_load(&T.now_ns) - T.start_ns + T.steady_start_ns; }
 
 /* Whether the program reads session time from a clock of libc. */
 static bool is_session(clockid_t clock)
@@ -814,9 +818,26 @@ int poll(struct pollfd *files, nfds_t count, int timeout_ms)
     return POLLED(NEXT(poll)(files, count, -1), (int64_t)timeout_ms * 1000000);
 }
 
+/* Polls without a wait that find nothing at one time: at last they wait, as loops of events expect that time passes. */
+static int poll_at_once(int file, struct epoll_event *events, int most)
+{
+    static __thread int64_t at_ns;
+    static __thread int count;
+    int found = NEXT(epoll_wait)(file, events, most, 0);
+    int64_t now = atomic_load(&T.now_ns);
+    count = found || at_ns != now ? 0 : count + 1;
+    at_ns = now;
+    if (count < MOST_POLLS || !is_on())
+        return found;
+    count = 0;
+    return POLLED(NEXT(epoll_wait)(file, events, most, -1), 1000000);
+}
+
 int epoll_wait(int file, struct epoll_event *events, int most, int timeout_ms)
 {
-    if (timeout_ms <= 0)
+    if (!timeout_ms)
+        return poll_at_once(file, events, most);
+    if (timeout_ms < 0)
         return NEXT(epoll_wait)(file, events, most, timeout_ms);
     if (!is_on())
         return REALLY(NEXT(epoll_wait)(file, events, most, timeout_ms));
@@ -926,6 +947,7 @@ static bool start_time(int64_t start_ns, int64_t wall_offset_ns, int clocks)
     sigset_t all, before;
     struct sigaction action = {.sa_handler = on_wake_signal}; /* without SA_RESTART: waits end with EINTR */
     T.start_ns = start_ns;
+    T.steady_start_ns = real_ns(CLOCK_MONOTONIC) < STEADY_START_NS ? STEADY_START_NS : LATE_STEADY_START_NS;
     T.wall_offset_ns = wall_offset_ns;
     T.clocks = clocks;
     atomic_store(&T.now_ns, start_ns);

@@ -42,6 +42,17 @@ def test_several_threads_with_reentrant_callbacks(tmp_path: Path) -> None:
     assert sum(text.startswith("got") for text in said) == sum(text.startswith("later") for text in said) == 100
 
 
+@pytest.mark.parametrize("clock", ["", " coarse"])
+def test_a_loop_of_asyncio_that_polls(tmp_path: Path, clock: str) -> None:
+    """Each ``spin_once(timeout_sec=0)`` triggers a guard condition; messages and timers are not behind it for ever."""
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(10)[:10])
+    result, verdict = judged(recording, tmp_path, f"asynchronous{clock}", runs=2)
+    assert verdict.line() == "deterministic: 2 of 2 runs equal"
+    said = [text.split()[0] for text in strings(result.runs[0].outputs, "/out")]
+    assert said.count("tick") == (result.runs[0].end_ns - result.runs[0].start_ns) // 100_000_000
+    assert [text for text in said if text != "tick"][:9] == [f"m{number}" for number in range(9)]
+
+
 def test_threads_have_the_order_of_their_creation_when_numbers_of_processes_begin_anew(tmp_path: Path) -> None:
     """Of two threads that sleep to the same time, the older one is first, although its number is the higher one."""
     namespace = ["unshare", "--user", "--map-root-user", "--pid", "--fork", "--mount-proc"]
