@@ -307,6 +307,29 @@ ret rmw_destroy_wait_set(struct abi_wait_set *handle)
 
 /* -- publishing -------------------------------------------------------------------------------------------------- */
 
+enum { MOST_UNWRITTEN = 4096 };
+
+/* rmw_serialize states the length that it estimates, which is more than it writes, as behind empty sequences of doubles.
+ * The rest is what keeps another value in the second of two results, of which the first has 0 there. */
+static ret cut_estimate(struct abi_bytes *buffer, const void *message, const struct abi_message_type *type,
+                        ret (*real)(const void *, const void *, void *))
+{
+    size_t length = buffer->length, end = length;
+    while (end && length - end < MOST_UNWRITTEN && !buffer->buffer[end - 1])
+        end--;
+    if (length - end < 4) /* as a string and the bytes behind it */
+        return ABI_OK;
+    memset(buffer->buffer + end, 0xFF, length - end);
+    ret result = real(message, type, buffer);
+    while (length > end && buffer->buffer[length - 1] == 0xFF)
+        length--;
+    memset(buffer->buffer + length, 0, buffer->length - length);
+    for (size_t i = end; i < length; i++) /* between the fields */
+        buffer->buffer[i] = 0;
+    buffer->length = length;
+    return result;
+}
+
 /* A message as CDR in the buffer of its entity, whose lock is held.  Bytes between the fields, which are not written, are 0. */
 static ret serialise(struct entity *entity, const void *message, const struct abi_message_type *type)
 {
@@ -320,8 +343,10 @@ static ret serialise(struct entity *entity, const void *message, const struct ab
         if (room)
             memset(buffer->buffer, 0, room);
         ret result = real(message, type, buffer);
-        if (result != ABI_OK || (before == buffer->buffer && room == buffer->capacity))
+        if (result != ABI_OK)
             return result;
+        if (before == buffer->buffer && room == buffer->capacity)
+            return cut_estimate(buffer, message, type, real);
     }
 }
 

@@ -9,6 +9,7 @@ import time
 
 import rclpy
 from rclpy.node import Node
+from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
 
@@ -19,6 +20,11 @@ class Planted(Node):  # type: ignore[misc]
         self.count = self.total = self.ticks = 0
         self.work = getattr(self, what)
         self.create_subscription(String, "/in", self.take, 10)
+        if what == "joints":
+            states = self.create_publisher(JointState, "/joints", 10)
+            state = JointState(name=["a"], position=[1.0])
+            state.header.frame_id = "base"
+            self.create_subscription(String, "/in", lambda message: states.publish(state), 10)
         if what in ("timer", "samples"):
             self.create_timer(0.007, self.tick)
 
@@ -30,6 +36,8 @@ class Planted(Node):  # type: ignore[misc]
 
     def nothing(self, text: str) -> str:
         return text
+
+    joints = nothing
 
     def wall(self, text: str) -> str:
         return f"{text} at {time.time():.3f}"
