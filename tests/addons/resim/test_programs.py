@@ -15,6 +15,7 @@ from igtl_gateway.addon import Kind, Qos
 from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, RunResult, run
 from igtl_gateway.addons.resim.races import find_race
 from igtl_gateway.addons.resim.verdict import Race, compare
+from igtl_gateway.cli import main as gateway
 from tests.addons.resim import sessions
 from tests.addons.resim.runs import PROGRAMS, RUNS, compiled, judged, program, published, strings
 from tests.places import FIXTURES
@@ -188,6 +189,16 @@ def test_recorded_topics_are_in_the_graph_before_the_program_asks_for_them(tmp_p
     ]
     first_ns, _ = published(result.runs[0].outputs, "/out")[0]
     assert first_ns - result.runs[0].start_ns == -900_000_000
+
+
+def test_a_node_of_a_scenario_as_it_is(tmp_path: Path) -> None:
+    """The first four seconds: those of lego and star compute for a second and for three in each run."""
+    recording = tmp_path / "in.mcap"
+    assert not gateway(["slice", str(FIXTURES / "ultrasound.mcap"), "-o", str(recording), "--start", "0", "--end", "4"])
+    names = ["actor ultrasound navigator"]
+    result, verdict = judged(recording, tmp_path, *names, clocks=Clocks.SESSION, lead_ns=1_000_000_000)
+    assert verdict.line() == f"deterministic: {RUNS} of {RUNS} runs equal"
+    assert result.runs[0].streams["/ultrasound/needle"].messages == 1
 
 
 @pytest.mark.parametrize(
