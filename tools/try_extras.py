@@ -28,8 +28,9 @@ from tools import core
 ROOT = Path(__file__).parents[1]
 SMALL, STAR = (str(ROOT / "fixtures" / f"{name}.mcap") for name in ("paper-types", "star"))
 LONGEST_S = 600
-#: Extra → the extras that have all that it has.
-_ALSO = {"arrow": ("pandas", "lerobot", "cohort"), "video": ("lerobot",), "plot": ("lab",), "nifti": ("lab",)}
+_PYARROW = ("arrow", "pandas", "lerobot", "cohort")  # all that the calls of these extras need
+#: Extra → the extras that have all that its calls need.
+_ALSO = {"video": ("lerobot",), "plot": ("lab",), "nifti": ("lab",)} | dict.fromkeys(_PYARROW, _PYARROW)
 #: The laboratory is a distribution of its own, which no index needs to have.
 _NAMED = re.compile(r"igtl-gateway(?:\[|-)([a-z]+)")
 
