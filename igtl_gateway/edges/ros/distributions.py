@@ -1,7 +1,7 @@
 """What differs between the rclpy of Humble, Jazzy, Kilted and Lyrical; no other module of the edge depends on it.
 
 What an rclpy has is looked up, not concluded from its version.  The sources that were read: Humble 3.3.15, Jazzy 7.1.3
-and 7.1.6, Kilted 9.1.2, and of Lyrical's time the stubs of the compiled part and ``subscription.py``.
+and 7.1.6, and of Lyrical's time the stubs of the compiled part and ``subscription.py``.  Kilted's 9.1.2 was run.
 
 | | Humble | Jazzy, Kilted, Lyrical | here |
 |---|---|---|---|
