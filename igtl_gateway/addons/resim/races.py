@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from igtl_gateway.addon import Kind, SessionFile
+from igtl_gateway.addon import Kind, SessionFile, make_folder
 from igtl_gateway.addons.resim.engine import Program, ResimOptions, RunResult, run
 from igtl_gateway.addons.resim.inputs import CLOCK
 from igtl_gateway.addons.resim.verdict import Race, first_at_one_time, is_judged
@@ -51,7 +51,8 @@ def find_race(result: RunResult, programs: Sequence[Program], options: ResimOpti
     sampled = [name for name in names if moments[name].are_seldom_ties]
     if not dependent and not sampled:
         return None
-    (first := folder / "timers-first").mkdir()
+    first = folder / "timers-first"
+    make_folder(first)
     swapped = run(result.recording, programs, replace(once, timers_first=True), first)
 
     def counts(name: str, time_ns: int) -> bool:
