@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from igtl_gateway.edges.tcp import PeerLimits
+from igtl_gateway.edges.tcp.receiver import Receiver
 from igtl_gateway.edges.tcp.turns import QUANTUM_NS, Turn, Turns
 from tests.edges.tcp.world import World, message, number_of
 
@@ -144,6 +145,23 @@ def test_a_message_does_not_wait_for_all_that_another_peer_has_sent(world: World
     assert position(frames, 3) <= 200
     assert [number_of(frame) for number, frame in frames if number == 1] == list(range(600))
     assert edge.counters()[1].received_messages == 600
+
+
+def test_a_large_message_is_read_in_turns(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    rooms: list[int] = []
+    receive = Receiver._receive
+
+    def watched(receiver: Receiver) -> bool:
+        rooms.append(len(receiver._room))
+        return receive(receiver)
+
+    monkeypatch.setattr(Receiver, "_receive", watched)
+    _, seen, port = world.server()
+    large = message(1, size=4 << 20)
+    world.peer(port).send(large)
+    (frame,) = seen.wait("frame")
+    assert bytes(frame) == large
+    assert max(rooms) == 512 << 10
 
 
 def test_what_was_received_before_the_end_of_a_link_is_handled(world: World) -> None:
