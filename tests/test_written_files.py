@@ -164,6 +164,7 @@ _ELSEWHERE = {
     "addons/cohort/results.py": "parts that count when the manifest lists them; its lock removes the others",
     "addons/cohort/query.py": "in a place of its caller",
     "addons/resim/bisect.py": "in a temporary directory",
+    "addons/resim/races.py": "in the temporary directory of its runs",
     "addons/exchange/csv_out.py": "in the folder of an export",
     "api/recording.py": "in a temporary directory",
     "cli/info_source.py": "in a temporary directory",

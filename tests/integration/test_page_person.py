@@ -99,7 +99,7 @@ def _phase(page: Browser, arm: Peer, label: str) -> int:
     page.wait("document.getElementById('mark-label').value === ''")
     begun = arm.sent
     page.wait_for(lambda: arm.sent >= begun + 20, "messages")
-    page.click("button", f"End {label}")
+    page.click("button", f"End “{label}”")
     page.wait(f"!document.querySelector('#phases').textContent.includes('{label}')")
     page.run("document.activeElement.blur()")
     return begun

@@ -221,7 +221,9 @@ def run(options: argparse.Namespace) -> int:
         if verdict.unequal_run:
             again = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="igtl-resim-")))
             if is_text:
-                print_line(f"looking for the cause in up to {MOST_RUNS} shorter runs, for at most {MOST_S} s")
+                print_line(
+                    f"runs differ: looking for the cause in up to {MOST_RUNS} shorter runs, for at most {MOST_S} s"
+                )
             verdict.cause = likely_cause(options.file, programs, settings, verdict, again)
         elif verdict.is_deterministic:
             verdict.permits_races = options.permit_races

@@ -53,13 +53,17 @@ def test_a_session_is_run_from_the_page(tmp_path: Path) -> None:
             page.wait("document.querySelector('#recording .notes').textContent.includes('mark suture-1')")
             page.type("approach")
             page.click("button", "Begin a phase")
-            page.click("button", "End approach")
+            page.click("button", "End “approach”")
             page.click("button", "Pause")
             page.wait("document.querySelector('#recording h1').textContent === 'Paused'")
             page.click("button", "Resume")
             page.wait("document.querySelector('#recording h1').textContent === 'Recording'")
-            # Stop: the file is closed, and the bridge goes on
+            # Stop: open phases end, the file is closed, and the bridge goes on
+            page.type("closing")
+            page.click("button", "Begin a phase")
+            page.wait("document.querySelector('#phases').textContent.includes('closing')")
             page.click("button", "Stop recording …")
+            assert page.run("document.querySelector('dialog').textContent.includes('phase ends here: closing')")
             page.click("dialog button", "Stop")
             page.wait("document.querySelector('#recording h1').textContent === 'Not recording'")
             assert not recording_is_open(recording)
@@ -74,7 +78,8 @@ def test_a_session_is_run_from_the_page(tmp_path: Path) -> None:
     finally:
         bridge.close()
     with igtl_gateway.open(recording) as found:
-        assert [(mark.label, mark.who) for mark in found.marks] == [("suture-1", "page"), ("approach", "page")]
+        assert [mark.label for mark in found.marks] == ["suture-1", "approach", "closing"]
+        assert {(mark.who, mark.is_open) for mark in found.marks} == {("page", False)}
         pressed = [note.text for note in found.notes if note.code == "page"]
     assert pressed == [f"{what} was pressed on the page" for what in ("pause", "resume", "stop")]
 

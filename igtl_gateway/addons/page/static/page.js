@@ -335,7 +335,7 @@ function drawRecording() {
     fact("Size", bytes(rec.bytes), rec.per_s ? `${bytes(rec.per_s)} per second` : rec.files ? count(rec.files, "file") : "nothing is written"),
     fact("Disk", rec.lasts_s == null ? bytes(rec.free) : `lasts ${span(rec.lasts_s)}`, `${bytes(rec.free)} free`, short && "warning"),
     fact("Losses", rec.dropped ? number(rec.dropped) : "none", rec.dropped ? "messages are missing" : "every message is kept", rec.dropped && "error"),
-    fact("Messages", number(rec.entries), rec.left_out ? `${number(rec.left_out)} left out` : "written to the file"),
+    fact("Messages", number(rec.entries), rec.left_out ? `in files; ${number(rec.left_out)} more before Start, in pauses or not chosen` : "written to files"),
     fact("Seal", rec.sealed ? "on" : "off", rec.sealed ? "each change will show" : "--seal KEY signs it"),
     ...(rec.triggers.length ? [fact("Black box", count(rec.triggers.length, "rule"), rec.triggers.join(", "))] : [])]);
   const takes = !rec.snapshot_s && !rec.failure;
@@ -344,10 +344,16 @@ function drawRecording() {
     takes && !rec.rests && (rec.paused ? button("Resume", () => act({ do: "resume" }), { kind: ".big.primary", key: "pause" }) : button("Pause", () => act({ do: "pause" }), { kind: ".big", key: "pause" })),
     Boolean(rec.snapshot_s) && button(`Save the last ${number(rec.snapshot_s)} s`, () => act({ do: "snapshot" }), { kind: ".big.primary" }),
     takes && !rec.rests && rec.split && button("New file", () => act({ do: "split" }), { kind: ".big" }),
-    takes && !rec.rests && button("Stop recording …", async () => { if (await ask("Stop the recording?", "Its file is closed. Messages go on passing, and Start begins the next file.", "Stop")) act({ do: "stop" }); }, { kind: ".big", key: "start" }),
+    takes && !rec.rests && button("Stop recording …", async () => { stopRecording(); }, { kind: ".big", key: "start" }),
     h("span.gap"),
     button("End the bridge …", async () => { if (await ask("End the bridge?", "The recording is closed, all peers are disconnected, and this page ends.", "End")) act({ do: "end" }); }, { kind: ".danger" })));
   drawMarks(at.work, rec, now);
+}
+async function stopRecording() {
+  const open = bridge().recording.phases, ends = open.length ? ` The open ${open.length > 1 ? "phases end" : "phase ends"} here: ${open.join(", ")}.` : "";
+  if (!(await ask("Stop the recording?", `Its file is closed. Messages go on passing, and Start begins the next file.${ends}`, "Stop"))) return;
+  for (const label of bridge().recording.phases) if (!(await act({ do: "mark", line: `-${label}` }))) return;
+  act({ do: "stop" });
 }
 function fact(title, value, more, kind) { return h("div", { class: kind ? "s-" + kind : "" }, h("dt", null, title), h("dd", null, value, h("small", null, more))); }
 
@@ -371,7 +377,7 @@ function drawMarks(at, rec, now) {
   if (at._kind !== "marks") { at._kind = "marks"; at._shown = ""; html(at, h("div.split", null, left, right)); }
   part(left, [locked()], () => [markCard()]);
   const phases = $("phases");
-  part(phases, [rec.phases, locked()], () => (rec.phases.length ? h("div.phases", null, "Open phases:", rec.phases.map((label) => button(`End ${label}`, () => act({ do: "mark", line: `-${label}` }), { kind: ".small" }))) : []));
+  part(phases, [rec.phases, locked()], () => (rec.phases.length ? h("div.phases", null, "Open phases:", rec.phases.map((label) => button(`End “${label}”`, () => act({ do: "mark", line: `-${label}` }), { kind: ".small" }))) : []));
   const marks = now.done;
   part(right, marks, () => card("What was done", null, marks.length ? h("ul.notes", { tabindex: 0, "aria-label": "What was done" }, [...marks].reverse().map(note)) : h("p.empty", null, "No marks yet. Press M anywhere on this page.")));
 }
