@@ -87,14 +87,7 @@ class BridgeStatus:
             "ledger": ledger,
             "native_times": bridge.native_times(),
             "upload": bridge.uploads and bridge.uploads.counters(),
-            "recorder": recorder
-            and recorder.counters()
-            | {
-                "path": str(bridge.options.record),
-                "paused": recorder.paused,
-                "rests": recorder.rests,
-                "file": recorder.file,
-            },
+            "recorder": recorder and recorder.facts() | {"path": str(bridge.options.record)},
         }
 
     def _watched(self) -> list[dict[str, Any]]:

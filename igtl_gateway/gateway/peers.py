@@ -139,14 +139,14 @@ class Peer:
         if not self.stream_requests:
             return _NOTHING
         types = {igtl_type for igtl_type, _ in self.stream_requests}
-        if self.tracks or self.releases > MAX_RELEASES:
+        if self.tracked or self.releases > MAX_RELEASES:
             types.update(TRACKING.values())
         return frozenset(types)
 
     @property
-    def tracks(self) -> bool:
-        """Whether the peer has requested tracking data, which is composed of the poses of other streams."""
-        return any(key[0] in TRACKING and request.wanted for key, request in self.stream_requests.items())
+    def tracked(self) -> list[tuple[str, str]]:
+        """(type, requested device) of tracking data that the peer requests, composed of the poses of other streams."""
+        return [key for key, request in self.stream_requests.items() if key[0] in TRACKING and request.wanted]
 
     def stream_request(self, igtl_type: str, device: str) -> StreamRequest | None:
         """Return the request of the peer for a stream: for this device, or for any device."""
@@ -178,10 +178,10 @@ class Peer:
 
     def stop_stream(self, igtl_type: str, device: str) -> None:
         """Stop a stream (STP_); without a device, all streams of the type."""
-        tracked = self.tracks
+        tracked = bool(self.tracked)
         for key in [key for key in self.stream_requests if key[0] == igtl_type and device in ("", key[1])]:
             del self.stream_requests[key]
-        self.releases += tracked and not self.tracks
+        self.releases += tracked and not self.tracked
         if len(self.stream_requests) < MAX_STREAM_REQUESTS:
             self.stream_requests[igtl_type, device] = StreamRequest(False)
 

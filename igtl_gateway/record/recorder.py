@@ -137,6 +137,10 @@ class Recorder:
             entries, waiting = self._queue.waiting
         return state.counters(dropped) | {"queued_entries": entries, "queued_bytes": waiting}
 
+    def facts(self) -> dict[str, Any]:
+        """The counters, and whether and to which file it records."""
+        return self.counters() | {"paused": self.paused, "rests": self.rests, "file": self.file}
+
     @property
     def failure(self) -> str:
         """Why the recording ended before its time, or ``""``."""

@@ -22,7 +22,7 @@ WATCHED = ("link", "stream", "age_ns", "jitter_ns", "stamped", "unset", "stale",
 
 def sample_of(bridge: Bridge) -> dict[str, Any]:
     """Return the counts of a bridge so far, as JSON values; the caller has let it ``collect``."""
-    totals = bridge.gateway.ledger.totals()
+    totals, recorder = bridge.gateway.ledger.totals(), bridge.recorder
     return {
         "version": __version__,
         "relay": bridge.gateway.config.relay,
@@ -43,7 +43,7 @@ def sample_of(bridge: Bridge) -> dict[str, Any]:
         ],
         "totals": {side: totals.get(side, {}) for side in SIDES},
         "drops": bridge.gateway.ledger.drops(),
-        "recorder": _recorder(bridge),
+        "recorder": recorder and recorder.facts() | {"path": str(bridge.options.record)},
     }
 
 
@@ -71,16 +71,3 @@ def _peers(bridge: Bridge) -> list[dict[str, Any]]:
             }
         )
     return found
-
-
-def _recorder(bridge: Bridge) -> dict[str, Any] | None:
-    """Return what the recorder counts; None: there is none."""
-    recorder = bridge.recorder
-    if recorder is None:
-        return None
-    return recorder.counters() | {
-        "path": str(bridge.options.record),
-        "paused": recorder.paused,
-        "rests": recorder.rests,
-        "file": recorder.file,
-    }

@@ -102,10 +102,8 @@ def start_stream(message: Message, igtl_type: str, peer: Peer, known: IsKnownFra
             return StartedStream(ERROR, f"the frame {frame!r} is not known: no message and no transform names it")
         note = f"the frame {frame!r} is not known, and the poses are sent in their own frames"
         frame = ""
-    if igtl_type in TRACKING:
-        wanted = {key for key, request in peer.stream_requests.items() if key[0] in TRACKING and request.wanted}
-        if len(wanted | {(igtl_type, device)}) > MAX_TRACKED:
-            return StartedStream(ERROR, f"it has requested {MAX_TRACKED} streams of tracking data, the maximum")
+    if igtl_type in TRACKING and len({*peer.tracked, (igtl_type, device)}) > MAX_TRACKED:
+        return StartedStream(ERROR, f"it has requested {MAX_TRACKED} streams of tracking data, the maximum")
     if not peer.start_stream(igtl_type, device, _interval_ns(content), frame):
         return StartedStream(ERROR, f"it has requested {MAX_STREAM_REQUESTS} streams, the maximum")
     return StartedStream(OK, note)

@@ -65,9 +65,8 @@ def trackers(peers: Iterable[Peer]) -> dict[tuple[str, str], list[Peer]]:
     """Return (type, requested device) → peers that requested this stream of tracking data."""
     wanted: dict[tuple[str, str], list[Peer]] = {}
     for peer in peers:
-        for (igtl_type, device), request in peer.stream_requests.items():
-            if igtl_type in TRACKING and request.wanted:
-                wanted.setdefault((igtl_type, device), []).append(peer)
+        for key in peer.tracked:
+            wanted.setdefault(key, []).append(peer)
     return wanted
 
 
