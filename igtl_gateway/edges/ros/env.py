@@ -22,6 +22,7 @@ import os
 import re
 import shutil
 import sys
+import sysconfig
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -31,13 +32,17 @@ PROFILE = Path(__file__).with_name("fastdds_profile.xml")
 #: The same with quick acknowledgements, for a program that waits for each.
 LOCK_STEP_PROFILE = Path(__file__).with_name("fastdds_profile_lock_step.xml")
 
-#: Fast DDS 2 reads the first name, Fast DDS 3 the second.
+#: Fast DDS 2 reads the first name, Fast DDS 3 the second; its rmw warns of the first.
 PROFILE_VARIABLES = ("FASTRTPS_DEFAULT_PROFILES_FILE", "FASTDDS_DEFAULT_PROFILES_FILE")
 #: With "1", rmw_fastrtps leaves to the profile how the memory of messages is kept.
 QOS_VARIABLE = "RMW_FASTRTPS_USE_QOS_FROM_XML"
 
 #: Fast DDS loads these from the working directory by itself.
 _PROFILES_IN_CWD = ("DEFAULT_FASTRTPS_PROFILES.xml", "DEFAULT_FASTDDS_PROFILES.xml")
+
+#: The library of Fast DDS 2 and 3.
+_FAST_DDS = ("libfastrtps.", "libfastdds.")
+_MULTIARCH = sysconfig.get_config_var("MULTIARCH") or ""
 
 _SHARED_MEMORY = Path("/dev/shm")
 
@@ -116,10 +121,18 @@ def _set_profile(profile: Path) -> str:
     kept = _why_keep_profile(os.environ, Path.cwd(), _SHARED_MEMORY)
     if kept:
         return f"Fast DDS profile: {kept}"
-    for name in PROFILE_VARIABLES:
-        os.environ[name] = str(profile)
+    name = PROFILE_VARIABLES[_is_fast_dds_3(os.environ)]
+    os.environ[name] = str(profile)
     os.environ.setdefault(QOS_VARIABLE, "1")
-    return f"Fast DDS profile: shared memory for large messages ({PROFILE_VARIABLES[0]}={profile})"
+    return f"Fast DDS profile: shared memory for large messages ({name}={profile})"
+
+
+def _is_fast_dds_3(environ: Mapping[str, str]) -> bool:
+    """Whether the sourced ROS 2, else the one of this environment, has Fast DDS 3: its library has another name."""
+    prefixes = [*environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
+    folders = [Path(prefix, folder) for prefix in prefixes if prefix for folder in ("lib", f"lib/{_MULTIARCH}")]
+    libraries = (path.name for folder in folders for path in folder.glob("libfast*.so*"))
+    return next((name.startswith("libfastdds.") for name in libraries if name.startswith(_FAST_DDS)), False)
 
 
 def _why_keep_profile(environ: Mapping[str, str], cwd: Path, shared_memory: Path) -> str:

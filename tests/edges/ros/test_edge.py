@@ -281,6 +281,7 @@ def test_quality_of_service_follows_the_publishers(peer: Peer, edge: RosEdge, he
     peer.publish("/qos/best_effort", {"data": "heard"})
     assert heard.until(lambda: heard.of("/qos/best_effort") == strings("heard"))
     assert heard.until(lambda: heard.of("/qos/latched") == strings("before"))
+    assert heard.until(lambda: "ros_subscribed" in heard.codes("/qos/latched"))
     noted = {note.stream: note.data for note in heard.notes if note.code == "ros_subscribed"}
     assert noted["/qos/best_effort"] == {"type": STRING, "depth": 10, "reliable": False, "latched": False}
     assert noted["/qos/latched"]["latched"] is True
