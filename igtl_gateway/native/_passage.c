@@ -199,6 +199,7 @@ typedef struct Passage {
     int epoll, wake;
     Link *noted;            /* list of links with events */
     Link *with_large;       /* list of links that have read a large message since wait_large */
+    Stream *left_streams;   /* list of those that nothing refers to, but were in use; guarded by the GIL */
     pthread_cond_t large_read;
     Link *closed_links;     /* list of links that the reading thread may still know; it owns a reference to each */
     Subscription *ready;    /* list of subscriptions that Python owns and that have messages */
@@ -387,6 +388,7 @@ struct Stream {
     ssize_t latest_size;
     char keeps;         /* to ROS: the latest message is kept, too */
     struct kept *large; /* the latest message, if it is large */
+    int is_in_use;      /* the reading thread passes a message on without the sequence lock; atomic */
 };
 
 /* Note the latest message of a stream. */
@@ -823,11 +825,18 @@ static ssize_t most_of_large(const Link *self, const uint8_t *names)
     return 0;
 }
 
+/* A large message that was read whole has passed; the caller has `reading`. */
+static int end_body(Link *self)
+{
+    self->body = NULL;
+    self->received_messages++;
+    self->room--;
+    return 1;
+}
+
 /* Pass on a large message that was read whole, if it takes no longer than others may wait; the caller has `reading`. */
 static int pass_body(Link *self)
 {
-    if (self->body_size > LARGEST_RECEIVED)
-        return 0;
     wait_for_sequence(self->passage);
     Stream *stream = __atomic_load_n(&self->large_waiting, __ATOMIC_ACQUIRE) ? NULL : stream_of(self, self->body); /* perhaps for one of its stream */
     int passed = stream && pass_to_ros(self->passage, stream, self->body, self->body_size, self->heard_ns);
@@ -835,10 +844,7 @@ static int pass_body(Link *self)
     if (!passed)
         return 0;
     free(self->body);
-    self->body = NULL;
-    self->received_messages++;
-    self->room--;
-    return 1;
+    return end_body(self);
 }
 
 /* Give a large message, whose outputs are made, its number and its places in the recorder's queue; 0: Python's.
@@ -870,8 +876,8 @@ static int admit_to_ros(Link *self, Stream *stream, const uint8_t *data, const s
 }
 
 /* Pass a large message on without the sequence lock, except for its number; 0, and nothing has happened: it must go to
- * Python.  The caller owns a reference to the stream. */
-static int pass_large_to_ros(Link *self, Stream *stream, struct kept *kept, int is_checked)
+ * Python.  ``most``: bytes of its outputs.  The stream stays until the end: the caller owns a reference, or has it in use. */
+static int pass_large_to_ros(Link *self, Stream *stream, struct kept *kept, int is_checked, ssize_t most)
 {
     Passage *passage = self->passage;
     uint8_t *data = kept->message.buffer;
@@ -880,8 +886,7 @@ static int pass_large_to_ros(Link *self, Stream *stream, struct kept *kept, int 
     int64_t begun_ns = clock_ns(CLOCK_MONOTONIC), shown_ns;
     struct chosen chosen;
     if (!stream->is_bulk || !bulk_from_igtl_fits(&stream->bulk_from_igtl, data, size) ||
-        !choose_outputs(passage, stream, data, size, LARGEST_MADE, &chosen) || !chosen.wanted ||
-        chosen.bytes > LARGEST_MADE)
+        !choose_outputs(passage, stream, data, size, most, &chosen) || !chosen.wanted || chosen.bytes > most)
         return 0;
     bulk.check_crc &= !is_checked;
     /* The pixels of a picture stay where they are: what was before them is kept apart. */
@@ -922,6 +927,32 @@ static int pass_large_to_ros(Link *self, Stream *stream, struct kept *kept, int 
     return passes;
 }
 
+static int is_right(const Link *self) { return self->checks && self->body_crc == get_u64(self->body + CRC_AT); }
+
+/* Pass on a message that is larger than its outputs, such as points, without the way to the other thread.  What is
+ * recorded is copied whole: others would wait for that.  The caller has `reading`. */
+static int pass_points(Link *self)
+{
+    Passage *passage = self->passage;
+    struct rcl_serialized message = {.buffer = self->body, .length = (size_t)self->body_size};
+    wait_for_sequence(passage);
+    int waits = passage->is_recorded || __atomic_load_n(&self->large_waiting, __ATOMIC_ACQUIRE);
+    Stream *stream = waits ? NULL : stream_of(self, self->body);
+    if (stream)
+        __atomic_store_n(&stream->is_in_use, 1, __ATOMIC_RELEASE);
+    unlock_sequence(passage);
+    struct kept *kept = stream ? keep(&message) : NULL;
+    int passed = kept && pass_large_to_ros(self, stream, kept, is_right(self), LARGEST_RECEIVED);
+    if (stream)
+        __atomic_store_n(&stream->is_in_use, 0, __ATOMIC_RELEASE);
+    if (!passed) {
+        free(kept);
+        return 0;
+    }
+    leave_kept(kept);
+    return end_body(self);
+}
+
 /* Leave a large message that was read whole to Python, and go on reading; the caller has `reading`. */
 static void end_large(Link *self)
 {
@@ -933,10 +964,8 @@ static void end_large(Link *self)
     }
     large->message.buffer = self->body;
     large->message.length = large->message.capacity = (size_t)self->body_size;
-    large->is_checked = self->checks && self->body_crc == get_u64(self->body + CRC_AT);
-    self->body = NULL;
-    self->received_messages++;
-    self->room--;
+    large->is_checked = is_right(self);
+    end_body(self);
     pthread_mutex_lock(&passage->events);
     *self->large_end = large;
     self->large_end = &large->next;
@@ -1018,7 +1047,8 @@ static int receive(Link *self)
     self->body_filled += count;
     if (self->checks)
         self->body_crc = crc64_update(self->body_crc, place, count);
-    if (self->body_filled == self->body_size && !pass_body(self))
+    int is_whole = self->body_filled == self->body_size;
+    if (is_whole && !(self->body_size > LARGEST_RECEIVED ? pass_points(self) : pass_body(self)))
         end_large(self);
     return 0;
 }
@@ -1592,7 +1622,7 @@ static void on_message(const void *user_data, size_t events)
 
 /* -- Python: streams ------------------------------------------------------------------------------------------------------ */
 
-static void stream_dealloc(Stream *self)
+static void free_stream(Stream *self)
 {
     free(self->sample);
     free(self->latest);
@@ -1611,6 +1641,26 @@ static void stream_dealloc(Stream *self)
     Py_XDECREF((PyObject *)self->guard);
     Py_XDECREF((PyObject *)self->passage);
     Py_TYPE(self)->tp_free((PyObject *)self);
+}
+
+/* Free what the reading thread had in use when the last reference went: it has nothing in use now, and the GIL. */
+static void free_left(Passage *passage)
+{
+    while (passage->left_streams) {
+        Stream *stream = passage->left_streams;
+        passage->left_streams = stream->next;
+        free_stream(stream);
+    }
+}
+
+static void stream_dealloc(Stream *self)
+{
+    if (__atomic_load_n(&self->is_in_use, __ATOMIC_ACQUIRE)) {
+        self->next = self->passage->left_streams;
+        self->passage->left_streams = self;
+    } else {
+        free_stream(self);
+    }
 }
 
 static PyObject *stream_remove(Stream *self, PyObject *nothing)
@@ -2300,7 +2350,7 @@ static int pass_read(Link *self, struct rcl_serialized *message, int is_checked)
     int passed = 0;
     if (kept) {
         Py_BEGIN_ALLOW_THREADS
-        passed = pass_large_to_ros(self, stream, kept, is_checked);
+        passed = pass_large_to_ros(self, stream, kept, is_checked, LARGEST_MADE);
         Py_END_ALLOW_THREADS
         if (passed) {
             message->buffer = NULL;
@@ -2660,6 +2710,7 @@ static PyObject *passage_wait_links(Passage *self, PyObject *nothing)
         Py_DECREF(closed);
         closed = next;
     }
+    free_left(self);
     return found;
 }
 

@@ -35,6 +35,7 @@ from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.convert.rosmsg import Header, TransformStamped
 from igtl_gateway.edges.ros.receiver import NativeReceiver
 from igtl_gateway.edges.tcp import PeerLimits
+from igtl_gateway.edges.tcp.native_reader import NativeReader
 from igtl_gateway.gateway import Session, guarded_stream, make_core
 from igtl_gateway.gateway.fastpath import passage_streams
 from igtl_gateway.gateway.live_settings import LiveSettings
@@ -515,6 +516,46 @@ def test_pictures_and_large_clouds_pass_natively(
         wait_for(lambda: len(peer.received) >= 3 * 27 - 1)
     if path:
         check_recording(path, config, here.bridge.losses)
+
+
+def test_points_pass_in_the_thread_that_reads_as_in_python(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also where their stream is dropped meanwhile, which the settings of TRANSFORM do."""
+    messages = []
+    for number in range(120):
+        places = np.full((2_000 + number, 3), number, ">f4")
+        places[number, 1] = math.nan if number % 40 == 39 else 0.5
+        marks: Any = Points.of(places)
+        data = bytearray(join(encode(Message("POINT", "Marks", marks, ns_to_ticks((1 + number) * NS_PER_S)))))
+        data[-1] ^= number % 40 == 20  # a wrong CRC
+        messages.append(bytes(data))
+
+    asked: list[Any] = []
+    ask = NativeReader._ask
+
+    def count(*arguments: Any) -> None:
+        asked.append(arguments)
+        ask(*arguments)
+
+    monkeypatch.setattr(NativeReader, "_ask", count)
+
+    def published(native: bool) -> list[tuple[str, bytes]]:
+        with scene(monkeypatch, native=native) as here:
+            peer = here.connect()
+            for number, data in enumerate(messages):
+                if number == 20:
+                    wait_for(lambda: not native or here.native == 1)
+                    asked.clear()
+                if number == 60:
+                    wait_for(lambda: here.received("igtl_in") == 60)
+                    assert len(asked) < 30, "only the odd ones, and what comes behind them, take the other thread"
+                if number > 60 and not number % 5:
+                    wait_for(lambda number=number: here.received("igtl_in") >= number - 3)
+                    here.bridge.change({"deny_out": ("TRANSFORM",) if number % 2 else ()})
+                peer.send(data)
+            wait_for(lambda: here.received("igtl_in") == len(messages))
+            return [one for one in here.middleware.published if "Marks" in one[0]]
+
+    assert published(native=True) == published(native=False)
 
 
 @pytest.mark.slow
