@@ -27,6 +27,7 @@ NOTES: dict[str, dict[str, str]] = {
         "out_of_memory": "there is no memory for a message; the link is closed",
         "conversion": "the message cannot be converted; the text has the reason",
         "not_finite": "a number is NaN or infinite",
+        "no_base": "part of an image that is not kept",
         "no_partner": "a relay has no connection to the other side for this message",
         "denied": "`deny_in` or `deny_out` has this type",
         "stale": "the message is older than `max_age_s` and is withheld; begin of an episode",

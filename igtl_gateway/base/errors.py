@@ -15,7 +15,8 @@
     │   ├── LinkClosed              the connection is closed (a ConnectionError)
     │   └── Refused                 the peer refuses a query
     ├── ConversionError             a message without a counterpart on the other side
-    │   └── NotFinite               NaN or infinity
+    │   ├── NotFinite               NaN or infinity
+    │   └── NoBase                  part of an image that is not kept
     ├── RosError                    ROS 2: not installed, unknown type, rejected name
     ├── ViewerError                 rerun and its viewer: not installed, no display, no reply
     ├── OutputError                 standard output or error cannot be written: the disk is full
@@ -121,6 +122,12 @@ class NotFinite(ConversionError):
     """A number of a pose is NaN or infinite."""
 
     code = "not_finite"
+
+
+class NoBase(ConversionError):
+    """The image that a message is a part of is not kept."""
+
+    code = "no_base"
 
 
 class RosError(GatewayError):

@@ -28,6 +28,8 @@ replay and verification use the settings of the recorded session.
     watch = true                   # report jumps of units, decreasing stamps …; by default in live sessions only
     cautious = true                # send peers that are not recognised only what every program can skip; by default
                                    # in live sessions only
+    keep_mib = 64                  # MiB of the last images of all devices, and of the last messages of all topics; by
+                                   # default in live sessions only
 
     [[to_igtl]]                    # ROS topic → OpenIGTLink; the first matching row applies
     topic = "/camera/image_raw"    # * matches within one level, ** across levels
@@ -88,7 +90,15 @@ from igtl_gateway.base.untrusted.files import read_bytes
 from igtl_gateway.base.untrusted.text import parse_toml
 from igtl_gateway.config.faults import RelayFaults
 from igtl_gateway.config.setting import GATEWAY, HOST, IGTL, RECORD, TYPE_NAMES
-from igtl_gateway.config.settings import PROFILE_NAMES, RECEIVE, SOURCE, STAMP_POLICIES, check_values, of_table
+from igtl_gateway.config.settings import (
+    DEFAULT_KEEP_MIB,
+    PROFILE_NAMES,
+    RECEIVE,
+    SOURCE,
+    STAMP_POLICIES,
+    check_values,
+    of_table,
+)
 from igtl_gateway.convert import crtk
 from igtl_gateway.convert.arms import ArmsRow, arms_of_profile, arms_row
 from igtl_gateway.convert.frames import TfRequest
@@ -96,8 +106,8 @@ from igtl_gateway.convert.profiles import AUTO
 from igtl_gateway.convert.table import TO_IGTL
 from igtl_gateway.convert.units import UNITS, LengthUnits
 
-#: Settings that older recordings do not have: they are None there.  In a live session their default is true.
-LIVE = ("watch", "cautious")
+#: Settings that older recordings do not have, and their default in a live session.  They are None in these recordings.
+LIVE: Mapping[str, bool | int] = {"watch": True, "cautious": True, "keep_mib": DEFAULT_KEEP_MIB}
 #: Former names of the policies, in the configurations of old recordings.
 _STAMP_ALIASES = {"now": RECEIVE}
 OUT_PREFIX = "/igtl/out/"
@@ -176,7 +186,8 @@ class Config:
     """The configuration of a session; see the module for the meaning of each setting.
 
     ``watch`` adds notes.  None, as in recordings that are older than this setting, means no such notes.  Live sessions
-    set it; see ``watched``.  ``cautious`` is None in older recordings, too: there, peers are treated as they were then.
+    set it; see ``watched``.  ``cautious`` and ``keep_mib`` are None in older recordings, too: there, peers are treated
+    as they were then, and nothing is forgotten.
     """
 
     base_frame: str = "igtl"
@@ -200,6 +211,7 @@ class Config:
     kinds: tuple[str, ...] = ()
     watch: bool | None = None
     cautious: bool | None = None
+    keep_mib: int | None = None
     to_igtl: tuple[ToIgtlRow, ...] = ()
     to_ros: tuple[ToRosRow, ...] = ()
     tf_out: tuple[TfOutRow, ...] = ()
@@ -345,11 +357,11 @@ class Config:
         """Return the configuration with the settings in ``LIVE`` of a recording, where it does not set them."""
         return self._with_live({name: getattr(recorded, name) for name in LIVE})
 
-    def watched(self, unless_set: bool | None = True) -> Config:
-        """Return the configuration with the settings in ``LIVE`` set to ``unless_set`` if they are None."""
-        return self._with_live(dict.fromkeys(LIVE, unless_set))
+    def watched(self) -> Config:
+        """Return the configuration of a live session: the settings in ``LIVE`` have their defaults if they are None."""
+        return self._with_live(LIVE)
 
-    def _with_live(self, values: dict[str, Any]) -> Config:
+    def _with_live(self, values: Mapping[str, Any]) -> Config:
         return dataclasses.replace(
             self, **{name: value for name, value in values.items() if getattr(self, name) is None}
         )
@@ -371,8 +383,9 @@ class Config:
         for name in ("max_age_s", "kinds", "allow_in", "allow_out", "mark_from", "crtk"):
             if not values[name]:
                 del values[name]
-        if self.cautious is None:
-            del values["cautious"]
+        for name in ("cautious", "keep_mib"):
+            if values[name] is None:
+                del values[name]
         for table in ("to_igtl", "to_ros", "tf_out"):
             for row in values[table]:
                 if row["max_age_s"] is None:
@@ -536,8 +549,8 @@ def _checked(place: str, name: str, kind: type, value: Any) -> Any:
         return float(value)
     if kind is not tuple and kind in TYPE_NAMES and type(value) is not kind:
         raise ConfigError(f"{place}: found {value!r}, expected {TYPE_NAMES[kind]}")
-    if name in LIVE and not (value is None or type(value) is bool):
-        raise ConfigError(f"{place}: found {value!r}, expected true or false")
+    if name in LIVE and not (value is None or type(value) is type(LIVE[name])):
+        raise ConfigError(f"{place}: found {value!r}, expected {TYPE_NAMES[type(LIVE[name])]}")
     if name in _TEXT_LISTS:
         if not (isinstance(value, list | tuple) and all(isinstance(item, str) for item in value)):
             raise ConfigError(f'{place}: found {value!r}, expected strings such as ["a", "b"]')

@@ -52,6 +52,8 @@ STAMP_POLICIES = (SOURCE, RECEIVE)
 #: Codecs of the setting ``video_codec``; ``edges.video`` has them.
 VIDEO_CODECS = ("h264", "vp9")
 
+#: MiB that are kept of last images, and of last messages; a usual volume has up to 60.
+DEFAULT_KEEP_MIB = 64
 #: Upper limit of the timeout of a COMMAND, s: one day.
 MAX_TIMEOUT_S = 86_400.0
 
@@ -415,6 +417,17 @@ _ROS = (
         "",
         least=1,
         most=_MANY,
+    ),
+    Setting(
+        "keep_mib",
+        DEFAULT_KEEP_MIB,
+        "memory for the last images of all devices, of which later ones may be parts, and as much for the last "
+        "messages of all ROS topics, for queries and late joiners; the oldest are forgotten",
+        GATEWAY,
+        metavar="MIB",
+        unit="MiB",
+        least=1,
+        most=1 << 20,
     ),
     Setting(
         "command_timeout_s",

@@ -34,10 +34,13 @@ class VolumeAssembler:
     Attributes:
         missing: voxels that no message has covered yet.  While parts are stored, overlaps are not known: a lower bound.
         held: approximate number of stored bytes.
+        used: number of the last entry with a message of it, for those who choose what to forget.
     """
 
     def __init__(self) -> None:
-        self.missing = self.held = 0
+        self.missing = self.held = self.used = 0
+        self._forgotten: Form | None = None  # of a whole image that was forgotten
+        self._is_base = False  # a whole image came as one message
         self._form: Form | None = None
         self._parts: list[Image] = []  # until the array is allocated
         self._whole: npt.NDArray[Any] | None = None  # byte order of the first message
@@ -108,11 +111,23 @@ class VolumeAssembler:
         """Store a whole image for later updates.  If ``takes`` is true, this is equal to ``update`` with that image."""
         self._begin(form)
         self._whole = np.frombuffer(pixels, dtype).reshape(form[0])
-        self.missing, self.held = 0, pixels.nbytes
+        self.missing, self.held, self._is_base = 0, pixels.nbytes, True
+
+    def forget(self) -> None:
+        """Discard what is stored.  Parts of a whole image that came as one message then lack their base."""
+        forgotten = self._form if self._is_base else None
+        self._begin(None)
+        self._forgotten = forgotten
+
+    def lacks_base(self, image: Image) -> bool:
+        """Return whether this is a part of a whole image that was forgotten."""
+        is_part = self._forgotten is not None and image.sub_size != image.dimensions
+        return is_part and self._forgotten == form_of(image)
 
     def _begin(self, form: Form | None) -> None:
         """Discard everything stored and start a volume of this form."""
         self._form, self._parts, self._whole, self._seen = form, [], None, None
+        self._forgotten, self._is_base = None, False
         self.missing, self.held = math.prod(form[0][:3]) if form else 0, 0
 
     def _put(self, image: Image) -> None:

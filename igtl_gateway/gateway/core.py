@@ -68,7 +68,7 @@ class Gateway:
     Attributes:
         phases: those that marks have begun.
         on_mark: takes the note of each mark of a peer; None in a session that is computed again, whose inputs have it.
-        fast, prepare, collect: entry points of the fast path; see ``FastPath``.
+        fast, prepare: entry points of the fast path; see ``FastPath``.
         deadline_set: called after each input that may have set ``due_ns`` to an earlier time; see ``app.timer``.
     """
 
@@ -85,16 +85,18 @@ class Gateway:
         activity = Activity()
         self._tf = tf = TfOut(config, tuple(streams.device(row.request().device) for row in config.tf_out))
         self._subscribers = subscribers = Subscribers(needs_tf=bool(tf))
-        volumes = Volumes()
+        self._room = room = None if config.keep_mib is None else config.keep_mib << 20
+        self._forget_at_ns: int | None = None
+        self._volumes = volumes = Volumes(room)
         beforehand = Beforehand(config, subscribers)
 
         composer = Composer(config, streams)
-        latest = Latest(streams, guard, tf, composer, forms=config.knows_peers)
+        self._latest = latest = Latest(streams, guard, tf, composer, forms=config.knows_peers, room=room)
         delivery = Delivery(denied_out, tf.tree)
         tracking = Tracking(peers, latest)
         self._frames = frames = TfReceiver(tf, guard, peers, delivery, tracking)
         self._converter = Converter(streams, subscribers, frames, beforehand)
-        robots = CommandGuard(config, latest.entries.get)
+        robots = CommandGuard(config, latest.get)
         router = Router(config, streams, guard, volumes, self._converter, robots)
 
         self._commands = commands = Commands(config, peers, streams, composer, delivery)
@@ -158,7 +160,6 @@ class Gateway:
         )
         self.fast: FastHandler = self.fast_path.take
         self.prepare: PrepareMessage = self.fast_path.prepare
-        self.collect: Callable[[], None] = self.fast_path.collect
         streams.advertise(LINKS_TOPIC, LINKS_QOS)
 
     def handle(self, entry: Entry) -> list[Entry]:
@@ -231,10 +232,17 @@ class Gateway:
         """Return whether a full send queue must not drop this OpenIGTLink message."""
         return is_kept(entry.type)
 
+    def collect(self) -> None:
+        """Take over what the native passage has counted, and plan a tick if more is kept than permitted."""
+        self.fast_path.collect()
+        if self._room is not None:
+            self._subscribers.forget(self._room)  # no input: recorded sessions have none that wait
+        self._forget_at_ns = 0 if self._volumes.exceed or self._latest.exceed() else None
+
     @property
     def due_ns(self) -> int | None:
         """Gateway time (UTC ns) at which the core needs a tick (see ``TICK``); None if it needs none."""
-        times = (self._commands.due_ns, self._links.due_ns)
+        times = (self._commands.due_ns, self._links.due_ns, self._forget_at_ns)
         return min((time for time in times if time is not None), default=None)
 
     # -- notes of the edges, and new streams -------------------------------------------------------------------
@@ -242,6 +250,7 @@ class Gateway:
     def _on_edge_note(self, entry: Entry) -> Outcome:
         event = Note.of(entry.data())
         if event.code == TICK:
+            self._forget()
             return Outcome([*self._commands.overdue(entry), *self._links.ping(entry), *self._links.release(entry)])
         if event.code == LISTENED:
             return Outcome(self._converter.build_waiting(event.stream))
@@ -251,6 +260,12 @@ class Gateway:
         if step := ClockStep.of(entry):
             self._guard.clock_stepped(step.ahead_ns)
         return Outcome(tallies=[Tally("edges", event.stream, event.code)])
+
+    def _forget(self) -> None:
+        """Keep no more than permitted: what is forgotten depends on the inputs up to this tick only."""
+        self._volumes.forget()
+        self._latest.forget()
+        self._forget_at_ns = None
 
     def _mark(self, note: Note) -> None:
         if self.on_mark:

@@ -32,7 +32,6 @@ class Core(Protocol):
     config: Config
     fast: FastHandler
     prepare: PrepareMessage
-    collect: Callable[[], None]
     has_subscriber: HasSubscriber | None
     deadline_set: Callable[[], None] | None
     phases: OpenPhases
@@ -50,6 +49,8 @@ class Core(Protocol):
     def due_ns(self) -> int | None: ...
 
     def handle(self, entry: Entry) -> list[Entry]: ...
+
+    def collect(self) -> None: ...
 
     def subscription(self, topic: str, ros_type: str) -> Qos | None: ...
 

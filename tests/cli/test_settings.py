@@ -154,7 +154,7 @@ def test_a_relay_makes_no_marks_of_messages() -> None:
 
 def test_without_anything_it_is_the_default() -> None:
     assert values() == {row.name: row.default for row in all_settings()}
-    assert config_of(values()) == Config(watch=True, cautious=True)
+    assert config_of(values()) == Config().watched()
     assert bridge_options.limits(values()) == PeerLimits()
 
 

@@ -4,8 +4,8 @@ There are two, each applied only if the user has not chosen another.  Measured w
 process, one Full HD RGB image took 59 ms with the defaults, 27 ms with the shared-memory profile and
 14 ms with the allocator settings on top (28, 74 and 137 images a second):
 
-* Fast DDS gets a profile with a shared-memory transport that takes an image in one piece, and whose publishers keep no
-  buffer of the largest message that they have sent;
+* Fast DDS gets a profile with a shared-memory transport that takes an image in one piece, and whose publishers and
+  subscriptions keep no buffer of their largest message;
 * glibc's allocator keeps big blocks instead of giving them back to the kernel after every message: the
   page faults of fresh blocks were half of the cost.
 

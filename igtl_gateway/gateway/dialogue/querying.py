@@ -18,6 +18,7 @@ from igtl_gateway.wire import Message
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.query import split_query
 
+_NONE_YET = "no such message received yet"
 #: Entry, peer, message, requested type, short device name.
 _Answer = Callable[["Queries", Entry, Peer, Message, str, str], list[Item]]
 
@@ -83,7 +84,9 @@ class Queries:
         sent = any(isinstance(item, Output) and item.kind is Kind.IGTL_OUT for item in items)
         if outs and (sent or not peer.may_send(igtl_type)):
             return items
-        text = f"{message.type} of {device or 'any device'} not answered: no such message received yet"
+        forgotten = self._latest.has_forgotten(igtl_type, device)
+        why = "the last one is not kept: messages of all topics exceed keep_mib" if forgotten else _NONE_YET
+        text = f"{message.type} of {device or 'any device'} not answered: {why}"
         refusal = answers.empty_reply(igtl_type, device, entry.stamp_ns, peer)
         return [
             *items,

@@ -107,11 +107,16 @@ class CompiledToRos:
             return "its images may be parts of a volume"
         return ""
 
-    def has_passed(self, messages: int, last: Buffer | None) -> None:
-        """Take over what later messages depend on: how many have passed, and the last one if the stream ``keeps``."""
+    def has_passed(self, messages: int, last: Buffer | None, seq: int) -> None:
+        """Take over what later messages depend on: how many have passed, and the last one if the stream ``keeps``.
+
+        ``seq``: number of its entry.
+        """
         if self._volume and last is not None:
             (at, size), (assembler, form, dtype) = self.places, self._volume
-            assembler.keep(form, dtype, memoryview(last)[at : len(last) - size])
+            if seq > assembler.used:  # streams of two links with one device are taken over in any order
+                assembler.keep(form, dtype, memoryview(last)[at : len(last) - size])
+                assembler.used = seq
         if self._passed_over is not None:
             self._passed_over(messages)
 
@@ -180,7 +185,7 @@ class CompiledToRos:
             self._waiting.pop(topic, None)
         if self._defer is not None:
             self._waiting.update((topic, self._defer(entries[0], topic, shown_ns)) for topic in later)
-        self.has_passed(1, payload[0])
+        self.has_passed(1, payload[0], seq)
         count = self.count
         count["received"] = count.get("received", 0) + 1
         count["decoded"] = count.get("decoded", 0) + 1

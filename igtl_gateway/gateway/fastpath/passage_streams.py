@@ -336,7 +336,7 @@ class PassageStreams:
                 _add(counter, {"published": number})
             self._on_passed(Kind.IGTL_IN, received)
             self._on_passed(Kind.ROS_OUT, sum(sent))
-            compiled.has_passed(received, latest[3] if latest else None)
+            compiled.has_passed(received, *((latest[3], latest[0]) if latest else (None, 0)))
         else:
             for (output, links, counter), number, left in zip(compiled.outputs, sent, ignored, strict=True):
                 _add(counter, {"sent": number * links})

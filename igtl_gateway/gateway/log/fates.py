@@ -22,6 +22,7 @@ DROPPED = {
     "not_for_peer": "the profile of every peer excludes this type",
     "not_chosen": "the configuration publishes no topic of it",
     "part_of_volume": "part of a volume that was not complete yet",
+    "no_base": "part of an image that is not kept (keep_mib)",
     "no_conversion": "no conversion to ROS",
     "empty": "empty body, not published",
     "too_many_streams": "more streams than allowed",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.base.stamp import NS_PER_S
@@ -15,24 +16,43 @@ from igtl_gateway.gateway.to_igtl.pose_forms import as_type
 from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
 from igtl_gateway.gateway.to_igtl.tf_out import TfOut
 
+#: Messages up to this size are never forgotten: poses, and the states of robots.
+_SMALL_BYTES = 64 << 10
+
 
 class Latest:
     """Keeps the latest message of each bridged topic.
 
     Args:
         forms: answer with frames of the tf tree as the other type of poses, too; False in old recordings.
+        room: bytes of all messages that ``forget`` leaves; None: any number, as in old recordings.
 
     Attributes:
-        entries: topic → its latest message; at most one for each bridged topic.
+        entries: topic → its latest message, without its payload if it was forgotten; one for each bridged topic.
     """
 
-    def __init__(self, streams: Streams, guard: Guard, tf: TfOut, composer: Composer, *, forms: bool = True) -> None:
+    def __init__(
+        self,
+        streams: Streams,
+        guard: Guard,
+        tf: TfOut,
+        composer: Composer,
+        *,
+        forms: bool = True,
+        room: int | None = None,
+    ) -> None:
         self.entries: dict[str, Entry] = {}
+        self._room = room
         self._streams = streams
         self._guard = guard
         self._tf = tf
         self._composer = composer
         self._forms = forms
+
+    def get(self, topic: str) -> Entry | None:
+        """Return the latest message of a topic; None if there is none, or it was forgotten."""
+        entry = self.entries.get(topic)
+        return entry if entry and entry.payload else None
 
     def of(self, cause: Entry, igtl_type: str, device: str) -> list[OutboundMessage]:
         """Return the latest messages of a type and device ("" for any), composed for the time of ``cause``.
@@ -43,7 +63,7 @@ class Latest:
         other: list[OutboundMessage] = []
         for entry in self.entries.values():
             stream = self._streams.to_igtl(entry.channel, entry.type)
-            if stream is None or device not in ("", stream.device, stream.full_name):
+            if stream is None or not entry.payload or device not in ("", stream.device, stream.full_name):
                 continue
             outs = self._as_type(entry, stream, igtl_type)
             if stream.max_age_s and not stream.latched:  # a late query must not make old data look new
@@ -69,8 +89,47 @@ class Latest:
         """Yield the latest messages of latched streams."""
         for entry in self.entries.values():
             stream = self._streams.to_igtl(entry.channel, entry.type)
-            if stream and stream.latched:
+            if stream and stream.latched and entry.payload:
                 yield entry, stream
+
+    def has_forgotten(self, igtl_type: str, device: str) -> bool:
+        """Return whether a message of this type and device ("" for any) came last, and was forgotten."""
+        for entry in self.entries.values():
+            stream = None if entry.payload else self._streams.to_igtl(entry.channel, entry.type)
+            if stream and stream.conversion.igtl_type == igtl_type and device in ("", stream.device, stream.full_name):
+                return True
+        return False
+
+    def exceed(self) -> bool:
+        """Return whether ``forget`` has anything to do."""
+        return self._room is not None and self._held() > self._room and bool(self._forgettable())
+
+    def forget(self) -> None:
+        """Forget large messages until the others are within the room.
+
+        Those that alone exceed it are first; those of latched streams, which late joiners get, are last.
+        """
+        room = self._room
+        if room is None:
+            return
+        held = self._held()
+        for entry in self._forgettable():
+            if held <= room:
+                return
+            held -= entry.size
+            self.entries[entry.channel] = replace(entry, payload=())  # in its place: answers are in their order
+
+    def _held(self) -> int:
+        return sum(entry.size for entry in self.entries.values())
+
+    def _forgettable(self) -> list[Entry]:
+        """Return the messages that may be forgotten, in the order in which they are."""
+
+        def order(entry: Entry) -> tuple[bool, bool, int]:
+            stream = self._streams.to_igtl(entry.channel, entry.type)
+            return entry.size <= (self._room or 0), stream is not None and stream.latched, entry.seq
+
+        return sorted((one for one in self.entries.values() if one.size > _SMALL_BYTES), key=order)
 
     def _as_type(self, entry: Entry, stream: ToIgtlStream, igtl_type: str) -> list[OutboundMessage]:
         """Convert a kept ROS message to ``igtl_type`` ("": that of its stream); none if it cannot be converted."""

@@ -2,30 +2,35 @@
 
 from __future__ import annotations
 
-from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.errors import ConversionError, NoBase
 from igtl_gateway.convert.assembly import VolumeAssembler
 from igtl_gateway.wire.image import Image
 
 #: Maximum number of devices with partial images.
 MAX_VOLUMES = 64
-#: Maximum size of all kept images in bytes: several times the largest usual volumes (250 MiB).
+#: Maximum size of all kept images in bytes, until the next tick: several times the largest usual volumes (250 MiB).
 MAX_VOLUMES_BYTES = 2 << 30
 
 
 class Volumes:
-    """The latest image of each device."""
+    """The latest image of each device.
 
-    def __init__(self) -> None:
+    Args:
+        room: bytes of all images that ``forget`` leaves; None: any number, as in old recordings.
+    """
+
+    def __init__(self, room: int | None = None) -> None:
         self._assemblers: dict[str, VolumeAssembler] = {}
+        self._room = room
 
     def get(self, device: str) -> VolumeAssembler | None:
         """Return the assembler of a device; None if there is none."""
         return self._assemblers.get(device)
 
-    def assembled(self, device: str, image: Image) -> Image | None:
-        """Return the whole image that ``image`` updates; None while some of its parts are missing.
+    def assembled(self, device: str, image: Image, seq: int = 0) -> Image | None:
+        """Return the whole image that ``image`` of the entry ``seq`` updates; None while some of its parts are missing.
 
-        Raises ConversionError for partial images of too many devices.
+        Raises ConversionError for partial images of too many devices, NoBase for parts of what was forgotten.
         """
         assembler = self._assemblers.get(device)
         if assembler is None:
@@ -36,5 +41,30 @@ class Volumes:
                     f"IMAGE {device!r}: found a part of an image, expected whole ones beyond {MAX_VOLUMES} devices"
                 )
             assembler = self._assemblers[device] = VolumeAssembler()
+        if assembler.lacks_base(image):
+            raise NoBase(
+                f"IMAGE {device!r}: found a part of an image that is not kept, expected a whole one: the images of all "
+                f"devices exceed {(self._room or 0) >> 20} MiB (keep_mib)"
+            )
+        assembler.used = seq
         others = sum(one.held for one in self._assemblers.values()) - assembler.held
         return assembler.update(image, MAX_VOLUMES_BYTES - others)
+
+    @property
+    def exceed(self) -> bool:
+        """Whether ``forget`` has anything to do."""
+        return self._room is not None and sum(one.held for one in self._assemblers.values()) > self._room
+
+    def forget(self) -> None:
+        """Forget images that alone exceed the room, then those used least recently, until the others are within it."""
+        if self._room is None:
+            return
+        held = sum(one.held for one in self._assemblers.values())
+        for one in sorted(self._assemblers.values(), key=self._order):
+            if held <= self._room:
+                return
+            held -= one.held
+            one.forget()
+
+    def _order(self, one: VolumeAssembler) -> tuple[bool, int]:
+        return one.held <= (self._room or 0), one.used

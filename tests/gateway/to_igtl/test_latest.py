@@ -1,0 +1,138 @@
+"""What the gateway keeps of images and of ROS messages has a limit in bytes, and depends on the inputs only."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+
+from igtl_gateway.base.buffers import join
+from igtl_gateway.config.configuration import Config
+from igtl_gateway.convert import rosmsg
+from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.gateway import Gateway, Session
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.wire import Message, encode
+from igtl_gateway.wire.image import Image
+from igtl_gateway.wire.query import EmptyQuery
+from tests.gateway.fastpath.test_passage_streams import check_recording, scene, wait_for
+from tests.script import Script
+
+#: Bytes of a picture, of which two are within 1 MiB.
+SIDE = 700
+
+
+def whole(device: str, value: int = 1, side: int = SIDE) -> Message:
+    return Message("IMAGE", device, Image((side, side, 1), 3, bytes([value]) * (side * side)))
+
+
+def part(device: str, value: int = 9, side: int = SIDE) -> Message:
+    return Message("IMAGE", device, Image((side, side, 1), 3, bytes([value]), subvol_size=(1, 1, 1)))
+
+
+def picture(side: int = SIDE) -> rosmsg.Image:
+    return rosmsg.Image(Header(1, "base"), side, side, "mono8", 0, side, bytes(side * side))
+
+
+def looked(script: Script) -> None:
+    """What happens once a second."""
+    script.session.collect()
+    script.tick()
+
+
+def with_three_devices(config: Config) -> Script:
+    script = Script(config)
+    for device in ("A", "B", "C"):
+        script.igtl(whole(device))
+    script.igtl(whole("A"))  # B is the one that was used least recently
+    looked(script)
+    return script
+
+
+def again(config: Config, log: list[Entry]) -> list[bytes]:
+    """The outputs that the inputs of a log cause in another session, on the full path."""
+    session = Session(Gateway(config, fast_path=False))
+    return [output.data() for entry in log if entry.kind.is_input for output in session.recorded(entry)]
+
+
+def test_a_part_of_an_image_that_was_forgotten_is_refused_with_its_reason() -> None:
+    script = with_three_devices(config := Config(keep_mib=1))
+    assert script.igtl(part("B")) == ["note conversion"]
+    (note,) = script.notes
+    assert "IMAGE 'B': found a part of an image that is not kept" in note.text and "1 MiB (keep_mib)" in note.text
+    assert script.gateway.ledger.to_dict()["igtl_in"]["IMAGE/B"]["dropped"] == {"no_base": 1}
+    assert [script.igtl(part(device)) for device in "AC"] == [["ros /igtl/in/A/image"], ["ros /igtl/in/C/image"]]
+    script.igtl(whole("B"))
+    assert script.igtl(part("B")) == ["ros /igtl/in/B/image"], "a whole image begins again"
+    assert again(config, script.log) == [entry.data() for entry in script.log if not entry.kind.is_input]
+
+
+def test_recordings_without_the_setting_forget_nothing() -> None:
+    script = with_three_devices(Config())
+    assert [script.igtl(part(device)) for device in "ABC"] == [[f"ros /igtl/in/{device}/image"] for device in "ABC"]
+    script.session.collect()
+    assert script.gateway.due_ns is None
+
+
+def test_a_query_for_what_was_forgotten_has_its_own_reason() -> None:
+    script = Script(config := Config(keep_mib=1))
+    script.up(1)
+    for topic in ("one", "two", "three"):
+        script.ros(f"/igtl/out/{topic}", picture())
+    looked(script)
+    answered = [script.igtl(Message("GET_IMAGE", device, EmptyQuery())) for device in ("one", "two", "three")]
+    assert ["igtl IMAGE/two v1 to 1" in answered[1], "igtl IMAGE/three v1 to 1" in answered[2]] == [True, True]
+    assert answered[0][-1] == "note query_unanswered"
+    texts = [note.text for note in _notes(script) if "GET_IMAGE of one" in note.text]
+    assert texts and "is not kept: messages of all topics exceed keep_mib" in texts[0]
+    script.ros("/igtl/out/one", picture())
+    assert "igtl IMAGE/one v1 to 1" in script.igtl(Message("GET_IMAGE", "one", EmptyQuery()))
+    assert again(config, script.log) == [entry.data() for entry in script.log if not entry.kind.is_input]
+
+
+def _notes(script: Script) -> list[Note]:
+    return [Note.unpack(entry.data()) for entry in script.log if entry.kind is Kind.NOTE]
+
+
+def test_what_waits_for_a_first_subscriber_has_the_same_limit() -> None:
+    script = Script(Config(keep_mib=1))
+    script.gateway.has_subscriber = lambda topic, ros_type: False
+    for device in ("A", "B", "C"):
+        image = Image((SIDE, SIDE // 2, 2), 3, bytes(SIDE * SIDE))
+        script.igtl(Message("IMAGE", device, image))
+    waiting = script.gateway._subscribers.waiting
+    assert sorted(waiting) == ["/igtl/in/A/volume", "/igtl/in/B/volume", "/igtl/in/C/volume"]
+    looked(script)
+    assert sorted(waiting) == ["/igtl/in/B/volume", "/igtl/in/C/volume"]
+
+
+def test_a_live_session_that_forgets_is_verified(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Streams pass natively, in any order; what is forgotten follows from the recorded inputs all the same."""
+    path, config = tmp_path / "session.mcap", Config(keep_mib=1).watched()
+    with scene(monkeypatch, config, path) as here:
+        peer, sent, refused = here.connect(), 0, 0
+        until = time.monotonic() + 6
+        while time.monotonic() < until and refused < 2:
+            for device in "ABC" * 6:
+                sent += 1
+                peer.send(join(encode(whole(device, sent % 200, 400))))
+                here.send_ros(picture(400), f"/igtl/out/{device}")
+            for device in "DEA":
+                sent += 2
+                peer.send(join(encode(whole(device))))
+                peer.send(join(encode(part(device))))
+                here.send_ros(picture(), f"/igtl/out/{device}")
+            wait_for(lambda sent=sent: here.received("igtl_in") == sent)
+            here.bridge.hub.tick()
+            for device in "ABCDE":
+                sent += 2
+                side = SIDE if device in "ADE" else 400
+                peer.send(join(encode(part(device, side=side))))
+                peer.send(join(encode(Message("GET_IMAGE", device, EmptyQuery()))))
+            wait_for(lambda sent=sent: here.received("igtl_in") == sent)
+            streams = here.bridge.ledger()["streams"]["igtl_in"]
+            refused = sum(one.get("dropped", {}).get("no_base", 0) for one in streams.values())
+        assert refused >= 2
+    check_recording(path, config, here.bridge.losses)
