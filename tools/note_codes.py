@@ -98,6 +98,8 @@ NOTES: dict[str, dict[str, str]] = {
         "stamp_still": "the stamps do not change",
         "stamp_future": "a stamp is in the future",
         "calm": "one of these conditions has ended; how often it occurred",
+        "stream_silent": "a periodic stream of an open link, or of ROS, has had no message for 5 s",
+        "stream_back": "it has messages again, and how long it had none",
         "clock_step": "the clock of this host was set",
     },
     "ROS 2": {

@@ -39,6 +39,7 @@ from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.ledger import gaps
 from igtl_gateway.gateway.log.marks import MarkNote
 from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.gateway.silences import Silences
 from igtl_gateway.native.passage import Passage
 
 if TYPE_CHECKING:
@@ -154,6 +155,7 @@ class Bridge:
                     has_budget=bool(options.site.name),
                 )
         self._memory = IdleMemory()
+        self._silences = Silences()
         tick_ns = _FAULTY_TICK_NS if config.faults else _TICK_NS
         timer = Timer(self.hub.tick, lambda: self.gateway.due_ns, self.hub.now_ns, self._each_second, tick_ns, clock)
         self.gateway.deadline_set = timer.deadline_set
@@ -320,7 +322,7 @@ class Bridge:
         )
 
     def _each_second(self) -> None:
-        """Publish log and diagnostics, and return idle memory.  Runs in the timer's thread."""
+        """Publish log and diagnostics, note silent streams, and return idle memory.  Runs in the timer's thread."""
         self._memory.look()
         if self._passage:
             now_ns = self.hub.now_ns()
@@ -329,6 +331,10 @@ class Bridge:
             self._traffic.each_second()
         if self._diagnostics:
             self._diagnostics.publish(self.collect)
+        if self.gateway.guard.watch:
+            self.collect()
+            for note in self._silences.look(self.hub.now_ns(), self.gateway.guard.items()):
+                self.hub.note(note)
 
     def _recorded_qos(self, topic: str, ros_type: str) -> Qos | None:
         return self.gateway.qos(topic) or self.subscriptions.qos(topic, ros_type)

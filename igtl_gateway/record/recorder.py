@@ -138,8 +138,15 @@ class Recorder:
         return state.counters(dropped) | {"queued_entries": entries, "queued_bytes": waiting}
 
     def facts(self) -> dict[str, Any]:
-        """The counters, and whether and to which file it records."""
-        return self.counters() | {"paused": self.paused, "rests": self.rests, "file": self.file}
+        """The counters, whether and to which file it records, and the entries since the last start."""
+        counters, (written, left_out) = self.counters(), self._state.before
+        return counters | {
+            "paused": self.paused,
+            "rests": self.rests,
+            "file": self.file,
+            "entries_since_start": counters["written_entries"] - written,
+            "left_out_since_start": counters["left_out_entries"] - left_out,
+        }
 
     @property
     def failure(self) -> str:

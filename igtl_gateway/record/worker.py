@@ -124,6 +124,7 @@ class WorkerState:
         paused: whether it is.
         file: the file that is being written; "": there is none, before a start, after a stop, and of a snapshot.
         taken_away: the last file that was removed or changed while it was written, and where it goes on; or ``""``.
+        before: entries that were written and left out before the last start.
     """
 
     written_entries: int = 0
@@ -133,6 +134,7 @@ class WorkerState:
     paused: bool = False
     file: str = ""
     taken_away: str = ""
+    before: tuple[int, int] = (0, 0)
 
     def counters(self, not_queued: Counter[str]) -> dict[str, Any]:
         """As they go into the ledger, with what the queue did not take."""
@@ -265,6 +267,7 @@ class _RecorderWorker:
         self._told_state = WorkerState()
         self._is_cut = False  # the next file follows one that was taken away
         self._left_out_before = 0  # of the pause that is on
+        self._before_start = 0, 0
         self._flushed_ns = self._stated_ns = self._due_ns = clock.monotonic_ns()
         self._seen_refused = 0
         self._wanted: bool | None = None  # a start or a stop that is due
@@ -441,6 +444,7 @@ class _RecorderWorker:
             self._gate.paused,
             self._present(),
             self._taken_away,
+            self._before_start,
         )
 
     def _present(self) -> str:
@@ -677,6 +681,7 @@ class _RecorderWorker:
             if start:
                 self._is_cut = isinstance(writer, SoleFile)
                 text, code = f"the recording begins: {writer.begin()}", STARTED
+                self._before_start = writer.entries, self._gate.left_out.total()
             else:
                 text, code = f"the recording is closed: {writer.present}", STOPPED
                 writer.rest({"recorder": self._counters()})

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import socket
+import threading
 from pathlib import Path
 
 import pytest
@@ -20,7 +21,8 @@ from igtl_gateway.config.configuration import Config, ToIgtlRow
 from igtl_gateway.convert.rosmsg import Header, Image
 from igtl_gateway.edges.tcp import PeerLimits
 from igtl_gateway.gateway.log.entry import Entry, Kind
-from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.gateway.silences import STREAM_SILENT, Silences
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.sessionfile.reader import SessionFile
@@ -206,3 +208,19 @@ def test_the_ledger_closes_over_a_peer_that_does_not_read_and_one_that_has_gone(
     peers = bridge.losses["streams"]["peers"].values()
     assert sum(fates["sent"] for fates in peers) == bridge.losses["streams"]["igtl_out"]["IMAGE/Camera"]["sent"]
     assert all(fates["dropped"]["queue"] > 0 for fates in peers)
+
+
+def test_what_is_said_of_silent_streams_is_in_the_session(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = threading.Event()
+    monkeypatch.setattr(Silences, "look", lambda *_: [Note(Level.WARN, STREAM_SILENT, "TRANSFORM/Arm: no message")])
+
+    def take(entry: Entry) -> None:
+        if entry.kind is Kind.EDGE_NOTE and Note.unpack(entry.data()).code == STREAM_SILENT:
+            seen.set()
+
+    bridge = Bridge(Config(watch=True), BridgeOptions((("127.0.0.1", 0),), ros=False), SystemClock(), take)
+    bridge.start()
+    try:
+        assert seen.wait(30)
+    finally:
+        bridge.stop()

@@ -13,6 +13,7 @@ from igtl_gateway.doctor.rules import RULES
 from igtl_gateway.gateway.diagnostics import HARMLESS, RHYTHM_HZ, SILENT_NS
 from igtl_gateway.gateway.log.fates import DROPPED
 from igtl_gateway.gateway.log.rates import Rates
+from igtl_gateway.gateway.log.timing import FUTURE_NS
 
 #: States, the worst first: each has a word, a shape and a colour on the page.
 ERROR, SILENT, WARNING, WAITING, OK = "error", "silent", "warning", "waiting", "ok"
@@ -60,6 +61,12 @@ _ODD = {
     "stamp_still": "stamps do not change",
     "stamp_future": "stamps are in the future",
 }
+#: Role of this end of a link → the peer in words.
+_ROLES = {"server": "client", "client": "server"}
+#: Profiles that name no program.
+_NO_PROGRAM = frozenset({"", "default", "unrecognised"})
+#: Devices in the name of a peer, and letters of each.
+_NAMED, _LETTERS = 2, 40
 _STAMPS = {"stamp_backwards": "decrease", "stamp_still": "unchanged", "stamp_future": "in the future"}
 
 
@@ -71,6 +78,7 @@ class _Seen:
     received: int = 0
     moved_ns: int = 0
     gap_ns: int = 0
+    gap_utc_ns: int = 0
     rhythm: bool = False
     lost: int = 0
     lost_ns: int = 0
@@ -78,11 +86,11 @@ class _Seen:
     at_second: int = 0
     spark: deque[int] = field(default_factory=lambda: deque(maxlen=SPARK_S))
 
-    def take(self, now_ns: int, received: int, lost: int) -> None:
+    def take(self, now_ns: int, received: int, lost: int, utc_ns: int = 0) -> None:
         """Take the counts of a sample."""
+        if self.moved_ns and self.rhythm and now_ns - self.moved_ns > self.gap_ns:
+            self.gap_ns, self.gap_utc_ns = now_ns - self.moved_ns, utc_ns
         if received != self.received or not self.moved_ns:
-            if self.moved_ns and self.rhythm:
-                self.gap_ns = max(self.gap_ns, now_ns - self.moved_ns)
             self.moved_ns = now_ns
         if lost > self.lost:
             self.lost_ns = now_ns
@@ -114,7 +122,7 @@ class Now:
             utc_ns: the same in UTC.
             types: topic → type of ROS.
         """
-        streams = self._stream_rows(facts, now_ns, types)
+        streams = self._stream_rows(facts, now_ns, utc_ns, types)
         links = self._link_rows(facts, now_ns, utc_ns)
         return {
             "streams": _sorted(streams),
@@ -123,7 +131,9 @@ class Now:
             "inputs": sum(row["side"] in _INPUTS for row in streams),
         }
 
-    def _stream_rows(self, facts: Mapping[str, Any], now_ns: int, types: Mapping[str, str]) -> list[dict[str, Any]]:
+    def _stream_rows(
+        self, facts: Mapping[str, Any], now_ns: int, utc_ns: int, types: Mapping[str, str]
+    ) -> list[dict[str, Any]]:
         peers = {peer["link"]: peer["peer"] for peer in facts["peers"] if peer["link"]}
         watched: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
         for one in rows_of(facts):
@@ -136,7 +146,7 @@ class Now:
                 seen = self._streams.setdefault((side, stream), _Seen(now_ns))
                 dropped = drops.get(stream, {})
                 lost = sum(number for reason, number in dropped.items() if reason not in HARMLESS)
-                seen.take(now_ns, totals.get(stream, 0), lost)
+                seen.take(now_ns, totals.get(stream, 0), lost, utc_ns)
                 rate_hz = rates.get(stream, 0.0)
                 seen.rhythm = seen.rhythm or (rate_hz >= RHYTHM_HZ and side in _INPUTS)
                 ones = watched.get((side, stream), [])
@@ -159,8 +169,10 @@ class Now:
                         "rate_hz": rate_hz,
                         "spark": list(seen.spark),
                         "age_s": (now_ns - seen.moved_ns) / 1e9,
-                        "gap_s": max(seen.gap_ns, now_ns - seen.moved_ns) / 1e9 if seen.rhythm else None,
-                        "latency_ms": _milliseconds(one["age_ns"] for one in ones),
+                        "gap_s": seen.gap_ns / 1e9 if seen.rhythm else None,
+                        "gap_utc_ns": seen.gap_utc_ns,
+                        "latency_ms": _latency_ms(ones),
+                        "ahead_ms": _ahead_ms(ones, 0),
                         "received": seen.received,
                         "dropped": sum(dropped.values()) if lost else 0,
                         "stamps": _stamps(ones),
@@ -179,7 +191,7 @@ class Now:
             seen.take(now_ns, peer["messages"], lost)
             ones = [one for one in watched if one["link"] == peer["link"] and peer["link"]]
             state, text, rule = OK, "", ""
-            late_ms = _milliseconds(one["age_ns"] for one in ones if _is_old(one))
+            late_ms, ahead_ms = _milliseconds(one["age_ns"] for one in ones if _is_old(one)), _ahead_ms(ones)
             if not peer["connected"]:
                 state, text, rule = WAITING, "not connected; the bridge tries again", "not_connected"
             elif seen.lost_ns and now_ns - seen.lost_ns < _RECENT_NS:
@@ -188,18 +200,22 @@ class Now:
                 state, text, rule = WARNING, f"reads slowly: {queued:,} messages wait", "queue"
             elif late_ms:
                 state, text, rule = WARNING, f"is late: its messages are {late_ms / 1e3:.1f} s old on arrival", "old"
+            elif ahead_ms:
+                state, text, rule = WARNING, f"its clock is ahead by {ahead_ms / 1e3:.1f} s", "stamp_future"
             rows.append(
                 {
                     "key": f"{number} {peer['peer']}",
                     "state": state,
                     "link": peer["link"],
+                    "name": _name_of(peer, ones),
                     "peer": peer["peer"],
-                    "role": "client of the bridge" if peer["role"] == "server" else "server",
+                    "role": _ROLES[peer["role"]],
                     "profile": peer["profile"],
                     "since_ns": seen.since_ns if peer["connected"] else None,
                     "rate_hz": seen.spark[-1] if seen.spark else 0,
                     "spark": list(seen.spark),
-                    "latency_ms": _milliseconds(one["age_ns"] for one in ones),
+                    "latency_ms": _latency_ms(ones),
+                    "ahead_ms": _ahead_ms(ones, 0),
                     "jitter_ms": _milliseconds(one["jitter_ns"] for one in ones),
                     "queue": queued,
                     "dropped": lost,
@@ -228,8 +244,20 @@ def _judged(
     if late_ms := _milliseconds(one["age_ns"] for one in watched if _is_old(one)):
         return WARNING, f"messages are {late_ms / 1e3:.1f} s old on arrival", _advice("old")
     if odd:
-        return WARNING, "; ".join(_ODD.get(code, code) for code in odd), _advice(odd[0])
+        ahead_ms = _ahead_ms(watched)
+        said = _ODD | ({"stamp_future": f"the sender's clock is ahead by {ahead_ms / 1e3:.1f} s"} if ahead_ms else {})
+        return WARNING, "; ".join(said.get(code, code) for code in odd), _advice(odd[0])
     return OK, "", ""
+
+
+def _name_of(peer: Mapping[str, Any], watched: Iterable[Mapping[str, Any]]) -> str:
+    """Return what people call a peer: its program, and the devices that it sends; "" before either is known."""
+    devices = list(dict.fromkeys(device for one in watched if (device := one["stream"].partition("/")[2])))
+    words = [device[:_LETTERS] for device in devices[:_NAMED]]
+    if more := len(devices) - _NAMED if len(devices) > _NAMED else 0:
+        words.append(f"{more:,} more")
+    program = "" if peer["profile"] in _NO_PROGRAM else peer["profile"]
+    return ": ".join(filter(None, (program, ", ".join(words))))
 
 
 def _is_old(one: Mapping[str, Any]) -> bool:
@@ -251,10 +279,20 @@ def _advice(rule: str) -> str:
     return advice[:1].upper() + advice[1:]
 
 
+def _latency_ms(watched: Iterable[Mapping[str, Any]]) -> float | None:
+    """Return the least time from stamp to arrival; None if the stamps do not show it."""
+    return _milliseconds(one["age_ns"] for one in watched if 0 <= (one["age_ns"] or 0) < _EPOCH_NS)
+
+
+def _ahead_ms(watched: Iterable[Mapping[str, Any]], least_ns: int = FUTURE_NS) -> float | None:
+    """Return how far the clock of a sender is ahead, at most; None if it is not by more than ``least_ns``."""
+    ages = [-one["age_ns"] for one in watched if one["age_ns"] is not None]
+    return _milliseconds([max(found)]) if (found := [age for age in ages if least_ns < age < _EPOCH_NS]) else None
+
+
 def _milliseconds(values: Iterable[int | None]) -> float | None:
-    """Return the least value; one below 0 is of a clock that is ahead."""
-    known = sorted((value for value in values if value is not None), key=lambda value: (value < 0, value))
-    return round(known[0] / 1e6, 3) if known else None
+    """Return the least value."""
+    return round(min(known) / 1e6, 3) if (known := [value for value in values if value is not None]) else None
 
 
 def _sorted(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:

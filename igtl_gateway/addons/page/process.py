@@ -18,7 +18,7 @@ from typing import Any
 from igtl_gateway.addon import NS_PER_S, GatewayError, SystemClock, __version__, failure_text
 from igtl_gateway.addons.page.jobs import CANCELLED, RUNNING, Job, Jobs
 from igtl_gateway.addons.page.now import OK, Now
-from igtl_gateway.addons.page.recordings import Recordings
+from igtl_gateway.addons.page.recordings import MAX_LISTED, Recordings
 from igtl_gateway.addons.page.replays import Replay
 from igtl_gateway.addons.page.results import Results
 from igtl_gateway.addons.page.server import PageServer
@@ -58,6 +58,9 @@ class Page:
         self._growth: deque[tuple[int, int]] = deque()
         self._session = self._file = ""
         self._begun_ns = 0  # of the file
+        self._begun: dict[str, int] = {}  # name in the list → when its recording began, UTC ns
+        self._path: Path | None = None  # of the last file
+        self._dropped = self._dropped_before = 0  # entries, at the last sample and when the file began
         self._written = ""  # name in the list of what is being recorded
         self._poller = Poller(source, self._take) if source else None
 
@@ -89,6 +92,9 @@ class Page:
             if job["state"] == RUNNING:
                 running.setdefault(job["name"], {})[job["action"]] = RUNNING
         rows = self.recordings.rows() if self.recordings else []
+        for row in rows:
+            if begun_ns := self._begun.get(row["name"]):
+                row.setdefault("start_ns", begun_ns)
         known = [self._results.of(row["name"], (row["bytes"], row["modified_ns"])) for row in rows]
         now = {"recording": True, "read": True}
         return [
@@ -167,7 +173,8 @@ class Page:
         if not counters or not how:
             return None
         whole, file = Path(how["path"]), counters["file"]
-        path = Path(file).absolute() if file and not how["split"] else whole
+        path = self._path if self._path and not file else Path(file).absolute() if file and not how["split"] else whole
+        self._path = path
         size, files = _size(path, whole.with_suffix(""))
         now_ns = self._clock.monotonic_ns()
         growth = self._growth
@@ -176,12 +183,18 @@ class Page:
             growth.clear()
             recorded = whole.with_suffix("") if how["split"] else path
             self._written = recorded.name if known and not how["snapshot_s"] else ""
+            if known:
+                self._dropped_before = self._dropped
+                self._begun[self._written] = self._clock.utc_ns()
+                while len(self._begun) > MAX_LISTED:
+                    del self._begun[next(iter(self._begun))]
+        self._dropped = counters["dropped_entries"]
         growth.append((now_ns, size))
         while len(growth) > 2 and now_ns - growth[1][0] >= _GROWTH_NS:
             growth.popleft()
         seconds = (now_ns - growth[0][0]) / NS_PER_S
         per_s = (size - growth[0][1]) / seconds if seconds else 0.0
-        free = shutil.disk_usage(path.parent).free
+        free = _free(path.parent)
         return {
             "name": path.name,
             "folder": _from_home(path.parent),
@@ -189,14 +202,14 @@ class Page:
             "files": files,
             "per_s": per_s,
             "free": free,
-            "lasts_s": free / per_s if per_s > 0 else None,
+            "lasts_s": free / per_s if free is not None and per_s > 0 else None,
             "paused": counters["paused"],
             "rests": counters["rests"],
             "lasted_s": (now_ns - self._begun_ns) / NS_PER_S if known else 0,
             "failure": counters["failure"] or counters.get("taken_away", ""),
-            "entries": counters["written_entries"],
-            "dropped": counters["dropped_entries"],
-            "left_out": counters["left_out_entries"],
+            "entries": counters["entries_since_start"],
+            "dropped": self._dropped - self._dropped_before,
+            "left_out": counters["left_out_since_start"],
             "queued": counters["queued_entries"],
             "snapshot_s": how["snapshot_s"],
             "triggers": how["triggers"],
@@ -215,6 +228,14 @@ class Page:
             "jobs": self.jobs.rows(),
             "replay": self.replay.facts(),
         }
+
+
+def _free(folder: Path) -> int | None:
+    """Return the bytes that a disk has left; None: the folder is gone."""
+    try:
+        return shutil.disk_usage(folder).free
+    except OSError:
+        return None
 
 
 def _json(facts: object) -> bytes:

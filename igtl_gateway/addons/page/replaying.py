@@ -53,7 +53,9 @@ class _Replay:
             report_facts({"line": f"! {failure_text(error)}", "failed": True})
             return
         if result:
-            report_facts({"line": f"{result.messages:,} messages were sent", "ended": True})
+            nobody = f", and {found:,} while no peer was connected" if (found := result.without_peer) else ""
+            sent = f"{result.messages - result.without_peer:,} messages were sent{nobody}"
+            report_facts({"line": sent, "ended": result.complete})
 
     def _say(self, text: str) -> None:
         """Report a line without the folder, which the page names already."""
@@ -69,21 +71,25 @@ class _Replay:
         over = threading.Event()
 
         def report() -> None:
-            while True:
-                position_ns = player.position_ns
-                state = {
-                    "position_s": 0.0 if position_ns is None else (position_ns - file.start_ns) / NS_PER_S,
-                    "duration_s": (file.end_ns - file.start_ns) / NS_PER_S,
-                    "paused": player.paused,
-                    "rate": player.rate,
-                    "sent": player.played.messages,
-                    "peers": side.listeners.present() if side.listeners else [],
-                }
-                report_facts({"state": state})
-                if over.wait(_STATE_S):
-                    return
+            position_ns = player.position_ns
+            state = {
+                "position_s": 0.0 if position_ns is None else (position_ns - file.start_ns) / NS_PER_S,
+                "duration_s": (file.end_ns - file.start_ns) / NS_PER_S,
+                "paused": player.paused,
+                "rate": player.rate,
+                "sent": player.played.messages - player.played.without_peer,
+                "without_peer": player.played.without_peer,
+                "peers": side.listeners.present() if side.listeners else [],
+            }
+            report_facts({"state": state})
 
-        reporter = threading.Thread(target=report, daemon=True)
+        def keep_reporting() -> None:
+            report()
+            while not over.wait(_STATE_S):
+                report()
+            report()  # what there was at the end
+
+        reporter = threading.Thread(target=keep_reporting, daemon=True)
         reporter.start()
         try:
             yield

@@ -126,6 +126,8 @@ class Replay:
             return
         if "state" in found:
             self._state = found["state"]
+        if found.get("ended"):
+            self._state = self._state | {"position_s": self._state.get("duration_s", 0.0)}
         if "line" in found:
             self._lines.append(str(found["line"]))
         self._failed = self._failed or bool(found.get("failed"))

@@ -28,6 +28,8 @@ _OPTIONS = (
     "about:blank",
 )
 _KEYS = {"Enter": 13, "Escape": 27, "Tab": 9, "ArrowRight": 39, "ArrowLeft": 37, "Home": 36}
+#: Far longer than anything takes here, also beside twenty busy programs: reaching it is a failure, not a measurement.
+WAIT_S = 90.0
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 
 
@@ -126,14 +128,14 @@ class Browser:
         assert "exceptionDetails" not in found, found["exceptionDetails"]
         return found["result"].get("value")
 
-    def wait(self, program: str, timeout_s: float = 15.0) -> None:
+    def wait(self, program: str, timeout_s: float = WAIT_S) -> None:
         """Wait until an expression is true in the page."""
         until = time.monotonic() + timeout_s
         while not self.run(f"(() => {{ try {{ return Boolean({program}) }} catch {{ return false }} }})()"):
             assert time.monotonic() < until, f"not within {timeout_s} s: {program}\n{self.text()}\n{self.complaints}"
             time.sleep(0.05)
 
-    def wait_for(self, condition: Callable[[], bool], what: str, timeout_s: float = 15.0) -> None:
+    def wait_for(self, condition: Callable[[], bool], what: str, timeout_s: float = WAIT_S) -> None:
         """Wait until something is so outside of the page."""
         until = time.monotonic() + timeout_s
         while not condition():
@@ -144,8 +146,11 @@ class Browser:
         """The text that a person sees."""
         return str(self.run("document.body?.innerText ?? ''"))
 
-    def click(self, selector: str, text: str = "", hold_s: float = 0.0) -> None:
-        """Click on the middle of an element: the first of a selector, with this text if there is one."""
+    def click(self, selector: str, text: str = "", hold: str = "true") -> None:
+        """Click on the middle of an element: the first of a selector, with this text if there is one.
+
+        The button of the mouse stays pressed until the expression ``hold`` is true.
+        """
         find = (
             f"[...document.querySelectorAll({json.dumps(selector)})].find((each) => "
             f"each.offsetParent && each.innerText.includes({json.dumps(text)}) && !each.disabled)"
@@ -157,7 +162,7 @@ class Browser:
         )
         for kind in ("mousePressed", "mouseReleased"):
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
-            time.sleep(hold_s if kind == "mousePressed" else 0.0)
+            self.wait(hold if kind == "mousePressed" else "true")
 
     def type(self, text: str) -> None:
         """Type text into what has the focus."""

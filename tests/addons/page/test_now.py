@@ -97,7 +97,38 @@ def test_a_sparkline_has_a_value_each_second() -> None:
     for tenth in range(1, 36):
         row = now.rows(facts({"TRANSFORM/a": tenth}), tenth * _S // 10 + _S, 0)["streams"][0]
     assert row["spark"] == [9, 10, 10]
-    assert row["gap_s"] == 0.1
+    assert (row["gap_s"], row["gap_utc_ns"]) == (0.1, 0)
+
+
+def test_the_worst_gap_and_when_it_ended() -> None:
+    now = Now()
+    for second, received in ((1, 0), (2, 20), (3, 40), (10, 41), (11, 61)):
+        row = now.rows(facts({"TRANSFORM/a": received}), second * _S, (100 + second) * _S)["streams"][0]
+    assert (row["state"], row["gap_s"], row["gap_utc_ns"]) == (OK, 7.0, 110 * _S)
+
+
+def test_a_clock_that_is_ahead_is_said_in_words() -> None:
+    ahead = watched("TRANSFORM/a", age_ns=-2_000_000_000, episodes=["stamp_future"])
+    sample = facts({"TRANSFORM/a": 9}, peers=[peer(1, "a:1")], watched=[ahead, watched("TRANSFORM/b", age_ns=-900_000)])
+    found = Now().rows(sample, _S, _S)
+    (stream,), (link,) = found["streams"], found["links"]
+    assert (stream["state"], stream["text"]) == (WARNING, "the sender's clock is ahead by 2.0 s")
+    assert (link["state"], link["text"]) == (WARNING, "its clock is ahead by 2.0 s")
+    assert stream["advice"] == link["advice"] == "Synchronise the clocks of the two machines (NTP, PTP)"
+    assert stream["latency_ms"] is None and (stream["ahead_ms"], link["ahead_ms"]) == (2_000.0, 2_000.0)
+    sample["watched"] = [watched("TRANSFORM/a", age_ns=-900_000)]  # below what clocks on one network differ by
+    assert Now().rows(sample, _S, _S)["links"][0]["state"] == OK
+    sample["watched"] = [watched("TRANSFORM/a", age_ns=400 * 86_400 * _S)]  # a replay has no latency
+    assert Now().rows(sample, _S, _S)["links"][0]["latency_ms"] is None
+
+
+def test_a_peer_has_the_name_of_its_program_and_of_its_devices() -> None:
+    peers = [peer(1, "a:1", profile="plus"), peer(2, "b:2", profile="unrecognised"), peer(3, "c:3", profile="slicer")]
+    names = ["IMAGE/Probe", "TRANSFORM/Probe", "TRANSFORM/" + "x" * 99, "TRANSFORM/c", "TRANSFORM/d"]
+    sample = facts({}, peers=[*peers, peer(4, "d:4")], watched=[watched(name) for name in names])
+    sample["watched"] += [watched("TRANSFORM/Arm", link=2)]
+    rows = {row["peer"]: row["name"] for row in Now().rows(sample, _S, _S)["links"]}
+    assert rows == {"a:1": f"plus: Probe, {'x' * 40}, 2 more", "b:2": "Arm", "c:3": "slicer", "d:4": ""}
 
 
 def test_a_peer_that_invents_names_does_not_fill_the_page() -> None:

@@ -68,8 +68,8 @@ def test_a_session_is_run_from_the_page(tmp_path: Path) -> None:
             page.wait("document.querySelector('#recording h1').textContent === 'Not recording'")
             assert not recording_is_open(recording)
             # End, and the page reports that its program has ended
-            page.click("button", "End the bridge …")
-            page.click("dialog button", "End")
+            page.click("button", "Shut down the bridge …")
+            page.click("dialog button", "Shut down")
             page.wait("!document.querySelector('#lost').hidden")
             assert [
                 text for text in page.complaints if "ERR_CONNECTION" not in text and "Failed to load" not in text

@@ -48,3 +48,15 @@ def test_what_cannot_be_replayed() -> None:
     wait(lambda: (replay.facts() or {})["failed"])
     assert "none.mcap" in " ".join((replay.facts() or {})["lines"])
     assert replay.steer("jump", None)[1].startswith("found 'jump'")
+
+
+def test_what_plays_without_a_peer_is_not_sent_and_the_end_is_the_last_position() -> None:
+    replay = Replay()
+    how = {"address": f"127.0.0.1:{free_port()}", "rate": 1000}
+    assert replay.start("lego.mcap", FIXTURES / "lego.mcap", how)[0]
+    wait(lambda: "messages were sent" in " ".join((replay.facts() or {})["lines"]))
+    facts = replay.facts() or {}
+    assert facts["lines"][-1].startswith("0 messages were sent, and ")
+    assert facts["lines"][-1].endswith(" while no peer was connected")
+    assert facts["state"]["sent"] == 0 < facts["state"]["without_peer"]
+    assert facts["state"]["position_s"] == facts["state"]["duration_s"] > 0

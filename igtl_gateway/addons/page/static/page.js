@@ -276,18 +276,17 @@ function drawNow() {
   part(at.lead, [title, worst, total, now.links.length, now.ros, now.relay, now.refused], () => h("div.lead", null, icon(total || wrong ? worst : "waiting"), h("div", null, h("h1", null, title),
     h("p", null, [count(now.links.filter((link) => link.link).length, "peer"), count(total, "stream"), now.relay ? "relay" : now.ros ? "with ROS 2" : "without ROS", now.refused ? `${number(now.refused)} messages refused` : "nothing refused"].join(" · ")))));
   if (!links) {
-    links = new Rows([["State"], ["Peer"], ["Role", "wide"], ["Profile", "wide"], ["Since", "n wide"], ["Rate", "n"], ["Last minute", "wide"], ["Latency", "n"], ["Jitter", "n wide"], ["Queue", "n"], ["Dropped", "n"]], () => [
-      stateColumn(), textCell("name", (row) => row.peer), textCell("wide", (row) => row.role), textCell("wide", (row) => row.profile || NONE),
+    links = new Rows([["State"], ["Peer"], ["Since", "n wide"], ["Rate", "n"], ["Last minute", "wide"], ["Latency", "n"], ["Jitter", "n wide"], ["Queue", "n"], ["Dropped", "n"]], () => [
+      stateColumn(), twoLines((row) => row.name || row.peer, (row) => [`${row.role}${row.name ? ` ${row.peer}` : ""}`, row.profile].filter(Boolean).join(" · ")),
       textCell("n wide", (row) => (row.since_ns ? time(row.since_ns) : [NONE, true])), textCell("n", (row) => `${number(row.rate_hz)} /s`), sparkColumn(),
-      textCell("n", (row) => (row.latency_ms == null ? [NONE, true] : `${number(row.latency_ms, 1)} ms`)), textCell("n wide", (row) => (row.jitter_ms == null ? [NONE, true] : `${number(row.jitter_ms, 2)} ms`)),
+      latencyCell(), textCell("n wide", (row) => (row.jitter_ms == null ? [NONE, true] : `${number(row.jitter_ms, 2)} ms`)),
       textCell("n", (row) => [number(row.queue), !row.queue]), textCell("n", (row) => [number(row.dropped), !row.dropped])], "Links");
     const nothing = h("p.empty", null, "No peer is connected.");
     at.links._nothing = nothing;
     html(at.links, card("Links", null, links.element, nothing));
     streams = new Rows([["State"], ["Stream"], ["Rate", "n"], ["Last minute", "wide"], ["Last", "n"], ["Worst gap", "n"], ["Latency", "n"], ["Dropped", "n"], ["Stamps", "wide"]], () => [
-      stateColumn(), nameColumn(), textCell("n", (row) => `${rate(row.rate_hz)} Hz`), sparkColumn(),
-      textCell("n", (row) => age(row.age_s)), textCell("n", (row) => (row.gap_s == null ? [NONE, true] : row.gap_s < 1.2 ? ["≤ 1 s", true] : span(row.gap_s))),
-      textCell("n", (row) => (row.latency_ms == null ? [NONE, true] : `${number(row.latency_ms, 1)} ms`)), textCell("n", (row) => [number(row.dropped), !row.dropped]), textCell("wide", (row) => row.stamps || [NONE, true])], "Streams");
+      stateColumn(), twoLines((row) => row.name, (row) => [row.type.split("/").pop(), row.way].filter(Boolean).join(" "), (row) => `${row.type} ${row.way}`), textCell("n", (row) => `${rate(row.rate_hz)} Hz`), sparkColumn(),
+      textCell("n", (row) => age(row.age_s)), gapCell(), latencyCell(), textCell("n", (row) => [number(row.dropped), !row.dropped]), textCell("wide", (row) => row.stamps || [NONE, true])], "Streams");
     at.streams._more = h("span.more");
     at.streams._nothing = h("p.empty", null, "No stream has arrived yet.");
     html(at.streams, h("div.card", null, h("div.head", null, h("h2", null, "Streams"), at.streams._more), streams.element, at.streams._nothing));
@@ -303,9 +302,21 @@ function note(each) {
   const kind = { ERROR: "error", WARN: "warning" }[each.level] || "off";
   return h("li", null, h("time", null, time(each.time_ns)), icon(kind), h("span", null, each.text + (each.more ? ` (${number(each.more)} more like it)` : "")));
 }
-function nameColumn() {
-  const name = h("span.name.clip"), way = h("span.sub.clip"), td = h("td", null, name, h("br"), way);
-  return { td, draw: (row) => { put(name, row.name); put(way, [row.type.split("/").pop(), row.way].filter(Boolean).join(" ")); name.title = row.name; way.title = `${row.type} ${row.way}`; } };
+function twoLines(first, second, whole = second) {
+  const name = h("span.name.clip"), more = h("span.sub.clip"), td = h("td", null, name, h("br"), more);
+  return { td, draw: (row) => { put(name, first(row)); put(more, second(row)); name.title = first(row); more.title = whole(row); } };
+}
+function latencyCell() {
+  return textCell("n", (row) => (row.latency_ms != null ? `${number(row.latency_ms, 1)} ms` : row.ahead_ms ? `clock +${milliseconds(row.ahead_ms)}` : [NONE, true]));
+}
+function milliseconds(value) { return value < 1000 ? `${number(value, 1)} ms` : span(value / 1000); }
+function gapCell() {
+  const gap = h("span"), when = h("span.sub"), td = h("td.n", null, gap, h("br"), when);
+  return { td, draw: (row) => {
+    const is_long = row.gap_s >= 1.2;
+    put(gap, row.gap_s == null ? NONE : is_long ? span(row.gap_s) : "≤ 1 s"); put(when, is_long && row.gap_utc_ns ? `until ${time(row.gap_utc_ns)}` : "");
+    td.classList.toggle("zero", !is_long);
+  } };
 }
 function drawPictures(at, pictures) {
   const names = pictures.map(([side, stream]) => [side, stream]);
@@ -331,11 +342,11 @@ function drawRecording() {
   const [hero, facts, buttons] = at.state.firstChild.children;
   part(hero, [dot, word, rec.name, rec.folder, rec.failure, rec.rests, clock(rec.lasted_s)], () => h("div.hero", null, h("span.dot." + dot), h("div", null, h("h1", null, word), h("p.sub", null, rec.rests ? `Messages pass. Start writes them to a file in ${rec.folder}` : `${rec.name} in ${rec.folder}`), rec.failure && h("p.s-error", null, rec.failure)), !rec.rests && h("span.clock", { "aria-label": "duration" }, clock(rec.lasted_s))));
   const short = rec.lasts_s != null && rec.lasts_s < 3600;
-  part(facts, [rec.bytes, rec.files, rec.per_s, rec.free, rec.lasts_s, rec.dropped, rec.entries, rec.sealed, rec.triggers], () => [
+  part(facts, [rec.bytes, rec.files, rec.per_s, rec.free, rec.lasts_s, rec.dropped, rec.entries, rec.left_out, rec.rests, rec.sealed, rec.triggers], () => [
     fact("Size", bytes(rec.bytes), rec.per_s ? `${bytes(rec.per_s)} per second` : rec.files ? count(rec.files, "file") : "nothing is written"),
-    fact("Disk", rec.lasts_s == null ? bytes(rec.free) : `lasts ${span(rec.lasts_s)}`, `${bytes(rec.free)} free`, short && "warning"),
+    rec.free == null ? fact("Disk", "not found", "the folder is gone", "error") : fact("Disk", rec.lasts_s == null ? bytes(rec.free) : `lasts ${span(rec.lasts_s)}`, `${bytes(rec.free)} free`, short && "warning"),
     fact("Losses", rec.dropped ? number(rec.dropped) : "none", rec.dropped ? "messages are missing" : "every message is kept", rec.dropped && "error"),
-    fact("Messages", number(rec.entries), rec.left_out ? `in files; ${number(rec.left_out)} more before Start, in pauses or not chosen` : "written to files"),
+    fact("Messages", number(rec.entries), rec.rests ? (rec.entries ? "in the last file" : "nothing is written yet") : rec.left_out ? `in this file; ${number(rec.left_out)} more in pauses or not chosen` : rec.split ? "in the files of this recording" : "in this file"),
     fact("Seal", rec.sealed ? "on" : "off", rec.sealed ? "each change will show" : "--seal KEY signs it"),
     ...(rec.triggers.length ? [fact("Black box", count(rec.triggers.length, "rule"), rec.triggers.join(", "))] : [])]);
   const takes = !rec.snapshot_s && !rec.failure;
@@ -346,7 +357,7 @@ function drawRecording() {
     takes && !rec.rests && rec.split && button("New file", () => act({ do: "split" }), { kind: ".big" }),
     takes && !rec.rests && button("Stop recording …", async () => { stopRecording(); }, { kind: ".big", key: "start" }),
     h("span.gap"),
-    button("End the bridge …", async () => { if (await ask("End the bridge?", "The recording is closed, all peers are disconnected, and this page ends.", "End")) act({ do: "end" }); }, { kind: ".danger" })));
+    button("Shut down the bridge …", async () => { if (await ask("Shut down the bridge?", "The recording is closed, all peers are disconnected, and this page ends.", "Shut down")) act({ do: "end" }); }, { kind: ".danger" })));
   drawMarks(at.work, rec, now);
 }
 async function stopRecording() {
@@ -392,10 +403,11 @@ async function loadSessions() {
   const busy = sessions?.some((row) => !row.read) || state?.jobs.some((job) => job.state === "running");
   if (view === "sessions" || view === "replay") sessionsTimer = setTimeout(loadSessions, busy ? 700 : 3000);
 }
-const ACTIONS = [["verify", "Verify"], ["lint", "Lint"], ["review", "Review"], ["view", "Open in rerun"], ["export", "Export as CSV"], ["seal", "Check the seal"]];
+const ACTIONS = [["verify", "Verify"], ["lint", "Find problems"], ["review", "Review"], ["view", "Open in rerun"], ["export", "Export as CSV"], ["seal", "Check the seal"]];
 /* Names of the machine of the program, where the viewer's link leads somewhere. */
 const HERE = new Set(["127.0.0.1", "localhost", "[::1]"]);
 const RESULTS = { running: ["waiting", "runs"], done: ["ok", "good"], failed: ["error", "not good"], cancelled: ["off", "cancelled"] };
+const RESULTS_OF = { lint: { done: ["ok", "none found"], failed: ["warning", "problems found"] } };
 function result(row, action, none) {
   const found = row.results[action];
   if (!found) return h("span.result.zero", null, none);
@@ -422,7 +434,7 @@ function sessionRow(row) {
   const toggle = () => { opened = open ? "" : row.name; drawSessions(); };
   const tr = h(open ? "tr.pick.opened" : "tr.pick", { onclick: toggle },
     h("td", null, h("button.link", { "data-key": row.name, "aria-expanded": open }, h("span.clip", { title: row.name }, row.name))),
-    h("td", null, row.start_ns ? day(row.start_ns) : day(row.modified_ns)), h("td.n", null, row.duration_s == null ? NONE : span(row.duration_s)), h("td.n", null, bytes(row.bytes)),
+    h("td", null, row.start_ns ? day(row.start_ns) : h("span.zero", { title: "Its begin is not known; this is its last change" }, `until ${day(row.modified_ns)}`)), h("td.n", null, row.duration_s == null ? NONE : span(row.duration_s)), h("td.n", null, bytes(row.bytes)),
     h("td.n.wide", null, row.streams == null ? NONE : number(row.streams)), h("td.n", { class: row.marks?.length ? "n" : "n zero" }, row.marks ? number(row.marks.length) : NONE),
     h("td", null, stateCell(kind, word)), h("td", null, result(row, "verify", "not yet")),
     h("td.wide", null, row.results.seal ? result(row, "seal") : h("span", { class: row.sealed ? "" : "zero" }, row.sealed ? "has a seal" : "no")), h("td.wide", null, result(row, "review", "not yet")));
@@ -443,7 +455,7 @@ async function toggleJob(number) {
 async function readJob() { if (openJob) try { jobLines = await (await get(`/api/job?number=${openJob}`)).json(); } catch { /* the banner says it */ } }
 setInterval(async () => { if (openJob && view === "sessions") { await readJob(); drawSessions(); } }, 1500);
 function jobRow(job) {
-  const [kind, word] = RESULTS[job.state], title = ACTIONS.find(([action]) => action === job.action)[1], open = openJob === job.number;
+  const [kind, word] = RESULTS_OF[job.action]?.[job.state] || RESULTS[job.state], title = ACTIONS.find(([action]) => action === job.action)[1], open = openJob === job.number;
   return h("li", null, h("div.line1", null, icon(kind), h("b", null, title), h("span.clip", null, job.name), h("span.sub", null, `${word} · ${span(job.seconds)}`), h("span.gap"),
     job.link && HERE.has(location.hostname) && h("a.btn.small.primary", { href: job.link, target: "_blank", rel: "noopener noreferrer" }, "Open the viewer"),
     h("button.btn.small", { type: "button", "aria-expanded": open, "data-key": `show ${job.number}`, onclick: () => toggleJob(job.number) }, open ? "Hide output" : "Show output"),
@@ -455,7 +467,7 @@ function jobRow(job) {
 
 // ── replay ────────────────────────────────────────────────────────────────────────────────────────────────────
 
-let chosen = "", from = 0, placesOf = {}, target = "igtl listen", speed = "1", place = "";
+let chosen = "", from = 0, follows = false, placesOf = {}, target = "igtl listen", speed = "1", place = "";
 function choose(name, at) {
   chosen = name; from = at || 0;
 }
@@ -477,7 +489,7 @@ async function act2(words) {
 }
 async function begin() {
   const [to, way] = target.split(" ");
-  const at = from;
+  const length = (sessions || []).find((row) => row.name === chosen)?.duration_s, at = from < length - 0.05 ? from : 0;  // from the end: again
   await act({ do: "replay", name: chosen, to, role: way || "listen", address: place || usualPlace(), rate: Number(speed), from_s: at });
 }
 /* Beside a bridge the port of Slicer's connector is often its own. */
@@ -485,6 +497,8 @@ function usualPlace() { return state.has_bridge && !target.includes("connect") ?
 function drawReplay() {
   const at = places($("replay"), "head", "choice", "player", "below"), replay = state.replay, running = replay?.running;
   if (running && chosen !== replay.name) choose(replay.name);
+  if (running) follows = true;
+  else if (follows) { follows = false; if (chosen === replay?.name) from = replay.state.position_s ?? from; }
   part(at.head, [running, replay?.name], () => h("div.lead", null, h("div", null, h("h1", null, running ? `Replay of ${replay.name}` : "Replay"), h("p", null, "Sends a recording to OpenIGTLink peers, to ROS, or to both, as it was."))));
   const row = (sessions || []).find((each) => each.name === chosen);
   const ready = (sessions || []).filter((each) => each.closed || each.name === chosen);
@@ -570,16 +584,17 @@ function words(each, x, y) {
   return text;
 }
 function legend() {
-  return h("div.legend", null, [["mark", "mark"], ["finding", "finding"], ["loss", "loss"], ["link", "peer comes or goes"]].map(([kind, word]) => h("span", null, svg("svg", { viewBox: "-8 -8 16 16", class: "track-key", "aria-hidden": "true" }, shape(kind)), word)),
-    h("span", null, svg("svg", { viewBox: "0 0 14 14", "aria-hidden": "true" }, svg("rect", { y: 3, width: 14, height: 8, fill: "url(#hatch)" })), "pause"));
+  return h("div.legend", null, [["mark", "a mark"], ["finding", "a finding: stamps, units, ages"], ["loss", "messages lost"], ["link", "a peer comes or goes"]].map(([kind, word]) => h("span", null, svg("svg", { viewBox: "-8 -8 16 16", class: "track-key", "aria-hidden": "true" }, shape(kind)), word)),
+    h("span", null, svg("svg", { viewBox: "0 0 14 14", "aria-hidden": "true" }, svg("rect", { y: 3, width: 14, height: 8, fill: "url(#hatch)" })), "a pause"),
+    h("span", null, svg("svg", { viewBox: "0 0 14 14", "aria-hidden": "true" }, svg("rect", { class: "phase", x: 0.5, y: 3, width: 13, height: 8, rx: 2 })), "a phase"));
 }
 function drawBelow(place, row, replay, running) {
   const found = [...marksOf(row), ...(placesOf[row.name] || [])].filter((each) => each.kind !== "resume").sort((a, b) => a.at_s - b.at_s).slice(0, 200);
   const mine = replay?.name === row.name ? replay : null, peers = running && mine ? mine.state.peers || [] : [];
   const names = { mark: "Mark", phase: "Phase", finding: "Finding", loss: "Loss", pause: "Pause", link: "Link" };
-  part(place, [found, !placesOf[row.name], mine?.lines, peers, running, mine?.state?.sent, locked()], () => h("div.split", null,
+  part(place, [found, !placesOf[row.name], mine?.lines, peers, running, mine?.state?.sent, mine?.state?.without_peer, locked()], () => h("div.split", null,
     card("On the time line", placesOf[row.name] ? null : "findings, losses and pauses are being read", found.length ? h("ul.list", { tabindex: 0, "aria-label": "On the time line" }, found.map((each, number) => h("li", null, h("button", { type: "button", disabled: locked() && running, "data-key": `at ${number}`, onclick: () => jump(each.at_s) }, h("span.at", null, moment(each.at_s)), h("span.sub", null, names[each.kind]), h("span", null, each.text))))) : h("p.empty", null, "Nothing but messages.")),
-    card("Peers", running && mine ? `${number(mine.state.sent || 0)} messages sent` : null, peers.length ? h("ul.list", null, peers.map(([address, profile]) => h("li", null, icon("ok"), h("b", null, address), h("span.sub", null, profile)))) : h("p.empty", null, running ? (mine?.to === "ros" ? "Nodes of ROS receive the messages; the page does not count them." : "No OpenIGTLink peer is connected.") : "Peers appear when the replay runs."),
+    card("Peers", running && mine ? [`${number(mine.state.sent || 0)} messages sent`, mine.state.without_peer ? `${number(mine.state.without_peer)} played while no peer was connected` : ""].filter(Boolean).join(" · ") : null, peers.length ? h("ul.list", null, peers.map(([address, profile]) => h("li", null, icon("ok"), h("b", null, address), h("span.sub", null, profile)))) : h("p.empty", null, running ? (mine?.to === "ros" ? "Nodes of ROS receive the messages; the page does not count them." : "No OpenIGTLink peer is connected: what plays now reaches nobody.") : "Peers appear when the replay runs."),
       mine?.lines.length ? h("ul.notes", null, mine.lines.map((line) => h("li", null, h("span", null, line)))) : null)));
 }
 
