@@ -158,7 +158,7 @@ class Now:
                     {
                         "key": f"{side} {stream}",
                         "state": state,
-                        "name": name or stream,
+                        "name": name or "(no name)",
                         "type": kind,
                         "side": side,
                         "way": f"from {froms[0]}"

@@ -193,7 +193,7 @@ class Page:
         while len(growth) > 2 and now_ns - growth[1][0] >= _GROWTH_NS:
             growth.popleft()
         seconds = (now_ns - growth[0][0]) / NS_PER_S
-        per_s = (size - growth[0][1]) / seconds if seconds else 0.0
+        per_s = max(0, size - growth[0][1]) / seconds if seconds else 0.0
         free = _free(path.parent)
         return {
             "name": path.name,

@@ -122,3 +122,12 @@ def test_many_notes_do_not_hide_what_was_done() -> None:
         page.update(Session(bridge._bridge), [Event(1, Kind.EDGE_NOTE, note, ()) for note in notes])
         found = next(source.samples())
         assert [note["text"] for note in found["done"]] == ["mark slip"] and len(found["notes"]) == 60
+
+
+def test_no_mark_is_taken_after_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "Child", MagicMock())
+    bridge = MagicMock()
+    bridge.recorder.rests, bridge.recorder.failure = False, "no space left on device"
+    with page_of(bridge, []) as (_, source):
+        assert source.press("mark", "slip") == (False, "nothing is recorded: the recording has failed")
+    bridge.mark.assert_not_called()

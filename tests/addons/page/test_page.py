@@ -18,7 +18,7 @@ _FACTS = {"peers": [], "watched": [], "totals": {}, "drops": {}, "version": "0",
 
 
 class Source(BridgeSource):
-    """A bridge that reports what it is told to."""
+    """A bridge that reports what a test gives it."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder

@@ -5,7 +5,7 @@ const $ = (id) => document.getElementById(id);
 const SVG = "http://www.w3.org/2000/svg";
 const WORDS = { ok: "good", warning: "check", error: "fault", silent: "silent", waiting: "waiting", off: "off" };
 const VIEWS = ["now", "recording", "sessions", "replay"];
-let state = null, known = "", role = "full", view = "now", lastAnswer = 0;
+let state = null, known = "", role = "full", view = "now", lastAnswer = 0, isLost = false;
 
 // ── elements ──────────────────────────────────────────────────────────────────────────────────────────────────
 
@@ -20,9 +20,11 @@ function h(tag, props, ...children) {
     else if (value !== false && value != null) made.setAttribute(key, value);
   }
   if (props?.tabindex === 0) made.dataset.key ||= props["aria-label"];
-  made.append(...children.flat(9).filter((child) => child != null && child !== false));
+  made.append(...children.flat(9).filter((child) => child != null && child !== false).map(plain));
   return made;
 }
+/* Text of others without what turns the direction of the text after it. */
+function plain(text) { return typeof text === "string" ? text.replace(/[\u061c\u200e\u200f\u202a-\u202e\u2066-\u2069]/g, "\ufffd") : text; }
 
 function svg(tag, props, ...children) {
   const made = document.createElementNS(SVG, tag);
@@ -37,7 +39,7 @@ const icon = (name) => {
 };
 const stateCell = (name, word) => h("span.state.s-" + name, null, icon(name), word || WORDS[name]);
 
-function put(place, text) { if (place.textContent !== text) place.textContent = text; }
+function put(place, text) { if (place.textContent !== plain(text)) place.textContent = plain(text); }
 function html(place, ...children) { place.replaceChildren(...children.filter((child) => child != null && child !== false)); }
 let pressed = null;
 document.addEventListener("pointerdown", (event) => { pressed = event.target; }, true);
@@ -131,15 +133,21 @@ async function refresh() {
       state = JSON.parse(text); known = answer.headers.get("Page-Version");
       if (first && !state.has_bridge && !asked) show("sessions");
     }
-    $("lost").hidden = true;
+    lost(false);
     if (state) draw();
   } catch (error) {
     const since = lastAnswer ? `What you see is from ${new Date(lastAnswer).toLocaleTimeString("en-GB")}.` : "";
     put($("lost"), error.message === "denied"
       ? "This link is no longer valid: open the link that the program printed."
       : `The program behind this page does not answer. ${since}`);
-    $("lost").hidden = false;
+    lost(true);
   } finally { asking = false; }
+}
+/* What is old must not look as if it were of now. */
+function lost(yes) {
+  $("lost").hidden = !yes;
+  document.body.classList.toggle("stale", yes);
+  if (isLost !== yes) { isLost = yes; if (state) draw(); }
 }
 setInterval(() => { if (!document.hidden || Date.now() - lastAnswer > 5000) refresh(); }, 500);
 document.addEventListener("visibilitychange", refresh);
@@ -187,14 +195,14 @@ function draw() {
   const pill = $("pill");
   pill.hidden = !state.has_bridge;
   const [dot, word] = recState();
-  const lasted = rec && !rec.rests && clock(rec.lasted_s);
+  const lasted = rec && !rec.rests && !rec.failure && !isLost && clock(rec.lasted_s);
   part(pill, [dot, word, lasted], () => [h("span.dot." + dot), h("span", null, word), lasted && h("span.sub", null, lasted)]);
   put($("foot"), state.has_bridge ? (now ? `igtl-gateway ${now.version} · runs for ${span(now.uptime_s)}` : `igtl-gateway ${state.version}`) : `igtl-gateway ${state.version} · ${state.folder}`);
   ({ now: drawNow, recording: drawRecording, sessions: drawSessions, replay: drawReplay })[view]();
 }
 function recState() {
   const now = bridge(), rec = now?.recording;
-  if (state.has_bridge && !state.answers) return ["fail", "No answer"];
+  if (isLost || (state.has_bridge && !state.answers)) return ["fail", "No answer"];
   if (!rec) return ["off", "Not recording"];
   if (rec.failure) return ["fail", "Recording failed"];
   if (rec.rests) return ["off", "Not recording"];
@@ -340,7 +348,7 @@ function drawRecording() {
   const [dot, word] = recState();
   if (at.state._kind !== "recording") { at.state._kind = "recording"; html(at.state, h("div.card", null, h("div.body"), h("dl.facts", { class: "facts" }), h("div.body"))); }
   const [hero, facts, buttons] = at.state.firstChild.children;
-  part(hero, [dot, word, rec.name, rec.folder, rec.failure, rec.rests, clock(rec.lasted_s)], () => h("div.hero", null, h("span.dot." + dot), h("div", null, h("h1", null, word), h("p.sub", null, rec.rests ? `Messages pass. Start writes them to a file in ${rec.folder}` : `${rec.name} in ${rec.folder}`), rec.failure && h("p.s-error", null, rec.failure)), !rec.rests && h("span.clock", { "aria-label": "duration" }, clock(rec.lasted_s))));
+  part(hero, [dot, word, rec.name, rec.folder, rec.failure, rec.rests, clock(rec.lasted_s)], () => h("div.hero", null, h("span.dot." + dot), h("div", null, h("h1", null, word), h("p.sub", null, rec.rests ? `Messages pass. Start writes them to a file in ${rec.folder}` : `${rec.name} in ${rec.folder}`), rec.failure && h("p.s-error", null, rec.failure), rec.failure && h("p", null, "Messages go on passing. To record again, shut the bridge down and start it with a folder that it can write to.")), !rec.rests && !rec.failure && h("span.clock", { "aria-label": "duration" }, clock(rec.lasted_s))));
   const short = rec.lasts_s != null && rec.lasts_s < 3600;
   part(facts, [rec.bytes, rec.files, rec.per_s, rec.free, rec.lasts_s, rec.dropped, rec.entries, rec.left_out, rec.rests, rec.sealed, rec.triggers], () => [
     fact("Size", bytes(rec.bytes), rec.per_s ? `${bytes(rec.per_s)} per second` : rec.files ? count(rec.files, "file") : "nothing is written"),
@@ -580,7 +588,7 @@ function track(found, duration) {
 }
 function words(each, x, y) {
   const text = svg("text", { x, y });
-  text.textContent = each.text.split(":")[0].slice(0, 20);
+  text.textContent = plain(each.text).split(":")[0].slice(0, 20);
   return text;
 }
 function legend() {
@@ -593,7 +601,7 @@ function drawBelow(place, row, replay, running) {
   const mine = replay?.name === row.name ? replay : null, peers = running && mine ? mine.state.peers || [] : [];
   const names = { mark: "Mark", phase: "Phase", finding: "Finding", loss: "Loss", pause: "Pause", link: "Link" };
   part(place, [found, !placesOf[row.name], mine?.lines, peers, running, mine?.state?.sent, mine?.state?.without_peer, locked()], () => h("div.split", null,
-    card("On the time line", placesOf[row.name] ? null : "findings, losses and pauses are being read", found.length ? h("ul.list", { tabindex: 0, "aria-label": "On the time line" }, found.map((each, number) => h("li", null, h("button", { type: "button", disabled: locked() && running, "data-key": `at ${number}`, onclick: () => jump(each.at_s) }, h("span.at", null, moment(each.at_s)), h("span.sub", null, names[each.kind]), h("span", null, each.text))))) : h("p.empty", null, "Nothing but messages.")),
+    card("On the time line", placesOf[row.name] ? null : "findings, losses and pauses are being read", found.length ? h("ul.list", { tabindex: 0, "aria-label": "On the time line" }, found.map((each, number) => h("li", null, h("button", { type: "button", disabled: locked() && running, "data-key": `at ${number}`, onclick: () => jump(each.at_s) }, h("span.at", null, moment(each.at_s)), h("span.sub", null, names[each.kind]), h("span", null, each.text))))) : h("p.empty", null, placesOf[row.name] ? "Nothing but messages." : "Reading …")),
     card("Peers", running && mine ? [`${number(mine.state.sent || 0)} messages sent`, mine.state.without_peer ? `${number(mine.state.without_peer)} played while no peer was connected` : ""].filter(Boolean).join(" · ") : null, peers.length ? h("ul.list", null, peers.map(([address, profile]) => h("li", null, icon("ok"), h("b", null, address), h("span.sub", null, profile)))) : h("p.empty", null, running ? (mine?.to === "ros" ? "Nodes of ROS receive the messages; the page does not count them." : "No OpenIGTLink peer is connected: what plays now reaches nobody.") : "Peers appear when the replay runs."),
       mine?.lines.length ? h("ul.notes", null, mine.lines.map((line) => h("li", null, h("span", null, line)))) : null)));
 }
