@@ -13,7 +13,6 @@ from igtl_gateway.doctor.rules import RULES
 from igtl_gateway.gateway.diagnostics import HARMLESS, RHYTHM_HZ, SILENT_NS
 from igtl_gateway.gateway.log.fates import DROPPED
 from igtl_gateway.gateway.log.rates import Rates
-from igtl_gateway.gateway.log.timing import FUTURE_NS
 
 #: States, the worst first: each has a word, a shape and a colour on the page.
 ERROR, SILENT, WARNING, WAITING, OK = "error", "silent", "warning", "waiting", "ok"
@@ -30,6 +29,8 @@ _INPUTS = ("igtl_in", "ros_in")
 #: Messages are late above this age on arrival, as for rule W306 of `doctor`; above the second one they are of another
 #: epoch, such as replayed ones.
 OLD_NS, _EPOCH_NS = 1_000_000_000, 86_400_000_000_000
+#: A clock is ahead by more than this, as for rule W303.
+AHEAD_NS = 100_000_000
 #: A send queue with more is of a peer that reads slowly.
 _QUEUED, _QUEUED_BYTES = 50, 1 << 20
 
@@ -284,7 +285,7 @@ def _latency_ms(watched: Iterable[Mapping[str, Any]]) -> float | None:
     return _milliseconds(one["age_ns"] for one in watched if 0 <= (one["age_ns"] or 0) < _EPOCH_NS)
 
 
-def _ahead_ms(watched: Iterable[Mapping[str, Any]], least_ns: int = FUTURE_NS) -> float | None:
+def _ahead_ms(watched: Iterable[Mapping[str, Any]], least_ns: int = AHEAD_NS) -> float | None:
     """Return how far the clock of a sender is ahead, at most; None if it is not by more than ``least_ns``."""
     ages = [-one["age_ns"] for one in watched if one["age_ns"] is not None]
     return _milliseconds([max(found)]) if (found := [age for age in ages if least_ns < age < _EPOCH_NS]) else None

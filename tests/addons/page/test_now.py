@@ -2,9 +2,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from igtl_gateway.addons.page.now import ERROR, MAX_ROWS, OK, OLD_NS, SILENT, WAITING, WARNING, Now
+from igtl_gateway.addons.page.now import AHEAD_NS, ERROR, MAX_ROWS, OK, OLD_NS, SILENT, WAITING, WARNING, Now
 from igtl_gateway.addons.page.sample import WATCHED
 from igtl_gateway.doctor import checks
+from igtl_gateway.gateway.log.timing import FUTURE_NS
 
 _S = 1_000_000_000
 
@@ -146,7 +147,7 @@ def test_late_messages_and_the_peer_that_sends_them() -> None:
     assert stream["way"] == "from a:1" and stream["advice"] == link["advice"] != ""
     sample["watched"] = [watched("TRANSFORM/a", link=3, age_ns=400 * 86_400 * _S)]  # a replay
     assert Now().rows(sample, _S, _S)["links"][0]["state"] == OK
-    assert OLD_NS == checks.OLD_NS
+    assert OLD_NS == checks.OLD_NS and AHEAD_NS == FUTURE_NS
 
 
 def test_a_peer_that_reads_slowly() -> None:
