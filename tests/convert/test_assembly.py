@@ -18,12 +18,12 @@ from igtl_gateway.convert.assembly import MAX_VOLUME_BYTES, VolumeAssembler
 from igtl_gateway.wire.image import SCALARS, Image
 from tests.tables import table
 
-Triple = tuple[int, int, int]
+Extent = tuple[int, int, int]
 _ORDER = {1: ">", 2: "<"}
 
 
 def part(
-    values: npt.NDArray[Any], offset: Triple, size: Triple, scalar: int = 5, endian: int = 2, **other: Any
+    values: npt.NDArray[Any], offset: Extent, size: Extent, scalar: int = 5, endian: int = 2, **other: Any
 ) -> Image:
     """The part of ``values`` (k, j, i, components) as it is sent."""
     (x, y, z), (nx, ny, nz) = offset, size
@@ -32,7 +32,7 @@ def part(
     return Image((i, j, k), scalar, cut.tobytes(), components, endian, subvol_offset=offset, subvol_size=size, **other)
 
 
-def numbered(size: Triple, components: int = 1, start: int = 0) -> npt.NDArray[Any]:
+def numbered(size: Extent, components: int = 1, start: int = 0) -> npt.NDArray[Any]:
     i, j, k = size
     return (np.arange(i * j * k * components) + start).reshape(k, j, i, components)
 
@@ -130,7 +130,7 @@ def test_another_kind_of_volume_starts_anew(other: Image) -> None:
 
 
 @pytest.mark.parametrize("size", [(0, 0, 0), (0, 2, 2), (2, 0, 2)])
-def test_parts_of_nothing(size: Triple) -> None:
+def test_parts_of_nothing(size: Extent) -> None:
     assembler = VolumeAssembler()
     assert assembler.update(part(numbered((2, 2, 2)), (0, 0, 0), size)) is None
     assert assembler.missing == 8
@@ -161,14 +161,14 @@ def test_a_volume_beyond_the_limit_is_refused_before_memory_is_taken() -> None:
 
 
 @st.composite
-def regions(draw: st.DrawFn) -> tuple[Triple, Triple]:
+def regions(draw: st.DrawFn) -> tuple[Extent, Extent]:
     offset = (draw(st.integers(0, 2)), draw(st.integers(0, 1)), draw(st.integers(0, 1)))
     size = tuple(draw(st.integers(0, n - at)) for n, at in zip((3, 2, 2), offset, strict=True))
     return offset, (size[0], size[1], size[2])
 
 
 @given(st.lists(st.tuples(regions(), st.sampled_from([1, 2])), max_size=12))
-def test_as_an_array_that_is_filled(updates: list[tuple[tuple[Triple, Triple], int]]) -> None:
+def test_as_an_array_that_is_filled(updates: list[tuple[tuple[Extent, Extent], int]]) -> None:
     assembler = VolumeAssembler()
     expected = np.full((2, 2, 3, 1), -1)
     handed_out: list[tuple[Image, bytes]] = []

@@ -127,7 +127,7 @@ def unsigned(content: Any) -> Any:
     return content
 
 
-def told_ns(ticks: int) -> int:
+def ros_ns(ticks: int) -> int:
     """The time in ROS: both count 2³² seconds, and the last tick, rounded up, is beyond them."""
     return ticks_to_ns(ticks) % (NS_PER_S << 32)
 
@@ -144,7 +144,7 @@ def test_whatever_the_texts_the_numbers_come_back(content: Any) -> None:
     for name in content.DTYPE.names:
         wanted, found = content.elements[name], back.elements[name]
         if name == "ticks":
-            assert list(map(told_ns, found.tolist())) == list(map(told_ns, wanted.tolist()))
+            assert list(map(ros_ns, found.tolist())) == list(map(ros_ns, wanted.tolist()))
         elif name == "focal_length":
             assert np.allclose(found, wanted, rtol=1e-15, atol=0.0, equal_nan=True)
         elif name == "matrix":

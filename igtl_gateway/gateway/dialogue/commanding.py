@@ -29,7 +29,7 @@ from igtl_gateway.wire import Message
 from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.fields import visible
 
-Special = Callable[[Entry, ToIgtlStream, ConvertedMessage], list[Item]]
+MakeItems = Callable[[Entry, ToIgtlStream, ConvertedMessage], list[Item]]
 
 
 class Commands:
@@ -42,7 +42,7 @@ class Commands:
         self._composer = composer
         self._delivery = delivery
         self._from_peers, self._to_peers = PendingCommands(), PendingCommands()
-        self._special: dict[str, Special] = {"COMMAND": self._send_command, "RTS_COMMAND": self._send_reply}
+        self._makers: dict[str, MakeItems] = {"COMMAND": self._send_command, "RTS_COMMAND": self._send_reply}
 
     @property
     def due_ns(self) -> int | None:
@@ -117,9 +117,9 @@ class Commands:
 
     # -- from ROS -------------------------------------------------------------------------------------------------
 
-    def sender_for(self, igtl_type: str) -> Special | None:
+    def sender_for(self, igtl_type: str) -> MakeItems | None:
         """Return the function that sends messages of a type for which the sender and the addressee matter."""
-        return self._special.get(igtl_type)
+        return self._makers.get(igtl_type)
 
     def deny_ros(self, entry: Entry, stream: ToIgtlStream, outgoing: ConvertedMessage, igtl_type: str) -> list[Item]:
         """Return the reply to a COMMAND from ROS that ``deny_out`` denies; nothing for other types."""
