@@ -28,8 +28,8 @@ replay and verification use the settings of the recorded session.
     watch = true                   # report jumps of units, decreasing stamps …; by default in live sessions only
     cautious = true                # send peers that are not recognised only what every program can skip; by default
                                    # in live sessions only
-    keep_mib = 64                  # MiB of the last images of all devices, and of the last messages of all topics; by
-                                   # default in live sessions only
+    keep_mib = 48                  # MiB of the last images of all devices but the newest, and of the last messages of
+                                   # topics; by default in live sessions only
 
     [[to_igtl]]                    # ROS topic → OpenIGTLink; the first matching row applies
     topic = "/camera/image_raw"    # * matches within one level, ** across levels

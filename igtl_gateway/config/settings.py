@@ -52,8 +52,8 @@ STAMP_POLICIES = (SOURCE, RECEIVE)
 #: Codecs of the setting ``video_codec``; ``edges.video`` has them.
 VIDEO_CODECS = ("h264", "vp9")
 
-#: MiB that are kept of last images, and of last messages; a usual volume has up to 60.
-DEFAULT_KEEP_MIB = 64
+#: MiB that are kept of last images, and of last messages, beside the newest of them.
+DEFAULT_KEEP_MIB = 48
 #: Upper limit of the timeout of a COMMAND, s: one day.
 MAX_TIMEOUT_S = 86_400.0
 
@@ -422,7 +422,7 @@ _ROS = (
         "keep_mib",
         DEFAULT_KEEP_MIB,
         "memory for the last images of all devices, of which later ones may be parts, and as much for the last "
-        "messages of all ROS topics, for queries and late joiners; the oldest are forgotten",
+        "messages of ROS topics, for queries; the newest and latched ones do not count, the oldest are forgotten",
         GATEWAY,
         metavar="MIB",
         unit="MiB",

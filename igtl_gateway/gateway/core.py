@@ -85,7 +85,7 @@ class Gateway:
         activity = Activity()
         self._tf = tf = TfOut(config, tuple(streams.device(row.request().device) for row in config.tf_out))
         self._subscribers = subscribers = Subscribers(needs_tf=bool(tf))
-        self._room = room = None if config.keep_mib is None else config.keep_mib << 20
+        room = None if config.keep_mib is None else config.keep_mib << 20
         self._forget_at_ns: int | None = None
         self._volumes = volumes = Volumes(room)
         beforehand = Beforehand(config, subscribers)
@@ -235,8 +235,6 @@ class Gateway:
     def collect(self) -> None:
         """Take over what the native passage has counted, and plan a tick if more is kept than permitted."""
         self.fast_path.collect()
-        if self._room is not None:
-            self._subscribers.forget(self._room)  # no input: recorded sessions have none that wait
         self._forget_at_ns = 0 if self._volumes.exceed or self._latest.exceed() else None
 
     @property

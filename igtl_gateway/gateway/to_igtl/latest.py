@@ -25,7 +25,7 @@ class Latest:
 
     Args:
         forms: answer with frames of the tf tree as the other type of poses, too; False in old recordings.
-        room: bytes of all messages that ``forget`` leaves; None: any number, as in old recordings.
+        room: bytes of large messages that ``forget`` leaves; None: any number, as in old recordings.
 
     Attributes:
         entries: topic → its latest message, without its payload if it was forgotten; one for each bridged topic.
@@ -102,34 +102,32 @@ class Latest:
 
     def exceed(self) -> bool:
         """Return whether ``forget`` has anything to do."""
-        return self._room is not None and self._held() > self._room and bool(self._forgettable())
+        return self._room is not None and sum(entry.size for entry in self._forgettable()) > self._room
 
     def forget(self) -> None:
-        """Forget large messages until the others are within the room.
-
-        Those that alone exceed it are first; those of latched streams, which late joiners get, are last.
-        """
-        room = self._room
-        if room is None:
+        """Forget messages that alone exceed the room, then the oldest ones, until the others are within it."""
+        if self._room is None:
             return
-        held = self._held()
-        for entry in self._forgettable():
-            if held <= room:
+        entries = self._forgettable()
+        held = sum(entry.size for entry in entries)
+        for entry in entries:
+            if held <= self._room:
                 return
             held -= entry.size
             self.entries[entry.channel] = replace(entry, payload=())  # in its place: answers are in their order
 
-    def _held(self) -> int:
-        return sum(entry.size for entry in self.entries.values())
-
     def _forgettable(self) -> list[Entry]:
-        """Return the messages that may be forgotten, in the order in which they are."""
+        """Return the messages that may be forgotten, in the order in which they are.
 
-        def order(entry: Entry) -> tuple[bool, bool, int]:
-            stream = self._streams.to_igtl(entry.channel, entry.type)
-            return entry.size <= (self._room or 0), stream is not None and stream.latched, entry.seq
+        These are the large ones but the newest, and but those of latched streams, which late joiners expect.
+        """
+        large = sorted((one for one in self.entries.values() if one.size > _SMALL_BYTES), key=lambda one: one.seq)[:-1]
+        found = [one for one in large if not self._is_latched(one)]
+        return sorted(found, key=lambda one: one.size <= (self._room or 0))
 
-        return sorted((one for one in self.entries.values() if one.size > _SMALL_BYTES), key=order)
+    def _is_latched(self, entry: Entry) -> bool:
+        stream = self._streams.to_igtl(entry.channel, entry.type)
+        return stream is not None and stream.latched
 
     def _as_type(self, entry: Entry, stream: ToIgtlStream, igtl_type: str) -> list[OutboundMessage]:
         """Convert a kept ROS message to ``igtl_type`` ("": that of its stream); none if it cannot be converted."""

@@ -33,14 +33,6 @@ class Subscribers:
         self.waiting: dict[str, tuple[Entry, ConversionToRos, object, ToRosContext]] = {}
         self._needs_tf = needs_tf
 
-    def forget(self, room: int) -> None:
-        """Forget the oldest messages that wait, until the others are within ``room`` bytes."""
-        held = sum(entry.size for entry, *_ in self.waiting.values())
-        for topic in sorted(self.waiting, key=lambda one: self.waiting[one][0].seq):
-            if held <= room:
-                return
-            held -= self.waiting.pop(topic)[0].size
-
     def has(self, topic: str, ros_type: str) -> bool:
         """Return whether a message must be built: for a subscriber, or for ``tf_out``."""
         return self.ask is None or self.ask(topic, ros_type) or (self._needs_tf and ros_type == TFMessage.TYPE)

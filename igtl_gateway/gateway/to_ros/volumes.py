@@ -16,7 +16,7 @@ class Volumes:
     """The latest image of each device.
 
     Args:
-        room: bytes of all images that ``forget`` leaves; None: any number, as in old recordings.
+        room: bytes of all images but the newest that ``forget`` leaves; None: any number, as in old recordings.
     """
 
     def __init__(self, room: int | None = None) -> None:
@@ -53,18 +53,21 @@ class Volumes:
     @property
     def exceed(self) -> bool:
         """Whether ``forget`` has anything to do."""
-        return self._room is not None and sum(one.held for one in self._assemblers.values()) > self._room
+        return self._room is not None and sum(one.held for one in self._forgettable()) > self._room
 
     def forget(self) -> None:
         """Forget images that alone exceed the room, then those used least recently, until the others are within it."""
         if self._room is None:
             return
-        held = sum(one.held for one in self._assemblers.values())
-        for one in sorted(self._assemblers.values(), key=self._order):
+        images = self._forgettable()
+        held = sum(one.held for one in images)
+        for one in images:
             if held <= self._room:
                 return
             held -= one.held
             one.forget()
 
-    def _order(self, one: VolumeAssembler) -> tuple[bool, int]:
-        return one.held <= (self._room or 0), one.used
+    def _forgettable(self) -> list[VolumeAssembler]:
+        """Return all images but the newest, which may be large, in the order in which they are forgotten."""
+        older = sorted(self._assemblers.values(), key=lambda one: one.used)[:-1]
+        return sorted(older, key=lambda one: one.held <= (self._room or 0))

@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.base.buffers import join
-from igtl_gateway.config.configuration import Config
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.config.configuration import Config, ToIgtlRow
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.gateway import Gateway, Session
@@ -20,7 +21,7 @@ from igtl_gateway.wire.query import EmptyQuery
 from tests.gateway.fastpath.test_passage_streams import check_recording, scene, wait_for
 from tests.script import Script
 
-#: Bytes of a picture, of which two are within 1 MiB.
+#: Of a picture, of which two are within 1 MiB, beside the newest.
 SIDE = 700
 
 
@@ -42,9 +43,9 @@ def looked(script: Script) -> None:
     script.tick()
 
 
-def with_three_devices(config: Config) -> Script:
+def with_four_devices(config: Config) -> Script:
     script = Script(config)
-    for device in ("A", "B", "C"):
+    for device in "ABCD":
         script.igtl(whole(device))
     script.igtl(whole("A"))  # B is the one that was used least recently
     looked(script)
@@ -58,7 +59,7 @@ def again(config: Config, log: list[Entry]) -> list[bytes]:
 
 
 def test_a_part_of_an_image_that_was_forgotten_is_refused_with_its_reason() -> None:
-    script = with_three_devices(config := Config(keep_mib=1))
+    script = with_four_devices(config := Config(keep_mib=1))
     assert script.igtl(part("B")) == ["note conversion"]
     (note,) = script.notes
     assert "IMAGE 'B': found a part of an image that is not kept" in note.text and "1 MiB (keep_mib)" in note.text
@@ -70,8 +71,8 @@ def test_a_part_of_an_image_that_was_forgotten_is_refused_with_its_reason() -> N
 
 
 def test_recordings_without_the_setting_forget_nothing() -> None:
-    script = with_three_devices(Config())
-    assert [script.igtl(part(device)) for device in "ABC"] == [[f"ros /igtl/in/{device}/image"] for device in "ABC"]
+    script = with_four_devices(Config())
+    assert [script.igtl(part(device)) for device in "ABCD"] == [[f"ros /igtl/in/{device}/image"] for device in "ABCD"]
     script.session.collect()
     assert script.gateway.due_ns is None
 
@@ -79,7 +80,7 @@ def test_recordings_without_the_setting_forget_nothing() -> None:
 def test_a_query_for_what_was_forgotten_has_its_own_reason() -> None:
     script = Script(config := Config(keep_mib=1))
     script.up(1)
-    for topic in ("one", "two", "three"):
+    for topic in ("one", "two", "three", "four"):
         script.ros(f"/igtl/out/{topic}", picture())
     looked(script)
     answered = [script.igtl(Message("GET_IMAGE", device, EmptyQuery())) for device in ("one", "two", "three")]
@@ -96,16 +97,18 @@ def _notes(script: Script) -> list[Note]:
     return [Note.unpack(entry.data()) for entry in script.log if entry.kind is Kind.NOTE]
 
 
-def test_what_waits_for_a_first_subscriber_has_the_same_limit() -> None:
-    script = Script(Config(keep_mib=1))
-    script.gateway.has_subscriber = lambda topic, ros_type: False
-    for device in ("A", "B", "C"):
-        image = Image((SIDE, SIDE // 2, 2), 3, bytes(SIDE * SIDE))
-        script.igtl(Message("IMAGE", device, image))
-    waiting = script.gateway._subscribers.waiting
-    assert sorted(waiting) == ["/igtl/in/A/volume", "/igtl/in/B/volume", "/igtl/in/C/volume"]
+def test_latched_messages_and_the_newest_are_kept_whatever_their_size() -> None:
+    """A scan that a late joiner, or its parts, need is larger than the limit of what comes in numbers."""
+    rows = tuple(ToIgtlRow(topic=f"/igtl/out/{name}", qos=Qos(latched=True)) for name in ("scan", "mask"))
+    script = Script(Config(keep_mib=1, to_igtl=(*rows, ToIgtlRow())))
+    for topic in ("scan", "mask", "picture"):
+        script.ros(f"/igtl/out/{topic}", picture(1_100))
+    script.igtl(whole("Scan", side=1_100))
     looked(script)
-    assert sorted(waiting) == ["/igtl/in/B/volume", "/igtl/in/C/volume"]
+    sent = script.up(1)
+    assert {"igtl IMAGE/scan v1 to 1", "igtl IMAGE/mask v1 to 1"} <= set(sent)
+    assert script.igtl(part("Scan", side=1_100)) == ["ros /igtl/in/Scan/image"]
+    assert "igtl IMAGE/picture v1 to 1" in script.igtl(Message("GET_IMAGE", "picture", EmptyQuery()))
 
 
 def test_a_live_session_that_forgets_is_verified(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -45,6 +45,7 @@ def test_an_image_above_the_limit_costs_no_other_device_its_own() -> None:
     script = Script(Config(keep_mib=1))
     script.igtl(whole_image("A"))
     script.igtl(whole_image("Huge", side=1_100))
+    script.igtl(whole_image("B"))
     looked(script)
     assert script.igtl(one_pixel("A")) == ["ros /igtl/in/A/image"]
     assert script.igtl(one_pixel("Huge", side=1_100)) == ["note conversion"]
@@ -53,7 +54,7 @@ def test_an_image_above_the_limit_costs_no_other_device_its_own() -> None:
 
 def test_parts_that_make_an_image_may_begin_again() -> None:
     script = Script(Config(keep_mib=1))
-    for device in ("A", "B", "C"):
+    for device in ("A", "B", "C", "D"):
         for half in (0, 1):
             pixels = bytes(SIDE * SIDE // 2)
             size, offset = (SIDE, SIDE // 2, 1), (0, half * SIDE // 2, 0)
