@@ -200,8 +200,9 @@ class RosClient(Program):
         self._pending: list[tuple[str, Any]] = []
         script, *arguments = program
         script = str(Path(__file__).parent / script)
+        by = [sys.executable] if script.endswith(".py") else []
         env = environment(ROS_DOMAIN_ID=str(domain), **changes)
-        super().__init__([*within, sys.executable, script, *arguments, name], env, stdin=subprocess.PIPE)
+        super().__init__([*within, *by, script, *arguments, name], env, stdin=subprocess.PIPE)
         for topic, kind in (subscribe or {}).items():
             self.subscribe(topic, kind)
         for topic, kind in (advertise or {}).items():

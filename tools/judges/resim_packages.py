@@ -8,9 +8,7 @@ whose outcomes are compared.  A package that is not installed is left out.  Exit
 from __future__ import annotations
 
 import argparse
-import subprocess
 import sys
-import sysconfig
 import tempfile
 from collections.abc import Callable, Sequence
 from importlib.util import find_spec
@@ -21,13 +19,8 @@ sys.path.insert(0, str(Path(__file__).parents[2]))
 from igtl_gateway.addons.resim.engine import Program
 from tests.addons.resim import sessions
 from tests.addons.resim.sessions import MS
+from tools.judges import cpp
 from tools.resim_runs import HEADER, Row, pairs, texts, transforms
-
-PROGRAMS = Path(__file__).with_name("programs")
-LIBRARIES = (
-    "rclcpp", "libstatistics_collector", "rcl", "rcutils", "rcpputils", "rmw", "tracetools", "rosidl_runtime_c",
-    "rosidl_typesupport_cpp", "std_msgs__rosidl_typesupport_cpp", "statistics_msgs__rosidl_typesupport_cpp",
-)  # fmt: skip
 
 
 def exact_pairs(path: Path) -> Path:
@@ -40,21 +33,12 @@ def exact_pairs(path: Path) -> Path:
 
 
 def python(name: str, *words: str) -> Callable[[Path], Sequence[Program]]:
-    return lambda folder: [Program((sys.executable, str(PROGRAMS / f"{name}.py"), *words), name)]
+    return lambda folder: [Program((sys.executable, str(cpp.PROGRAMS / f"{name}.py"), *words), name)]
 
 
 def rclcpp(prefixes: Sequence[Path], *words: str) -> Callable[[Path], Sequence[Program]]:
     def programs(folder: Path) -> Sequence[Program]:
-        places = [Path(sys.prefix), *prefixes]
-        command = ["g++", "-std=c++17", "-O1", "-o", str(folder / "node"), str(PROGRAMS / "rclcpp_node.cpp")]
-        for each in places:
-            command += [f"-I{each}/include", *(f"-I{path}" for path in (each / "include").iterdir())]
-            command += [f"-L{each}/lib", f"-Wl,-rpath,{each}/lib"]
-        library = sysconfig.get_config_var("LIBDIR")
-        command += ["-Wl,--no-as-needed,--allow-shlib-undefined", f"-L{library}", f"-Wl,-rpath,{library}"]
-        version = f"python{sys.version_info.major}.{sys.version_info.minor}"  # libraries of messages need it
-        subprocess.run([*command, *(f"-l{each}" for each in (version, *LIBRARIES))], check=True)
-        return [Program((str(folder / "node"), *words), "node")]
+        return [Program((str(cpp.compiled("rclcpp_node.cpp", folder, prefixes)), *words), "node")]
 
     return programs
 

@@ -1,0 +1,176 @@
+"""rosbag2 at the gateway: it records the graph of a bridge, and plays a recording of the bridge.
+
+``python tools/judges/rosbag2.py --prefix DIR …``: folders with ``lib``, ``share`` and the Python modules of
+rosbag2_transport with the storage of MCAP, as an installed ROS 2 has.  Writes
+docs/evidence/real-programs/rosbag2.jsonl; exit code 1 if anything differs.
+
+Strategy: the messages are those of ``ros_types``.  Three records of the same traffic are compared topic by topic, each
+byte: rosbag2's, what the gateway imports of it, and the gateway's own.  Then rosbag2 plays the inputs of the gateway's
+own recording to another bridge, whose recording must have the same inputs and the same outputs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import signal
+import struct
+import subprocess
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from mcap.reader import make_reader
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.record.sessionfile.reader import SessionFile
+from tests.integration.bridge import TIMEOUT_S, Bridge, Program, RawPeer, RosClient, environment
+from tests.integration.test_ros_types import SEC, rows_of_the_command_line
+from tools.judges import cpp, results, ros_types
+from tools.judges.results import BOTH, EXACT, FAILS, TO_IGTL, Row
+
+Messages = dict[str, list[bytes]]
+#: What the gateway does not record: logs and parameters of each node, and what it publishes of itself.
+NOT_OURS = ("/rosout", "/parameter_events", "/events/write_split", "/diagnostics")
+#: For the discovery of the player's topics, and for the last message.
+DELAY_S, AFTER_S = 5, 3
+PLAYED = ("storage.storage_id:=mcap", f"play.delay.sec:={DELAY_S}", "play.disable_keyboard_controls:=true")
+#: Where a message of OpenIGTLink has its stamp, and the first half of it that the tables of ``ros_types`` ask for.
+STAMP, SECONDS = slice(34, 42), struct.pack(">I", SEC)
+
+
+@contextmanager
+def program(name: str, prefixes: Sequence[Path], *parameters: str) -> Iterator[Program]:
+    """The recorder or the player, ended by Ctrl-C."""
+    words = [word for each in parameters for word in ("-p", each)]
+    command = [str(cpp.executable("rosbag2_transport", name, prefixes)), "--ros-args", *words]
+    running = Program(command, environment(**cpp.environment(prefixes)))
+    try:
+        yield running
+        running.end(signal.SIGINT)
+    finally:
+        running.close()
+
+
+@contextmanager
+def recorder(bag: Path, prefixes: Sequence[Path]) -> Iterator[Program]:
+    """Records all topics, also those that nobody publishes yet."""
+    with program(
+        "recorder",
+        prefixes,
+        f"storage.uri:={bag}",
+        "storage.storage_id:=mcap",
+        "record.all_topics:=true",
+        "record.include_unpublished_topics:=true",
+        "record.disable_keyboard_controls:=true",
+    ) as running:
+        yield running
+
+
+def of_bag(bag: Path) -> Messages:
+    """Topic → messages of the files of a bag, by the library of MCAP."""
+    found: Messages = defaultdict(list)
+    for path in sorted(bag.glob("*.mcap")):
+        with path.open("rb") as file:
+            for _, channel, message in make_reader(file).iter_messages():
+                found[channel.topic].append(message.data)
+    return found
+
+
+def of_session(path: Path, *kinds: Kind) -> Messages:
+    """Channel → messages of a recording of the gateway."""
+    found: Messages = defaultdict(list)
+    with SessionFile.open(path) as file:
+        for entry in file.entries_of_kinds(kinds):
+            if entry.kind in kinds:
+                found[entry.channel].append(entry.data())
+    return found
+
+
+def padded(data: bytes) -> bytes:
+    """With the zeros up to a multiple of four bytes that RTPS adds to CDR."""
+    return data + bytes(-len(data) % 4)
+
+
+def compared(
+    what: str, direction: str, found: Mapping[str, list[bytes]], wanted: Mapping[str, list[bytes]]
+) -> list[Row]:
+    """One row for all equal channels, and one for each that differs."""
+    found, wanted = ({channel: [*map(padded, each)] for channel, each in which.items()} for which in (found, wanted))
+    equal = [channel for channel, messages in wanted.items() if found.get(channel) == messages]
+    rows = [Row(what, direction, EXACT, sum(len(wanted[each]) for each in equal))] if equal else []
+    for channel in wanted.keys() - equal:
+        messages = found.get(channel, [])
+        same = sum(a == b for a, b in zip(messages, wanted[channel], strict=False))
+        text = f"{channel}: {len(messages)} messages, {same} equal, expected {len(wanted[channel])}"
+        rows.append(Row(what, direction, FAILS, 1, text))
+    return rows
+
+
+def record(folder: Path, prefixes: Sequence[Path]) -> list[Row]:
+    """Everything of the tables, recorded by both."""
+    bag, session, imported = folder / "bag", folder / "session.mcap", folder / "imported.mcap"
+    node = RosClient("judge")
+    with recorder(bag, prefixes):
+        failed = [row for row in ros_types.judge(node, "--record", str(session), readers=2) if row.result != EXACT]
+        time.sleep(1)
+    command = [sys.executable, "-m", "igtl_gateway", "import", str(bag), "-o", str(imported)]
+    subprocess.run(command, check=True, capture_output=True, timeout=10 * TIMEOUT_S)
+    bagged = {topic: messages for topic, messages in of_bag(bag).items() if topic not in NOT_OURS}
+    ours = {
+        topic: messages
+        for topic, messages in of_session(session, Kind.ROS_IN, Kind.ROS_OUT).items()
+        if topic in bagged or topic.startswith("/igtl/")
+    }
+    rows = compared("recorded by rosbag2 as by the gateway", BOTH, bagged, ours)
+    rows += compared("its bag, imported", BOTH, of_session(imported, Kind.ROS_IN), bagged)
+    return [*rows, *failed]
+
+
+def play(folder: Path, prefixes: Sequence[Path]) -> list[Row]:
+    """The inputs of the recording, played to another bridge."""
+    session, again = folder / "session.mcap", folder / "again.mcap"
+    inputs = of_session(session, Kind.ROS_IN)
+    bridge = Bridge("--no-cautious", *rows_of_the_command_line(), "--record", str(again))
+    with RawPeer(bridge.port), SessionFile.open(session) as file:
+        bridge.wait_code("link_up")
+        topics = ", ".join(sorted(inputs))
+        with program("player", prefixes, f"storage.uri:={session}", f"play.topics_to_filter:=[{topics}]", *PLAYED):
+            time.sleep(DELAY_S + (file.end_ns - file.start_ns) / 1e9 + AFTER_S)
+        bridge.end()
+        bridge.close()
+    what = "played by rosbag2 to another bridge"
+    rows = compared(f"{what}: what that receives", TO_IGTL, of_session(again, Kind.ROS_IN), inputs)
+    first, second = map(to_silent_peer, (session, again))
+    return [*rows, *compared(f"{what}: what its peer receives", TO_IGTL, second, first)]
+
+
+def to_silent_peer(path: Path) -> Messages:
+    """What went to the peer that sends nothing: it gets every type.  Without stamps that are the time of receipt."""
+    found: dict[int, Messages] = defaultdict(lambda: defaultdict(list))
+    with SessionFile.open(path) as file:
+        for entry in file.entries_of_kinds([Kind.IGTL_OUT]):
+            data = bytes(entry.data())
+            stamped = data[STAMP].startswith(SECONDS)
+            for link in entry.links if entry.kind is Kind.IGTL_OUT else ():
+                found[link][entry.channel].append(data if stamped else data[: STAMP.start] + data[STAMP.stop :])
+    return max(found.values(), key=len)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--prefix", type=Path, action="append", required=True, help="folder of packages (repeatable)")
+    prefixes = parser.parse_args().prefix
+    with tempfile.TemporaryDirectory() as name:
+        rows = [*record(Path(name), prefixes), *play(Path(name), prefixes)]
+    version = cpp.version_of("rosbag2_transport", prefixes)
+    return results.write("rosbag2", "rosbag2", version, "recorder and player", rows)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
