@@ -1,4 +1,4 @@
-"""Programs in C++ for the judges, compiled against packages of ROS 2 that somebody has built."""
+"""Programs in C++ for the judges, compiled against packages of ROS 2 that are there, built."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -187,7 +187,7 @@ def judge(programs: Path, images: Path) -> list[Row]:
     for name in ("ReceiveClient", "ReceiveServer"):
         if (programs / name).exists():
             rows += _receives(programs, name)
-    return rows
+    return [*rows, *(_asks(programs, name) for name in ASKING if (programs / name).exists())]
 
 
 def _started(stack: ExitStack, command: Sequence[str], output: Any) -> None:
@@ -268,6 +268,43 @@ def _receives(programs: Path, name: str) -> list[Row]:
     return results.summed(rows)
 
 
+#: The examples that ask: arguments, the device that we have of their type, and a line that they print of it.
+ASKING = {
+    "TrackingDataClient": (("50",), "Tools", " Name       : Tip"),
+    "QuaternionTrackingDataClient": (("50",), "QTools", " Name       : Tip"),
+    "PolyDataClient": ((), "Liver", "  point[3] = (0, 10, 8.5)"),
+    "LabelMetaClient": ((), "Regions", " Name       : Liver"),
+    "ImageMetaClient": ((), "Shelf", " PatientID  : P-1"),
+}
+
+
+def _asks(programs: Path, name: str) -> Row:
+    """An example that ends when anything precedes its answer, at a bridge that has latched messages of other types."""
+    words, device, line = ASKING[name]
+    asked = next(one for one in OUTGOING if one.device == device)
+    published = [asked, *(one for one in OUTGOING if one.type not in ("TDATA", "QTDATA", asked.type))]
+    row = Row(f"{asked.type} that {name} asks for", TO_IGTL, EXACT)
+    with ExitStack() as stack:
+        node = stack.enter_context(RosClient("judge", advertise={one.topic: one.ros_type for one in published}))
+        output = stack.enter_context(tempfile.NamedTemporaryFile())
+        bridge = Bridge("--no-cautious", *rows_of_the_command_line())
+        stack.callback(bridge.close)
+        stack.callback(bridge.end)
+        node.wait_readers(*(one.topic for one in published))
+        for one in published:
+            node.publish(one.topic, one.fields)
+        bridge.wait_code("stream", len(published))
+        _started(stack, [str(programs / name), "127.0.0.1", str(bridge.port), *words], output)
+        deadline = time.monotonic() + TIMEOUT_S
+        while (text := Path(output.name).read_text(errors="replace")).find(line) < 0:
+            if time.monotonic() > deadline:
+                return replace(row, result=FAILS, text=f"not printed: {line!r}, but {text[:200]!r}")
+            if words:  # it asks for a stream
+                node.publish(asked.topic, asked.fields)
+            time.sleep(0.05)
+    return row
+
+
 def _printed(output: Path, begin: int, name: str, one: Any) -> Row:
     wanted, deadline = PRINTED[one.type](one.content), time.monotonic() + TIMEOUT_S
     missing = wanted
@@ -287,10 +324,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--programs", type=Path, required=True, help="folder of the example programs")
     parser.add_argument("--images", type=Path, required=True, help="folder of the images that ImagerServer sends")
+    parser.add_argument("--version", help="of the library that they were built on (default: Debian's)")
     options = parser.parse_args()
-    version = f"on the library {debian('libopenigtlink1.11')}"
+    version = options.version or debian("libopenigtlink1.11")
     rows = judge(options.programs, options.images)
-    return results.write("examples", "Examples of OpenIGTLink", version, "servers and clients", rows)
+    return results.write(
+        "examples", "Examples of OpenIGTLink", f"on the library {version}", "servers and clients", rows
+    )
 
 
 if __name__ == "__main__":

@@ -59,7 +59,7 @@ def program(name: str, prefixes: Sequence[Path], *parameters: str) -> Iterator[P
 
 @contextmanager
 def recorder(bag: Path, prefixes: Sequence[Path]) -> Iterator[Program]:
-    """Records all topics, also those that nobody publishes yet."""
+    """Records all topics, also those without a publisher yet."""
     with program(
         "recorder",
         prefixes,
@@ -159,7 +159,8 @@ def to_silent_peer(path: Path) -> Messages:
             stamped = data[STAMP].startswith(SECONDS)
             for link in entry.links if entry.kind is Kind.IGTL_OUT else ():
                 found[link][entry.channel].append(data if stamped else data[: STAMP.start] + data[STAMP.stop :])
-    return max(found.values(), key=len)
+    its = max(found.values(), key=len)
+    return {channel: [*dict.fromkeys(messages)] for channel, messages in its.items()}  # answers repeat what was sent
 
 
 def main() -> int:
