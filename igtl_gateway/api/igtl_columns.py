@@ -67,7 +67,8 @@ def pose_rows(block: MessageBlock, igtl_type: str) -> PoseRows:
     quaternions = np.zeros((len(block), 4))
     forms = ["all"] * len(block)
     good = plain.copy()
-    numbers = np.ascontiguousarray(bodies).view(">f4").astype(np.float64)
+    with np.errstate(invalid="ignore"):  # a signalling NaN
+        numbers = np.ascontiguousarray(bodies).view(">f4").astype(np.float64)
     if is_matrix:
         matrices[plain, :3, :] = numbers.reshape(-1, 4, 3).transpose(0, 2, 1)
     else:

@@ -104,6 +104,16 @@ def test_a_quaternion_of_any_length_is_a_rotation_and_zero_is_not() -> None:
     assert found.matrices[4, :3, 3].tolist() == [1.0, 2.0, 3.0]
 
 
+def test_a_signalling_nan_is_a_number_like_another(recwarn: pytest.WarningsRecorder) -> None:
+    """Numpy warns of its conversion, on the terminal of whoever exports a table."""
+    data = bytearray(packed(Message("TRANSFORM", "A", Transform((1.0,) * 12))))
+    data[58:62] = b"\x7f\xa0\0\0"
+    data[50:58] = crc64(bytes(data[58:])).to_bytes(8, "big")
+    found = pose_rows(block_of([Entry(1, 1, Kind.IGTL_IN, "TRANSFORM/A", "TRANSFORM", (bytes(data),))]), "TRANSFORM")
+    assert math.isnan(found.matrices[0, 0, 0])
+    assert not len(recwarn)
+
+
 @given(st.lists(st.binary(min_size=48, max_size=48), min_size=1, max_size=8))
 def test_crcs_of_a_table_are_those_of_the_library(bodies: list[bytes]) -> None:
     rows = np.frombuffer(b"".join(bodies), np.uint8).reshape(-1, 48)

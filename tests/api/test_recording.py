@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.typesys import Stores, get_typestore
 
@@ -293,6 +294,47 @@ def test_a_file_of_another_program_has_its_ros_topics(tmp_path: Path) -> None:
         assert bag.config is None and bag.ledger is None
         assert np.array_equal(bag["/star/tool"].poses().matrices, whole["/star/tool"].poses().matrices)
         assert "lwr_base" in bag.tf.frames
+
+
+def other_program(path: Path, channels: int, publish_ns: int) -> list[int]:
+    """Write poses of one topic, in several channels, as rosbag2 does for several publishers; return their times."""
+    with STAR.open("rb") as stream:
+        schema, _, message = next(make_reader(stream).iter_messages(topics=["/star/tool"]))
+    assert schema is not None
+    with path.open("wb") as out:
+        writer = Writer(out)
+        writer.start("ros2")
+        number = writer.register_schema(schema.name, schema.encoding, schema.data)
+        ids = [writer.register_channel("/tool", "cdr", number) for _ in range(channels)]
+        times = [START_NS + 1_000_000 * place for place in range(10 * channels)]
+        for place, time_ns in enumerate(times):
+            writer.add_message(ids[place % channels], time_ns, message.data, publish_ns or time_ns)
+        writer.finish()
+    return times
+
+
+def test_a_topic_of_several_channels_is_one_stream(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "bag.mcap"
+    times = other_program(path, 3, 0)
+    with igtl_gateway.open(path) as bag:
+        stream = bag["/tool"]
+        assert len(bag) == 1
+        assert len(stream) == len(stream.poses().matrices) == len(times)
+        assert stream.times.tolist() == times
+    assert main(["sync", str(path)]) == 1
+    assert main(["info", "--json", str(path)]) == 0
+    assert [row["messages"] for row in json.loads(capsys.readouterr().out)["streams"]] == [len(times)]
+
+
+@pytest.mark.parametrize("publish_ns", [1 << 63, (1 << 64) - 1])
+def test_a_stamp_after_2262_is_not_one_before_1970(publish_ns: int, tmp_path: Path) -> None:
+    path = tmp_path / "bag.mcap"
+    other_program(path, 1, publish_ns)
+    with (
+        igtl_gateway.open(path) as bag,
+        pytest.raises(UnsupportedRecording, match=rf"found {publish_ns}, expected times up to 2\^63"),
+    ):
+        assert len(bag["/tool"].source_times)
 
 
 class Ranges(http.server.BaseHTTPRequestHandler):

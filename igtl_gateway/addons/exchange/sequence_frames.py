@@ -21,6 +21,7 @@ from igtl_gateway.addon import (
     Note,
     UnsupportedRecording,
     failure_text,
+    limits,
     millimetres,
     recorded_units,
 )
@@ -104,7 +105,8 @@ class SequenceFrames:
         names: TRANSFORM stream → name of the transform in the file.
         first: the first image, which determines the format of all; None before the first pass.
 
-    Raises UnsupportedRecording without any IMAGE or TRANSFORM, ConfigError for several IMAGE streams.
+    Raises UnsupportedRecording without any IMAGE or TRANSFORM, ConfigError for several IMAGE streams,
+    LimitExceeded for more transforms than a sequence that is read back.
     """
 
     def __init__(self, recording: Recording, globs: Sequence[str]) -> None:
@@ -134,6 +136,7 @@ class SequenceFrames:
                 while name in self.names.values():
                     name += "_"
                 self.names[stream] = name
+        limits.check_limit("fields", len(self.names), "transforms of one sequence, each of them in each frame")
         self.first: Image | None = None
 
     def frames(self, account: ExportAccount) -> Iterator[SequenceFrame]:

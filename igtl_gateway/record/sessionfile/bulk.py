@@ -111,7 +111,7 @@ class ChunkReader:
             whole: the times include all messages, so their number must be that of the summary.
             is_wire: messages are RawMessages, and the payload is the OpenIGTLink message in it.
 
-        Raises Unfit before the first block, or Malformed, LimitExceeded.
+        Raises Unfit before the first block, or Malformed, LimitExceeded, UnsupportedRecording (a time after 2262).
         """
         if not self._fit:
             raise Unfit
@@ -208,6 +208,8 @@ class ChunkReader:
             raise Malformed(f"chunk at offset {chunk.at:,}: found a message outside of it")
         records = gathered(data, places, head).view(_RECORD).reshape(-1)
         ends = places + HEAD.size + records["length"].astype(np.int64)
+        last = max(int(records["log_ns"].max()), int(records["publish_ns"].max())) if len(places) else 0
+        _check_time(last, f"chunk at offset {chunk.at:,}")
         times = records["log_ns"].astype(np.int64)
         right = (records["opcode"] == MESSAGE) & np.isin(records["channel"], list(wanted)) & (ends <= len(data))
         if not (right & (ends >= places + head)).all():
@@ -220,6 +222,12 @@ class ChunkReader:
         if (times[1:] < times[:-1]).any():
             block = block.where(np.argsort(times, kind="stable"))
         return block
+
+
+def _check_time(found: int, what: str) -> None:
+    """Refuse a time that is no int64: it would be before 1970."""
+    if found > _LAST:
+        raise UnsupportedRecording(f"{what}: found {found}, expected times up to 2^63 - 1 ns")
 
 
 def gathered(data: Bytes, begins: Numbers, size: int) -> Bytes:
@@ -303,8 +311,7 @@ def block_of(entries: Collection[Entry]) -> MessageBlock:
     ends = np.cumsum([len(payload) for payload in payloads], dtype=np.int64)
     begins = np.concatenate((np.zeros(1, np.int64), ends[:-1])) if payloads else ends
     for entry in entries:
-        if (found := max(entry.seq, entry.stamp_ns, entry.source_ns)) > _LAST:
-            raise UnsupportedRecording(f"entry {entry.seq}: found {found}, expected times up to 2^63 - 1 ns")
+        _check_time(max(entry.seq, entry.stamp_ns, entry.source_ns), f"entry {entry.seq}")
     numbers, times, source = (
         np.array([getattr(entry, name) for entry in entries], np.int64) for name in ("seq", "stamp_ns", "source_ns")
     )

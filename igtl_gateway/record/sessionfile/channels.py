@@ -6,8 +6,8 @@ The reader and the salvage of damaged files share this module, so that both read
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 
 from mcap.records import Channel, Schema
 
@@ -61,6 +61,15 @@ class ChannelSummary:
     def entry_type(self) -> str:
         """Type of its entries."""
         return self.type if self.kind in layout.ROS_KINDS else self.stream.partition("/")[0]
+
+
+def joined(channels: Iterable[ChannelSummary]) -> tuple[ChannelSummary, ...]:
+    """One for each stream, with all of its messages: rosbag2 writes several of a topic, and each part has its own."""
+    found: dict[tuple[str, str, Kind, str], ChannelSummary] = {}
+    for channel in channels:
+        key = (channel.topic, channel.type, channel.kind, channel.stream)
+        found[key] = replace(channel, count=channel.count + (found[key].count if key in found else 0))
+    return tuple(found.values())
 
 
 @dataclass(frozen=True, slots=True)

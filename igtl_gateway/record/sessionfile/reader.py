@@ -34,6 +34,7 @@ from igtl_gateway.record.sessionfile.channels import (
     SkippedChannel,
     decoder,
     is_marked,
+    joined,
     kind_of,
     next_seq,
 )
@@ -110,7 +111,7 @@ class SessionFile:
         if unknown := index.counts.keys() - self._known:
             raise self._damaged("index", f"found messages of channel {min(unknown)}, of which there is no record")
         found = [self._open_channel(channel) for channel in index.channels.values()]
-        self.channels = tuple(channel for channel in found if isinstance(channel, ChannelSummary))
+        self.channels = joined(channel for channel in found if isinstance(channel, ChannelSummary))
         self.skipped = tuple(channel for channel in found if isinstance(channel, SkippedChannel))
         self.definitions = {
             schema.name: schema.data.decode("utf-8", "replace") or layout.NO_FIELDS  # an empty one would look like none
@@ -479,7 +480,7 @@ class SessionParts(SessionFile):
     def __init__(self, folder: Path, *, incomplete: bool) -> None:
         self.path = folder
         found: dict[int, PartSummary] = {}
-        channels: dict[tuple[str, str, Kind, str], ChannelSummary] = {}
+        channels: list[ChannelSummary] = []
         skipped: list[SkippedChannel] = []
         self.definitions = {}
         self.entry_count = self.start_ns = self.end_ns = 0
@@ -493,10 +494,7 @@ class SessionParts(SessionFile):
                     )
                 size = path.stat().st_size
                 found[number] = PartSummary(path, size, part.entry_count, part.start_ns, part.end_ns)
-                for channel in part.channels:
-                    key = (channel.topic, channel.type, channel.kind, channel.stream)
-                    count = channels[key].count if key in channels else 0
-                    channels[key] = replace(channel, count=channel.count + count)
+                channels += part.channels
                 skipped += part.skipped
                 self.definitions |= part.definitions
                 self.entry_count += part.entry_count
@@ -524,7 +522,7 @@ class SessionParts(SessionFile):
         if full:
             self.start_ns, self.end_ns = full[0].start_ns, full[-1].end_ns
         self.foreign = False
-        self.channels, self.skipped = tuple(channels.values()), tuple(skipped)
+        self.channels, self.skipped = joined(channels), tuple(skipped)
 
     def close(self) -> None:
         """Nothing to close: a part is open only while it is read."""

@@ -9,7 +9,8 @@ import pytest
 
 from igtl_gateway.addons.exchange.sequence import TRANSFORM_STATUS
 from igtl_gateway.addons.exchange.sequence_out import export_sequence
-from igtl_gateway.base.errors import UnsupportedRecording
+from igtl_gateway.base.errors import LimitExceeded, UnsupportedRecording
+from igtl_gateway.base.untrusted.limits import FileLimits, limits_in_force
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.transform import Transform
 from tests.addons.exchange import plus
@@ -94,3 +95,14 @@ def test_nothing_that_can_be_read_is_no_file(tmp_path: Path) -> None:
     with pytest.raises(UnsupportedRecording, match="neither a complete IMAGE"):
         export_sequence(InMemory([sent(0, "Scan", "IMAGE", part)]), tmp_path / "some.igs.mha", ())
     assert not (tmp_path / "some.igs.mha").exists()
+
+
+def test_more_transforms_than_a_sequence_that_is_read_back_are_refused(tmp_path: Path) -> None:
+    """Each frame has all of them: 20,000 poses of 20,000 devices would be 400 million."""
+    items = [sent(number, f"Tool{number}", "TRANSFORM", pose(number)) for number in range(12)]
+    out = tmp_path / "some.igs.mha"
+    with limits_in_force(FileLimits(fields=11)), pytest.raises(LimitExceeded, match="12, expected at most 11"):
+        export_sequence(InMemory(items), out, ())
+    assert not out.exists()
+    with limits_in_force(FileLimits(fields=12)):
+        export_sequence(InMemory(items), out, ())
