@@ -105,7 +105,7 @@ def test_a_quaternion_of_any_length_is_a_rotation_and_zero_is_not() -> None:
 
 
 def test_a_signalling_nan_is_a_number_like_another(recwarn: pytest.WarningsRecorder) -> None:
-    """Numpy warns of its conversion, on the terminal of whoever exports a table."""
+    """Numpy warns of its conversion, on the terminal of an export."""
     data = bytearray(packed(Message("TRANSFORM", "A", Transform((1.0,) * 12))))
     data[58:62] = b"\x7f\xa0\0\0"
     data[50:58] = crc64(bytes(data[58:])).to_bytes(8, "big")

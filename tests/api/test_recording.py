@@ -309,7 +309,7 @@ def other_program(path: Path, channels: int, publish_ns: int) -> list[int]:
         times = [START_NS + 1_000_000 * place for place in range(10 * channels)]
         for place, time_ns in enumerate(times):
             writer.add_message(ids[place % channels], time_ns, message.data, publish_ns or time_ns)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
     return times
 
 

@@ -31,7 +31,9 @@ def schema(table: str, provenance: Mapping[str, Any] | None = None) -> pa.Schema
 
 
 def arrow_table(name: str, rows: Sequence[Row]) -> pa.Table:
-    """Return rows as a table; columns that a row does not have are null.  Text is valid UTF-8, and NaN is null."""
+    """Return rows as a table; columns that a row does not have are null.  Text is valid UTF-8.
+
+    NaN is null, and so is an integer or a time (ns, UTC) that has no 64 bits with a sign: one after 2262."""
     arrays = []
     for column, kind in TABLES[name].items():
         values = [row.get(column) for row in rows]
@@ -50,8 +52,12 @@ def _real(value: float) -> float | None:
     return None if math.isnan(value) else float(value)
 
 
+def _whole(value: int) -> int | None:
+    return value if -1 << 63 <= value < 1 << 63 else None
+
+
 #: What makes the values of a type fit.
-_CLEAN: Mapping[str, Callable[[Any], Any]] = {"text": _text, "real": _real}
+_CLEAN: Mapping[str, Callable[[Any], Any]] = {"text": _text, "real": _real, "int": _whole, "time": _whole}
 
 
 def joined(name: str, tables: Iterable[pa.Table]) -> pa.Table:

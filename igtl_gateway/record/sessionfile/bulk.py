@@ -225,7 +225,7 @@ class ChunkReader:
 
 
 def _check_time(found: int, what: str) -> None:
-    """Refuse a time that is no int64: it would be before 1970."""
+    """Refuse a time without 63 bits, which would be before 1970."""
     if found > _LAST:
         raise UnsupportedRecording(f"{what}: found {found}, expected times up to 2^63 - 1 ns")
 

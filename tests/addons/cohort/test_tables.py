@@ -31,3 +31,9 @@ def test_foreign_values_fit_the_columns() -> None:
     table = joined("tasks", [arrow_table("tasks", rows), arrow_table("tasks", [])])
     assert table["file"].to_pylist() == ["\\udcff", "a"]
     assert table["seconds"].to_pylist() == [None, None]
+
+
+def test_a_number_without_64_bits_is_null() -> None:
+    """A file whose messages have times up to 2^64 - 1 ended the whole cohort."""
+    table = arrow_table("recordings", [{"task": "0", "file": "a", "start": (1 << 64) - 1, "entries": 1 << 63}])
+    assert table["start"].to_pylist() == table["entries"].to_pylist() == [None]
