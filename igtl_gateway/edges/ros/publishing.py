@@ -10,6 +10,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
+from itertools import count
 from queue import SimpleQueue
 from typing import Any
 
@@ -32,6 +33,8 @@ HOLD_NS = 2_000_000_000
 #: A reader of another vendor's DDS ignores what it receives before it has matched our writer, which it does not report.
 FOREIGN_NS = 250_000_000
 _LINGER_NS = 500_000_000  # for acknowledgements at the end; a subscriber that hangs must not delay us
+#: Publishers that are made as soon as they are needed; further ones in groups, with a pause before each.
+_USUAL, _GROUP, _GROUP_S = 64, 8, 0.1
 _MATCHES_MAX = 10_000  # matches not reported yet: at most those of one turn of the keeper
 
 
@@ -116,8 +119,15 @@ class Publishing(Publishers[TopicPublisher]):
         return TopicPublisher(topic, type_name, qos, self._reports.counts(topic))
 
     def _make_announced(self) -> None:
-        """Make the publishers that messages wait for, one after the other, until the stop."""
-        while announced := self._to_make.get():
+        """Make the publishers that messages wait for, one after the other, until the stop.
+
+        Each makes rclpy look at all of them, with the GIL: beyond a usual number they are made in groups.
+        """
+        for made in count():
+            if made > _USUAL and made % _GROUP == 0:
+                self._node.stopping.wait(_GROUP_S)
+            if not (announced := self._to_make.get()):
+                return
             if self._node.is_running and self._complete(*announced):
                 self._node.graph.wake()  # the keeper sends what is held
 

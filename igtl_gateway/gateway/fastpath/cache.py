@@ -28,6 +28,10 @@ from igtl_gateway.wire.header import HEADER_SIZE, NAMES
 #: Maximum number of compiled streams in each direction; further streams take the full path.
 MAX_STREAMS = 4_096
 
+#: Streams that are compiled from their first message; further ones of peers from their second: a peer that invents
+#: names would have each of them compiled, which takes a third of the time of its message, and kept.
+MOST_AT_ONCE = 64
+
 #: Number of times that a stream is compiled until its peer changes, or, if it goes to the peers, any of them does:
 #: one whose messages never fit keeps the full path.
 MAX_COMPILED = 8
@@ -205,7 +209,7 @@ class FastPath:
 
     def _learn_to_ros(self, entry: Entry, origin: RosOrigin) -> None:
         key = (entry.links[0], bytes(entry.payload[0][NAMES]))
-        if entry.type in compile_to_ros.TYPES and not self._frames_go_out and self._may_compile(key):
+        if entry.type in compile_to_ros.TYPES and not self._frames_go_out and self._comes_again(key):
             assembler, peer = self._volumes.get(origin.to.device_name), self._peers.get(entry.links[0])
             frames = peer.frames if peer else None
             self._store(self.to_ros, key, compile_to_ros.compile_to_ros(entry, origin, self._common, assembler, frames))
@@ -218,6 +222,13 @@ class FastPath:
             self._store(self.to_igtl, key, compiled)
             if compiled and entry.size <= _LARGEST_LEARNED and len(self._learned) < _MOST_LEARNED:
                 self._learned[key] = entry, origin
+
+    def _comes_again(self, key: Key) -> bool:
+        """Return whether a stream of a peer may be compiled: beyond `MOST_AT_ONCE` from its second message on."""
+        is_new = MOST_AT_ONCE <= len(self._compiled) < MAX_STREAMS and key not in self._compiled
+        if is_new:
+            self._compiled[key] = 0
+        return not is_new and self._may_compile(key)
 
     def _may_compile(self, key: Key) -> bool:
         """Return whether a stream is not compiled and may be."""

@@ -377,6 +377,22 @@ def test_a_publisher_that_takes_long_to_make_delays_no_message(
     assert [cdr for cdr, _ in peer.take("/slow/first", 3)] == [point.hex() for point in points]
 
 
+def test_beyond_a_usual_number_publishers_are_made_in_groups(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A peer that invents names has rclpy look at all publishers again for each of them."""
+    for name, value in (("_USUAL", 2), ("_GROUP", 2), ("_GROUP_S", 3_600.0)):
+        monkeypatch.setattr(publishing, name, value)
+    edge = Heard().edge()
+    edge.start()
+    try:
+        for number in range(6):
+            edge.publish(f"/group/of{number}", STRING, string_cdr("first"), Qos())
+        made = edge._publishing
+        assert edge._node.wait(lambda: sum(one.is_made for one in made.all()) >= 4, TIMEOUT_S)
+        assert not edge._node.wait(lambda: sum(one.is_made for one in made.all()) > 4, 0.3)
+    finally:
+        edge.stop()  # which does not wait for the next group
+
+
 def test_a_reader_of_another_vendor_gets_the_first_message(
     peer: Peer, edge: RosEdge, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -19,6 +19,7 @@ from igtl_gateway.config.configuration import Config, ToIgtlRow, ToRosRow
 from igtl_gateway.convert import express, rosmsg
 from igtl_gateway.convert.common_msgs import PoseStamped
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP, LISTENED, Gateway, Session
+from igtl_gateway.gateway.fastpath import cache
 from igtl_gateway.gateway.live_settings import LiveSettings
 from igtl_gateway.gateway.log.changes import SETTING
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -33,6 +34,7 @@ from igtl_gateway.wire.query import EmptyQuery, StartTracking
 from igtl_gateway.wire.text import Status
 from igtl_gateway.wire.text import String as StringBody
 from igtl_gateway.wire.transform import Position, Transform
+from tests.script import Script
 from tests.tables import table
 
 T0_NS = 1_700_000_000 * NS_PER_S
@@ -673,3 +675,20 @@ def test_what_nobody_hears_is_refused_all_the_same(heard: set[str] | None) -> No
     entries, counts = played(steps, Config(), heard, fast_path=True)
     assert (entries, counts) == played(steps, Config(), heard, fast_path=False)
     assert counts["igtl_in"]["POLYDATA/B"]["dropped"] == {"truncated": 1}
+
+
+def test_of_peers_that_invent_names_few_are_compiled() -> None:
+    script = Script()
+    script.up(1)
+    script.up(2)
+
+    def send(number: int, link: int) -> None:
+        script.igtl(Message("TRANSFORM", f"D{number}", POSE, ns_to_ticks(script.now_ns)), link)
+
+    for number in range(cache.MOST_AT_ONCE + 20):  # the first message opens a stream
+        send(number, 1)
+        send(number, 2)
+    compiled = script.gateway.fast_path.to_ros
+    assert 0 < (made := len(compiled)) <= cache.MOST_AT_ONCE
+    send(cache.MOST_AT_ONCE + 10, 2)
+    assert len(compiled) == made + 1, "a stream has a second message"
