@@ -1,6 +1,7 @@
 // Two components for a component container: one sends poses, images and texts as unique pointers and as loaned messages;
 // the other one receives them, and what the gateway publishes.  It reports what it received, and whether a message is the
 // very one that was sent: by its address.
+#include <array>
 #include <atomic>
 #include <chrono>
 #include <memory>
@@ -21,8 +22,8 @@ using sensor_msgs::msg::Image;
 using std_msgs::msg::String;
 
 constexpr int MESSAGES = 20;
-// The address of the last image that was sent: both components are in one process.
-static std::atomic<const void *> sent_at{nullptr};
+// The address of each image that was sent, by its number: both components are in one process.
+static std::array<std::atomic<const void *>, MESSAGES + 1> sent_at{};
 
 class Talker : public rclcpp::Node {
 public:
@@ -52,7 +53,7 @@ private:
     image->width = image->height = image->step = 64;
     image->encoding = "mono8";
     image->data.assign(64 * 64, static_cast<uint8_t>(count_));
-    sent_at = image.get();
+    sent_at[count_] = image.get();
     images_->publish(std::move(image));
     auto text = std::make_unique<String>();
     text->data = "text " + std::to_string(count_);
@@ -71,7 +72,7 @@ public:
   explicit Listener(const rclcpp::NodeOptions & options) : Node("listener", options) {
     report_ = create_publisher<String>("/judge/report", rclcpp::QoS(100).transient_local(), without_intra_process());
     images_ = create_subscription<Image>("/igtl/out/Image", 10, [this](Image::UniquePtr image) {
-      say("image " + std::to_string(image->header.stamp.sec) + (image.get() == sent_at ? " same" : " copy"));
+      say("image " + std::to_string(image->header.stamp.sec) + (image.get() == sent_at.at(image->header.stamp.sec) ? " same" : " copy"));
     });
     poses_ = create_subscription<PoseStamped>("/igtl/out/Pose", 10, [this](PoseStamped::ConstSharedPtr pose) {
       say("pose " + std::to_string(pose->header.stamp.sec));
