@@ -40,6 +40,8 @@ from igtl_gateway.gateway.log.marks import MarkNote
 
 #: Switch interval of the interpreter.  With Python's default of 5 ms, a pose waits that long for an image.
 _SWITCH_S = 0.0005
+#: Collections of the middle generation before a full one; Python: 10.
+_FULL_EACH = 100
 
 EXAMPLES = """\
   # OpenIGTLink server on 127.0.0.1:18944, ROS 2 node /igtl_gateway
@@ -385,8 +387,10 @@ def _window(config: Config) -> LiveWindow:
 def _tune_interpreter() -> None:
     """Exclude all existing objects from garbage collection, and set the switch interval.  Call this after the start.
 
-    With rclpy and numpy loaded, a full collection takes tens of milliseconds.
+    With rclpy and numpy loaded, a full collection takes tens of milliseconds, and so does one of the streams that peers
+    invent: it comes rarely.
     """
     gc.collect()
     gc.freeze()
+    gc.set_threshold(*gc.get_threshold()[:2], _FULL_EACH)
     sys.setswitchinterval(_SWITCH_S)
