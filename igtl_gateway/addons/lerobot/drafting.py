@@ -174,7 +174,7 @@ def _lines(recording: Recording, chosen: list[_Candidate], left_out: list[str]) 
     yield "split_long = true  # divide episodes that are too long for float32 time stamps"
     yield ""
     yield "[episodes]"
-    yield f"by = {toml_value(default.episodes.by)}  # ranges, markers, notes, gap or still"
+    yield f"by = {toml_value(default.episodes.by)}  # ranges, marks, markers, notes, gap or still"
     for each in chosen:
         yield ""
         yield from _row(each.feature)

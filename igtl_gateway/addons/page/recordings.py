@@ -97,7 +97,8 @@ class Recordings:
                     found = reader.ask(self.folder / name, places=True)
                 finally:
                     reader.close()
-            self._places[name] = mark, found
+            if not found.get("unread"):  # else it is read again
+                self._places[name] = mark, found
             while len(self._places) > _MAX_PLACES:
                 del self._places[next(iter(self._places))]
             return found

@@ -7,9 +7,11 @@ import time
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 import igtl_gateway
 from igtl_gateway.addons.page.listing import places_of
-from igtl_gateway.addons.page.recordings import Recordings
+from igtl_gateway.addons.page.recordings import Recordings, _Reader
 from tests.places import FIXTURES
 
 
@@ -56,6 +58,15 @@ def test_the_time_line(tmp_path: Path) -> None:
     assert [place["kind"] for place in found] == ["pause", "resume"]
     assert 0 <= found[0]["at_s"] <= found[1]["at_s"]
     assert places_of(tmp_path / "absent.mcap")["places"] == []
+
+
+def test_a_time_line_that_was_not_read_in_time_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "a.mcap").touch()
+    answers: list[dict[str, Any]] = [{"places": []}, {"unread": 1, "problem": "cannot be read within 30 s"}]
+    monkeypatch.setattr(_Reader, "ask", lambda *_, **__: answers.pop())
+    recordings = Recordings(tmp_path)
+    assert "unread" in (recordings.places("a.mcap") or {})
+    assert recordings.places("a.mcap") == recordings.places("a.mcap") == {"places": []}
 
 
 def test_a_file_that_ends_the_process_costs_one_row(tmp_path: Path) -> None:

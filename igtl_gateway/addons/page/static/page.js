@@ -483,7 +483,9 @@ function choose(name, at) {
 async function readPlaces(name) {
   if (name in placesOf) return;
   placesOf[name] = null;
-  try { placesOf[name] = (await (await get(`/api/places?name=${encodeURIComponent(name)}`)).json())?.places || []; } catch { setTimeout(() => delete placesOf[name], 1000); }
+  let found = null;
+  try { found = (await (await get(`/api/places?name=${encodeURIComponent(name)}`)).json())?.places; } catch { /* the banner says it */ }
+  if (found) placesOf[name] = found; else setTimeout(() => delete placesOf[name], 1000);
   if (state) draw();
 }
 const steer = (what, value = null) => act2({ do: "steer", steer: what, value });
