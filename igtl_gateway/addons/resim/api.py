@@ -9,12 +9,11 @@ from math import inf
 from pathlib import Path
 
 from igtl_gateway.addon import NS_PER_MS, NS_PER_S, ConfigError, SessionFile
-from igtl_gateway.addons.resim.causes import likely_cause
 from igtl_gateway.addons.resim.engine import MOST_DELAY_S, Clocks, Program, ResimOptions, RunResult, run
-from igtl_gateway.addons.resim.races import find_race
+from igtl_gateway.addons.resim.judge import judge
 from igtl_gateway.addons.resim.recipe import command_of
 from igtl_gateway.addons.resim.report import report_lines
-from igtl_gateway.addons.resim.verdict import Difference, Verdict, compare
+from igtl_gateway.addons.resim.verdict import Difference, Verdict
 from igtl_gateway.replay.compare import Tolerance
 
 #: A command as in a shell, its words, or with name, environment and folder.
@@ -80,6 +79,7 @@ def resim(
     latency_ms: float = 0.0,
     lead_s: float = 0.0,
     permit_races: bool = False,
+    any_start: bool = False,
     clocks: str = "shifted",
     wall_limit_s: float = 30.0,
     cpu_limit_s: float = 60.0,
@@ -101,6 +101,7 @@ def resim(
         latency_ms: of messages from program to program, in session time.
         lead_s: session time from the start of the programs to that of the recording.
         permit_races: whether a timer may race a topic, as of programs that sample by a timer deliberately.
+        any_start: whether outputs must not depend on when the programs start.
         clocks: what the clocks outside of ROS show: "shifted" (session time, but ``time.time()`` is on another day in
             each run), "session" or "real".
         wall_limit_s: real time in which a program has to come to rest.
@@ -147,13 +148,15 @@ def resim(
         result = run(path, commands, options, place)
         reference = Path(baseline) if baseline else path
         tolerance = Tolerance(tolerance_mm, tolerance_deg)
-        verdict = compare(result, reference=reference, tolerance=tolerance, outputs=options.outputs)
-        with tempfile.TemporaryDirectory(prefix="igtl-resim-") as again:
-            if verdict.unequal_run:
-                verdict.cause = likely_cause(path, commands, options, verdict, Path(again))
-            elif verdict.is_deterministic:
-                verdict.permits_races = permit_races
-                verdict.race = find_race(result, commands, options, Path(again))
+        verdict = judge(
+            result,
+            commands,
+            options,
+            reference=reference,
+            tolerance=tolerance,
+            permits_races=permit_races,
+            wants_any_start=any_start,
+        )
         return Resimulation(result, verdict)
 
 

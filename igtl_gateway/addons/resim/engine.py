@@ -27,6 +27,7 @@ from igtl_gateway.addon import (
 )
 from igtl_gateway.addons.resim.coordinator import Coordinator, Peer, ProgramFault, Roles
 from igtl_gateway.addons.resim.frames import ABI_VERSION, DEADLINE, INPUT, NEVER, Hello, Remark, welcome
+from igtl_gateway.addons.resim.goals import IN_ACTION
 from igtl_gateway.addons.resim.igtl_peer import (
     WEAKER,
     IgtlLink,
@@ -39,7 +40,7 @@ from igtl_gateway.addons.resim.igtl_peer import (
 from igtl_gateway.addons.resim.inputs import Inputs, topics_of
 from igtl_gateway.addons.resim.library import library_path
 from igtl_gateway.addons.resim.link import Gone, Listener
-from igtl_gateway.addons.resim.outputs import OutputFile, OutputStream
+from igtl_gateway.addons.resim.outputs import OF_EVERY_NODE, OutputFile, OutputStream
 from igtl_gateway.addons.resim.processes import Process, command_of, cpu_with_children_s, is_computing
 from igtl_gateway.addons.resim.services import recorded_services
 from igtl_gateway.base.systems.signals import endings_held
@@ -180,7 +181,8 @@ class Run:
 
     @property
     def messages(self) -> int:
-        return sum(stream.messages for stream in self.streams.values())
+        """What the programs published, without the topics of every node."""
+        return sum(stream.messages for name, stream in self.streams.items() if name not in OF_EVERY_NODE)
 
 
 @dataclass(slots=True)
@@ -287,16 +289,8 @@ def _run_once(
     def started(roles: Roles) -> None:
         one.start_s = (clock.monotonic_ns() - began_ns) / 1e9
         on_roles(roles)
-        wrong: dict[str, list[str]] = {}
-        for name in roles.missing:
-            wrong.setdefault("asked for, but the recording has no such topic", []).append(name)
-        for name, why in roles.refused.items():
-            if name not in roles.inputs:
-                wrong.setdefault(f"not received: {why}", []).append(name)
-        for why, names in wrong.items():
-            asked = [name for name in names if not any(matches(glob, name) for glob in options.without)]
-            if asked:
-                raise ProgramFault(f"{', '.join(asked)}: {why}; --without TOPIC runs the programs without it")
+        if why := _not_received(roles, options):
+            raise ProgramFault(f"{why}; --without TOPIC runs the programs without it")
 
     with ExitStack() as stack:
         look_for_signals = stack.enter_context(endings_held())
@@ -385,6 +379,24 @@ def _run_once(
             outputs.close()
             one.streams = outputs.streams
             one.seconds = (clock.monotonic_ns() - began_ns) / 1e9
+
+
+def _not_received(roles: Roles, options: ResimOptions) -> str:
+    """What programs ask for and do not get, and why; ``""`` for nothing, or what they may run without."""
+    wrong: dict[str, dict[str, None]] = {}
+    for name in roles.missing:
+        action, is_action, _ = name.partition(IN_ACTION)
+        why = "no program is its server" if is_action else "asked for, but the recording has no such topic"
+        if not (_may_miss(name, options) or _may_miss(action, options)):
+            wrong.setdefault(why, {})[f"action {action}" if is_action else name] = None
+    for name, why in roles.refused.items():
+        if name not in roles.inputs and not _may_miss(name, options):
+            wrong.setdefault(f"not received: {why}", {})[name] = None
+    return "; ".join(f"{', '.join(names)}: {why}" for why, names in wrong.items())
+
+
+def _may_miss(topic: str, options: ResimOptions) -> bool:
+    return any(matches(glob, topic) for glob in options.without)
 
 
 def _chosen(topic: str, options: ResimOptions) -> bool | None:

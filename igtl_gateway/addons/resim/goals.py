@@ -5,8 +5,9 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 
-#: Topics of the server of an action; names of this kind are reserved for them.
-_FEEDBACK, _STATUS = "/_action/feedback", "/_action/status"
+#: Between the name of an action and those of its topics and services; names of this kind are reserved for them.
+IN_ACTION = "/_action/"
+_FEEDBACK, _STATUS = f"{IN_ACTION}feedback", f"{IN_ACTION}status"
 _ENCAPSULATION, _ID = 4, 16
 
 

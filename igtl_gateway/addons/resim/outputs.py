@@ -79,9 +79,14 @@ class OutputFile:
             path,
             facts,
             qos_of=lambda topic, _type: self.streams[topic].qos if topic in self.streams else None,
-            definition_of=lambda name: (self.definitions[name], "") if self.definitions.get(name) else None,
+            definition_of=self._definition_of,
             overwrite=overwrite,
         )
+
+    def _definition_of(self, ros_type: str) -> tuple[str, str] | None:
+        """As the program has it; its own text of the feedback of an action is empty: that type is in no file."""
+        text = self.definitions.get(ros_type, "")
+        return (text, "") if text and "/action/" not in ros_type else None
 
     def add(self, stream: OutputStream, time_ns: int, data: bytes) -> None:
         """Add a message."""

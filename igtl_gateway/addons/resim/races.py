@@ -6,12 +6,14 @@ matter: timers come before inputs of the same time.  A race is a message with ot
 or if a timer does that is at the time of an input now and then only.  A timer that mostly is, such as one of 10 Hz
 beside inputs of 100 Hz, samples its input regularly, as it does where it never is.
 
-Without a tie, an output of an input that depends on when the programs start is only a remark: it may contain a time.
+Without a tie, an output that depends on when the programs start is only stated: a node whose callbacks read what its
+timer has counted, or a controller of 50 Hz that samples a pose, has no fault, and nothing in its outputs distinguishes
+it from one that has.  ``Verdict.wants_any_start`` is for those who know that theirs must not.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,10 +23,10 @@ import numpy as np
 from igtl_gateway.addon import Kind, SessionFile, make_folder
 from igtl_gateway.addons.resim.engine import Program, ResimOptions, RunResult, run
 from igtl_gateway.addons.resim.inputs import CLOCK
-from igtl_gateway.addons.resim.verdict import Race, first_at_one_time, is_judged
+from igtl_gateway.addons.resim.verdict import Difference, Race, first_at_one_time, is_judged
 
-#: No multiple of a usual period, and more than half of that of 40 Hz.
-_EARLIER_NS = 13_713_701
+#: Far from the multiples of usual periods: 47 % of one of 7 ms, 26 % of 100 Hz, 13 % of 50 Hz, 35 % of 20 Hz.
+_EARLIER_NS = 17_377_701
 _ROS = frozenset({Kind.ROS_IN, Kind.ROS_OUT})
 _Times = Any  # array of int64, ns
 
@@ -49,23 +51,47 @@ def find_race(result: RunResult, programs: Sequence[Program], options: ResimOpti
     moments = {name: _Moments(one, other, name, inputs) for name in names}
     dependent = [name for name in names if first_at_one_time(one, other, [name])]
     sampled = [name for name in names if moments[name].are_seldom_ties]
+    if found := _of_ties(result, programs, once, folder, moments, dependent, sampled):
+        return Race(found, _input_at(result, found.time_ns))
+    if found := first_at_one_time(one, other, dependent):
+        return Race(found, _input_at(result, found.time_ns), _EARLIER_NS)
+    found = first_at_one_time(
+        one, other, names, lambda name, time_ns: not moments[name].is_of_input(time_ns), _EARLIER_NS
+    )
+    return Race(found, "", _EARLIER_NS, is_sample=True) if found else None
+
+
+def _of_ties(
+    result: RunResult,
+    programs: Sequence[Program],
+    options: ResimOptions,
+    folder: Path,
+    moments: Mapping[str, _Moments],
+    dependent: Sequence[str],
+    sampled: Sequence[str],
+) -> Difference | None:
+    """The first output that is another one if timers come before inputs of the same time.
+
+    Args:
+        result, programs, options: as of `find_race`; for one run.
+        folder: where its outputs go.
+        moments: stream → its times.
+        dependent: streams whose messages of inputs depend on the start.
+        sampled: those whose messages of timers are at the time of an input now and then.
+    """
     if not dependent and not sampled:
         return None
-    first = folder / "timers-first"
-    make_folder(first)
-    swapped = run(result.recording, programs, replace(once, timers_first=True), first)
+    make_folder(first := folder / "timers-first")
+    swapped = run(result.recording, programs, replace(options, timers_first=True), first)
 
     def counts(name: str, time_ns: int) -> bool:
         return (name in dependent and moments[name].is_of_input(time_ns)) or (
             name in sampled and moments[name].is_tie(time_ns)
         )
 
-    if not swapped.fault:
-        found = first_at_one_time(one, swapped.runs[0].outputs, sorted({*dependent, *sampled}), counts)
-        if found:
-            return Race(found, _input_at(result, found.time_ns))
-    found = first_at_one_time(one, other, dependent)
-    return Race(found, _input_at(result, found.time_ns), _EARLIER_NS) if found else None
+    names = sorted({*dependent, *sampled})
+    one, other = result.runs[0].outputs, swapped.runs[0].outputs
+    return None if swapped.fault else first_at_one_time(one, other, names, counts)
 
 
 class _Moments:

@@ -54,7 +54,7 @@ def junit_xml(result: RunResult, verdict: Verdict, outputs: tuple[str, ...] = ()
     """The verdict in the format of JUnit: a test case for determinism, and one for each stream.
 
     A program that ended or hung is an error; a difference, or a timer that races a topic, is a failure; a stream that
-    nothing could be compared with is skipped.  A race that is permitted is a property of the suite.
+    nothing could be compared with is skipped.  A race that is permitted, and a sample, is a property of the suite.
 
     Args:
         result: of ``engine.run``.

@@ -31,15 +31,15 @@ from igtl_gateway.addon import (
     written,
 )
 from igtl_gateway.addons.resim.bisect import Step, bisect, bisection_facts
-from igtl_gateway.addons.resim.causes import MOST_RUNS, MOST_S, likely_cause
+from igtl_gateway.addons.resim.causes import MOST_RUNS, MOST_S
 from igtl_gateway.addons.resim.coordinator import Roles
 from igtl_gateway.addons.resim.engine import MOST_DELAY_S, Clocks, Program, ResimOptions, Run, RunResult, run_file
 from igtl_gateway.addons.resim.engine import run as run_programs
 from igtl_gateway.addons.resim.igtl_peer import IgtlRole, check_role
-from igtl_gateway.addons.resim.races import find_race
+from igtl_gateway.addons.resim.judge import judge
 from igtl_gateway.addons.resim.recipe import read_recipe
 from igtl_gateway.addons.resim.report import junit_xml
-from igtl_gateway.addons.resim.verdict import Verdict, compare, is_judged
+from igtl_gateway.addons.resim.verdict import Verdict, is_judged
 from igtl_gateway.replay.compare import Tolerance
 
 EXAMPLES = """\
@@ -118,6 +118,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--permit-races",
         action="store_true",
         help="a timer may race a topic: for programs that sample by a timer deliberately",
+    )
+    parser.add_argument(
+        "--any-start", action="store_true", help="outputs must not depend on when the programs start, as samples do"
     )
     parser.add_argument(
         "--latency", type=float, default=0.0, metavar="MS",
@@ -203,6 +206,13 @@ def run(options: argparse.Namespace) -> int:
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="igtl-resim-")))
         is_text = not options.json
+        done: list[Run] = []
+
+        def take(one: Run) -> None:
+            done.append(one)
+            if is_text:
+                _print_run(one)
+
         try:
             result = run_programs(
                 options.file,
@@ -210,25 +220,24 @@ def run(options: argparse.Namespace) -> int:
                 settings,
                 folder,
                 on_roles=_print_roles if is_text else lambda roles: None,
-                on_run=_print_run if is_text else lambda run: None,
+                on_run=take,
             )
         except KeyboardInterrupt:
-            _keep(options, folder)
+            if _keep(options, folder):
+                which = "of run 1" if done else "until then"
+                print_line(f"{options.record}: the outputs {which}, complete")
             raise
-        reference = options.baseline or options.file
-        verdict = compare(result, reference=reference, tolerance=tolerance, outputs=settings.outputs)
         _keep(options, folder)
-        if verdict.unequal_run:
-            again = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="igtl-resim-")))
-            if is_text:
-                print_line(
-                    f"runs differ: looking for the cause in up to {MOST_RUNS} shorter runs, for at most {MOST_S} s"
-                )
-            verdict.cause = likely_cause(options.file, programs, settings, verdict, again)
-        elif verdict.is_deterministic:
-            verdict.permits_races = options.permit_races
-            again = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="igtl-resim-")))
-            verdict.race = find_race(result, programs, settings, again)
+        verdict = judge(
+            result,
+            programs,
+            settings,
+            reference=options.baseline or options.file,
+            tolerance=tolerance,
+            permits_races=options.permit_races,
+            wants_any_start=options.any_start,
+            on_search=_print_search if is_text else lambda: None,
+        )
         if options.junit:
             with written(options.junit, overwrite=options.overwrite) as place:
                 write_bytes(place, junit_xml(result, verdict, settings.outputs))
@@ -239,16 +248,17 @@ def run(options: argparse.Namespace) -> int:
     return verdict.exit_code
 
 
-def _keep(options: argparse.Namespace, folder: Path) -> None:
-    """Write ``--record``: the outputs of the first run, also if it was interrupted."""
+def _keep(options: argparse.Namespace, folder: Path) -> bool:
+    """Write ``--record``: the outputs of the first run, also if it was interrupted; return whether there are any."""
     outputs = run_file(folder, 1)
-    if options.record and outputs.is_file():
+    if is_there := bool(options.record and outputs.is_file()):
         with (
             written(options.record, overwrite=options.overwrite) as place,
             outputs.open("rb") as source,
             open_new(place, "wb") as copy,
         ):
             shutil.copyfileobj(source, copy)
+    return is_there
 
 
 def _run_bisect(
@@ -346,6 +356,10 @@ def _print_run(one: Run) -> None:
         f"run {one.number}: {count_text(sum(one.delivered.values()), 'input')}, "
         f"{count_text(one.messages, 'output')}, {session_s:.1f} s of session in {one.seconds:.1f} s"
     )
+
+
+def _print_search() -> None:
+    print_line(f"runs differ: looking for the cause in up to {MOST_RUNS} shorter runs, for at most {MOST_S} s")
 
 
 def _print_verdict(result: RunResult, verdict: Verdict) -> None:

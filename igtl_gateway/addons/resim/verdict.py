@@ -28,8 +28,9 @@ from igtl_gateway.replay.diff import DiffInput, StreamDiff, diff
 _RESIM_KEY = "resim_of"
 #: Names of the numbers of a position, of a rotation, and of a pose with both.
 _PARTS = {3: ("x", "y", "z"), 4: ("x", "y", "z", "w"), 7: ("x", "y", "z", "qx", "qy", "qz", "qw")}
-#: Why a race is no accident of the runs.
+#: Why other runs may differ: with a tie, and without.
 _TIE = "a timer and an input at the same time, whose order is chosen"
+_PHASE = "a timer that races the topic, or the time since the start"
 #: Messages that are looked at for a late one.
 _AHEAD = 16
 
@@ -107,30 +108,34 @@ class StreamVerdict:
 
 @dataclass(frozen=True, slots=True)
 class Race:
-    """An output that depends on a timer which races an input (``races.find_race``).
+    """An output that depends on when a timer ticks (``races.find_race``).
 
     Attributes:
         difference: the first one from the run that shows it.
         topic: of the input; ``""`` if none has that time.
         earlier_ns: how much earlier that run started; 0: it had timers before inputs of the same time.
+        is_sample: whether a timer publishes the output, which samples an input; else an input causes it.
     """
 
     difference: Difference
     topic: str
     earlier_ns: int = 0
-
-    @property
-    def is_tie(self) -> bool:
-        """Whether a timer and an input are at one time, so that only a rule has their order."""
-        return not self.earlier_ns
+    is_sample: bool = False
 
     def text(self, start_ns: int) -> str:
         """One line for a person; ``start_ns``: start of the session."""
         difference, topic = self.difference.text(start_ns), self.topic or "an input"
-        if self.is_tie:
+        if not self.earlier_ns:
             return f"a timer races {topic}: {difference} if the timer is first"
-        early = f"{self.earlier_ns / 1e6:.1f} ms earlier"
-        return f"an output at {topic} depends on when the programs start: {difference} if {early}"
+        early = f"if the programs start {self.earlier_ns / 1e6:.1f} ms earlier"
+        if self.is_sample:
+            return f"sampled by a timer: {difference} {early}"
+        return f"an output at {topic} depends on when the programs start: {difference} {early}"
+
+    @property
+    def cause(self) -> str:
+        """Why other runs may differ."""
+        return _PHASE if self.earlier_ns else _TIE
 
 
 @dataclass(slots=True)
@@ -146,6 +151,7 @@ class Verdict:
         between_runs: the streams of that run in which it differs.
         race: what depends on timers, although the runs are equal; None: nothing, or not looked for.
         permits_races: whether a timer may race an input.
+        wants_any_start: whether outputs must not depend on when the programs start.
         reference: what the outputs were compared with; None = nothing.
         streams: the streams in the reference and in the first run.
     """
@@ -158,13 +164,16 @@ class Verdict:
     between_runs: list[StreamVerdict] = field(default_factory=list)
     race: Race | None = None
     permits_races: bool = False
+    wants_any_start: bool = False
     reference: Path | None = None
     streams: list[StreamVerdict] = field(default_factory=list)
 
     @property
     def is_racing(self) -> bool:
-        """Whether a timer races an input, and may not."""
-        return self.race is not None and self.race.is_tie and not self.permits_races
+        """Whether a timer races an input, and may not; or outputs depend on the start, and must not."""
+        if self.race is None:
+            return False
+        return self.wants_any_start if self.race.earlier_ns else not self.permits_races
 
     @property
     def is_deterministic(self) -> bool:
@@ -196,18 +205,20 @@ class Verdict:
             likely = f"; likely cause: {self.cause}" if self.cause else ""
             return f"NOT DETERMINISTIC: run {self.unequal_run} differs from run 1: {first.text(self.start_ns)}{likely}"
         if self.race and self.is_racing:
-            return f"NOT DETERMINISTIC: {self.race.text(self.start_ns)}; likely cause: {_TIE}"
+            return f"NOT DETERMINISTIC: {self.race.text(self.start_ns)}; likely cause: {self.race.cause}"
         same = f"deterministic: {self.runs} of {self.runs} runs equal" if self.runs > 1 else "1 run"
-        if self.race:
+        if self.race and not self.race.is_sample:
             same += f", but {self.race.text(self.start_ns)}"
+        if self.reference and first:
+            wrong = sum(not each.is_equal for each in self.streams)
+            what = f"{wrong} of {len(self.streams)} streams"
+            return f"DIFFERENT from {self.reference.name} in {what} ({same}): {first.text(self.start_ns)}"
+        if self.race and self.race.is_sample and not self.permits_races:
+            same += f" ({self.race.text(self.start_ns)})"
         if not self.reference:
             return same
         if not self.streams:
             return f"{same}; {self.reference.name} has none of the outputs to compare with"
-        if first:
-            wrong = sum(not each.is_equal for each in self.streams)
-            what = f"{wrong} of {len(self.streams)} streams"
-            return f"DIFFERENT from {self.reference.name} in {what} ({same}): {first.text(self.start_ns)}"
         within = sum(each.within for each in self.streams)
         how = f"equal to {self.reference.name}" + (f" within the tolerance ({within:,} messages)" if within else "")
         return f"{same}; {how}"
@@ -243,7 +254,9 @@ def compare(
         with SessionFile.open(reference) as file:
             is_resim = _RESIM_KEY in file.session
             recorded = {_name(each.kind, each.topic, each.stream) for each in file.channels if each.count} - {""}
-        names = [name for name in sorted({*first.streams, *(recorded if is_resim else ())}) if is_judged(name, outputs)]
+        driven = result.roles.inputs.keys() if result.roles and reference == result.recording else ()
+        expected = recorded - {*driven} if is_resim else ()
+        names = [name for name in sorted({*first.streams, *expected}) if is_judged(name, outputs)]
         names = [name for name in names if is_resim or name in recorded]
         verdict.streams = (
             _strictly(reference, first.outputs, names, tolerance)
@@ -335,7 +348,11 @@ def _strictly(one: Path, other: Path, names: Sequence[str], tolerance: Tolerance
 
 
 def first_at_one_time(
-    one: Path, other: Path, names: Sequence[str], counts: Callable[[str, int], bool] = lambda name, time_ns: True
+    one: Path,
+    other: Path,
+    names: Sequence[str],
+    counts: Callable[[str, int], bool] = lambda name, time_ns: True,
+    earlier_ns: int = 0,
 ) -> Difference | None:
     """Return the first message whose values differ from those of the other run at that time, in the order of time.
 
@@ -345,13 +362,14 @@ def first_at_one_time(
         one, other: outputs of both runs.
         names: their streams.
         counts: whether the messages of a stream at a time do.
+        earlier_ns: how much earlier the messages of the other run are; stamps may be, too.
     """
     found = []
     with SessionFile.open(one) as first, SessionFile.open(other) as second:
         for name in names:
             verdict, left, right = StreamVerdict(name), _Side(first, name), _Side(second, name)
             while left.fill() and right.fill() and not verdict.first:
-                later_ns = right.ahead[0].stamp_ns - left.ahead[0].stamp_ns
+                later_ns = right.ahead[0].stamp_ns + earlier_ns - left.ahead[0].stamp_ns
                 if later_ns:
                     (left if later_ns > 0 else right).take()
                     continue
@@ -360,7 +378,7 @@ def first_at_one_time(
                 if counts(name, time_ns):
                     mine, other_ones = _not_in(ours, theirs), _not_in(theirs, ours)
                     for (number, message), (_, another) in zip(mine, other_ones, strict=False):
-                        _compare_messages(verdict, number, (left, message), (right, another), EXACT)
+                        _compare_messages(verdict, number, (left, message), (right, another), EXACT, -earlier_ns)
             found += [verdict.first] if verdict.first else []
     return min(found, key=lambda each: each.time_ns, default=None)
 
@@ -430,9 +448,14 @@ def _not_in(messages: list[tuple[int, Entry]], others: list[tuple[int, Entry]]) 
 
 
 def _compare_messages(
-    verdict: StreamVerdict, number: int, one: tuple[_Side, Entry], other: tuple[_Side, Entry], tolerance: Tolerance
+    verdict: StreamVerdict,
+    number: int,
+    one: tuple[_Side, Entry],
+    other: tuple[_Side, Entry],
+    tolerance: Tolerance,
+    late_ns: int = 0,
 ) -> None:
-    """Compare two messages; ``number``: of the first one in its stream."""
+    """Compare two messages; ``number``: of the first one in its stream; ``late_ns``: what its stamps may be later."""
     (here, left), (there, right) = one, other
     if left.data() == right.data():
         return
@@ -441,9 +464,9 @@ def _compare_messages(
     except Undecodable:
         delta = Delta()
         delta.differ(*first_byte(left.data(), right.data()))
-    for late_ns in delta.stamps_ns:
-        if late_ns:
-            delta.differ("stamp", "0 ns", f"{late_ns:+,} ns")
+    for stamp_ns in delta.stamps_ns:
+        if stamp_ns not in (0, late_ns):
+            delta.differ("stamp", "0 ns", f"{stamp_ns:+,} ns")
     verdict.mm, verdict.deg = max(verdict.mm, delta.mm), max(verdict.deg, delta.deg)
     if delta.field:
         verdict.different += 1

@@ -25,6 +25,10 @@ from igtl_gateway.convert.interfaces import SHARES
 from igtl_gateway.record.sessionfile.layout import OWN_TYPES
 
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*/msg/[A-Za-z]\w*", re.ASCII)
+#: The type of the feedback of an action, whose ``.action`` file has the fields behind its second separator.
+_FEEDBACK = re.compile(r"([A-Za-z]\w*)/action/([A-Za-z]\w*)_FeedbackMessage", re.ASCII)
+_SEPARATOR = re.compile(r"^---[ \t]*$", re.MULTILINE)
+_PARTS_OF_AN_ACTION = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +58,7 @@ class RosTypes:
             self._types |= definitions.parse_definition(text, name)
 
     def find(self, ros_type: str) -> Definition | None:
-        """The definition of ``package/msg/Name``; None where it, or a type that it needs, is not found."""
+        """The definition of ``package/msg/Name``, or of the feedback of an action; None where it is not complete."""
         try:
             if not self._load(ros_type):
                 return None
@@ -86,24 +90,32 @@ class RosTypes:
             name = wanted.pop()
             if name in self._types or name in found:
                 continue
-            path = self._path(name)
-            if path is None:
+            text = self._text(name)
+            if text is None:
                 return False
-            types = definitions.parse_definition(files.read_bytes(path).decode("utf-8"), name)
+            types = definitions.parse_definition(text, name)
             found.update(types)
             for _, fields in types.values():
                 wanted += definitions.types_of_fields(fields)
         self._types |= found
         return True
 
-    def _path(self, ros_type: str) -> Path | None:
-        if not _TYPE_NAME.fullmatch(ros_type):
-            return None
-        for share in self._shares:
-            path = share / f"{ros_type}.msg"
-            if path.is_file():
-                return path
+    def _text(self, ros_type: str) -> str | None:
+        if _TYPE_NAME.fullmatch(ros_type):
+            return self._file(f"{ros_type}.msg")
+        if feedback := _FEEDBACK.fullmatch(ros_type):
+            package, name = feedback.groups()
+            parts = _SEPARATOR.split(self._file(f"{package}/action/{name}.action") or "")
+            own = f"{package}/{name}_Feedback"
+            head = f"unique_identifier_msgs/UUID goal_id\n{own} feedback\n{'=' * 80}\nMSG: {own}\n"
+            return head + parts[2] if len(parts) == _PARTS_OF_AN_ACTION else None
         return None
+
+    def _file(self, name: str) -> str | None:
+        """A definition file of the first folder that has it.  Raises UnicodeDecodeError."""
+        paths = (share / name for share in self._shares)
+        found = next((path for path in paths if path.is_file()), None)
+        return files.read_bytes(found).decode("utf-8") if found else None
 
 
 def installed_shares() -> tuple[Path, ...]:

@@ -266,8 +266,9 @@ def test_two_signals_as_of_timeout(tmp_path: Path, monkeypatch: pytest.MonkeyPat
                 break
         for _ in range(2):
             gateway.send_signal(signal.SIGTERM)
-        _, errors = gateway.communicate(timeout=60)
+        output, errors = gateway.communicate(timeout=60)
     assert (gateway.returncode, errors.strip()) == (2, "igtl-gateway resim: interrupted")
+    assert output.endswith(f"{tmp_path / 'kept.mcap'}: the outputs of run 1, complete\n")
     assert processes_with(mark) == []
     with SessionFile.open(tmp_path / "kept.mcap") as file:
         assert any(channel.topic == "/out" and channel.count for channel in file.channels)

@@ -100,28 +100,32 @@ def test_a_service_and_its_client_in_two_programs(tmp_path: Path) -> None:
     assert [after - before for before, after in zip(sent, arrived, strict=True)] == [1_000_000] * len(sent)
 
 
-def test_goal_ids_of_actions_are_random_and_do_not_count(tmp_path: Path) -> None:
-    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(20))
-    result, verdict = judged(recording, tmp_path, "action server", "action client")
+@pytest.mark.skipif(not find_spec("test_msgs"), reason="needs test_msgs")
+def test_an_action_of_rclpy(tmp_path: Path) -> None:
+    """Goals that succeed, are cancelled, are rejected; in feedback, whose definition only the .action file has."""
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(10))
+    result, verdict = judged(recording, tmp_path, "fibonacci server", "fibonacci client")
     assert verdict.line() == f"deterministic: {RUNS} of {RUNS} runs equal"
-    assert len({one.streams["/drive/_action/status"].digest for one in result.runs}) == 1
-    said = strings(result.runs[0].outputs, "/out")
-    assert said == [f"{goal + 10 * step} True" for goal in range(1, 21) for step in range(2)]
+    assert len({one.streams["/drive/_action/status"].digest for one in result.runs}) == 1  # goal ids are random
+    said = strings(good := result.runs[0].outputs, "/out")
+    assert [sum(f"accepted={each}" in text for text in said) for each in (True, False)] == [8, 2]
+    ends = [text.split()[1:3] for text in said if "[" in text]
+    assert sorted(ends) == [["4", "[0,"]] * 6 + [["5", "[0,"]] * 2  # succeeded, cancelled
     (tmp_path / "wrong").mkdir()
-    good = result.runs[0].outputs
-    _, verdict = judged(recording, tmp_path / "wrong", "action server wrong", "action client", runs=1, reference=good)
-    assert [each.stream for each in verdict.streams if not each.is_equal] == ["/drive/_action/feedback", "/out"]
-    assert "/drive/_action/feedback, message 9 at " in verdict.line()
+    names = ["fibonacci server wrong", "fibonacci client"]
+    _, verdict = judged(recording, tmp_path / "wrong", *names, runs=1, reference=good)
+    assert "/drive/_action/feedback, message " in verdict.line()
+    assert "feedback.sequence[2] is 1 and 2" in verdict.line()
 
 
 @pytest.mark.skipif(not find_spec("test_msgs"), reason="needs test_msgs")
-def test_an_action_of_rclpy(tmp_path: Path) -> None:
-    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(20))
-    for names in (["fibonacci server", "fibonacci client"], ["fibonacci server client"]):
-        result, verdict = judged(recording, tmp_path, *names)
-        assert verdict.line() == f"deterministic: {RUNS} of {RUNS} runs equal"
-        said = strings(result.runs[0].outputs, "/out")
-        assert sum("accepted=True" in text for text in said) == 20
+def test_an_action_whose_server_is_missing(tmp_path: Path) -> None:
+    """By default, a fault that names the action; ``--without`` takes its name, and its requests have no answer."""
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(3))
+    _, verdict = judged(recording, tmp_path, "fibonacci client", runs=1)
+    assert verdict.fault == "action /drive: no program is its server; --without TOPIC runs the programs without it"
+    result, _ = judged(recording, tmp_path, "fibonacci client", runs=1, without=("/drive",))
+    assert result.runs[0].unserved == {"/drive/_action/send_goal": 3}
 
 
 def test_a_lifecycle_node_and_its_manager(tmp_path: Path) -> None:
@@ -140,7 +144,8 @@ def test_transforms_with_a_listener_in_a_thread_of_its_own(tmp_path: Path) -> No
     assert verdict.line() == f"deterministic: {RUNS} of {RUNS} runs equal"
     assert result.roles and result.roles.inputs == {"/tf": 200}
     assert len(published(result.runs[0].outputs, "/tf")) == 19
-    assert race_of(result, "frames") is None  # what its timer publishes has another time then
+    race = race_of(result, "frames")
+    assert race and race.is_sample  # what its timer publishes has another time then: stated, no fault
 
 
 def test_images_and_poses_in_pairs(tmp_path: Path) -> None:
@@ -292,18 +297,32 @@ def test_a_timer_that_is_at_the_time_of_an_input_now_and_then(tmp_path: Path) ->
     assert f"NOT DETERMINISTIC: a timer races /in: {place} if the timer is first" in verdict.line()
 
 
-@pytest.mark.parametrize("what", ["timer", "samples"])
-def test_a_timer_that_is_never_at_the_time_of_an_input(tmp_path: Path, what: str) -> None:
-    """Starting earlier only moves its ticks: at most a remark."""
+@pytest.mark.parametrize(
+    ("what", "remark", "place"),
+    [
+        (
+            "timer",
+            ", but an output at /in depends on when the programs start: {}",
+            "/out, message 21 at 0.409696 s: data is 'm20 58' and 'm20 61' if the programs start 17.4 ms earlier",
+        ),
+        (
+            "samples",
+            " (sampled by a timer: {})",
+            "/out, message 2 at 0.007000 s: data is '1 by tick 1' and '0 by tick 1' "
+            "if the programs start 17.4 ms earlier",
+        ),
+    ],
+)
+def test_a_timer_that_is_never_at_the_time_of_an_input(tmp_path: Path, what: str, remark: str, place: str) -> None:
+    """Starting earlier only moves its ticks: a remark, or a failure for those who ask for it."""
     recording = sessions.write(tmp_path / "in.mcap", sessions.texts(40))
     result, verdict = judged(recording, tmp_path, f"planted {what}", runs=2)
     verdict.race = race_of(result, "planted", what)
     assert (verdict.exit_code, verdict.is_deterministic) == (0, True)
-    remark = (
-        ", but an output at /in depends on when the programs start: /out, message 21 at 0.409696 s: "
-        "data is 'm20 58' and 'm20 60' if 13.7 ms earlier"
-    )
-    assert verdict.line() == f"deterministic: 2 of 2 runs equal{remark if what == 'timer' else ''}"
+    assert verdict.line() == f"deterministic: 2 of 2 runs equal{remark.format(place)}"
+    verdict.wants_any_start = True
+    assert verdict.exit_code == 1
+    assert verdict.line().startswith("NOT DETERMINISTIC: ") and place in verdict.line()
 
 
 def race_of(result: RunResult, *words: str) -> Race | None:

@@ -6,6 +6,7 @@ report was also validated by that schema and read by junitparser.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -110,6 +111,11 @@ def test_a_race_is_a_failure() -> None:
     assert parsed(result_of("/out"), verdict)["deterministic: 2 runs"] == ("passed", "")
     (remark,) = ElementTree.fromstring(junit_xml(result_of("/out"), verdict)).iter("property")
     assert remark.attrib["value"] == text
+    verdict.race = replace(race, earlier_ns=17_000_000, is_sample=True)  # of no fault: a controller samples
+    verdict.permits_races = False
+    assert parsed(result_of("/out"), verdict)["deterministic: 2 runs"] == ("passed", "")
+    (remark,) = ElementTree.fromstring(junit_xml(result_of("/out"), verdict)).iter("property")
+    assert remark.attrib["value"].startswith("sampled by a timer: /out, message 4 at 0.007000 s: data is 1 and 2 if")
 
 
 def test_a_program_that_ends() -> None:

@@ -155,8 +155,12 @@ def test_idl_of_ros_is_read() -> None:
 
 
 def test_hashes_are_those_of_the_installed_ros() -> None:
-    """Every wheel of ROS carries the hashes of its types; ``char`` of a ``.msg`` is a uint8."""
-    files = sorted((Path(sys.prefix) / "share").glob("*/msg/*.json"))
+    """Every wheel of ROS carries the hashes of its types; ``char`` of a ``.msg`` is a uint8.
+
+    Those with ``wstring``, of test_msgs only, are not read: rosbags has no such type.
+    """
+    share = Path(sys.prefix) / "share"
+    files = [path for path in sorted(share.glob("*/msg/*.json")) if path.stem != "WStrings"]
     if not files:
         pytest.skip("no ROS is installed here")
     types, wrong = RosTypes(), []

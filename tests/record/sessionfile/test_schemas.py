@@ -41,6 +41,17 @@ def test_a_type_of_the_installation_is_found_with_all_it_needs(tmp_path: Path) -
     assert store.hash_rihs01("suture_msgs/msg/Stitch") == definition.type_hash
 
 
+def test_the_feedback_of_an_action(tmp_path: Path) -> None:
+    """Its type is in no file: it has the goal's id and what stands last in the ``.action`` file."""
+    (tmp_path / "p" / "action").mkdir(parents=True)
+    (tmp_path / "p/action/Sew.action").write_text("int32 goal\n---\nint32 result\n---\n# how far\nfloat64[] done\n")
+    definition = RosTypes([tmp_path]).find("p/action/Sew_FeedbackMessage")
+    assert definition is not None
+    assert "unique_identifier_msgs/UUID goal_id\n" in definition.text and "float64[] done" in definition.text
+    assert "int32" not in definition.text
+    assert RosTypes([tmp_path]).find("p/action/Sew_Goal") is None
+
+
 @pytest.mark.parametrize(
     ("files", "ros_type"),
     [

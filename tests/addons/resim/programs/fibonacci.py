@@ -1,11 +1,14 @@
-"""Client and server of an action with cancelled goals, in several threads; the arguments state which of them."""
+"""Client and server of an action, with goals that are cancelled and rejected, in several threads.
+
+The arguments state which of them; "wrong" has a fault in the feedback of the sixth goal.
+"""
 
 import sys
 import time
 from typing import Any
 
 import rclpy
-from rclpy.action import ActionClient, ActionServer, CancelResponse
+from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
@@ -18,6 +21,7 @@ class Server(Node):  # type: ignore[misc]
         super().__init__("server")
         self.action = ActionServer(
             self, Fibonacci, "/drive", self.work,
+            goal_callback=lambda goal: GoalResponse.ACCEPT if goal.order % 4 else GoalResponse.REJECT,
             cancel_callback=lambda _: CancelResponse.ACCEPT, callback_group=ReentrantCallbackGroup(),
         )  # fmt: skip
 
@@ -27,7 +31,7 @@ class Server(Node):  # type: ignore[misc]
             if goal.is_cancel_requested:
                 goal.canceled()
                 return Fibonacci.Result(sequence=found)
-            found.append(found[-1] + found[-2])
+            found.append(found[-1] + found[-2] + ("wrong" in sys.argv and goal.request.order == 6))
             goal.publish_feedback(Fibonacci.Feedback(sequence=found))
             time.sleep(0.005)
         goal.succeed()
@@ -53,6 +57,8 @@ class Client(Node):  # type: ignore[misc]
 
     def accepted(self, goal: Any, name: str, number: int) -> None:
         self.say(f"{name} accepted={goal.accepted}")
+        if not goal.accepted:
+            return
         goal.get_result_async().add_done_callback(
             lambda future: self.say(f"{name} {future.result().status} {list(future.result().result.sequence)}")
         )
@@ -65,7 +71,7 @@ class Client(Node):  # type: ignore[misc]
 
 rclpy.init()
 executor = MultiThreadedExecutor(3)
-nodes = [{"server": Server, "client": Client}[name]() for name in sys.argv[1:]]
+nodes = [{"server": Server, "client": Client}[name]() for name in sys.argv[1:] if name != "wrong"]
 for node in nodes:
     executor.add_node(node)
 executor.spin()
