@@ -1,9 +1,9 @@
 """A small HTTP server that no client can hold up: for counts of a bridge, and for pages.
 
-Each connection has a thread and a deadline.  There is a bound of connections; if it is reached, the oldest one is cut
-off, so a new client is served at once, however many silent ones there are.  A request must name this machine as its
-host: otherwise the page of a foreign site, whose name an attacker lets point here, could read the answers in the
-browser of a user (DNS rebinding).
+Each connection has a thread and a deadline.  There is a bound of connections; if it is reached, the oldest one without
+the whole head of a request is cut off, or the oldest one of all: a new client is served at once, however many silent
+ones come.  A request must name this machine as its host: otherwise the page of a foreign site, whose name an attacker
+lets point here, could read the answers in the browser of a user (DNS rebinding).
 """
 
 from __future__ import annotations
@@ -134,6 +134,7 @@ class _Server(HTTPServer):
         self._clock = SystemClock()
         self._lock = threading.Lock()
         self._open: dict[socket.socket, int] = {}  # connection → its deadline (monotonic ns), the oldest first
+        self._asked: set[socket.socket] = set()  # those with the whole head of a request
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
         return client_address[0] in self._allow
@@ -143,13 +144,18 @@ class _Server(HTTPServer):
         if self._tls:  # the handshake is part of the first read: it has its deadline, too
             request = self._tls.wrap_socket(request, server_side=True, do_handshake_on_connect=False)
         with self._lock:
-            oldest = next(iter(self._open)) if len(self._open) >= MAX_CONNECTIONS else None
-            if oldest is not None:
+            if len(self._open) >= MAX_CONNECTIONS:
+                oldest = next((one for one in self._open if one not in self._asked), next(iter(self._open)))
                 del self._open[oldest]
                 _cut_off(oldest)
             self._open[request] = self._clock.monotonic_ns() + self._patience_ns
         serve = partial(self._serve, request, client_address)
         threading.Thread(target=serve, name="igtl-http", daemon=True).start()
+
+    def has_asked(self, request: socket.socket) -> None:
+        """The head of the request of this connection is whole."""
+        with self._lock:
+            self._asked.add(request)
 
     def service_actions(self) -> None:
         """Cut off the connections whose deadline has passed; called every ``_POLL_S`` at least."""
@@ -168,6 +174,7 @@ class _Server(HTTPServer):
         finally:
             with self._lock:
                 self._open.pop(request, None)
+                self._asked.discard(request)
             self.shutdown_request(request)
 
     def cut_off_all(self) -> None:
@@ -197,6 +204,7 @@ class Handler(BaseHTTPRequestHandler):
 
     def _is_for_us(self) -> bool:
         """Return whether a request names this machine as its host; if not, it is answered."""
+        self.server.has_asked(self.connection)
         hosts = self.headers.get_all("Host") or []
         strange = [host for host in hosts if host not in self.server.hosts]
         if strange:
