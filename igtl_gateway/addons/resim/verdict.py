@@ -43,7 +43,8 @@ class Difference:
         stream: the topic.
         number: of the message in the stream of the first one, from 1.
         time_ns: session time of the first one, UTC ns.
-        what: "differs", "missing" (the other one does not have it), "extra" (only it has it), "late" or "early".
+        what: "differs", "missing" (the other one does not have it), "extra" (only it has it), "late", "early", or
+            "unread" (a message of the stream differs, from the first one on, whose type is not read).
         late_ns: how much later the other one is.
         delta: the difference of values.
     """
@@ -63,6 +64,8 @@ class Difference:
                 return f"{place}: missing"
             case "extra":
                 return f"{place}: one more"
+            case "unread":
+                return f"{self.stream}: bytes of its messages differ, and their type cannot be read"
             case "late" | "early":
                 return f"{place}: {abs(self.late_ns) / 1e6:.3f} ms {self.what}"
         delta = self.delta
@@ -246,7 +249,8 @@ def compare(
             for name in sorted({*first.streams, *other.streams})
             if is_judged(name, outputs) and _digest(first, name) != _digest(other, name)
         ]
-        found = [each for each in _strictly(first.outputs, other.outputs, names, EXACT) if not each.is_equal]
+        verdicts = _strictly(first.outputs, other.outputs, names, EXACT)
+        found = [each for each in verdicts if _is_unread(each, first) or not each.is_equal]
         if found:
             verdict.unequal_run, verdict.between_runs = other.number, found
             return verdict
@@ -271,6 +275,16 @@ def compare(
 def is_judged(topic: str, outputs: Sequence[str] = ()) -> bool:
     """Return whether a topic is part of the verdict: all are but those of every node, unless they are named."""
     return topic not in OF_EVERY_NODE or any(matches(glob, topic) for glob in outputs)
+
+
+def _is_unread(verdict: StreamVerdict, one: Run) -> bool:
+    """Note that messages, whose bytes differ, have a type that readers skip: nothing else compares them."""
+    stream = one.streams.get(verdict.stream)
+    if stream is None or verdict.messages >= stream.messages:
+        return False
+    verdict.different += 1
+    verdict.note(Difference(verdict.stream, 1, stream.first_ns, "unread"))
+    return True
 
 
 def _digest(one: Run, name: str) -> str:

@@ -13,9 +13,9 @@ from xml.etree import ElementTree
 from igtl_gateway.addon import Qos
 from igtl_gateway.addons.resim.coordinator import Roles
 from igtl_gateway.addons.resim.engine import Run, RunResult
-from igtl_gateway.addons.resim.outputs import OutputStream
+from igtl_gateway.addons.resim.outputs import OutputFile, OutputStream
 from igtl_gateway.addons.resim.report import junit_xml, report_lines
-from igtl_gateway.addons.resim.verdict import Difference, Race, StreamVerdict, Verdict
+from igtl_gateway.addons.resim.verdict import Difference, Race, StreamVerdict, Verdict, compare
 from igtl_gateway.replay.compare import Delta
 
 #: Element → the attributes that it must have, those that it may have, and its children.
@@ -131,3 +131,27 @@ def test_most_streams_are_counted_only() -> None:
     verdict = Verdict(2, 0, reference=Path("good.mcap"), streams=[differing(f"/s{n}") for n in range(30)])
     lines = report_lines(result_of(), verdict)
     assert sum("first:" in line for line in lines) == 20 and "  … and 10 streams more" in lines
+
+
+def test_bytes_of_a_type_that_is_not_read_count(tmp_path: Path) -> None:
+    """Runs whose events of a service differed were called equal: no reader has messages of such a topic."""
+
+    def run(number: int, *messages: bytes) -> Run:
+        file = OutputFile(tmp_path / f"{number}.mcap", "lab.mcap")
+        stream = file.streams["/switch/_service_event"] = OutputStream(
+            "/switch/_service_event", "std_srvs/srv/SetBool_Event", Qos()
+        )
+        for time_ns, data in enumerate(messages, 1):
+            file.add(stream, time_ns, data)
+        file.close()
+        return Run(number, file.path, file.streams)
+
+    def line_of(*runs: Run) -> str:
+        return compare(RunResult(Path("lab.mcap"), None, list(runs))).line()
+
+    one, same, other = run(1, b"\0\1\0\0\1", b"\0\1\0\0\2"), run(2, b"\0\1\0\0\1", b"\0\1\0\0\2"), run(3, b"\0\1\0\0\3")
+    assert line_of(one, same) == "deterministic: 2 of 2 runs equal"
+    assert line_of(one, other) == (
+        "NOT DETERMINISTIC: run 3 differs from run 1: /switch/_service_event: bytes of its messages differ, and their type "
+        "cannot be read"
+    )
