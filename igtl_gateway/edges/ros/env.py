@@ -22,7 +22,6 @@ import os
 import re
 import shutil
 import sys
-import sysconfig
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -42,7 +41,6 @@ _PROFILES_IN_CWD = ("DEFAULT_FASTRTPS_PROFILES.xml", "DEFAULT_FASTDDS_PROFILES.x
 
 #: The library of Fast DDS 2 and 3.
 _FAST_DDS = ("libfastrtps.", "libfastdds.")
-_MULTIARCH = sysconfig.get_config_var("MULTIARCH") or ""
 
 _SHARED_MEMORY = Path("/dev/shm")
 
@@ -130,8 +128,8 @@ def _set_profile(profile: Path) -> str:
 def _is_fast_dds_3(environ: Mapping[str, str]) -> bool:
     """Whether the sourced ROS 2, else the one of this environment, has Fast DDS 3: its library has another name."""
     prefixes = [*environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep), sys.prefix]
-    folders = [Path(prefix, folder) for prefix in prefixes if prefix for folder in ("lib", f"lib/{_MULTIARCH}")]
-    libraries = (path.name for folder in folders for path in folder.glob("libfast*.so*"))
+    places = [(Path(prefix), place) for prefix in prefixes if prefix for place in ("lib", "lib/*-linux-*")]
+    libraries = (path.name for prefix, place in places for path in prefix.glob(f"{place}/libfast*.so*"))
     return next((name.startswith("libfastdds.") for name in libraries if name.startswith(_FAST_DDS)), False)
 
 
