@@ -152,6 +152,6 @@ def test_bytes_of_a_type_that_is_not_read_count(tmp_path: Path) -> None:
     one, same, other = run(1, b"\0\1\0\0\1", b"\0\1\0\0\2"), run(2, b"\0\1\0\0\1", b"\0\1\0\0\2"), run(3, b"\0\1\0\0\3")
     assert line_of(one, same) == "deterministic: 2 of 2 runs equal"
     assert line_of(one, other) == (
-        "NOT DETERMINISTIC: run 3 differs from run 1: /switch/_service_event: bytes of its messages differ, and their type "
-        "cannot be read"
+        "NOT DETERMINISTIC: run 3 differs from run 1: /switch/_service_event: bytes of its messages differ, and their "
+        "type cannot be read"
     )
