@@ -235,7 +235,7 @@ class Gateway:
     def collect(self) -> None:
         """Take over what the native passage has counted, and plan a tick if more is kept than permitted."""
         self.fast_path.collect()
-        self._forget_at_ns = 0 if self._volumes.exceed or self._latest.exceed() else None
+        self._forget_at_ns = 0 if self._volumes.exceed() or self._latest.exceed() else None
 
     @property
     def due_ns(self) -> int | None:

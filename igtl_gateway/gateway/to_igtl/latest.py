@@ -9,6 +9,7 @@ from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.table import row_to_igtl
 from igtl_gateway.gateway.guard import Guard
+from igtl_gateway.gateway.kept import beyond
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.streams import Streams, ToIgtlStream
 from igtl_gateway.gateway.to_igtl.composer import Composer
@@ -102,28 +103,17 @@ class Latest:
 
     def exceed(self) -> bool:
         """Return whether ``forget`` has anything to do."""
-        return self._room is not None and sum(entry.size for entry in self._forgettable()) > self._room
+        return bool(self._beyond())
 
     def forget(self) -> None:
         """Forget messages that alone exceed the room, then the oldest ones, until the others are within it."""
-        if self._room is None:
-            return
-        entries = self._forgettable()
-        held = sum(entry.size for entry in entries)
-        for entry in entries:
-            if held <= self._room:
-                return
-            held -= entry.size
+        for entry in self._beyond():
             self.entries[entry.channel] = replace(entry, payload=())  # in its place: answers are in their order
 
-    def _forgettable(self) -> list[Entry]:
-        """Return the messages that may be forgotten, in the order in which they are.
-
-        These are the large ones but the newest, and but those of latched streams, which late joiners expect.
-        """
+    def _beyond(self) -> list[Entry]:
+        """Return the messages that are too many of the large ones: not the newest, nor those of latched streams."""
         large = sorted((one for one in self.entries.values() if one.size > _SMALL_BYTES), key=lambda one: one.seq)[:-1]
-        found = [one for one in large if not self._is_latched(one)]
-        return sorted(found, key=lambda one: one.size <= (self._room or 0))
+        return beyond(self._room, (one for one in large if not self._is_latched(one)), lambda one: one.size)
 
     def _is_latched(self, entry: Entry) -> bool:
         stream = self._streams.to_igtl(entry.channel, entry.type)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from igtl_gateway.base.errors import ConversionError, NoBase
 from igtl_gateway.convert.assembly import VolumeAssembler
+from igtl_gateway.gateway.kept import beyond
 from igtl_gateway.wire.image import Image
 
 #: Maximum number of devices with partial images.
@@ -50,24 +51,15 @@ class Volumes:
         others = sum(one.held for one in self._assemblers.values()) - assembler.held
         return assembler.update(image, MAX_VOLUMES_BYTES - others)
 
-    @property
     def exceed(self) -> bool:
-        """Whether ``forget`` has anything to do."""
-        return self._room is not None and sum(one.held for one in self._forgettable()) > self._room
+        """Return whether ``forget`` has anything to do."""
+        return bool(self._beyond())
 
     def forget(self) -> None:
         """Forget images that alone exceed the room, then those used least recently, until the others are within it."""
-        if self._room is None:
-            return
-        images = self._forgettable()
-        held = sum(one.held for one in images)
-        for one in images:
-            if held <= self._room:
-                return
-            held -= one.held
+        for one in self._beyond():
             one.forget()
 
-    def _forgettable(self) -> list[VolumeAssembler]:
-        """Return all images but the newest, which may be large, in the order in which they are forgotten."""
+    def _beyond(self) -> list[VolumeAssembler]:
         older = sorted(self._assemblers.values(), key=lambda one: one.used)[:-1]
-        return sorted(older, key=lambda one: one.held <= (self._room or 0))
+        return beyond(self._room, (one for one in older if one.held), lambda one: one.held)

@@ -70,6 +70,15 @@ def test_a_part_of_an_image_that_was_forgotten_is_refused_with_its_reason() -> N
     assert again(config, script.log) == [entry.data() for entry in script.log if not entry.kind.is_input]
 
 
+def test_an_image_that_was_forgotten_stays_so_while_others_are() -> None:
+    """The first part was refused, and once more was forgotten, those after the next tick began a volume of parts."""
+    script = with_four_devices(Config(keep_mib=1))
+    for device in "EFG":
+        script.igtl(whole(device))
+    looked(script)
+    assert script.igtl(part("B")) == ["note conversion"]
+
+
 def test_recordings_without_the_setting_forget_nothing() -> None:
     script = with_four_devices(Config())
     assert [script.igtl(part(device)) for device in "ABCD"] == [[f"ros /igtl/in/{device}/image"] for device in "ABCD"]

@@ -1,0 +1,28 @@
+"""What is forgotten of that which is kept for later messages, where all of it exceeds a number of bytes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import TypeVar
+
+Item = TypeVar("Item")
+
+
+def beyond(room: int | None, items: Iterable[Item], size: Callable[[Item], int]) -> list[Item]:
+    """Return the items without which the others are within the room: those that alone exceed it, then the first ones.
+
+    Args:
+        room: bytes; None: any number.
+        items: in the order in which they are forgotten; the caller has left out the newest, which may be large.
+        size: bytes of an item.
+    """
+    if room is None:
+        return []
+    ordered = sorted(items, key=lambda item: size(item) <= room)
+    excess, found = sum(map(size, ordered)) - room, []
+    for item in ordered:
+        if excess <= 0:
+            break
+        found.append(item)
+        excess -= size(item)
+    return found
