@@ -33,7 +33,8 @@ def schema(table: str, provenance: Mapping[str, Any] | None = None) -> pa.Schema
 def arrow_table(name: str, rows: Sequence[Row]) -> pa.Table:
     """Return rows as a table; columns that a row does not have are null.  Text is valid UTF-8.
 
-    NaN is null, and so is an integer or a time (ns, UTC) that has no 64 bits with a sign: one after 2262."""
+    NaN is null, and so is an integer or a time (ns, UTC) that has no 64 bits with a sign: one after 2262.
+    """
     arrays = []
     for column, kind in TABLES[name].items():
         values = [row.get(column) for row in rows]

@@ -255,7 +255,7 @@ def _name_of(peer: Mapping[str, Any], watched: Iterable[Mapping[str, Any]]) -> s
     """Return what people call a peer: its program, and the devices that it sends; "" before either is known."""
     devices = list(dict.fromkeys(device for one in watched if (device := one["stream"].partition("/")[2])))
     words = [device[:_LETTERS] for device in devices[:_NAMED]]
-    if more := len(devices) - _NAMED if len(devices) > _NAMED else 0:
+    if (more := len(devices) - _NAMED) > 0:
         words.append(f"{more:,} more")
     program = "" if peer["profile"] in _NO_PROGRAM else peer["profile"]
     return ": ".join(filter(None, (program, ", ".join(words))))

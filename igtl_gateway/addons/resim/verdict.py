@@ -250,7 +250,9 @@ def compare(
             if is_judged(name, outputs) and _digest(first, name) != _digest(other, name)
         ]
         verdicts = _strictly(first.outputs, other.outputs, names, EXACT)
-        found = [each for each in verdicts if _is_unread(each, first) or not each.is_equal]
+        for each in verdicts:
+            _note_unread(each, first)
+        found = [each for each in verdicts if not each.is_equal]
         if found:
             verdict.unequal_run, verdict.between_runs = other.number, found
             return verdict
@@ -277,14 +279,12 @@ def is_judged(topic: str, outputs: Sequence[str] = ()) -> bool:
     return topic not in OF_EVERY_NODE or any(matches(glob, topic) for glob in outputs)
 
 
-def _is_unread(verdict: StreamVerdict, one: Run) -> bool:
+def _note_unread(verdict: StreamVerdict, one: Run) -> None:
     """Note that messages, whose bytes differ, have a type that readers skip: nothing else compares them."""
     stream = one.streams.get(verdict.stream)
-    if stream is None or verdict.messages >= stream.messages:
-        return False
-    verdict.different += 1
-    verdict.note(Difference(verdict.stream, 1, stream.first_ns, "unread"))
-    return True
+    if stream and verdict.messages < stream.messages:
+        verdict.different += 1
+        verdict.note(Difference(verdict.stream, 1, stream.first_ns, "unread"))
 
 
 def _digest(one: Run, name: str) -> str:
