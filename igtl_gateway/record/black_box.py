@@ -1,9 +1,9 @@
 """The black box: the last seconds in memory, and rules that write them to a file.
 
-A trigger opens a file with all that memory has, and what follows goes to the file as it comes, until the window after
-the trigger ends.  A trigger within the window, or whose own window begins in it, extends it: overlapping windows are
-one file.  So the file stays open for the longest window before a trigger, and only then gets its ledger, in which each
-trigger has a row.
+A trigger opens a file with what memory has of the window before it, and what follows goes to the file as it comes,
+until the window after the trigger ends.  A trigger within the window, or whose own window begins in it, extends it:
+overlapping windows are one file, which is written again if a later trigger's window begins before it.  So the file
+stays open for the longest window before a trigger, and only then gets its ledger, in which each trigger has a row.
 
 Memory has the bound of the ring, also while the disk is slow or full: if a file cannot be written, it is tried again
 while memory has the window; then a note names the triggers that have none.
@@ -66,11 +66,13 @@ class _Window:
 
     Attributes:
         end_ns: what is written: inputs up to here, with their outputs.
+        begin_ns: inputs from here on.
+        first: number of the first entry in the file that is not of its prologue.
         rows: its triggers.
         writer: its file; None: there is none yet.
         why_not: why there is none.
         failed: what was left of files that could not be written to their end.
-        forgotten_ns: the newest entry that memory did not have any more when the file was opened; 0: it had all.
+        forgotten_ns: the newest input before those of the file, which memory may forget; 0: there is none.
         written: number of the last entry in the file.
         is_open: whether the last input is in the file, and so its outputs are.
         skipped: entries that the format cannot hold.
@@ -78,6 +80,8 @@ class _Window:
     """
 
     end_ns: int
+    begin_ns: int
+    first: int = 0
     rows: list[_Row] = field(default_factory=list)
     writer: SessionWriter | None = None
     why_not: str = ""
@@ -191,17 +195,19 @@ class BlackBox(Ring):
 
     def _take_cause(self, cause: Cause) -> None:
         window, rule, at_ns = self._window, cause.rule, cause.at_ns
-        end_ns = at_ns + round(rule.after_s * NS_PER_S)
-        if window and not self._can_extend(window, at_ns - self._before_ns(rule)):
+        begin_ns, end_ns = at_ns - self._before_ns(rule), at_ns + round(rule.after_s * NS_PER_S)
+        if window and not self._can_extend(window, begin_ns):
             self._finish()
             window = None
         if window is None:
-            window = self._window = _Window(end_ns)
+            window = self._window = _Window(end_ns, begin_ns)
             _count(window.rows, cause)
             self._open_window(window)
         else:
             _count(window.rows, cause)
-            window.end_ns = max(window.end_ns, end_ns)
+            window.end_ns, window.begin_ns = max(window.end_ns, end_ns), min(window.begin_ns, begin_ns)
+            if window.writer and begin_ns == window.begin_ns and self._first_seq(begin_ns) < window.first:
+                self._open_earlier(window, window.writer)
             if not window.is_open:
                 window.is_open = True
                 self._catch_up(window)
@@ -224,10 +230,15 @@ class BlackBox(Ring):
         data = {"rule": str(cause.rule), "at_ns": cause.at_ns, "before": untold}
         self._on_note(Note(Level.INFO, TRIGGERED, f"black box, {cause.rule}: {cause.why}{more}", data=data))
 
+    def _first_seq(self, begin_ns: int) -> int:
+        """Return the number of the first input in memory that is not before this time, or else of the last one."""
+        inputs = [entry for entry in self._entries if entry.kind.is_input]
+        return next((entry for entry in inputs if entry.stamp_ns >= begin_ns), (inputs or self._entries)[-1]).seq
+
     # -- files ------------------------------------------------------------------------------------------------
 
     def _open_window(self, window: _Window) -> None:
-        """Open the file of a window, with all that memory has; if that fails, it is tried again later."""
+        """Open the file of a window, with what memory has of it; if that fails, it is tried again later."""
         window.again_ns = self._clock.monotonic_ns() + _AGAIN_NS
         window.forgotten_ns = self.forgotten_ns
         first = window.rows[0]
@@ -236,8 +247,13 @@ class BlackBox(Ring):
             layout.TRIGGER_KEY: f"{first.rule}: {first.why}",
         }
         with self._obstacles(window):
-            window.written = 0
-            window.writer = self._open_file(self._path(first.first_ns), facts, self._prologue.entries())
+            prologue, window.first = self._prologue.copy(), self._first_seq(window.begin_ns)
+            for entry in self._entries:
+                if entry.seq < window.first:
+                    prologue.observe(entry)
+                    window.forgotten_ns = max(window.forgotten_ns, entry.stamp_ns if entry.kind.is_input else 0)
+            window.written = window.first - 1
+            window.writer = self._open_file(self._path(first.first_ns), facts, prologue.entries())
             self.files.append(window.writer.path)
             self._catch_up(window)
         if window.writer:
@@ -247,6 +263,12 @@ class BlackBox(Ring):
                     self.files.remove(path)
             window.failed.clear()
             window.why_not = ""
+
+    def _open_earlier(self, window: _Window, writer: SessionWriter) -> None:
+        """Write the file of a window again, with what memory has before it."""
+        window.failed.append(writer.path)
+        window.writer = None
+        self._open_window(window)
 
     def _try_again(self, window: _Window) -> None:
         if self._clock.monotonic_ns() >= window.again_ns:

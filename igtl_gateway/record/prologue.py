@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Hashable
+from copy import copy
 
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.selection import StateInputRule
@@ -68,6 +69,13 @@ class Prologue:
         elif self._input is not None and not self._refused and self._rule.by_output(entry):
             self._add(self._learned, self._input.seq, self._input)
             self._input = None
+
+    def copy(self) -> Prologue:
+        """Return another one that has seen the same, and sees what follows for itself."""
+        other = copy(self)
+        tables = {name: kept.copy() for name, kept in vars(self).items() if isinstance(kept, OrderedDict)}
+        vars(other).update(tables)
+        return other
 
     def skip(self) -> None:
         """Entries follow that this does not see: an output after them need not be of the last input that it saw."""

@@ -143,11 +143,11 @@ def test_a_table_is_its_text() -> None:
     assert trigger(text_of_table({"kind": "guard"}, "t")) == Trigger("guard")
 
 
-def _play(path: Path, entries: list[Entry], rule: str) -> list[Note]:
+def _play(path: Path, entries: list[Entry], *rules: str) -> list[Note]:
     notes: list[Note] = []
     recorder = Recorder(
         path, samples.SESSION, qos_of=lambda _topic, _type: None, on_note=notes.append, clock=ManualClock(),
-                options=RecordOptions(snapshot_s=2.0, triggers=(trigger(rule),)), rule=RULE, host=in_thread,
+                options=RecordOptions(snapshot_s=2.0, triggers=tuple(map(trigger, rules))), rule=RULE, host=in_thread,
     )  # fmt: skip
     for entry in entries:
         recorder(entry)
@@ -155,13 +155,14 @@ def _play(path: Path, entries: list[Entry], rule: str) -> list[Note]:
     return notes
 
 
-def _with_marks(*seconds: float) -> list[Entry]:
+def _with_marks(*seconds: float, labels: str = "slip") -> list[Entry]:
     """A session of 10 s with marks."""
+    names = iter(labels.split() * len(seconds))
     found: list[Entry] = []
     waiting = [samples.START_NS + round(each * NS) for each in seconds]
     for entry in session(10):
         while waiting and waiting[0] <= entry.stamp_ns and entry.kind.is_input:
-            note = MarkNote("slip").note()
+            note = MarkNote(next(names)).note()
             found.append(Entry(0, waiting.pop(0), Kind.EDGE_NOTE, payload=(note.pack(),)))
         found.append(entry)
     return [
@@ -198,6 +199,32 @@ def test_windows_that_overlap_are_one_file(
         assert {each.seq for each in entries if begin <= each.stamp_ns <= end} <= set(numbers)
         assert content[0].stamp_ns >= begin and content[-1].stamp_ns <= end + 100
         assert rows and not any(row["missing"] for row in rows)
+
+
+@table(
+    ("seconds", "first", "last"),
+    [
+        ((3.0,), 2.5, 4.0),  # not all that memory has, which is two seconds
+        ((3.0, 3.2), 1.2, 4.2),  # the second rule wants all: the file is written again
+        ((3.0, 4.3), 2.3, 5.3),  # also after the end of the first window
+        ((3.0, 6.2), 2.5, 4.0),  # apart
+    ],
+)
+def test_a_file_begins_with_the_window(seconds: tuple[float, ...], first: float, last: float, tmp_path: Path) -> None:
+    entries = _with_marks(*seconds, labels="short long")
+    _play(tmp_path / "box.mcap", entries, "mark=short,before=0.5,after=1", "mark=long,after=1")
+    path = min(tmp_path.glob("*.mcap"))
+    with SessionFile.open(path) as file:
+        content = list(file.entries())
+        assert file.ledger and not any(row["missing"] for row in file.ledger["triggers"])
+        prologue = file.prologue()
+    begin, end = (samples.START_NS + round(each * NS) for each in (first, last))
+    assert {each.seq for each in content} == {
+        each.seq for each in entries if begin <= each.stamp_ns <= end + 100 and each.seq <= content[-1].seq
+    }
+    assert begin <= content[0].stamp_ns < begin + NS // 5 and end - NS // 5 < content[-1].stamp_ns
+    assert prologue and prologue[-1].stamp_ns < begin, "what the window needs of the time before it"
+    assert main(["verify", str(path)]) == 0
 
 
 def test_info_states_why_the_file_is_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
