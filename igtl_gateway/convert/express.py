@@ -185,16 +185,17 @@ COMPILED = False
 #: Conversions of bulk messages: STRING ⇄ String of ASCII, POINT of one point → PointStamped, POINT of unlabelled
 #: points ⇄ PointCloud2, POLYDATA with points only ⇄ PointCloud2, IMAGE ⇄ Image with everything but the pixels as in
 #: the sample, Image of BGR → IMAGE of RGB, POLYDATA of points and triangles ⇄ Mesh, and the same ⇄ Marker of triangles
-#: (to OpenIGTLink only without colours and rotation).
+#: (to OpenIGTLink only without colours and rotation), TDATA and QTDATA ⇄ messages of poses with the sample's tools.
 #: Clouds to OpenIGTLink have only the fields x, y and z as float32; all numbers are finite.
-TEXT, POINT, POINTS, CLOUD, PICTURE, BLUE_FIRST, MESH, TRIANGLES = range(8)
+TEXT, POINT, POINTS, CLOUD, PICTURE, BLUE_FIRST, MESH, TRIANGLES, TOOLS = range(9)
 
 FillTemplate = Callable[..., tuple[Any, ...] | None]
 
 #: Like ``pose_to_ros``, with other meanings of some arguments.  ``sample``: the bytes before and after the content.
 #: ``at``, ``size``: the sizes of these two.  ``forms``: for each form the conversion, a template (for clouds and images
-#: up to the data; for a point the whole message; for a marker all but its points), the offsets of its stamp (0: none)
-#: and of its width (of a marker: of the number of its points), and for a marker the number of bytes after the points.
+#: up to the data; for a point the whole message; for a marker all but its points; for tools the whole message and its
+#: rows), the offsets of its stamp (0: none) and of its width (of a marker: of the number of its points; of tools: the
+#: bytes of one), and for a marker the number of bytes after the points, for tools that of the rows.
 #: The result has None for a form that does not apply to the content.
 bulk_to_ros: FillTemplate | None = None
 
@@ -202,8 +203,10 @@ bulk_to_ros: FillTemplate | None = None
 #: for a cloud the offsets of its height and of its data, the size of a point, and the offsets of x, y and z in it; for
 #: an image the offsets, the size of its data, and zeros; for a marker the offsets of its pose and of its points, their
 #: size, the bytes from their number to them, and zeros; then begin and end of each part of the sample that must be
-#: equal.  ``size``: the conversion.  ``forms``: for each form the bytes before and after the content, and the offset of
-#: the digits in the latter.  The result has a tuple of buffers for a large image: its pixels are a view on ``cdr``.
+#: equal; for tools their number, the size of the message, the bytes of one, and zeros: in the sample, content and rows
+#: (``gateway/fastpath/tools.py``) follow the message.  ``size``: the conversion.  ``forms``: for each form the bytes
+#: before and after the content, and the offset of the digits in the latter.  The result has a tuple of buffers for a
+#: large image: its pixels are a view on ``cdr``.
 bulk_to_igtl: FillTemplate | None = None
 
 if not TYPE_CHECKING:

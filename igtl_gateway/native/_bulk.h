@@ -1,4 +1,4 @@
-/* Strings, points, clouds, surfaces and pictures of compiled streams: igtl_gateway/convert/express.py documents the conversions;
+/* Strings, points, clouds, surfaces, pictures and tracking data of compiled streams: igtl_gateway/convert/express.py documents the conversions;
  * without Python.
  *
  * A large content is converted in blocks that fit the processor's cache, and the CRC of a block is taken while it is
@@ -16,7 +16,7 @@
 #endif
 
 /* The conversions of bulk messages; the same numbers as in express.py. */
-enum { TEXT = 0, POINT = 1, POINTS = 2, CLOUD = 3, PICTURE = 4, BLUE_FIRST = 5, MESH = 6, TRIANGLES = 7 };
+enum { TEXT = 0, POINT = 1, POINTS = 2, CLOUD = 3, PICTURE = 4, BLUE_FIRST = 5, MESH = 6, TRIANGLES = 7, TOOLS = 8 };
 
 #define POINT_BYTES 136 /* name 64, group 32, rgba 4, position 12, diameter 4, owner 20 */
 #define GROUP_AT 64
@@ -28,6 +28,10 @@ enum { TEXT = 0, POINT = 1, POINTS = 2, CLOUD = 3, PICTURE = 4, BLUE_FIRST = 5, 
 #define ROW_OF_CLOUD 12
 #define CELL_BYTES 16 /* of a triangle: the number 3, and three indices */
 #define MAX_PIECES 12000000 /* surfaces.py */
+#define TOOL_HEAD 22   /* of a tool, before its numbers: name 20, type, reserved */
+#define TOOL_COMPARED 21
+#define TOOL_TO_ROS 32 /* its row after a template: name and type, padding, offsets of stamp (0: none) and pose */
+#define ROW_FROM_ROS 12 /* begin and end of a part that must be equal, offset of the pose after it (0: none) */
 #define WHITE 0xFFFFFFFFu
 #define MAX_TEXT 65535
 #define MIB_ASCII 3
@@ -355,12 +359,12 @@ struct igtl_bulk {
     double times, by;
 };
 
-/* A form of a ROS message: its template, and its room. */
+/* A form of a ROS message: its template, and its room.  ``width_at`` of tools: the bytes of one in OpenIGTLink. */
 struct ros_form {
     int form;
     const uint8_t *template;
     ssize_t room, stamp_at, width_at;
-    ssize_t rest; /* bytes of the template after the points of a marker */
+    ssize_t rest; /* bytes of the template after the points of a marker; of tools: those of their rows */
     ssize_t count, cells; /* points and triangles, see prepare_form */
     ssize_t size;  /* of the message; 0: the row does not apply */
     uint8_t *out;
@@ -420,6 +424,51 @@ static int count_surface(const uint8_t *content, ssize_t size, struct ros_form *
 /* Return the offset of the vertices in a Mesh with this number of triangles. */
 static ssize_t vertices_at(ssize_t cells) { return 12 + 12 * cells + (cells & 1 ? 4 : 0); }
 
+/* The row of a tool after the template of a form. */
+static const uint8_t *tool_row(const struct ros_form *form, ssize_t tool)
+{
+    return form->template + form->room - form->rest + TOOL_TO_ROS * tool;
+}
+
+/* Whether the rows of tools are within the template, and one of them at least. */
+static int has_tool_rows(const struct ros_form *form)
+{
+    ssize_t size = form->room - form->rest;
+    if (size < 12 || form->rest < TOOL_TO_ROS || form->rest % TOOL_TO_ROS)
+        return 0;
+    if (form->width_at != TOOL_HEAD + MATRIX_BYTES && form->width_at != TOOL_HEAD + QUATERNION_BYTES)
+        return 0;
+    for (ssize_t i = 0; i < form->rest / TOOL_TO_ROS; i++) {
+        const uint8_t *row = tool_row(form, i);
+        if ((ssize_t)get_u32_ros(row + 24) > size - 8 || (ssize_t)get_u32_ros(row + 28) > size - POSE_BYTES)
+            return 0;
+    }
+    return form->stamp_at <= size - 8;
+}
+
+/* Whether a form that the caller has read has room for what is filled in. */
+static int has_room(const struct ros_form *form)
+{
+    ssize_t before = form->room - form->rest;
+    if (form->stamp_at < 0 || form->width_at < 0 || form->rest < 0)
+        return 0;
+    if (form->form == TOOLS)
+        return has_tool_rows(form);
+    return form->form == TEXT || form->form == MESH ||
+           (before >= 32 && form->stamp_at + 8 <= before && form->width_at + 4 <= before);
+}
+
+/* Whether a content has the tools of a form, with these names and types. */
+static int has_tools(const struct ros_form *form, const uint8_t *content, ssize_t size)
+{
+    if (size != form->count * form->width_at)
+        return 0;
+    for (ssize_t i = 0; i < form->count; i++)
+        if (memcmp(content + form->width_at * i, tool_row(form, i), TOOL_COMPARED))
+            return 0;
+    return 1;
+}
+
 /* Set count and size of a form for this content; 0: the message needs the full path. */
 static int prepare_form(struct ros_form *form, const uint8_t *content, ssize_t size)
 {
@@ -431,6 +480,11 @@ static int prepare_form(struct ros_form *form, const uint8_t *content, ssize_t s
     if (form->form == PICTURE) {
         form->size = form->room + size;
         return size == (ssize_t)get_u32_ros(form->template + form->room - 4);
+    }
+    if (form->form == TOOLS) {
+        form->count = form->rest / TOOL_TO_ROS;
+        form->size = form->room - form->rest;
+        return has_tools(form, content, size);
     }
     if (form->form == MESH || form->form == TRIANGLES) {
         if (!count_surface(content, size, form))
@@ -488,6 +542,37 @@ static uint32_t put_points(uint8_t *row, const uint8_t *one, ssize_t count, floa
     return odd;
 }
 
+/* Write the poses of tools; not 0: the message needs the full path. */
+static uint32_t put_tools(const struct ros_form *form, const struct igtl_bulk *stream, const uint8_t *content)
+{
+    ssize_t bytes = form->width_at - TOOL_HEAD;
+    for (ssize_t i = 0; i < form->count; i++) {
+        const uint8_t *tool = content + form->width_at * i + TOOL_HEAD;
+        double numbers[12], pose[7];
+        uint32_t odd = 0;
+        for (ssize_t k = 0; k < bytes / 4; k++) {
+            odd |= not_finite(get_u32(tool + 4 * k));
+            numbers[k] = get_f32(tool + 4 * k);
+        }
+        if (odd || !pose_of_numbers(numbers, bytes, stream->times, stream->by, pose))
+            return 1;
+        memcpy(form->out + get_u32_ros(tool_row(form, i) + 28), pose, sizeof pose);
+    }
+    return 0;
+}
+
+/* Write the stamp of a message, or of each of its poses. */
+static void put_stamps(const struct ros_form *form, int64_t stamp_ns)
+{
+    if (form->stamp_at)
+        put_ros_stamp(form->out + form->stamp_at, stamp_ns);
+    for (ssize_t i = 0; form->form == TOOLS && i < form->count; i++) {
+        uint32_t stamp_at = get_u32_ros(tool_row(form, i) + 24);
+        if (stamp_at)
+            put_ros_stamp(form->out + stamp_at, stamp_ns);
+    }
+}
+
 /* Write everything of a message but its content. */
 static void put_frame(const struct ros_form *form, ssize_t size, int64_t stamp_ns)
 {
@@ -519,8 +604,7 @@ static void put_frame(const struct ros_form *form, ssize_t size, int64_t stamp_n
         put_u32_ros(out + form->room - 4, bytes);
         out[form->size - 1] = 1; /* is_dense */
     }
-    if (form->stamp_at)
-        put_ros_stamp(out + form->stamp_at, stamp_ns);
+    put_stamps(form, stamp_ns);
 }
 
 /* Convert a block of a surface: its points, and the triangles that end in it. */
@@ -564,6 +648,8 @@ static uint32_t put_block(const struct ros_form *form, const struct igtl_bulk *s
         memcpy(form->out + 4 + begin, content + begin, (size_t)(end - begin));
         return plain_text(content + begin, end - begin);
     }
+    if (form->form == TOOLS)
+        return begin ? 0 : put_tools(form, stream, content);
     if (form->form == POINT)
         return put_point(form->out + form->size - 24, content, stream->times, stream->by);
     if (form->form == POINTS)
@@ -618,9 +704,10 @@ struct ros_bulk {
     const uint8_t *sample; /* the bytes before the content */
     ssize_t size;
     int form;
-    ssize_t height_at, data_at;   /* of clouds and pictures; of a marker: those of its pose and of its points */
-    ssize_t step, x, y, z;        /* of the points of a cloud; step of a picture: the size of its data; x of a marker: the
-                                   * bytes from the number of its points to these */
+    ssize_t height_at, data_at;   /* of clouds and pictures; of a marker: those of its pose and of its points; of tools:
+                                   * their number, and the size of the message, which their content and rows follow */
+    ssize_t step, x, y, z;        /* of the points of a cloud; step of a picture: the size of its data, of tools: that of
+                                   * one; x of a marker: the bytes from the number of its points to these */
     const ssize_t *places;        /* begin and end of each part of the sample that must be equal */
     ssize_t places_count;         /* numbers in ``places`` */
     double times, by;
@@ -729,11 +816,69 @@ static int find_marker(const struct ros_bulk *stream, const uint8_t *cdr, ssize_
     return at >= 0;
 }
 
+/* A row of the parts of a message of tools: that before all of them, one for each, and that after them. */
+static const uint8_t *row_from_ros(const struct ros_bulk *stream, ssize_t row)
+{
+    return stream->sample + stream->data_at + stream->height_at * stream->step + ROW_FROM_ROS * row;
+}
+
+static ssize_t pose_from_row(const struct ros_bulk *stream, ssize_t tool)
+{
+    return get_u32_ros(row_from_ros(stream, 1 + tool) + 8);
+}
+
+/* Whether a sample has the rows of its tools, with places in it. */
+static int has_rows_from_ros(const struct ros_bulk *stream)
+{
+    ssize_t tools = stream->height_at;
+    if (tools < 1 || tools > stream->size || (stream->step != TOOL_HEAD + MATRIX_BYTES && stream->step != TOOL_HEAD + QUATERNION_BYTES) ||
+        stream->data_at < 12 || stream->data_at + tools * stream->step + ROW_FROM_ROS * (tools + 2) != stream->size)
+        return 0;
+    for (ssize_t i = 0; i < tools + 2; i++) {
+        const uint8_t *row = row_from_ros(stream, i);
+        ssize_t begin = get_u32_ros(row), end = get_u32_ros(row + 4), pose = get_u32_ros(row + 8);
+        if (begin > end || end > stream->data_at || pose > stream->data_at - POSE_BYTES)
+            return 0;
+    }
+    return 1;
+}
+
+/* Find the tools of a message; 0: it needs the full path. */
+static int find_tools(const struct ros_bulk *stream, const uint8_t *cdr, ssize_t size, struct found *found)
+{
+    if (size != stream->data_at)
+        return 0;
+    for (ssize_t i = 0; i < stream->height_at + 2; i++) {
+        const uint8_t *row = row_from_ros(stream, i);
+        if (!equal(cdr, stream->sample, get_u32_ros(row), get_u32_ros(row + 4)))
+            return 0;
+    }
+    found->data = cdr;
+    found->count = stream->height_at;
+    found->size = stream->height_at * stream->step;
+    return 1;
+}
+
+/* Write the tools of a message; return the size of the content, or -1: it needs the full path. */
+static ssize_t put_tools_to_igtl(const struct ros_bulk *stream, const struct found *found, uint8_t *out)
+{
+    memcpy(out, stream->sample + stream->data_at, (size_t)found->size);
+    for (ssize_t i = 0; i < found->count; i++) {
+        double numbers[12];
+        if (!numbers_of_pose(found->data + pose_from_row(stream, i), stream->step - TOOL_HEAD, stream->times, stream->by, numbers))
+            return -1;
+        for (ssize_t k = 0; k < (stream->step - TOOL_HEAD) / 4; k++)
+            put_f32(out + stream->step * i + TOOL_HEAD + 4 * k, numbers[k]);
+    }
+    return found->size;
+}
+
 /* Find the content of a message; 0: it needs the full path. */
 static int find_in_ros(const struct ros_bulk *stream, const uint8_t *cdr, ssize_t size, struct found *found)
 {
+    ssize_t least = stream->form == TOOLS ? stream->data_at : stream->size;
     found->header_ns = 0;
-    if (size < stream->size || stream->size < 4 || !equal(cdr, stream->sample, 0, 4))
+    if (size < least || least < 4 || !equal(cdr, stream->sample, 0, 4))
         return 0;
     if (stream->form == TEXT)
         return find_text(cdr, size, found);
@@ -745,6 +890,9 @@ static int find_in_ros(const struct ros_bulk *stream, const uint8_t *cdr, ssize_
     found->data = cdr + stream->data_at;
     if (stream->form == TRIANGLES) {
         if (!find_marker(stream, cdr, size, found))
+            return 0;
+    } else if (stream->form == TOOLS) {
+        if (!find_tools(stream, cdr, size, found))
             return 0;
     } else if (stream->form >= PICTURE) {
         found->count = found->size = stream->step;
@@ -815,6 +963,8 @@ static ssize_t put_next(const struct ros_bulk *stream, const struct found *found
     }
     if (stream->form == MESH || stream->form == TRIANGLES)
         return put_next_of_surface(stream, found, out, done, block);
+    if (stream->form == TOOLS)
+        return put_tools_to_igtl(stream, found, out);
     const struct points points = {.first = found->data,
                                   .step = stream->step,
                                   .x = stream->x,

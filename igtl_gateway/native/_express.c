@@ -206,11 +206,7 @@ static PyObject *bulk_to_ros(PyObject *module, PyObject *const *args, Py_ssize_t
             goto failed;
         form->template = (const uint8_t *)PyBytes_AS_STRING(template);
         form->room = PyBytes_GET_SIZE(template);
-        Py_ssize_t before = form->room - form->rest;
-        if (form->form < TEXT || form->form > TRIANGLES || form->form == BLUE_FIRST || form->stamp_at < 0 ||
-            form->width_at < 0 || form->rest < 0 ||
-            (form->form != TEXT && form->form != MESH &&
-             (before < 32 || form->stamp_at + 8 > before || form->width_at + 4 > before))) {
+        if (form->form < TEXT || form->form > TOOLS || form->form == BLUE_FIRST || !has_room(form)) {
             PyErr_SetString(PyExc_ValueError, "bulk_to_ros: a form without room for stamp and width");
             goto failed;
         }
@@ -294,7 +290,7 @@ static PyObject *bulk_to_igtl(PyObject *module, PyObject *const *args, Py_ssize_
     if (PyErr_Occurred() || !PyArg_ParseTuple(args[7], "dd", &stream.times, &stream.by))
         return NULL;
     int has_places = stream.form != TEXT && stream.form != MESH;
-    if (stream.form < TEXT || stream.form == POINT || stream.form > TRIANGLES ||
+    if (stream.form < TEXT || stream.form == POINT || stream.form > TOOLS ||
         (has_places && (places_count < 6 || places_count % 2 || places_count > 6 + 2 * MAX_PLACES))) {
         PyErr_SetString(PyExc_ValueError, "bulk_to_igtl: invalid form or places");
         return NULL;

@@ -370,7 +370,7 @@ struct Stream {
     ssize_t at, place_at;
     struct igtl_poses from_igtl;
     struct ros_poses from_ros;
-    int is_bulk; /* strings, points, clouds and pictures: these instead of the two above */
+    int is_bulk; /* strings, points, clouds, pictures and tracking data: these instead of the two above */
     struct igtl_bulk bulk_from_igtl;
     struct ros_bulk bulk_from_ros;
     ssize_t places[MAX_PLACES];
@@ -908,8 +908,7 @@ static int pass_large_to_ros(Link *self, Stream *stream, struct kept *kept, int 
     }
     if (passes) {
         for (int i = 0; i < chosen.count; i++) {
-            if (chosen.forms[i].stamp_at)
-                put_ros_stamp(chosen.forms[i].out + chosen.forms[i].stamp_at, shown_ns);
+            put_stamps(&chosen.forms[i], shown_ns);
             publish_output(passage, &chosen, i, chosen.forms[i].out);
         }
         int64_t passed_ns = clock_ns(CLOCK_MONOTONIC);
@@ -1975,22 +1974,21 @@ static PyObject *passage_to_ros_bulk(Passage *self, PyObject *args)
     stream->own = own, stream->number = number, stream->keeps = (char)keeps;
     for (Py_ssize_t i = 0; i < PyTuple_GET_SIZE(outputs); i++) {
         const char *template;
-        Py_ssize_t room, stamp_at, width_at;
+        Py_ssize_t room, stamp_at, width_at, rest;
         int form;
         Publisher *publisher;
-        if (!PyArg_ParseTuple(PyTuple_GET_ITEM(outputs, i), "iy#nnKO!", &form, &template, &room, &stamp_at, &width_at,
-                              &number, &Publisher_Type, &publisher))
+        if (!PyArg_ParseTuple(PyTuple_GET_ITEM(outputs, i), "iy#nnnKO!", &form, &template, &room, &stamp_at, &width_at,
+                              &rest, &number, &Publisher_Type, &publisher))
             goto failed;
-        if (form < TEXT || form > PICTURE || stamp_at < 0 || width_at < 0 ||
-            (form != TEXT && (room < 32 || stamp_at + 8 > room || width_at + 4 > room))) {
-            PyErr_SetString(PyExc_ValueError, "to_ros_bulk: a form without room for stamp and width");
-            goto failed;
-        }
         struct output *output = new_output(stream, template, room, stamp_at, 0, number);
         if (!output)
             goto failed;
         output->form = (struct ros_form){.form = form, .template = output->template, .room = room, .stamp_at = stamp_at,
-                                         .width_at = width_at};
+                                         .width_at = width_at, .rest = rest};
+        if (form < TEXT || (form > PICTURE && form != TOOLS) || !has_room(&output->form)) {
+            PyErr_SetString(PyExc_ValueError, "to_ros_bulk: a form without room for stamp and width");
+            goto failed;
+        }
         output->publisher = (Publisher *)Py_NewRef((PyObject *)publisher);
     }
     return add_to_link(stream);
@@ -2078,7 +2076,7 @@ static PyObject *passage_to_igtl_bulk(Passage *self, PyObject *args)
                           &form, &own, &times, &by, &number, &PyTuple_Type, &outputs))
         return NULL;
     Py_ssize_t count = PyTuple_GET_SIZE(places);
-    if (form < TEXT || form > BLUE_FIRST || form == POINT || count > MAX_PLACES || (form != TEXT && (count < 6 || count % 2))) {
+    if (form < TEXT || (form > BLUE_FIRST && form != TOOLS) || form == POINT || count > MAX_PLACES || (form != TEXT && (count < 6 || count % 2))) {
         PyErr_SetString(PyExc_ValueError, "to_igtl_bulk: invalid form or places");
         return NULL;
     }
@@ -2862,8 +2860,8 @@ static PyMethodDef passage_methods[] = {
     {"__enter__", (PyCFunction)passage_enter, METH_NOARGS, "Take the sequence lock."},
     {"__exit__", (PyCFunction)passage_exit, METH_VARARGS, "Release the sequence lock."},
     {"to_ros", (PyCFunction)passage_to_ros, METH_VARARGS, "Add a stream from a link; with the sequence lock."},
-    {"to_ros_bulk", (PyCFunction)passage_to_ros_bulk, METH_VARARGS, "As to_ros, of strings, points, clouds and pictures, whose last one is kept."},
-    {"to_igtl_bulk", (PyCFunction)passage_to_igtl_bulk, METH_VARARGS, "As to_igtl, of strings, points, clouds and pictures."},
+    {"to_ros_bulk", (PyCFunction)passage_to_ros_bulk, METH_VARARGS, "As to_ros, of bulk, such as strings and pictures, whose last one is kept."},
+    {"to_igtl_bulk", (PyCFunction)passage_to_igtl_bulk, METH_VARARGS, "As to_igtl, of bulk."},
     {"to_igtl", (PyCFunction)passage_to_igtl, METH_VARARGS, "Add the stream of a subscription; with the sequence lock."},
     {"use_rcl", (PyCFunction)passage_use_rcl, METH_VARARGS, "Set the addresses of take, publish and count of subscribers."},
     {"record_into", (PyCFunction)passage_record_into, METH_VARARGS, "Put entries into the queue of a recorder."},

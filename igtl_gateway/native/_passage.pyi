@@ -137,7 +137,7 @@ class Passage:
         times: float,
         by: float,
         number: int,
-        outputs: tuple[tuple[int, bytes, int, int, int, Publisher], ...],
+        outputs: tuple[tuple[int, bytes, int, int, int, int, Publisher], ...],
         keeps: bool,
         /,
     ) -> Stream: ...

@@ -4,7 +4,7 @@
 
 #include "_bulk.h"
 
-/* Read the places of a cloud or picture (express.py); 0: an exception is set. */
+/* Read the places of a cloud, a picture or of tools (express.py); 0: an exception is set. */
 static int read_places(PyObject *places, struct ros_bulk *stream, ssize_t numbers[], Py_ssize_t count)
 {
     for (Py_ssize_t i = 0; i < count; i++)
@@ -17,6 +17,8 @@ static int read_places(PyObject *places, struct ros_bulk *stream, ssize_t number
     int inside = stream->height_at >= 12 && stream->data_at <= stream->size && stream->data_at >= stream->height_at + 16 &&
                  stream->x >= 0 && stream->y >= 0 && stream->z >= 0 && stream->x + 4 <= stream->step &&
                  stream->y + 4 <= stream->step && stream->z + 4 <= stream->step;
+    if (stream->form == TOOLS)
+        inside = has_rows_from_ros(stream);
     if (stream->form == TRIANGLES)
         inside &= stream->x >= 4 && stream->x <= stream->data_at && stream->height_at <= stream->data_at - 80;
     for (Py_ssize_t i = 6; i < count; i += 2)

@@ -115,15 +115,11 @@ struct igtl_poses {
     double times, by; /* lengths are multiplied by the first and divided by the second */
 };
 
-/* Read position (m) and quaternion (x, y, z, w); 0: the message needs the full path. */
-static int pose_from_igtl(const struct igtl_poses *stream, const uint8_t *data, ssize_t size, double pose[7])
+/* Make position (m) and quaternion (x, y, z, w) of finite numbers; 0: the message needs the full path. */
+static int pose_of_numbers(const double *numbers, ssize_t bytes, double times, double by, double pose[7])
 {
-    double numbers[12];
     const double *position = numbers;
-    if (size != stream->size ||
-        !numbers_of(data, stream->sample, size, stream->at, stream->bytes, stream->check_crc, numbers))
-        return 0;
-    if (stream->bytes == MATRIX_BYTES) {
+    if (bytes == MATRIX_BYTES) {
         if (!pose_of_matrix(numbers, pose + 3))
             return 0;
         position = numbers + 9;
@@ -133,8 +129,17 @@ static int pose_from_igtl(const struct igtl_poses *stream, const uint8_t *data, 
         positive(pose + 3);
     }
     for (int i = 0; i < 3; i++)
-        pose[i] = position[i] * stream->times / stream->by;
+        pose[i] = position[i] * times / by;
     return 1;
+}
+
+/* Read position (m) and quaternion (x, y, z, w); 0: the message needs the full path. */
+static int pose_from_igtl(const struct igtl_poses *stream, const uint8_t *data, ssize_t size, double pose[7])
+{
+    double numbers[12];
+    return size == stream->size &&
+           numbers_of(data, stream->sample, size, stream->at, stream->bytes, stream->check_crc, numbers) &&
+           pose_of_numbers(numbers, stream->bytes, stream->times, stream->by, pose);
 }
 
 /* Fill stamp (UTC ns) and pose into a copy of a template, which ends with the pose. */
@@ -151,6 +156,30 @@ struct ros_poses {
     double times, by;
 };
 
+/* Make the numbers for OpenIGTLink (mm) of a pose in CDR; 0: the message needs the full path. */
+static int numbers_of_pose(const uint8_t *cdr, ssize_t bytes, double times, double by, double numbers[12])
+{
+    double pose[7], q[4], *position = numbers;
+    memcpy(pose, cdr, POSE_BYTES);
+    for (int i = 0; i < 7; i++)
+        if (!isfinite(pose[i]))
+            return 0;
+    if (!unit(pose + 3, q))
+        return 0;
+    if (bytes == MATRIX_BYTES) {
+        rotation_matrix(q, numbers);
+        position = numbers + 9;
+    } else {
+        memcpy(numbers + 3, q, sizeof q);
+    }
+    for (int i = 0; i < 3; i++) {
+        position[i] = pose[i] * times / by;
+        if (!(fabs(position[i]) < BEYOND_FLOAT32))
+            return 0;
+    }
+    return 1;
+}
+
 /* Read the stamp of the header (UTC ns) and the numbers for OpenIGTLink (mm); 0: the message needs the full path. */
 static int pose_from_ros(const struct ros_poses *stream, const uint8_t *cdr, ssize_t size, int64_t *header_ns,
                          double numbers[12])
@@ -164,25 +193,7 @@ static int pose_from_ros(const struct ros_poses *stream, const uint8_t *cdr, ssi
     memcpy(&seconds, cdr + 4, 4);
     memcpy(&nanoseconds, cdr + 8, 4);
     *header_ns = seconds * NS_PER_S + nanoseconds;
-    double pose[7], q[4], *position = numbers;
-    memcpy(pose, cdr + size - POSE_BYTES, POSE_BYTES);
-    for (int i = 0; i < 7; i++)
-        if (!isfinite(pose[i]))
-            return 0;
-    if (!unit(pose + 3, q))
-        return 0;
-    if (stream->bytes == MATRIX_BYTES) {
-        rotation_matrix(q, numbers);
-        position = numbers + 9;
-    } else {
-        memcpy(numbers + 3, q, sizeof q);
-    }
-    for (int i = 0; i < 3; i++) {
-        position[i] = pose[i] * stream->times / stream->by;
-        if (!(fabs(position[i]) < BEYOND_FLOAT32))
-            return 0;
-    }
-    return 1;
+    return numbers_of_pose(cdr + size - POSE_BYTES, stream->bytes, stream->times, stream->by, numbers);
 }
 
 /* Return whether metadata with this stamp has the size of that in a template; digits_at as in express.py. */

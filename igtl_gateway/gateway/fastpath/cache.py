@@ -209,7 +209,8 @@ class FastPath:
 
     def _learn_to_ros(self, entry: Entry, origin: RosOrigin) -> None:
         key = (entry.links[0], bytes(entry.payload[0][NAMES]))
-        if entry.type in compile_to_ros.TYPES and not self._frames_go_out and self._comes_again(key):
+        plain = entry.type in compile_to_ros.TYPES and not self._frames_go_out and not origin.to.warnings
+        if plain and self._comes_again(key):
             assembler, peer = self._volumes.get(origin.to.device_name), self._peers.get(entry.links[0])
             frames = peer.frames if peer else None
             self._store(self.to_ros, key, compile_to_ros.compile_to_ros(entry, origin, self._common, assembler, frames))

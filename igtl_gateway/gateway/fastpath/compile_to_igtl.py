@@ -13,8 +13,8 @@ import numpy as np
 
 from igtl_gateway.base.buffers import Buffer, join
 from igtl_gateway.config.settings import SOURCE
-from igtl_gateway.convert import clouds, express, images, poses, rosmsg, surfaces, texts
-from igtl_gateway.convert.common_msgs import PoseStamped
+from igtl_gateway.convert import clouds, express, images, poses, rosmsg, surfaces, texts, tracking
+from igtl_gateway.convert.common_msgs import PoseArray, PoseStamped
 from igtl_gateway.convert.express import (
     BLUE_FIRST,
     CLOUD,
@@ -24,12 +24,15 @@ from igtl_gateway.convert.express import (
     POINTS,
     QUATERNION,
     TEXT,
+    TOOLS,
     TRIANGLES,
     FillTemplate,
 )
+from igtl_gateway.convert.igtl_msgs import TrackingData
 from igtl_gateway.convert.rosmsg import PointCloud2, String, TransformStamped
 from igtl_gateway.gateway.fastpath.common import NAMES_AT, CompileContext, end_of_name
 from igtl_gateway.gateway.fastpath.compiled_to_igtl import CompiledToIgtl
+from igtl_gateway.gateway.fastpath.tools import tools_places
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peer
@@ -56,11 +59,17 @@ _BULK_TO_IGTL: dict[Callable[..., Any], int] = {
     images.image_to_igtl: PICTURE,
     surfaces.mesh_to_igtl: MESH,
     surfaces.marker_to_igtl: TRIANGLES,
+    tracking.tracking_to_tdata: TOOLS,
+    tracking.tracking_to_qtdata: TOOLS,
+    tracking.poses_to_tdata: TOOLS,
 }
 #: ROS types whose streams can be compiled.
 TYPES = frozenset(
     message.TYPE
-    for message in (TransformStamped, PoseStamped, String, PointCloud2, rosmsg.Image, rosmsg.Mesh, rosmsg.Marker)
+    for message in (
+        *(TransformStamped, PoseStamped, String, PointCloud2),
+        *(rosmsg.Image, rosmsg.Mesh, rosmsg.Marker, TrackingData, PoseArray),
+    )
 )
 _SMALL = PolyData(np.zeros((1, 3), ">f4"))
 _LITTLE_ENDIAN = b"\x00\x01"
@@ -86,10 +95,12 @@ def compile_to_igtl(
         return None
     if any(out.igtl_type in peer.paced_types or _is_adapted(out.content, peer) for peer in peers):
         return None
+    if form == TOOLS and any(peer.tracked for peer in peers):  # one might get them in its own form
+        return None
     if form in (MESH, TRIANGLES):  # the bytes around the content are those around any content
         out = replace(out, content=_SMALL)
     content = size or sum(memoryview(part).nbytes for part in out.content.pack())
-    extra = 0
+    extra, tools = 0, None
     if size:
         names: tuple[int, ...] | None = _names_of(cdr, two=entry.type == TransformStamped.TYPE)
     elif form == PICTURE:
@@ -97,6 +108,9 @@ def compile_to_igtl(
         form, names = _picture_places(cdr, content)
     elif form == TRIANGLES:
         names = _marker_places(cdr)
+    elif form == TOOLS:
+        tools = tools_places(stream.conversion.message.unpack(cdr), cdr, out.content)
+        names = tools[1] if tools else None
     else:
         names = () if form in (TEXT, MESH) else _cloud_places(cdr)
     if names is None:
@@ -121,7 +135,7 @@ def compile_to_igtl(
     own = common.config.stamp_of(stream.row) == SOURCE
     if stream.max_age_s and not own:
         return None
-    sample = bytes(cdr) if size else bytes(cdr[: names[1] if names else 4])
+    sample = tools[0] if tools else bytes(cdr) if size else bytes(cdr[: names[1] if names else 4])
     place_at = len(sample) - _POSE_SIZE if size else None
     what = size or form or 0
     ratio = stream.lengths.ratio_to_igtl

@@ -26,6 +26,7 @@ from igtl_gateway.convert.express import (
     POINTS,
     QUATERNION,
     TEXT,
+    TOOLS,
     TRIANGLES,
     FillTemplate,
 )
@@ -35,6 +36,7 @@ from igtl_gateway.convert.table import ConversionToRos
 from igtl_gateway.convert.trajectories import is_labeled
 from igtl_gateway.gateway.fastpath.common import NAMES_AT, STAMP_AT, CompileContext, end_of_name
 from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos, Defer, Volume
+from igtl_gateway.gateway.fastpath.tools import tools_form
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.to_ros.route import RosOrigin
 from igtl_gateway.wire.header import HEADER_SIZE
@@ -61,6 +63,9 @@ _BULK_TO_ROS: dict[Callable[..., Any], int] = {
     surfaces.polydata_to_mesh: MESH,
     surfaces.polydata_to_marker: TRIANGLES,
     images.image_to_ros: PICTURE,
+    tracking.tracking_to_ros: TOOLS,
+    tracking.tracking_to_poses: TOOLS,
+    tracking.tracking_to_tf: TOOLS,
 }
 #: Conditions of rows that never apply to bulk data, or (for images, clouds, surfaces) apply if they do to the sample.
 _NEVER: frozenset[Callable[..., bool]] = frozenset(
@@ -77,7 +82,7 @@ _NEVER: frozenset[Callable[..., bool]] = frozenset(
 #: The smallest surface: a template needs no other.
 _TRIANGLE = PolyData(np.zeros((3, 3), ">f4"), polygons=Cells.of(np.arange(3).reshape(1, 3)))
 #: Types whose streams can be compiled.
-TYPES = frozenset({*_POSES, "STRING", "POINT", "POLYDATA", "IMAGE"})
+TYPES = frozenset({*_POSES, "STRING", "POINT", "POLYDATA", "IMAGE", "TDATA", "QTDATA"})
 #: Offset of the translation in the content.
 _PLACE_AT = {MATRIX: 36, QUATERNION: 0}
 
@@ -175,23 +180,25 @@ def _bulk_form(row: ConversionToRos, content: Any, to: ToRosContext) -> tuple[An
     """Return the form as ``bulk_to_ros`` needs it: itself, its template, and offsets in it."""
     form = _BULK_TO_ROS.get(row.convert)
     if form == TEXT:
-        return TEXT, b"", 0, 0
+        return TEXT, b"", 0, 0, 0
+    if form == TOOLS:
+        return tools_form(row, content, to)
     if form == POINT:
         header = rosmsg.Header(to.stamp_ns, to.frame_id)
-        return POINT, rosmsg.PointStamped(header, (0.0, 0.0, 0.0)).pack(), STAMP_AT, 0
+        return POINT, rosmsg.PointStamped(header, (0.0, 0.0, 0.0)).pack(), STAMP_AT, 0, 0
     if form is None or (form in (MESH, TRIANGLES) and exceeds_standard(content)):
         return None
     if form == MESH:
-        return MESH, b"", 0, 0
+        return MESH, b"", 0, 0, 0
     if form == TRIANGLES:
         return TRIANGLES, *_marker_template(row.convert(_TRIANGLE, to))
     made: Any = row.convert(content, to)
     cdr = made.pack()
     end = len(cdr) - memoryview(made.data).nbytes
     if form == PICTURE:
-        return form, cdr[:end], STAMP_AT, 0
+        return form, cdr[:end], STAMP_AT, 0, 0
     frame_end = end_of_name(cdr, NAMES_AT)
-    return form, cdr[: end - 1], STAMP_AT, frame_end + -frame_end % 4 + 4
+    return form, cdr[: end - 1], STAMP_AT, frame_end + -frame_end % 4 + 4, 0
 
 
 def _marker_template(made: Any) -> tuple[bytes, int, int, int]:

@@ -11,6 +11,7 @@ import numpy as np
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.convert.assembly import Form, VolumeAssembler
 from igtl_gateway.convert.express import FillTemplate
+from igtl_gateway.gateway.fastpath.tools import has_tools
 from igtl_gateway.gateway.guarded_stream import GuardedStream
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.fates import CONVERTED, UNSUBSCRIBED
@@ -166,7 +167,8 @@ class CompiledToRos:
             return []
         made = prepared[1] if prepared else self._convert(payload, outputs, stamp_ns)
         if made is None:
-            return None
+            at, tail = self.places
+            return [] if has_tools(self._forms, payload[0][at : len(payload[0]) - tail]) else None
         source_ns, shown_ns = made[0], made[1]
         watched = self.watched
         if watched is not None and not watched.passes_quickly(

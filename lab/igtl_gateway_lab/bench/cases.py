@@ -81,6 +81,7 @@ class Case:
 
 
 _POINTS = (1, 10, 100, 1000, 10_000)
+_TOOLS = (1, 10)
 _THOUSANDS = (10, 30, 100)  # of points of a cloud
 
 #: Kind → what makes it.
@@ -88,6 +89,7 @@ PAYLOADS: dict[str, Callable[[], Payload]] = {
     "transform": payloads.transform,
     "string-100": partial(payloads.string, 100),
     **{f"points-{count}": partial(payloads.points, count) for count in _POINTS},
+    **{f"tdata-{count}": partial(payloads.tracking, count) for count in _TOOLS},
     "image-vga": partial(payloads.image, 640, 480),
     "image-xga": partial(payloads.image, 1024, 768),
     "image-hd": partial(payloads.image, 1280, 720),
@@ -130,6 +132,7 @@ _TEXTS = {
     "image-4k": "RGB picture of 3840 x 2160, 25 MB",
     "polydata-600k": "surface of 600,000 points and 230,000 triangles",
     **{f"points-{count}": f"POINT with {count:,} points" for count in _POINTS},
+    **{f"tdata-{count}": f"TDATA of a tracker with {count:,} tools" for count in _TOOLS},
     **{
         kind: f"{kind.removesuffix('-n')} without stamps, for bridges that keep none: the number is in the content"
         for kind in PAYLOADS

@@ -23,6 +23,8 @@ import numpy.typing as npt
 from igtl_gateway.base.buffers import Buffer, join
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert import rosmsg
+from igtl_gateway.convert.igtl_msgs import TrackedTool, TrackingData
+from igtl_gateway.convert.poses import rotation_matrix
 from igtl_gateway.convert.rosmsg import PointCloud2
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.body import Body
@@ -31,6 +33,8 @@ from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import Cells, PolyData
 from igtl_gateway.wire.text import String
+from igtl_gateway.wire.tracking import TOOL_6D, TRACKING_DTYPE
+from igtl_gateway.wire.tracking import TrackingData as Tracked
 from igtl_gateway.wire.transform import Transform
 
 #: Seconds of the stamp of message 0: a time long ago, which no program takes for "unset".
@@ -230,6 +234,28 @@ def transform(*, stamped: bool = True) -> Payload:
         "TRANSFORM",
         lambda header: rosmsg.TransformStamped(header, "Tool", (0.01, -0.02, 0.0305), half),
         lambda _number: Transform.from_rows(rows),
+    )
+
+
+def tracking(count: int) -> Payload:
+    """The tools of a tracker: TDATA, 70 bytes each."""
+    half, places = (0.0, 0.0, math.sin(0.15), math.cos(0.15)), _positions(count)
+    rotation = [number for column in np.array(rotation_matrix(half)).T for number in column]
+    elements = np.zeros(count, TRACKING_DTYPE)
+    for number, (element, place) in enumerate(zip(elements, places, strict=True)):
+        element["name"], element["type"], element["matrix"] = b"Tool%d" % number, TOOL_6D, (*rotation, *place)
+    return Payload(
+        TrackingData.TYPE,
+        "tracking",
+        "TDATA",
+        lambda header: TrackingData(
+            header,
+            tuple(
+                TrackedTool(f"Tool{number}", TOOL_6D, (x / 1000, y / 1000, z / 1000, *half))
+                for number, (x, y, z) in enumerate(places.tolist())
+            ),
+        ),
+        lambda _number: Tracked(elements),
     )
 
 

@@ -16,8 +16,9 @@ from hypothesis import strategies as st
 from igtl_gateway.base.buffers import join
 from igtl_gateway.base.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.config.configuration import Config, ToIgtlRow, ToRosRow
-from igtl_gateway.convert import express, rosmsg
-from igtl_gateway.convert.common_msgs import PoseStamped
+from igtl_gateway.convert import express, poses, rosmsg
+from igtl_gateway.convert.common_msgs import PoseArray, PoseStamped
+from igtl_gateway.convert.igtl_msgs import MetadataItem, TrackedTool, TrackingData
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP, LISTENED, Gateway, Session
 from igtl_gateway.gateway.fastpath import cache
 from igtl_gateway.gateway.live_settings import LiveSettings
@@ -33,6 +34,8 @@ from igtl_gateway.wire.polydata import NO_CELLS, SCALAR, Attribute, Cells, PolyD
 from igtl_gateway.wire.query import EmptyQuery, StartTracking
 from igtl_gateway.wire.text import Status
 from igtl_gateway.wire.text import String as StringBody
+from igtl_gateway.wire.tracking import QuaternionTrackingData as QuaternionTracked
+from igtl_gateway.wire.tracking import TrackingData as Tracked
 from igtl_gateway.wire.transform import Position, Transform
 from tests.script import Script
 from tests.tables import table
@@ -256,6 +259,70 @@ def ros_bulk(draw: st.DrawFn) -> Step:
     return "ros", topic, message.TYPE, cdr[: len(cdr) - _mostly(draw, 0, 1, 5)], draw(stamps)
 
 
+#: Of rotations.
+tool_poses = st.tuples(*[st.floats(-1e3, 1e3, width=32)] * 3, *[st.floats(0.5, 4.0, width=32)] * 4)
+_NAMES: dict[str, tuple[str, ...]] = {
+    "": ("Probe", "NeedleToRef", ""),
+    "other name": ("Probe", "Needle", ""),
+    "long name": ("Probe", "x" * 20, ""),
+    "own parent": ("Probe", "ToolToTool", ""),
+    "not ASCII": ("Probe", "für", ""),
+    "fewer": ("Probe", "NeedleToRef"),
+    "none": (),
+}
+_ODDITIES = (*_NAMES, "type", "pose", "frame", "items", "version", "link", "end", "damage")
+
+
+def _matrix(pose: tuple[float, ...]) -> tuple[float, ...]:
+    """The twelve numbers of TDATA."""
+    rotation = np.array(poses.rotation_matrix(poses.unit_quaternion(pose[3:]))).T.ravel()
+    return (*rotation, *pose[:3])
+
+
+@st.composite
+def igtl_tools(draw: st.DrawFn) -> Step:
+    """TDATA and QTDATA with at most one oddity."""
+    name, odd = draw(st.sampled_from(["TDATA", "TDATA", "QTDATA"])), _mostly(draw, "", *_ODDITIES)
+    names = _NAMES.get(odd, _NAMES[""])
+    elements = np.zeros(len(names), (Tracked if name == "TDATA" else QuaternionTracked).DTYPE)
+    for element, name_of_tool in zip(elements, names, strict=True):
+        element["name"], element["type"] = name_of_tool.encode(), 9 if odd == "type" else 2
+        element["reserved"] = draw(st.sampled_from([0, 0, 5]))
+        pose, is_odd = draw(tool_poses), odd == "pose" and draw(st.booleans())
+        if name == "TDATA":
+            element["matrix"] = draw(matrices()) if is_odd else _matrix(pose)
+        else:
+            element["position"], element["quaternion"] = pose[:3], draw(rotations()) if is_odd else pose[3:]
+    version, items = (2, (Item("key", b"value"),)) if odd == "items" else (1 + (odd == "version"), ())
+    content = (Tracked if name == "TDATA" else QuaternionTracked)(elements)
+    message = Message(name, "B", content, ns_to_ticks(draw(stamps)), version, draw(st.integers(0, 3)), items)
+    data = bytearray(join(encode(message)))
+    if odd == "damage":
+        data[draw(st.sampled_from([49, 50, min(58, len(data) - 1), min(100, len(data) - 1), len(data) - 1]))] ^= 1
+    return "igtl", bytes(data), 2 if odd == "link" else 1
+
+
+@st.composite
+def ros_tools(draw: st.DrawFn) -> Step:
+    """TrackingData and PoseArray with at most one oddity, and padding as it was in the memory of the sender."""
+    odd = _mostly(draw, "", *_ODDITIES)
+    header = rosmsg.Header(draw(stamps.filter(lambda ns: ns < 2**31 * NS_PER_S)), "m" if odd == "frame" else "base")
+    names = _NAMES.get(odd, _NAMES[""])
+    moved = [draw(tool_poses) for _ in names]
+    if odd == "pose":
+        moved[draw(st.integers(0, 2))] = (*draw(st.tuples(lengths, lengths, lengths)), *draw(rotations()))
+    end = b"\0" if odd == "end" else b""
+    if draw(st.integers(0, 2)) == 0:
+        array = PoseArray(header, np.array(moved).reshape(-1, 7))
+        return "ros", "/igtl/out/Array", array.TYPE, array.pack() + end, draw(stamps)
+    tools = tuple(TrackedTool(name, 1 if odd == "type" else 2, pose) for name, pose in zip(names, moved, strict=True))
+    cdr = TrackingData(header, tools, (MetadataItem("key", 3, "value"),) if odd == "items" else ()).pack()
+    if (at := cdr.find(b"Probe\0")) > 0:  # behind its type
+        cdr = cdr[: at + 7] + draw(st.sampled_from([b"\0", b"?"])) + cdr[at + 8 :]
+    topic = draw(st.sampled_from(["/igtl/out/Tools", "/igtl/out/Tools", "/igtl/out/QTools"]))
+    return "ros", topic, TrackingData.TYPE, cdr + end, draw(stamps)
+
+
 #: Changes of settings that matter for what is compiled.
 CHANGES: tuple[dict[str, Any], ...] = (
     {"active": False},
@@ -279,8 +346,9 @@ def others(draw: st.DrawFn) -> Step:
     if kind == SETTING:
         return "change", draw(st.sampled_from(CHANGES))
     if kind in ("STT", "STP", "GET"):
-        name = f"{kind}_{draw(st.sampled_from(['TDATA', 'TDATA', 'TRANS', 'POINT', 'STRING', 'IMAGE']))}"
-        content = StartTracking(20, "") if name == "STT_TDATA" else EmptyQuery()
+        types = ["TDATA", "TDATA", "QTDATA", "TRANS", "POINT", "STRING", "IMAGE"]
+        name = f"{kind}_{draw(st.sampled_from(types))}"
+        content = StartTracking(20, "") if name in ("STT_TDATA", "STT_QTDATA") else EmptyQuery()
         return "igtl", join(encode(Message(name, "", content, 0, 2))), link
     return "link", kind, link
 
@@ -293,6 +361,7 @@ CONFIGS = (
         to_ros=(ToRosRow(device="A", ros_unit="mm", frame_id="A"),),
         to_igtl=(
             ToIgtlRow(topic="/igtl/out/P*", type="POSITION", metadata=(("owner", "1111111111111111111"),)),
+            ToIgtlRow(topic="/igtl/out/QTools", type="QTDATA"),
             ToIgtlRow(),
         ),
     ),
@@ -370,6 +439,15 @@ def test_a_session_with_the_fast_path_is_the_session_without(
     ),
 )
 def test_so_is_one_of_texts_points_and_pictures(steps: list[Step], config: Config, heard: set[str] | None) -> None:
+    assert played(steps, config, heard, fast_path=True) == played(steps, config, heard, fast_path=False)
+
+
+@given(
+    st.lists(igtl_tools() | igtl_tools() | ros_tools() | ros_tools() | others(), max_size=25),
+    st.sampled_from(CONFIGS),
+    st.sampled_from([None, set(), {"/tf"}, {"/igtl/in/B/tracking", "/igtl/in/B/poses"}]),
+)
+def test_so_is_one_of_tracking_data(steps: list[Step], config: Config, heard: set[str] | None) -> None:
     assert played(steps, config, heard, fast_path=True) == played(steps, config, heard, fast_path=False)
 
 
@@ -455,6 +533,21 @@ def test_poses_take_the_full_path_only_while_a_peer_wants_tracking_data() -> Non
     assert [poses_after(name) for name in ("STT_TDATA", "STP_TDATA")] == [3, 3]
 
 
+#: After the first coordinate.
+TOOL_POSE = (0.2, 0.3, 0.0, 0.0, 0.6, 0.8)
+
+
+def tracked(kind: type[Any], number: int) -> Any:
+    """Two tools that move with the number."""
+    elements = np.zeros(2, kind.DTYPE)
+    elements["name"], elements["type"] = [b"Probe", b"NeedleToReference"], [2, 3]
+    if kind is Tracked:
+        elements["matrix"] = [(*POSE.wire_matrix[:9], number, 2.0, 3.0), (*POSE.wire_matrix[:9], 0.0, number, 9.0)]
+    else:
+        elements["position"], elements["quaternion"] = [(number, 2.0, 3.0), (0.0, 0.0, number)], (0.0, 0.6, 0.0, 0.8)
+    return kind(elements)
+
+
 compiled = pytest.mark.skipif(not express.COMPILED, reason="installed without the C part")
 ROWS = np.arange(900.0).reshape(300, 3)
 
@@ -474,6 +567,8 @@ def fields(*names: str) -> tuple[rosmsg.PointField, ...]:
         ("POLYDATA", lambda n: PolyData(ROWS[:n].astype(">f4"))),
         ("POLYDATA", lambda n: PolyData(ROWS[:n].astype(">f4"), polygons=Cells.of(np.zeros((n, 3), int)))),
         ("IMAGE", lambda n: Image((2, 2, 1), 3, bytes([n % 256]) * 12, 3)),
+        ("TDATA", lambda n: tracked(Tracked, n)),
+        ("QTDATA", lambda n: tracked(QuaternionTracked, n)),
     ],
 )
 def test_so_does_the_second_text_cloud_or_picture_of_a_peer(made: tuple[str, Any], version: int) -> None:
@@ -483,6 +578,19 @@ def test_so_does_the_second_text_cloud_or_picture_of_a_peer(made: tuple[str, Any
         data = join(encode(Message(name, "Probe", content(count), ns_to_ticks(T0_NS), version)))
         session.input(T0_NS, Kind.IGTL_IN, (memoryview(data),), links=(1,))
     assert general == [Kind.IGTL_IN, Kind.IGTL_IN]
+
+
+@compiled
+def test_a_tool_out_of_sight_leaves_the_others_on_the_fast_path() -> None:
+    """Trackers send zeros for it, also in the first message."""
+    session, general = watched_session()
+    for number in (0, 0, 1, 2, 3, *[0] * 20, 4, 5):
+        content = tracked(Tracked, number)
+        if not number:
+            content.elements["matrix"][1] = 0.0
+        data = join(encode(Message("TDATA", "Probe", content, ns_to_ticks(T0_NS))))
+        session.input(T0_NS, Kind.IGTL_IN, (data,), links=(1,))
+    assert len(general) == 23  # those without a pose, and the first with one
 
 
 @compiled
@@ -502,6 +610,10 @@ def test_so_does_the_second_text_cloud_or_picture_of_a_peer(made: tuple[str, Any
             rosmsg.Header(T0_NS, "map"), "ns", n, rosmsg.Marker.TRIANGLE_LIST, points=np.repeat(ROWS[:n], 3, axis=0)
         ),
         lambda n: rosmsg.Image(rosmsg.Header(T0_NS, "map"), 2, 2, "bgr8", 0, 6, bytes([n % 256]) * 12),
+        lambda n: TrackingData(
+            rosmsg.Header(T0_NS, "map"), (TrackedTool("Tool", 2, (n, *TOOL_POSE)), TrackedTool("", 3, (n, *TOOL_POSE)))
+        ),
+        lambda n: PoseArray(rosmsg.Header(T0_NS, "map"), np.tile((n, *TOOL_POSE), (3, 1))),
     ],
 )
 def test_and_of_a_topic(made: Any, version: int) -> None:

@@ -31,7 +31,8 @@ from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
 from igtl_gateway.config.configuration import Config, ToIgtlRow, ToRosRow
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.arms import ArmsRow
-from igtl_gateway.convert.common_msgs import PoseStamped
+from igtl_gateway.convert.common_msgs import PoseArray, PoseStamped
+from igtl_gateway.convert.igtl_msgs import TrackedTool, TrackingData
 from igtl_gateway.convert.rosmsg import Header, TransformStamped
 from igtl_gateway.edges.ros.receiver import NativeReceiver
 from igtl_gateway.edges.tcp import PeerLimits
@@ -54,8 +55,18 @@ from igtl_gateway.wire.polydata import PolyData
 from igtl_gateway.wire.query import EmptyQuery
 from igtl_gateway.wire.text import Status
 from igtl_gateway.wire.text import String as StringBody
+from igtl_gateway.wire.tracking import QuaternionTrackingData as QuaternionTracked
+from igtl_gateway.wire.tracking import TrackingData as Tracked
 from igtl_gateway.wire.transform import Position, Transform
-from tests.gateway.fastpath.test_cache import igtl_bulk, igtl_messages, ros_bulk, ros_messages
+from tests.gateway.fastpath.test_cache import (
+    igtl_bulk,
+    igtl_messages,
+    igtl_tools,
+    ros_bulk,
+    ros_messages,
+    ros_tools,
+    tracked,
+)
 from tests.native.middleware import Middleware, RosEdge
 
 pytestmark = pytest.mark.skipif(not is_compiled(), reason="the package was installed without its native passage")
@@ -440,6 +451,35 @@ def test_texts_points_and_small_clouds_pass_natively(
     check_recording(path, config, here.bridge.losses)
 
 
+@pytest.mark.parametrize(("name", "kind"), [("TDATA", Tracked), ("QTDATA", QuaternionTracked)])
+def test_tracking_data_passes_natively(
+    name: str, kind: type[Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    path, topic, array = tmp_path / "session.mcap", "/igtl/out/tools", "/igtl/out/array"
+    config = Config(to_igtl=(ToIgtlRow(topic=topic, type=name),)).watched()
+    with scene(monkeypatch, config, path) as here:
+        peer = here.connect()
+        for number in range(60):
+            header, content = Header(time.time_ns(), "base"), tracked(kind, number)
+            pose = (0.1, number, math.nan if number == 40 else 0.3, 0.0, 0.6, 0.0, 0.8)
+            tools = (TrackedTool("Probe" if number != 20 else "Needle", 2, pose), TrackedTool("", 3, pose))
+            here.send_ros(TrackingData(header, tools), topic)
+            here.send_ros(PoseArray(header, np.tile(pose, (3, 1))), array)
+            if number == 30:
+                content.elements["matrix" if name == "TDATA" else "quaternion"][1] = 0.0
+            peer.send(join(encode(Message(name, "Tools", content, ns_to_ticks(time.time_ns())))))
+            wait_for(lambda number=number: here.received("igtl_in") == number + 1)
+        wait_for(lambda: here.received("ros_in") == 120)
+        assert here.native == 3
+        with counted_by_python(here) as handled:
+            here.send_ros(TrackingData(header, tools), topic)
+            here.send_ros(PoseArray(header, np.tile(pose, (3, 1))), array)
+            peer.send(join(encode(Message(name, "Tools", tracked(kind, 9), ns_to_ticks(time.time_ns())))))
+            wait_for(lambda: here.received("ros_in") == 122 and here.received("igtl_in") == 61)
+        assert handled == []
+    check_recording(path, config, here.bridge.losses)
+
+
 def test_clouds_of_thousands_of_points_pass_natively(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     path, point, cloud = tmp_path / "session.mcap", "/igtl/out/point", "/igtl/out/cloud"
     config = Config(to_igtl=(ToIgtlRow(topic=point, type="POINT"),)).watched()
@@ -648,7 +688,9 @@ def _is_possible(step: Any) -> bool:
 
 
 steps = st.lists(
-    st.one_of(igtl_messages(), ros_messages(), igtl_bulk(), ros_bulk()).filter(_is_possible), min_size=10, max_size=40
+    st.one_of(igtl_messages(), ros_messages(), igtl_bulk(), ros_bulk(), igtl_tools(), ros_tools()).filter(_is_possible),
+    min_size=10,
+    max_size=40,
 )
 
 
