@@ -58,6 +58,7 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fast"))
 #: other file has the mark itself.
 SLOW = (
     # the longest first
+    "gateway/fastpath/test_passage_streams.py",
     "addons/resim/test_programs.py",
     "integration/test_live_faults.py",
     "addons/resim/test_faults.py",
@@ -99,6 +100,13 @@ SLOW = (
     "lab/bench/test_peers.py",
     "lab/bench/test_works.py",
     "addons/view/test_stream.py",
+    "addons/resim/test_page.py",
+    "addons/resim/test_regressions.py",
+    "addons/resim/test_services.py",
+    "addons/resim/test_verb.py",
+    "addons/zenoh/test_site.py",
+    "edges/ros/test_distributions.py",
+    "test_examples.py",
 )
 
 #: The third tier, which only ``make test-long`` runs: how the names of tests begin.  What they check, a shorter test of
@@ -143,7 +151,6 @@ LONGEST = (
     "integration/test_soak.py",
     "integration/test_hostile_files.py",
     "addons/test_absent.py",
-    "gateway/fastpath/test_passage_streams.py",
     *SLOW,
     "addons/lerobot/test_reading.py",
     "addons/deidentify/test_rules.py",

@@ -186,17 +186,18 @@ def codes_in(source: str, modules: dict[str, Constants] | None = None) -> set[st
         modules: name of a module that it might import names from → its constants.
     """
     tree = ast.parse(source)
+    nodes = list(ast.walk(tree))
     known = constants_of(tree)
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.ImportFrom) and node.module in (modules or {}):
             names = {each.name for each in node.names}
             known |= {name: text for name, text in (modules or {})[node.module or ""].items() if name in names}
-    places = _places_of_codes(tree)
+    places = _places_of_codes(nodes)
     codes: list[ast.expr] = []
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.Call | ast.Tuple):
             row = node.args if isinstance(node, ast.Call) else node.elts
-            codes += [code for level, code in pairwise(row) if ast.unparse(level).startswith("Level.")]
+            codes += [code for level, code in pairwise(row) if _is_level(level)]
         match node:
             case ast.Assign(targets=[ast.Name("code")], value=ast.Constant() as constant):
                 codes.append(constant)
@@ -215,17 +216,25 @@ def codes_in(source: str, modules: dict[str, Constants] | None = None) -> set[st
     return {code for code in found if isinstance(code, str) and re.fullmatch(r"[a-z_0-9]+", code)}
 
 
-def _places_of_codes(tree: ast.Module) -> dict[str, int]:
+def _is_level(node: ast.expr) -> bool:
+    """Whether an expression is ``Level.…``, alone or with a condition."""
+    match node:
+        case ast.IfExp(body=ast.Attribute(ast.Name("Level"))) | ast.Attribute(ast.Name("Level")):
+            return True
+    return False
+
+
+def _places_of_codes(nodes: list[ast.AST]) -> dict[str, int]:
     """Function or class with arguments ``code`` and ``text`` → where a call has the code."""
     owners = {
         id(method): node.name
-        for node in ast.walk(tree)
+        for node in nodes
         if isinstance(node, ast.ClassDef)
         for method in node.body
         if isinstance(method, ast.FunctionDef) and method.name == "__init__"
     }
     places = {}
-    for node in ast.walk(tree):
+    for node in nodes:
         if isinstance(node, ast.FunctionDef):
             names = [each.arg for each in node.args.args]
             if {"code", "text"} <= set(names):

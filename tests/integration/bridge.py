@@ -209,6 +209,8 @@ class RosClient(Program):
             self.advertise(topic, kind)
 
     def take(self, line: str) -> None:
+        if not line.startswith("{"):
+            return super().take(line)  # Fast DDS writes its errors there, too
         value = json.loads(line)
         if "topic" in value:
             self._pending.append((value["topic"], value["message"]))

@@ -29,14 +29,18 @@ def image(number: int) -> bytes:
 
 
 class Load:
-    """A peer that talks without a pause: numbered strings and pictures, each batch with a question.
+    """A peer that talks: numbered strings and pictures, each batch with a question.
+
+    Args:
+        pause_s: after each batch; 0 for a flood.
 
     Attributes:
         answered: (time, number): when it knew that all up to that number had been handled.
         sent: the last number that was sent.
     """
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, pause_s: float = 0.0) -> None:
+        self._pause_s = pause_s
         self.answered: list[tuple[float, int]] = []
         self.sent = 0
         self._peer = RawPeer(port)
@@ -47,7 +51,7 @@ class Load:
 
     def _run(self) -> None:
         try:
-            while not self._stop.is_set():
+            while not self._stop.wait(self._pause_s):
                 batch = [string(str(number), "Count") for number in range(self.sent + 1, self.sent + BATCH + 1)]
                 self._peer.send(b"".join([*batch, image(self.sent), message("GET_CAPABIL", b"")]))
                 self.sent += BATCH

@@ -77,7 +77,7 @@ def test_after_kill_9_of_both_everything_older_than_the_flush_interval_is_there(
     path = tmp_path / "out.mcap"
     moment = random.Random(kill).uniform(0, 2 * FLUSH_S)
     bridge = Bridge("--no-ros", "--record", str(path), "--compression", ("lz4", "none", "zstd")[kill % 3])
-    load = Load(bridge.port)
+    load = Load(bridge.port, pause_s=0.01)
     try:
         load.wait_answers(5)
         time.sleep(FLUSH_S + SLACK_S + 0.5 + moment)  # not to wait for anything: to kill at any moment of an interval

@@ -71,7 +71,7 @@ class Queries:
             return []
         device = short_device_name(visible(message.device_name))
         outs = answers.denial_reply(prefix, igtl_type, device, entry.stamp_ns, why)
-        return self._delivery.deliver_each(entry, outs, lambda out: self._delivery.to(entry, [peer], [out]))
+        return self._delivery.to(entry, [peer], outs)
 
     def _get(self, entry: Entry, peer: Peer, message: Message, igtl_type: str, device: str) -> list[Item]:
         outs = answers.answer(igtl_type, device, entry.stamp_ns, lambda *key: self._latest.of(entry, *key))

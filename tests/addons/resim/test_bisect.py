@@ -8,6 +8,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import time
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -167,6 +168,7 @@ def test_an_interrupt_leaves_nothing(place: Path) -> None:
         end_ns = clock.monotonic_ns() + 60_000_000_000
         while not (place / "pid").exists() or not (place / "pid").read_text("utf-8").strip():
             assert clock.monotonic_ns() < end_ns and process.poll() is None
+            time.sleep(0.05)
         process.send_signal(signal.SIGINT)
         _, error = process.communicate(timeout=30)
     assert "interrupted" in error and process.returncode == 2
