@@ -144,4 +144,4 @@ class Publishers(ABC, Generic[P]):
     def all(self) -> list[P]:
         """Return each publisher once."""
         with self._lock:
-            return list({id(publisher): publisher for publisher in self._publishers.values()}.values())
+            return list(dict.fromkeys(self._publishers.values()))

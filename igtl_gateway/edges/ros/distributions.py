@@ -44,7 +44,7 @@ class Matched:
 
 
 class CountedMatches:
-    """Stands in for the event of matches where there is none: who polls it has the callback called for a change.
+    """Stands in for the event of matches: who polls it has the callback called for a change.
 
     If one leaves and another one comes between two polls, nothing has changed.
 
@@ -79,17 +79,13 @@ def create_publisher(
     topic: str,
     profile: Any,
     *,
+    group: Any,
     incompatible_qos: OnEvent,
-    matched: OnEvent,
-) -> tuple[Any, CountedMatches | None]:
-    """Make a publisher whose events call these functions.
-
-    Returns:
-        The publisher, and what has to be polled for its matches; None: the middleware reports them.
-    """
-    events, are_reported = _callbacks(rclpy, "PublisherEventCallbacks", matched, incompatible_qos=incompatible_qos)
-    made = node.create_publisher(message_class, topic, profile, event_callbacks=events)
-    return made, None if are_reported else CountedMatches(made.get_subscription_count, matched)
+) -> Any:
+    """Make a publisher whose events call this function.  Its matches are counted, which costs less than an event."""
+    make = _event_module(rclpy).PublisherEventCallbacks
+    events = make(incompatible_qos=incompatible_qos, use_default_callbacks=False)
+    return node.create_publisher(message_class, topic, profile, event_callbacks=events, callback_group=group)
 
 
 def create_subscription(
@@ -105,9 +101,15 @@ def create_subscription(
     message_lost: OnEvent,
     matched: OnEvent,
 ) -> tuple[Any, CountedMatches | None]:
-    """Make a subscription to serialised messages whose events call these functions; returns as `create_publisher`."""
-    name, others = "SubscriptionEventCallbacks", {"incompatible_qos": incompatible_qos, "message_lost": message_lost}
-    events, are_reported = _callbacks(rclpy, name, matched, **others)
+    """Make a subscription to serialised messages whose events call these functions.
+
+    Returns:
+        The subscription, and what has to be polled for its matches; None: the middleware reports them.
+    """
+    make = _event_module(rclpy).SubscriptionEventCallbacks
+    are_reported = "matched" in inspect.signature(make.__init__).parameters
+    others = {"matched": matched} if are_reported else {}
+    events = make(incompatible_qos=incompatible_qos, message_lost=message_lost, use_default_callbacks=False, **others)
     gets_info = hasattr(rclpy.subscription.Subscription, "CallbackType")
     made = node.create_subscription(
         message_class,
@@ -121,13 +123,9 @@ def create_subscription(
     return made, None if are_reported else CountedMatches(_publishers_of(made), matched)
 
 
-def _callbacks(rclpy: Any, name: str, matched: OnEvent, **others: OnEvent) -> tuple[Any, bool]:
-    """Return the callbacks of events, and whether that of matches is one of them."""
-    module = next(getattr(rclpy, each) for each in EVENT_MODULES if hasattr(rclpy, each))
-    make = getattr(module, name)
-    are_reported = "matched" in inspect.signature(make.__init__).parameters
-    reported = {"matched": matched} if are_reported else {}
-    return make(**others, **reported, use_default_callbacks=False), are_reported
+def _event_module(rclpy: Any) -> Any:
+    """Return the module with the callbacks of events."""
+    return next(getattr(rclpy, each) for each in EVENT_MODULES if hasattr(rclpy, each))
 
 
 def _with_info(callback: Callable[[bytes, Any], None]) -> Callable[..., None]:

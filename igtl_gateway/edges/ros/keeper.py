@@ -11,8 +11,8 @@ from igtl_gateway.edges.ros.subscribing import Subscribing
 
 #: From a change of the graph to the look at it: what changes together comes within this time.
 _GATHER_NS = 10_000_000
-#: From one look at the graph to the next, however often it changes.
-_PAUSE_NS = 50_000_000
+#: From one look at the graph to the next, however often it changes; and as a multiple of the time that it takes.
+_PAUSE_NS, _PAUSE = 50_000_000, 19
 #: From a change to one more look: the matches that it brings come a little later.
 _SETTLE_NS = 250_000_000
 #: Without a change: in case that one was missed.
@@ -54,11 +54,12 @@ class Keeper:
                 if begun_ns >= times.look_ns:
                     times.looked(begun_ns)
                     self._look()
+                    times.took(now_ns() - begun_ns)
                 if begun_ns >= times.losses_ns:
                     times.losses_ns = begun_ns + _LOSSES_NS
                     self._subscribing.poll_events()
+                    self._publishing.poll_events()
                     self._subscribing.note_losses()
-                self._publishing.poll_matches()
                 self._publishing.notify_first_subscribers()
                 bursting = self._publishing.send_held()
                 node.notify()
@@ -77,6 +78,7 @@ class Keeper:
         except Exception as error:  # of ``wants``, or of a graph that changes meanwhile: try again
             self._reports.callback_failed("looking at the graph", error, "graph")
         self._subscribing.poll_events()
+        self._publishing.poll_matches()
 
 
 class LookTimes:
@@ -91,12 +93,13 @@ class LookTimes:
         self.look_ns = self.losses_ns = now_ns
         self._unchanged_ns = _SAFETY_NS if sees_changes else _BLIND_NS
         self._looked_ns = 0
+        self._pause_ns = _PAUSE_NS
         self._settled_ns = now_ns + _SETTLE_NS
 
     def changed(self, now_ns: int) -> None:
         """The graph has changed."""
         self._settled_ns = now_ns + _SETTLE_NS
-        self.look_ns = min(self.look_ns, max(now_ns + _GATHER_NS, self._looked_ns + _PAUSE_NS))
+        self.look_ns = min(self.look_ns, max(now_ns + _GATHER_NS, self._looked_ns + self._pause_ns))
 
     def looked(self, now_ns: int) -> None:
         """A look begins."""
@@ -104,3 +107,7 @@ class LookTimes:
         self.look_ns = now_ns + self._unchanged_ns
         if now_ns < self._settled_ns:
             self.look_ns = min(self.look_ns, self._settled_ns)
+
+    def took(self, duration_ns: int) -> None:
+        """The look has ended: where peers invent topics, looks take a twentieth of the time at most."""
+        self._pause_ns = max(_PAUSE_NS, _PAUSE * duration_ns)

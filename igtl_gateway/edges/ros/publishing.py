@@ -10,6 +10,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 from itertools import count
 from queue import SimpleQueue
 from typing import Any
@@ -23,6 +24,7 @@ from igtl_gateway.edges.ros.direct import direct_publisher
 from igtl_gateway.edges.ros.graph import Graph
 from igtl_gateway.edges.ros.middleware import interface_class, profile_of
 from igtl_gateway.edges.ros.node import RosNode
+from igtl_gateway.edges.ros.receiver import EventPolling, UnmanagedCallbackGroup
 from igtl_gateway.edges.ros.topics import HOLD_BYTES, HOLD_MESSAGES, TopicPublisher, Topics
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.native.passage import Publisher as NativePublisher
@@ -33,8 +35,8 @@ HOLD_NS = 2_000_000_000
 #: A reader of another vendor's DDS ignores what it receives before it has matched our writer, which it does not report.
 FOREIGN_NS = 250_000_000
 _LINGER_NS = 500_000_000  # for acknowledgements at the end; a subscriber that hangs must not delay us
-#: Publishers that are made as soon as they are needed; further ones in groups, with a pause before each.
-_USUAL, _GROUP, _GROUP_S = 64, 8, 0.1
+#: Publishers that are made as soon as they are needed; the making of further ones gets a tenth of the time.
+_USUAL, _REST, _REST_S = 64, 9, 0.1
 _MATCHES_MAX = 10_000  # matches not reported yet: at most those of one turn of the keeper
 
 
@@ -55,7 +57,8 @@ class Publishing(Publishers[TopicPublisher]):
         self._topics = topics
         self._graph = graph
         self._on_first_subscriber = on_listener
-        self._matches: list[distributions.CountedMatches] = []  # of publishers whose matches the middleware hides
+        self._matches: list[distributions.CountedMatches] = []
+        self._group, self._polling = UnmanagedCallbackGroup(), EventPolling()
         self._listened: deque[str] = deque(maxlen=_MATCHES_MAX)  # topics with a new subscriber, not reported yet
         self._to_make: SimpleQueue[tuple[str, TopicPublisher] | None] = SimpleQueue()
         self._maker = threading.Thread(target=self._make_announced, name="igtl-ros-maker", daemon=True)
@@ -121,15 +124,17 @@ class Publishing(Publishers[TopicPublisher]):
     def _make_announced(self) -> None:
         """Make the publishers that messages wait for, one after the other, until the stop.
 
-        Each makes rclpy look at all of them, with the GIL: beyond a usual number they are made in groups.
+        Each takes a millisecond with the GIL: beyond a usual number there is a rest after each.
         """
         for made in count():
-            if made > _USUAL and made % _GROUP == 0:
-                self._node.stopping.wait(_GROUP_S)
             if not (announced := self._to_make.get()):
                 return
-            if self._node.is_running and self._complete(*announced):
-                self._node.graph.wake()  # the keeper sends what is held
+            begun_ns = self._clock.monotonic_ns()
+            if self._node.is_running:
+                self._complete(*announced)
+            if made >= _USUAL:
+                took_s = (self._clock.monotonic_ns() - begun_ns) / NS_PER_S
+                self._node.stopping.wait(min(_REST * took_s, _REST_S))
 
     def _complete(self, topic: str, publisher: TopicPublisher) -> bool:
         """Make a publisher, unless it is made; False (and a note): that is impossible, and its messages fail."""
@@ -138,6 +143,8 @@ class Publishing(Publishers[TopicPublisher]):
             with self._node.lock:
                 if not publisher.is_made:
                     self._make(publisher, message_class)
+            if not publisher.ready:
+                self._node.graph.wake()  # the keeper sends what is held
         except Exception as error:  # rclpy raises a dozen unrelated classes here
             self._reports.refuse("publish", topic, publisher.type_name, error)
             with self._lock:
@@ -197,12 +204,19 @@ class Publishing(Publishers[TopicPublisher]):
         return bursting
 
     def poll_matches(self) -> None:
-        """Look for new subscribers where the middleware does not report them."""
+        """Look for new subscribers."""
         try:
             for matches in list(self._matches):  # others are made meanwhile
                 matches.poll()
         except Exception as error:  # of rcl, after the shutdown of its context
             self._reports.callback_failed("matches", error, "matches")
+
+    def poll_events(self) -> None:
+        """Look for subscribers that cannot be matched."""
+        try:
+            self._polling.poll_events()
+        except Exception as error:  # as above, or of rclpy internals that have changed
+            self._reports.callback_failed("events", error, "events")
 
     def notify_first_subscribers(self) -> None:
         """Report the new subscribers, not under our lock, which another thread of the callee might need."""
@@ -243,17 +257,19 @@ class Publishing(Publishers[TopicPublisher]):
     def _make(self, publisher: TopicPublisher, message_class: Any) -> None:
         """Make the publisher of the middleware; the caller has the lock of the node."""
         rclpy, topic = self._node.rclpy, publisher.topic
-        made, matches = distributions.create_publisher(
+        made = distributions.create_publisher(
             rclpy,
             self._node.handle,
             message_class,
             self._node.names.asked(topic),
             profile_of(rclpy, publisher.qos),
+            group=self._group,
             incompatible_qos=lambda event: self._note_incompatible(topic, event),
-            matched=lambda event: self._on_matched(topic, event.current_count_change),
         )
-        if matches:
-            self._matches.append(matches)
+        self._polling.events += made.event_handlers
+        direct = direct_publisher(made)
+        matched = partial(self._on_matched, topic)
+        self._matches.append(distributions.CountedMatches(direct.get_subscription_count, matched))
         publisher.in_graph = self._node.names.in_graph(topic)
         subscriptions = self._topics.subscriptions_at(publisher.in_graph)
         # a latched message might also reach a subscription that we make later
@@ -266,17 +282,14 @@ class Publishing(Publishers[TopicPublisher]):
         discovered_ns = self._node.started_ns + DISCOVERY_NS
         known = self._graph.subscriptions_of(topic)
         publisher.made(
-            direct_publisher(made),
+            direct,
             deadline_ns=now_ns + HOLD_NS if known else discovered_ns,
             ready=not known and now_ns >= discovered_ns,
         )
-        self._node.graph.wake()
 
-    def _on_matched(self, topic: str, change: int) -> None:
-        if change > 0 and self._on_first_subscriber:
+    def _on_matched(self, topic: str, event: distributions.Matched) -> None:
+        if event.current_count_change > 0 and self._on_first_subscriber:
             self._listened.append(topic)
-        self._node.graph.wake()
-        self._node.notify()
 
     def _note_incompatible(self, topic: str, event: Any) -> None:
         policy = self._node.rclpy.qos.qos_policy_name_from_kind(event.last_policy_kind)

@@ -68,14 +68,14 @@ class ExecutorReceiver:
         """The executor thread is the edge's."""
 
 
-class _EventPolling:
-    """Events of subscriptions, which no executor waits for."""
+class EventPolling:
+    """Events of publishers or subscriptions, which no executor waits for."""
 
     def __init__(self) -> None:
-        self._events: list[Any] = []
+        self.events: list[Any] = []
 
     def poll_events(self) -> None:
-        for handler in list(self._events):
+        for handler in list(self.events):
             # EventHandler.is_ready sets it when a wait set reports an event; we take it without waiting
             handler._ready_to_take_data = True
             event = handler.take_data()
@@ -83,11 +83,12 @@ class _EventPolling:
                 handler.callback(event)
 
 
-class _UnmanagedCallbackGroup:
+class UnmanagedCallbackGroup:
     """A callback group (duck-typed, see `rclpy.callback_groups`) whose entities no executor waits for.
 
     Subscriptions and their events: waiting for an event wakes the executor at every message too (Fast DDS has one
-    condition for both), which cost more than all the rest of the bridge: 0.9 ms of CPU a message at 1 kHz.
+    condition for both), which cost more than all the rest of the bridge: 0.9 ms of CPU a message at 1 kHz.  Events of
+    publishers: for each new one the executor asks all others, which takes 9 ms with the GIL where there are 500.
     """
 
     def add_entity(self, _entity: Any) -> None:
@@ -109,7 +110,7 @@ class Addresses(Protocol):
     def address(self, name: str) -> int: ...
 
 
-class NativeReceiver(_EventPolling):
+class NativeReceiver(EventPolling):
     """The native passage takes, in the threads of the middleware; what it does not pass on, our own thread takes.
 
     Args:
@@ -120,7 +121,7 @@ class NativeReceiver(_EventPolling):
 
     def __init__(self, passage: Passage, rcl: Addresses, on_error: OnError) -> None:
         super().__init__()
-        self.group = _UnmanagedCallbackGroup()
+        self.group = UnmanagedCallbackGroup()
         self._passage = passage
         self._set_callback = rcl.address("rcl_subscription_set_on_new_message_callback")
         passage.use_rcl(
@@ -138,7 +139,7 @@ class NativeReceiver(_EventPolling):
 
     def add(self, subscription: Any) -> NativeSubscription:
         native = NativeSubscription(self._passage, subscription.handle.pointer)
-        self._events += subscription.event_handlers
+        self.events += subscription.event_handlers
         self._callbacks = {**self._callbacks, native: subscription.callback}
         # it is Python's as long as it has no stream, so this cannot wait for the sequence lock
         if code := self._passage.set_callback(self._set_callback, native, True):
@@ -181,7 +182,7 @@ class NativeReceiver(_EventPolling):
         native.again()
 
 
-class DirectReceiver(_EventPolling):
+class DirectReceiver(EventPolling):
     """A thread around one wait set of our own.
 
     It uses internals of rclpy: `available` checks for them.
@@ -189,7 +190,7 @@ class DirectReceiver(_EventPolling):
 
     def __init__(self, rclpy: Any, context: Any, on_error: OnError) -> None:
         super().__init__()
-        self.group = _UnmanagedCallbackGroup()
+        self.group = UnmanagedCallbackGroup()
         self._implementation = rclpy.impl.implementation_singleton.rclpy_implementation
         self._context = context
         self._on_error = on_error
@@ -216,7 +217,7 @@ class DirectReceiver(_EventPolling):
         self._thread.start()
 
     def add(self, subscription: Any) -> None:
-        self._events += subscription.event_handlers
+        self.events += subscription.event_handlers
         # a new list each time: the thread may be walking the old one
         self._sources = [*self._sources, (subscription.handle, subscription.msg_type, subscription.callback)]
         self._wake.trigger()

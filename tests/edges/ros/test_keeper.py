@@ -37,6 +37,14 @@ def test_a_graph_that_never_rests_is_looked_at_twenty_times_a_second() -> None:
     assert 18 <= looks <= 21
 
 
+def test_looks_at_a_large_graph_take_a_twentieth_of_the_time() -> None:
+    times = LookTimes(0, sees_changes=True)
+    times.looked(NS_PER_S)
+    times.took(10 * NS_PER_MS)
+    times.changed(NS_PER_S)
+    assert times.look_ns == NS_PER_S + 190 * NS_PER_MS
+
+
 def test_where_changes_are_not_seen_it_looks_four_times_a_second() -> None:
     times = LookTimes(0, sees_changes=False)
     times.looked(NS_PER_S)
