@@ -35,6 +35,10 @@ _LINK_FAULTS = {
 }
 
 
+#: Of a split recording whose last part is not the last one.
+NO_END = "unknown: the last part was closed for a next one, which is not there"
+
+
 def _side(direction: str) -> str:
     return DIRECTIONS[Kind(direction)] if direction in {kind.value for kind in DIRECTIONS} else direction
 
@@ -51,7 +55,9 @@ def losses(ledger: dict[str, Any] | None) -> list[str]:
     if ledger is None:
         return ["   unknown: the recording has no ledger"]
     lines = []
-    if layout.CUT_OFF_KEY in ledger:
+    if layout.CUT_OFF_KEY in ledger and layout.GOES_ON_KEY in ledger:
+        lines.append(f"   {NO_END}")
+    elif layout.CUT_OFF_KEY in ledger:
         lines.append(
             "   unknown: the bridge was killed; its recorder wrote all entries that it received and closed the file"
         )

@@ -10,6 +10,7 @@ from igtl_gateway.base.errors import ConfigError, GatewayError, UnsupportedRecor
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.files import is_same
 from igtl_gateway.cli.common import count_text, size_text
+from igtl_gateway.cli.losses import NO_END
 from igtl_gateway.cli.options import add_file, add_json, add_output, add_overwrite, default, new_recording
 from igtl_gateway.cli.terminal import clear_live_line, is_terminal, live_line, print_json, print_line
 from igtl_gateway.record.sessionfile.added_marks import added_marks
@@ -73,7 +74,7 @@ def _run_parts(options: argparse.Namespace) -> int:
     if not paths:
         raise UnsupportedRecording(f"{source}: found a directory without .mcap files, expected a split recording")
     everything: list[tuple[dict[str, Any], SalvageReport | None]] = []
-    parts = []
+    recovered: list[Recovery] = []
     with written_folder(output, overwrite=options.overwrite) as folder:
         for path in paths:
             try:
@@ -81,17 +82,20 @@ def _run_parts(options: argparse.Namespace) -> int:
             except UnsupportedRecording as error:
                 everything.append(({"file": str(path), "whole": False, "why": str(error)}, None))
             else:
-                parts.append(part.part)
+                recovered.append(part)
                 everything.append((_facts(part, path, output / path.name), part.report))
         # in order of time, as they were recorded: part_10 comes before part_9 by name
-        parts.sort(key=lambda part: (part.start_ns or _NEVER, part.path.name))
+        recovered.sort(key=lambda each: (each.part.start_ns or _NEVER, each.part.path.name))
+        parts = [each.part for each in recovered]
         write_side_file(folder, parts)
     for facts, found in everything:
         if found:
             facts["notes"] += _carried(Path(facts["file"]), Path(facts["output"]), found.start_ns, found.end_ns)
     full = [part for part in parts if part.entries]
     carried = _carried(source, output, full[0].start_ns, full[-1].end_ns) if full else []
-    whole = all(facts["whole"] for facts, _ in everything)
+    has_end = not recovered or not recovered[-1].goes_on
+    carried += [] if has_end else [f"the end of the recording is {NO_END}"]
+    whole = has_end and all(facts["whole"] for facts, _ in everything)
     if options.json:
         rows = [facts for facts, _ in everything]
         print_json({"file": str(source), "output": str(output), "whole": whole, "parts": rows, "notes": carried})
@@ -109,7 +113,10 @@ def _carried(source: Path, output: Path, start_ns: int, end_ns: int) -> list[str
     """Copy the marks that were added to a recording; return why that was not possible, if so."""
     try:
         if start_ns:
-            carry_marks(output, added_marks(source, start_ns, end_ns, parts=False))
+            marks = added_marks(source, start_ns, end_ns, parts=False)
+            carry_marks(output, marks)
+            if late := [mark.label for mark in marks if mark.time_ns > end_ns]:
+                return [f"marks that were added behind the end are left out: {', '.join(late[:_SHOWN])}"]
     except GatewayError as error:
         return [f"marks that were added are left out: {error}"]
     return []

@@ -108,7 +108,7 @@ class PartsWriter:
         """Add an entry, in the next part if this one is full.  Raises as SessionWriter.write."""
         if not self._rests:
             if entry.kind.is_input and self._part.entries and self._full(entry):
-                self._end({"recorder": self._counters()}, last_part=False)
+                self._end({"recorder": self._counters(), layout.GOES_ON_KEY: True}, last_part=False)
                 self._next()
             self._part.write(entry)
         self._prologue.observe(entry)

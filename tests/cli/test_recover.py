@@ -24,6 +24,7 @@ from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from tests.places import ROOT
 from tests.record import samples
+from tests.record.test_parts import record, session
 
 FIXTURE = ROOT / "fixtures" / "paper-types.mcap"
 ENTRIES = samples.every_kind(20)
@@ -306,6 +307,33 @@ def test_the_parts_of_a_split_recording_are_recovered_together(
     assert side_file(tmp_path / "more") == counts(ENTRIES)
     (tmp_path / "none").mkdir()
     assert main(["recover", str(tmp_path / "none")]) == 2
+
+
+def test_a_split_recording_whose_last_part_is_not_there_has_no_end(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    record(tmp_path / "out", session(), split_s=2)
+    max((tmp_path / "out").glob("*.mcap")).unlink()
+    assert main(["info", str(tmp_path / "out")]) == 0
+    assert "losses\n       unknown: the last part was closed for a next one" in capsys.readouterr().out
+    assert main(["info", str(tmp_path / "out" / "out_0.mcap")]) == 0
+    assert "losses\n       none" in capsys.readouterr().out, "a part alone is whole"
+    facts = told(capsys, "recover", tmp_path / "out", code=1)
+    assert all(part["whole"] for part in facts["parts"])
+    assert facts["notes"] == [
+        "the end of the recording is unknown: the last part was closed for a next one, which is not there"
+    ]
+
+
+def test_marks_behind_the_end_that_is_left_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "out.mcap"
+    record(path, session(), chunk_bytes=2000)
+    for at, label in (("1", "early"), ("4.9", "late")):
+        assert main(["mark", str(path), "--at", at, "--label", label]) == 0
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 3])
+    capsys.readouterr()
+    facts = told(capsys, "recover", path, code=1)
+    assert facts["notes"] == ["marks that were added behind the end are left out: late"]
 
 
 def test_the_folder_of_another_program_gets_the_side_file_too(tmp_path: Path) -> None:

@@ -66,6 +66,8 @@ CHECKSUM_KEY = "crc32"
 LEDGER_KEY = "ledger"
 #: Key of the ledger of a recording that was closed because the bridge ended: its last outputs may be missing.
 CUT_OFF_KEY = "cut_off"
+#: Key of the ledger of a part that was closed because a next one follows.
+GOES_ON_KEY = "goes_on"
 #: Keys of the ledger that declare losses.
 _LOSSES = ("recorder", "recovered", CUT_OFF_KEY)
 

@@ -514,7 +514,8 @@ class SessionParts(SessionFile):
             # a recording that lacks its first parts begins midway, and states it as a part does
             self.session = {key: value for key, value in first.session.items() if min(found) or key not in own}
             self.format_version = first.format_version
-            self.ledger = last.ledger
+            goes_on = last.ledger is not None and layout.GOES_ON_KEY in last.ledger  # and its next part is not here
+            self.ledger = (last.ledger or {}) | {layout.CUT_OFF_KEY: True} if goes_on else last.ledger
             self.recorded_session = {key: value for key, value in first.recorded_session.items() if key not in own}
             self.recorded_ledger = last.recorded_ledger
         self.merge = None

@@ -44,12 +44,14 @@ class Recovery:
         report: what was read, and what is lost.
         part: its row in the side file of a split recording.
         notes: programs that do not read the new file, and why; they do not read the damaged one either.
+        goes_on: it is a part of a split recording that another part follows.
     """
 
     facts: dict[str, Any]
     report: SalvageReport
     part: RecordingPart
     notes: tuple[str, ...]
+    goes_on: bool
 
 
 class _Disorder(Exception):
@@ -103,7 +105,7 @@ def _attempt(
                 file.report.add(loss)
             origin, ledger = _ledger(file)
             part = writer.close(ledger)
-        return Recovery(origin, file.report, part, tuple(check(place, file)))
+        return Recovery(origin, file.report, part, tuple(check(place, file)), layout.GOES_ON_KEY in ledger)
 
 
 def _copy_beside(file: Salvage, writer: CopyWriter) -> Iterator[Loss]:
