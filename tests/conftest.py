@@ -62,6 +62,7 @@ SLOW = (
     "addons/resim/test_programs.py",
     "integration/test_live_faults.py",
     "addons/resim/test_faults.py",
+    "addons/resim/test_queues.py",
     "addons/resim/test_igtl_peer.py",
     "addons/resim/test_bisect.py",
     "addons/resim/test_api.py",

@@ -67,6 +67,10 @@ class Forked(Process if __name__ != "__main__" else object):  # type: ignore[mis
         self._ros_pid = self._pid = self.start.fork(command[1:], {**env, "LD_PRELOAD": ""})
 
     @property
+    def _root(self) -> int:
+        return self._pid
+
+    @property
     def is_running(self) -> bool:
         with suppress(OSError):
             return Path(f"/proc/{self._pid}/stat").read_text("utf-8").rpartition(")")[2].split()[0] not in "ZX"
@@ -90,6 +94,9 @@ class Forked(Process if __name__ != "__main__" else object):  # type: ignore[mis
                 os.kill(self._pid, number)
             self.wait(_END_S)
         end_session(self._pid)
+
+    def close(self) -> None:
+        pass
 
 
 def _import(modules: Sequence[str]) -> None:

@@ -15,8 +15,12 @@ from typing import IO, Any
 from igtl_gateway.base.systems.processes import INTERRUPT, apart
 from igtl_gateway.base.versions import Self
 
+#: Seconds that output may come after the end of a program.
+_READ_S = 5.0
 #: Lines of the standard error that are kept.
 _KEPT_LINES = 100
+
+_LAST_LINE_S = 0.5
 
 OnLine = Callable[[str], None]
 
@@ -124,13 +128,18 @@ class Child:
         self.kill()
 
     def kill(self) -> None:
-        """Kill it if it runs, and wait until its output is read."""
+        """Kill it if it runs, and wait until its output is read, but not long for what it has left running."""
         if self.is_running:
             self._process.kill()
         self._process.wait()
         for thread in self._threads:
-            thread.join()
+            thread.join(_READ_S)
         self.close_input()
+
+    def error_lines(self) -> list[str]:
+        """The last lines of its standard error, after it has ended; waits a little for them."""
+        self._threads[0].join(_LAST_LINE_S)
+        return list(self._error_lines)
 
     def last_error_lines(self, count: int = 1) -> list[str]:
         """The last lines of its standard error that are not empty."""

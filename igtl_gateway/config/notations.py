@@ -36,6 +36,7 @@ _FORMATS = {
     ".bag": "a bag of ROS 1",
     ".db3": "a bag of ROS 2 (SQLite)",
     ".igtl": "OpenIGTLink bytes",
+    ".xml": "a report (XML)",
     **dict.fromkeys((".pcap", ".pcapng"), "a network capture"),
     **dict.fromkeys((".mha", ".mhd", ".nrrd", ".nhdr", ".nii"), "an image or a volume"),
     **dict.fromkeys((".png", ".jpg", ".jpeg", ".svg", ".gif"), "a picture"),

@@ -16,9 +16,9 @@
  *   Q id number t data                       request            a t client number data                    response
  *   A id program client number t data        response           T id routed    how to publish
  *   X code text                              remark             N kind made name type    an entity elsewhere
- *   I now next_t next_class number           idle               D              drop the messages that are not delivered
- *                                                               R t class      run up to here
- *                                                               L t            it is t; look whether all are quiet
+ *   V id t number                            lost, queue full   D              drop the messages that are not delivered
+ *   P now                                    still computing    R t class      run up to here
+ *   I now next_t next_class number           idle               L t            it is t; look whether all are quiet
  *                                                               Z              the session is over
  */
 #define _GNU_SOURCE
@@ -56,11 +56,13 @@
 #include "_resim_time.h"
 
 #define IDENTIFIER "rmw_fastrtps_cpp"
-#define ABI_VERSION 1
+#define ABI_VERSION 2
 
 enum { CLASS_MESSAGE = 1, CLASS_ALL = 9 }; /* inputs and deadlines are the classes 0 and 2; the welcome states which */
 enum { SUBSCRIPTION = 's', PUBLISHER = 'p', SERVICE = 'v', CLIENT = 'c' };
-enum { FLUSH_BYTES = 1 << 20 };
+enum { FLUSH_BYTES = 1 << 20, PROGRESS_BYTES = 64 };
+/* Real time after which the watching thread sends what the program has published, though it has not come to rest. */
+#define LATE_NS 100000000LL
 /* Polls of a thread in a row that found nothing before the next one waits, and how long: a loop without a sleep. */
 enum { POLLS = 20, POLL_NS = 1000000 };
 
@@ -113,9 +115,10 @@ struct entity {
     uint64_t taken;
     int64_t requests;
     int routed; /* publishers: 0 not known yet, 1 other programs receive it, 2 none does */
+    uint64_t lost; /* messages that a full queue has dropped, and that are not reported yet; the first one's time */
+    int64_t lost_ns;
     abi_callback callback;
     const void *user_data;
-    size_t unseen; /* events before the callback was set */
     pthread_mutex_t buffer_lock;
     struct abi_bytes buffer;
     uint64_t published;
@@ -145,6 +148,7 @@ static struct {
     uint64_t sets;
     uint64_t ready_count;
     size_t callbacks;
+    bool has_lost;
     struct message *inbox, *last_inbox; /* from the coordinator, in order of time and class */
     struct message *own, *last_own;     /* published here, for subscriptions here */
     struct message *current;            /* is delivered to one subscription after the other */
@@ -421,13 +425,28 @@ static void enqueue(struct entity *entity, struct message *message)
     entity->last = queued;
     entity->count++;
     size_t depth = entity->qos.depth ? entity->qos.depth : 1;
-    if (entity->kind == SUBSCRIPTION && entity->qos.history != ABI_KEEP_ALL && entity->count > depth) {
+    if (entity->qos.history != ABI_KEEP_ALL && entity->count > depth) {
         struct queued *oldest = entity->first;
         entity->first = oldest->next;
         entity->count--;
         release(oldest->message);
         free(oldest);
+        if (!entity->lost++)
+            entity->lost_ns = atomic_load(&T.now_ns);
+        S.has_lost = true;
     }
+}
+
+static void report_lost(struct entity *entity)
+{
+    if (!entity->lost)
+        return;
+    size_t frame = begin_frame('V');
+    PUT(entity->id);
+    PUT(entity->lost_ns);
+    PUT(entity->lost);
+    end_frame(frame);
+    entity->lost = 0;
 }
 
 /* The first message of an entity, which the caller releases; NULL without one.  Under the lock. */
@@ -460,6 +479,9 @@ static void exchange(void)
         next_ns = S.own->t_ns;
         next_class = CLASS_MESSAGE;
     }
+    for (struct entity *entity = S.has_lost ? S.entities : NULL; entity; entity = entity->next)
+        report_lost(entity);
+    S.has_lost = false;
     size_t idle = begin_frame('I');
     PUT(now);
     PUT(next_ns);
@@ -675,7 +697,6 @@ static bool deliver(void)
             call_watcher();
             return true;
         }
-        entity->unseen++;
         if (give(entity))
             return true;
     }
@@ -764,11 +785,34 @@ int32_t rcutils_steady_time_now(int64_t *now)
 
 /* -- the session ------------------------------------------------------------------------------------------------- */
 
+/* The time that the program has reached, without asking for more; under the lock. */
+static void report_progress(void)
+{
+    if (S.out_room - S.out_size < PROGRESS_BYTES) /* no more memory: the program may have crashed where it gets some */
+        return;
+    size_t frame = begin_frame('P');
+    PUT((int64_t)atomic_load(&T.now_ns));
+    end_frame(frame);
+}
+
+/* Of a program that computes for long, or hangs: what it has published, now and then; under the lock. */
+static void send_late(void)
+{
+    static int64_t next_ns;
+    int64_t now_ns = real_ns(CLOCK_MONOTONIC);
+    if (now_ns < next_ns)
+        return;
+    next_ns = now_ns + LATE_NS;
+    report_progress();
+    flush();
+}
+
 /* Send what is not sent yet, at the end of the process. */
 __attribute__((destructor)) static void send_rest(void)
 {
     if (S.socket < 0 || pthread_mutex_trylock(&T.lock))
         return;
+    report_progress();
     size_t at = 0;
     while (at < S.out_size) {
         ssize_t sent = send(S.socket, S.out + at, S.out_size - at, MSG_NOSIGNAL);
@@ -779,6 +823,15 @@ __attribute__((destructor)) static void send_rest(void)
     S.out_size = 0;
     pthread_mutex_unlock(&T.lock);
 }
+
+/* The end without destructors. */
+__attribute__((noreturn)) void _exit(int code)
+{
+    send_rest();
+    NEXT(_exit)(code);
+    __builtin_unreachable();
+}
+__attribute__((noreturn)) void _Exit(int code) { _exit(code); }
 
 static void on_crash(int number)
 {
@@ -798,6 +851,38 @@ static void in_child(void)
     close(S.socket);
     S.socket = -1;
 }
+
+/* When a process began, in the ticks of /proc; 0 if it has ended. */
+static unsigned long long began(pid_t process)
+{
+    char text[512];
+    snprintf(text, sizeof text, "/proc/%d/stat", process);
+    int file = open(text, O_RDONLY | O_CLOEXEC);
+    ssize_t size = file < 0 ? 0 : read(file, text, sizeof text - 1);
+    if (file >= 0)
+        close(file);
+    text[size > 0 ? size : 0] = 0;
+    char *at = strrchr(text, ')');
+    for (int field = 2; at && field < 22; field++)
+        at = strchr(at + 1, ' ');
+    return at ? strtoull(at, NULL, 10) : 0;
+}
+
+/* A process without a connection, as one that the program has started, notes what it starts in a file beside the socket: the
+ * coordinator finds it there if it runs on in a session of its own. */
+static void note_child(pid_t child)
+{
+    char text[256];
+    const char *place = getenv("IGTL_GATEWAY_RESIM");
+    snprintf(text, sizeof text, "%s.children", place ? place : "");
+    int file = place ? open(text, O_WRONLY | O_APPEND | O_CREAT | O_CLOEXEC, 0600) : -1;
+    if (file < 0)
+        return;
+    int size = snprintf(text, sizeof text, "%d %llu\n", child, began(child));
+    if (write(file, text, (size_t)size) < 0)
+        fprintf(stderr, "igtl-gateway resim: cannot note process %d\n", child);
+    close(file);
+}
 static void notice(char code, const char *text)
 {
     if (!atomic_load(&T.active))
@@ -812,6 +897,8 @@ static void notice(char code, const char *text)
 static void has_started(pid_t child)
 {
     char text[16];
+    if (S.socket < 0)
+        return note_child(child);
     for (size_t i = 0; i < MOST_CHILDREN; i++) {
         pid_t nobody = 0;
         if (atomic_compare_exchange_strong(&T.children[i], &nobody, child))

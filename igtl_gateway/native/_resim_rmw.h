@@ -184,6 +184,7 @@ static void delete_entity(struct entity *entity)
         S.callbacks--;
     for (struct message *message = dequeue(entity); message; message = dequeue(entity))
         release(message);
+    report_lost(entity);
     announce(entity, false);
     leave();
     free(entity->buffer.buffer);
@@ -697,9 +698,7 @@ static ret set_callback(struct entity *entity, abi_callback callback, const void
     S.callbacks += (callback != NULL) - (entity->callback != NULL);
     entity->callback = callback;
     entity->user_data = user_data;
-    size_t unseen = callback ? entity->unseen : 0;
-    if (callback)
-        entity->unseen = 0;
+    size_t unseen = callback ? entity->count : 0;
     leave();
     if (unseen)
         callback(user_data, unseen);

@@ -85,6 +85,7 @@ static __thread bool own_is_other;      /* this thread is no part of the program
 static __thread bool own_starts_others; /* nor are those that it starts now */
 
 static void step(void);
+static void send_late(void);
 static void found_real_wait(pid_t tid, const char *call);
 static bool is_spinning(void); /* whether the program waits for events, so that time may pass */
 
@@ -104,7 +105,7 @@ int epoll_pwait2(int file, struct epoll_event *events, int most, const struct ti
     row(clock_gettime) row(gettimeofday) row(clock_nanosleep) row(nanosleep) row(sem_timedwait) row(sem_clockwait)     \
     row(pthread_cond_timedwait) row(pthread_cond_clockwait) row(poll) row(epoll_wait) row(select) row(ppoll) row(epoll_pwait) row(epoll_pwait2) row(sigtimedwait) row(pselect) row(fork)            \
     row(posix_spawn) row(posix_spawnp) row(system) row(socket) row(pthread_create)       \
-    row(sem_wait) row(getrandom) row(getentropy)
+    row(sem_wait) row(getrandom) row(getentropy) row(_exit)
 static struct {
 #define MEMBER(name) __typeof__(&name) name##_;
     REPLACED(MEMBER)
@@ -409,6 +410,8 @@ static void *watch(void *nothing)
             if (is_spinning() && is_quiet(0)) {
                 atomic_store(&T.watch, 0);
                 step();
+            } else {
+                send_late();
             }
             pthread_mutex_unlock(&T.lock);
         } while (atomic_load(&T.watch));

@@ -13,11 +13,11 @@ from __future__ import annotations
 import heapq
 import struct
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-from igtl_gateway.addon import GatewayError, Qos
+from igtl_gateway.addon import GatewayError, Qos, count_text
 from igtl_gateway.addons.resim import frames
 from igtl_gateway.addons.resim.frames import ALL, DEADLINE, MESSAGE, NEVER, EntityFrame
 from igtl_gateway.addons.resim.inputs import CLOCK, Inputs, RecordedInput, RecordedTopic
@@ -74,6 +74,32 @@ class Peer:
 
     def named(self, kind: str, name: str) -> list[Entity]:
         return [each for each in self.entities.values() if each.frame.kind == kind and each.frame.name == name]
+
+
+@dataclass(slots=True)
+class Lost:
+    """Messages of a topic or service that a full queue of a program has dropped.
+
+    Attributes:
+        program: its name.
+        name: the topic or service.
+        depth: of the queue.
+        first_ns: session time of the first one, UTC ns.
+        count: their number.
+    """
+
+    program: str
+    name: str
+    depth: int
+    first_ns: int
+    count: int = 0
+
+    def text(self, start_ns: int) -> str:
+        """One line for a person; ``start_ns``: start of the session."""
+        return (
+            f"{self.program}: lost {count_text(self.count, 'message')} of {self.name}, the first one at "
+            f"{(self.first_ns - start_ns) / 1e9:.6f} s: its queue of depth {self.depth} was full"
+        )
 
 
 #: The programs that receive a recorded message, and the numbers of their subscriptions; () for all of the topic.
@@ -163,6 +189,10 @@ class Coordinator:
         self.delivered: Counter[str] = Counter()
         #: Service → requests that neither a program nor the recording answers.
         self.unserved: Counter[str] = Counter()
+        #: Program and topic or service → what its full queue dropped.
+        self.lost: dict[tuple[str, str], Lost] = {}
+        #: Session time that the programs have reached.
+        self.reached_ns = start_ns
         #: Events: recorded inputs, messages and runs of deadlines.
         self.events = 0
         self.now_ns = start_ns
@@ -197,6 +227,7 @@ class Coordinator:
                 else:
                     self._deliver_to_all(self._inputs.pop(), receivers)
             elif following == (self._end_ns, ALL):
+                self.reached_ns = self._end_ns
                 return
             elif self._messages and following == (self._messages[0][0], MESSAGE):
                 time_ns, _, index, frame = heapq.heappop(self._messages)
@@ -241,7 +272,11 @@ class Coordinator:
                 size += len(message.data)
         if message := self._inputs.peek():
             bound = min(bound, _before(message.time_ns, self._input_class))
-        self._grant(peer, content, *bound)
+        try:
+            self._grant(peer, content, *bound)
+        except BaseException:
+            self._count(each for each in window if each.number in sent and each.time_ns <= self.reached_ns)
+            raise
         done = peer.idle.number
         used = 0
         while used < len(window) and (
@@ -251,9 +286,7 @@ class Coordinator:
         left = window[used:]
         for message in window[:used]:
             self._keep_latched(message)
-            if message.number in sent:
-                self.events += 1
-                self.delivered[message.topic] += 1
+        self._count(message for message in window[:used] if message.number in sent)
         for message in reversed(left):
             self._inputs.give_back(message)
         if any(message.number in sent for message in left):
@@ -262,11 +295,15 @@ class Coordinator:
         else:
             peer.batch = min(_BATCH, 2 * peer.batch)
 
+    def _count(self, delivered: Iterable[RecordedInput]) -> None:
+        for message in delivered:
+            self.events += 1
+            self.delivered[message.topic] += 1
+
     def _deliver_to_all(self, message: RecordedInput, receivers: Receivers) -> None:
         """Deliver one input to several programs, one after the other."""
         self._keep_latched(message)
-        self.events += 1
-        self.delivered[message.topic] += 1
+        self._count([message])
         for peer, targets in receivers:
             self._grant(peer, _message_frames(message, targets, self._input_class), message.time_ns, self._input_class)
 
@@ -308,7 +345,12 @@ class Coordinator:
                         self._published(peer, frame)
                     case frames.Idle():
                         peer.idle = frame
+                        self.reached_ns = max(self.reached_ns, frame.time_ns)
                         return
+                    case frames.Progress():
+                        self.reached_ns = max(self.reached_ns, frame.time_ns)
+                    case frames.Lost():
+                        self._lost(peer, frame)
                     case EntityFrame():
                         self._entity(peer, frame)
                     case frames.Request():
@@ -333,8 +375,15 @@ class Coordinator:
         self._order += 1
         heapq.heappush(self._messages, (time_ns + self._latency_ns, self._order, index, frame))
 
+    def _lost(self, peer: Peer, frame: frames.Lost) -> None:
+        entity = peer.entities[frame.entity].frame
+        depth = max(1, entity.depth)
+        lost = self.lost.setdefault((peer.name, entity.name), Lost(peer.name, entity.name, depth, frame.time_ns))
+        lost.count += frame.count
+
     def _published(self, peer: Peer, frame: frames.Published) -> None:
         publisher = peer.entities[frame.publisher]
+        self.reached_ns = max(self.reached_ns, frame.time_ns)
         if self._left == 0:
             raise ProgramFault(
                 f"{peer.name}: flooded the session with messages, the last one of {publisher.frame.name}; "

@@ -25,7 +25,7 @@ from igtl_gateway.addon import (
     SystemClock,
     matches,
 )
-from igtl_gateway.addons.resim.coordinator import Coordinator, Peer, ProgramFault, Roles
+from igtl_gateway.addons.resim.coordinator import Coordinator, Lost, Peer, ProgramFault, Roles
 from igtl_gateway.addons.resim.frames import ABI_VERSION, DEADLINE, INPUT, NEVER, Hello, Remark, welcome
 from igtl_gateway.addons.resim.goals import IN_ACTION
 from igtl_gateway.addons.resim.igtl_peer import (
@@ -41,7 +41,14 @@ from igtl_gateway.addons.resim.inputs import Inputs, topics_of
 from igtl_gateway.addons.resim.library import library_path
 from igtl_gateway.addons.resim.link import Gone, Listener
 from igtl_gateway.addons.resim.outputs import OF_EVERY_NODE, OutputFile, OutputStream
-from igtl_gateway.addons.resim.processes import Process, command_of, cpu_with_children_s, is_computing
+from igtl_gateway.addons.resim.processes import (
+    Process,
+    apart_from,
+    command_of,
+    cpu_with_children_s,
+    end_all,
+    is_computing,
+)
 from igtl_gateway.addons.resim.services import recorded_services
 from igtl_gateway.base.systems.signals import endings_held
 
@@ -158,6 +165,7 @@ class Run:
         delivered: topic → recorded messages that went to programs.
         unserved: service → requests that neither a program nor the recording answered.
         refused: topic → why a program did not receive it.
+        lost: messages that full queues of programs have dropped, in the order of their first ones.
         events: number of events.
         start_ns, end_ns: session time, UTC ns; the end is where it stopped.
         remarks: what weakens the guarantee: sockets of a program, a GPU.
@@ -171,6 +179,7 @@ class Run:
     delivered: dict[str, int] = field(default_factory=dict)
     unserved: dict[str, int] = field(default_factory=dict)
     refused: dict[str, str] = field(default_factory=dict)
+    lost: list[Lost] = field(default_factory=list)
     events: int = 0
     start_ns: int = 0
     end_ns: int = 0
@@ -236,7 +245,7 @@ def run(
     if options.runs < 1:
         raise ConfigError(f"runs: found {options.runs}, expected 1 or more")
     for program in programs:
-        middleware = {**os.environ, **program.env}.get("RMW_IMPLEMENTATION", _MIDDLEWARE)
+        middleware = {**os.environ, **program.env}.get("RMW_IMPLEMENTATION") or _MIDDLEWARE
         if middleware != _MIDDLEWARE and not program.igtl:
             raise ConfigError(f"{program.title}: found RMW_IMPLEMENTATION={middleware}, expected {_MIDDLEWARE}")
     library = library_path()
@@ -303,6 +312,7 @@ def _run_once(
         listener = Listener(place)
         stack.callback(listener.close)
         processes: list[Process] = []
+        stack.callback(end_all, processes, listener.path)
         watch = _Watch(processes, clock, options, look_for_signals)
         coordinator: Coordinator | None = None
         try:
@@ -318,7 +328,6 @@ def _run_once(
                     command = side.command(command)
                 process = Process(program.title, command, env, program.folder)
                 processes.append(process)
-                stack.callback(process.end)
                 watch.begin()
                 watch.is_joining = True
                 watch.side = side
@@ -364,15 +373,17 @@ def _run_once(
             )
             coordinator.run()
             watch.look_at_libraries()
+            watch.await_others(listener.path)
         except (ProgramFault, Gone) as fault:
             one.fault = str(fault)
             if isinstance(fault, Gone) or fault.is_end:
                 one.fault = watch.ended(wait=True) or one.fault or "a program closed its connection"
         finally:
+            if one.fault:
+                one.end_ns = max(one.start_ns, coordinator.reached_ns if coordinator else 0)
             if coordinator:
-                if one.fault:
-                    one.end_ns = coordinator.now_ns
                 coordinator.end()
+                one.lost = sorted(coordinator.lost.values(), key=lambda each: each.first_ns)
                 one.delivered, one.unserved = dict(coordinator.delivered), dict(coordinator.unserved)
                 one.refused, one.events = dict(coordinator.refused), coordinator.events
             one.remarks = sorted(watch.remarks)
@@ -456,6 +467,24 @@ class _Watch:
                     raise ProgramFault(f"{each.name}: found {name}, expected {_MIDDLEWARE}")
                 if _GPU.match(name):
                     self.remarks.add(f"{each.name}: has loaded {name}: what a GPU computes may differ from run to run")
+
+    def await_others(self, place: Path) -> None:
+        """Wait for the end of the processes that programs have started, also of those that run apart from them.
+
+        Args:
+            place: of the session's socket.
+
+        Raises:
+            ProgramFault: one of them neither computes nor ends.
+        """
+        names = {each.name for each in self._processes}
+        program = names.pop() if len(names) == 1 else "a program"
+        for pid in apart_from(self._processes, place):
+            self._children.setdefault(pid, _Started(program))
+        self.begin()
+        while self._children:
+            self.look()
+            self._processes[0].wait(0.02)
 
     def look(self) -> None:
         """Raise ProgramFault if a process has ended, hangs, or is busy; KeyboardInterrupt after Ctrl-C."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 #: Of the interface between both sides; the library states it in its hello.
-ABI_VERSION = 1
+ABI_VERSION = 2
 #: Later than everything.
 NEVER: Final = (1 << 63) - 1
 #: Classes of events of one time, in their order: recorded inputs, messages of programs, timers and timeouts.  With
@@ -33,6 +33,7 @@ _ROUTED = struct.Struct("=IB")
 _RUN = struct.Struct("=qB")
 _TIME = struct.Struct("=q")
 _HELLO = struct.Struct("=II")
+_LOST = struct.Struct("=IqQ")
 _SIZE = struct.Struct("=H")
 
 
@@ -98,6 +99,22 @@ class Remark:
 
 
 @dataclass(frozen=True, slots=True)
+class Lost:
+    """Messages that the full queue of a subscription, service or client has dropped, and the time of the first one."""
+
+    entity: int
+    time_ns: int
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """The time of a program that computes, or that ends."""
+
+    time_ns: int
+
+
+@dataclass(frozen=True, slots=True)
 class Idle:
     """The program waits.
 
@@ -149,7 +166,7 @@ class Ended:
     """The session is over."""
 
 
-FromProgram = EntityFrame | Published | Request | Response | Remark | Idle | Hello
+FromProgram = EntityFrame | Published | Request | Response | Remark | Lost | Progress | Idle | Hello
 
 
 def parse(frame: bytes) -> FromProgram:
@@ -177,10 +194,14 @@ def parse(frame: bytes) -> FromProgram:
             return Response(*(*_RESPONSE.unpack_from(frame, 1), frame[1 + _RESPONSE.size :]))
         case b"X":
             return Remark(frame[1:2].decode("ascii", "replace"), frame[4:].decode("utf-8", "replace"))
+        case b"V":
+            return Lost(*_LOST.unpack_from(frame, 1))
+        case b"P":
+            return Progress(*_TIME.unpack_from(frame, 1))
         case b"H":
             return Hello(*_HELLO.unpack_from(frame, 1))
         case letter:
-            raise ValueError(f"found frame {letter!r}, expected one of E, O, Q, A, X, I, H")
+            raise ValueError(f"found frame {letter!r}, expected one of E, O, Q, A, X, V, P, I, H")
 
 
 def split(data: bytes) -> Iterator[Incoming | RunTo | Dropped | Ended]:

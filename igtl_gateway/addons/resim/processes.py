@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -12,10 +13,14 @@ from igtl_gateway.addon import ConfigError
 from igtl_gateway.base.child import Child
 from igtl_gateway.base.systems.processes import KILL, end_session, ticks_per_second
 
+#: What Python writes before an exception that nothing catches, and its exit code then.
+_TRACEBACK, _UNCAUGHT = "Traceback (most recent call last):", 1
 #: Seconds that a program has to end after the session, as after Ctrl-C.
 _END_S = 2.0
 #: The thread of the library that looks whether all others wait (`_resim_time.h`).
 _WATCHER = "igtl-resim"
+#: The variable with the place of the session's socket.
+_PLACE = "IGTL_GATEWAY_RESIM"
 #: States of a thread that computes, or waits for a processor or a disk.
 _COMPUTING = "RD"
 
@@ -24,13 +29,14 @@ _COMPUTING = "RD"
 class ThreadUse:
     """A thread or process: its name, its state (a letter of the kernel) and the CPU seconds that it has used.
 
-    ``children_s``: those of processes that it started, and that have ended.
+    ``children_s``: those of processes that it started, and that have ended.  ``began``: when it did, in ticks.
     """
 
     name: str
     state: str
     cpu_s: float
     children_s: float = 0.0
+    began: int = 0
 
 
 class Process:
@@ -58,11 +64,17 @@ class Process:
         try:
             self._child = Child(f"resim-{name}", command, on_line=lambda line: None, env=env, death_signal=KILL)
         except OSError as error:
-            raise ConfigError(f"{name}: cannot be started: {error.strerror}: {command[0]}") from error
+            is_there = isinstance(error, FileNotFoundError) and Path(command[0]).exists()
+            why = "found no interpreter of its first line" if is_there else error.strerror
+            raise ConfigError(f"{name}: cannot be started: {why}: {command[0]}") from error
 
     def joined(self, pid: int) -> None:
         """Remember the process that takes part in the session: a child, if the program is a launcher."""
         self._ros_pid = pid
+
+    @property
+    def _root(self) -> int:
+        return self._child.pid
 
     @property
     def pid(self) -> int:
@@ -87,8 +99,8 @@ class Process:
         if code is None:
             return "closed its connection"
         how = f"ended with exit code {code}" if code >= 0 else f"was ended by signal {-code}"
-        lines = self._child.last_error_lines()
-        return f"{how}: {lines[0].strip()}" if lines else how
+        line = _reason(self._child.error_lines(), code)
+        return f"{how}: {line}" if line else how
 
     def cpu_s(self) -> float:
         """CPU time of all its threads so far, s; 0 where the system has no /proc, or it has ended."""
@@ -111,13 +123,60 @@ class Process:
             return set()
         return {Path(line.split(None, 5)[5]).name for line in text.splitlines() if ".so" in line}
 
+    def family(self) -> set[int]:
+        """It, the launcher that may have started it, and the processes that these have started."""
+        return set(_family(self._root))
+
     def end(self) -> None:
-        """Have it end as by Ctrl-C, and kill what is left of its session; idempotent."""
+        """Have it end as by Ctrl-C, and kill what is left of its session."""
         if self._child.is_running:
             self._child.interrupt()
             self._child.wait(_END_S)
         end_session(self._child.pid)
+
+    def close(self) -> None:
+        """Wait for its last line."""
         self._child.kill()
+
+
+def end_all(processes: Sequence[Process], place: Path) -> None:
+    """End programs, and the processes that run apart from them; ``place``: of the session's socket."""
+    others = apart_from(processes, place)
+    for each in reversed(processes):
+        each.end()
+    for pid in {*others, *apart_from(processes, place)}:
+        with suppress(OSError):
+            os.kill(pid, KILL)
+    for each in processes:
+        each.close()
+
+
+def apart_from(processes: Sequence[Process], place: Path) -> list[int]:
+    """Numbers of processes that programs have started and left alone, such as a daemon, which has a session of its own.
+
+    They have the session in their environment, or the library has noted their number beside its socket.
+    """
+    mark = f"{_PLACE}={place}".encode()
+    noted = Path(f"{place}.children")
+    rows = [map(int, line.split()) for line in noted.read_text("ascii").splitlines()] if noted.exists() else []
+    known = {pid for each in processes for pid in each.family()}
+    marked = {int(each.name) for each in Path("/proc").iterdir() if each.name.isdigit() and mark in _environment(each)}
+    marked |= {pid for pid, began in rows if _use(Path(f"/proc/{pid}/stat")).began == began}
+    return sorted(marked - known)
+
+
+def _environment(process: Path) -> list[bytes]:
+    """What a process was started with; nothing of one that has ended, or is of another user."""
+    with suppress(OSError):
+        return (process / "environ").read_bytes().split(b"\0")
+    return []
+
+
+def _reason(lines: Sequence[str], code: int) -> str:
+    """The line that states why a program has ended: the last one, or the first one of a Python exception."""
+    at = max((index for index, line in enumerate(lines) if line.startswith(_TRACEBACK)), default=None)
+    rest = lines if at is None or code != _UNCAUGHT else [line for line in lines[at + 1 :] if line[:1] != " "][:1]
+    return next((line.strip() for line in reversed(rest) if line.strip()), "")
 
 
 def command_of(pid: int) -> str:
@@ -167,4 +226,5 @@ def _use(stat: Path) -> ThreadUse:
     fields = rest.split()
     user, system, user_of_children, system_of_children = map(int, fields[11:15])
     ticks = ticks_per_second()
-    return ThreadUse(name, fields[0], (user + system) / ticks, (user_of_children + system_of_children) / ticks)
+    children_s = (user_of_children + system_of_children) / ticks
+    return ThreadUse(name, fields[0], (user + system) / ticks, children_s, int(fields[19]))

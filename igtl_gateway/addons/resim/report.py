@@ -32,6 +32,7 @@ def report_lines(result: RunResult, verdict: Verdict) -> list[str]:
         ]
         if roles.missing:
             lines.append(f"  asked for, but not recorded: {', '.join(roles.missing)}")
+    lines += [f"  {lost.text(verdict.start_ns)}" for one in result.runs[:1] for lost in one.lost]
     return [printable(line) for line in lines]
 
 
@@ -54,7 +55,8 @@ def junit_xml(result: RunResult, verdict: Verdict, outputs: tuple[str, ...] = ()
     """The verdict in the format of JUnit: a test case for determinism, and one for each stream.
 
     A program that ended or hung is an error; a difference, or a timer that races a topic, is a failure; a stream that
-    nothing could be compared with is skipped.  A race that is permitted, and a sample, is a property of the suite.
+    nothing could be compared with is skipped.  Properties of the suite are a race that is permitted, a sample, and
+    messages that full queues have dropped.
 
     Args:
         result: of ``engine.run``.
@@ -64,9 +66,13 @@ def junit_xml(result: RunResult, verdict: Verdict, outputs: tuple[str, ...] = ()
     suites = ElementTree.Element("testsuites", name="igtl-gateway resim")
     suite = ElementTree.SubElement(suites, "testsuite", name=_xml(result.recording.name))
     seconds = sum(one.seconds for one in result.runs)
+    facts = [("lost", lost.text(verdict.start_ns)) for one in result.runs[:1] for lost in one.lost]
     if verdict.race and not verdict.is_racing:
+        facts.append(("race", verdict.race.text(verdict.start_ns)))
+    if facts:
         properties = ElementTree.SubElement(suite, "properties")
-        ElementTree.SubElement(properties, "property", name="race", value=_xml(verdict.race.text(verdict.start_ns)))
+        for name, value in facts:
+            ElementTree.SubElement(properties, "property", name=name, value=_xml(value))
     runs = _case(suite, result, f"deterministic: {count_text(len(result.runs), 'run')}", seconds)
     if verdict.fault:
         _outcome(runs, "error", "fault", verdict.line(), verdict.line())

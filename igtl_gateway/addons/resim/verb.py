@@ -22,6 +22,7 @@ from igtl_gateway.addon import (
     check_target,
     count_text,
     default,
+    is_same,
     new_recording,
     open_new,
     output_file,
@@ -186,6 +187,9 @@ def run(options: argparse.Namespace) -> int:
         SessionFile.open(options.baseline).close()
     for target in filter(None, (options.record, options.junit)):
         check_target(target, overwrite=options.overwrite)
+        for source in filter(None, (options.file, options.baseline)):
+            if is_same(target, source):  # the outputs would be compared with themselves
+                raise ConfigError(f"found {target} as a file to read and to write, expected two files")
     clocks = Clocks.SESSION if options.libc_clock else Clocks.REAL if options.real_clock else Clocks.SHIFTED
     settings = ResimOptions(
         runs=options.runs,
@@ -316,22 +320,23 @@ def _programs(words: list[str]) -> list[Program]:
             commands.append([])
         else:
             commands[-1].append(word)
-    if not all(commands):
+    if not all(command and command[0] for command in commands):
         raise ConfigError("found no program, expected one behind --")
     return [Program(tuple(command)) for command in commands]
 
 
 def _tolerance(text: str) -> Tolerance:
     """Parse ``0.05mm,0.05deg``.  Raises ConfigError."""
-    found = {"mm": 0.0, "deg": 0.0}
-    for part in filter(None, text.split(",")):
-        unit = next((unit for unit in found if part.strip().endswith(unit)), None)
+    found: dict[str, float] = {}
+    for part in text.split(",") if text else ():
+        unit = next((unit for unit in ("mm", "deg") if part.strip().endswith(unit)), None)
         try:
             value = float(part.strip().removesuffix(unit or ""))
         except ValueError:
             value = math.nan
-        if unit is None or not 0 <= value < math.inf:
-            raise ConfigError(f"--tolerance: found {part!r}, expected numbers with units such as 0.05mm,0.05deg")
+        if unit is None or not 0 <= value < math.inf or unit in found:
+            wrong = text if unit in found else part
+            raise ConfigError(f"--tolerance: found {wrong!r}, expected numbers with units such as 0.05mm,0.05deg")
         found[unit] = value
     return Tolerance(**found)
 
@@ -365,6 +370,8 @@ def _print_search() -> None:
 def _print_verdict(result: RunResult, verdict: Verdict) -> None:
     for name, count in result.runs[0].unserved.items() if result.runs else ():
         print_line(f"{name}: {count_text(count, 'request')} without an answer")
+    for lost in result.runs[0].lost if result.runs else ():
+        print_line(lost.text(verdict.start_ns))
     for line in result.runs[0].remarks if result.runs else ():
         print_line(f"weaker: {line}")
     for stream in verdict.between_runs or verdict.streams:
@@ -389,6 +396,7 @@ def facts_of(result: RunResult, verdict: Verdict) -> dict[str, object]:
                 "inputs": sum(one.delivered.values()),
                 "outputs": {name: stream.messages for name, stream in one.streams.items()},
                 "digests": {name: stream.digest for name, stream in one.streams.items()},
+                "lost": [asdict(lost) for lost in one.lost],
                 "events": one.events,
                 "remarks": one.remarks,
                 "seconds": one.seconds,

@@ -33,12 +33,13 @@ pytestmark = [pytest.mark.ros, pytest.mark.skipif(not find_spec("rclpy"), reason
 
 
 def processes_with(mark: str) -> list[str]:
-    """Commands of running processes with a word in their environment."""
+    """Commands of running processes with a word in their environment, or in the command itself."""
     found = []
     for place in Path("/proc").glob("[0-9]*"):
         try:
-            if mark.encode() in (place / "environ").read_bytes():
-                found.append((place / "cmdline").read_bytes().decode())
+            command = (place / "cmdline").read_bytes().decode()
+            if mark.encode() in (place / "environ").read_bytes() or mark in command:
+                found.append(command)
         except OSError:
             continue
     return found
@@ -52,7 +53,9 @@ def processes_with(mark: str) -> list[str]:
             "/other: asked for, but the recording has no such topic; --without TOPIC runs the programs without it",
         ),
         ("ends", "faulty: ended with exit code 0"),
-        ("raises", "faulty: ended with exit code 1: ValueError: found 3 wheels, expected 4"),
+        ("raises", "faulty: ended with exit code 1: ValueError: found 3 wheels, expected 4:"),
+        ("leaves", "faulty: ended with exit code 3"),
+        ("daemonizes", "faulty: started another process, which still runs: mark-"),
         ("crashes", "faulty: was ended by signal 11"),
         ("hangs", "faulty: did not come to rest within 1 s (the wall limit)"),
         ("loops", "faulty: did not come to rest within 1 s of CPU time (the CPU limit): thread 'python"),
@@ -78,8 +81,12 @@ def test_a_fault_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wh
     assert "\n" not in verdict.line()
     assert len(result.runs) == 1
     assert processes_with(mark) == []
-    if what in ("ends", "raises", "crashes", "forks", "spawns"):
-        assert len(published(result.runs[0].outputs, "/out")) in (19, 20)  # the outputs so far
+    if what not in ("asks", "floods", "daemonizes"):
+        assert len(published(result.runs[0].outputs, "/out")) == 20  # the outputs so far
+        assert result.runs[0].delivered == {"/in": 20}
+        with SessionFile.open(recording) as file:
+            times = [entry.stamp_ns for entry in file.entries() if entry.channel == "/in"]
+        assert result.runs[0].end_ns == times[19]
 
 
 @pytest.mark.parametrize(("is_computing", "limit_s"), [(True, 10.0), (False, 1.0)])

@@ -61,6 +61,11 @@ class TestWithRos:
 def test_what_is_refused_before_a_start(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = recording.parent
     (folder / "there.xml").write_text("", "utf-8")
+    (folder / "link.mcap").symlink_to(recording)
+    (folder / "b").write_bytes(recording.read_bytes())
+    (folder / "script").write_text("#!/no/such/interpreter\n", "utf-8")
+    (folder / "script").chmod(0o700)
+    over = ["--overwrite", "--record"]
     for words, line in (
         (
             ["--recipe", str(recipe(folder)), "--", "true"],
@@ -71,6 +76,16 @@ def test_what_is_refused_before_a_start(recording: Path, capsys: pytest.CaptureF
         (["--junit", str(folder / "there.xml"), "--", "true"], "there.xml: exists already, expected a new file"),
         (["--lead", "1e300", "--", "true"], "--lead: found 1e+300, expected 0 to 86400, a day"),
         (["--", "./"], "program: cannot be started: Permission denied: ./"),
+        (["--", ""], "found no program, expected one behind --"),
+        (["--", str(folder / "script")], "script: cannot be started: found no interpreter of its first line: "),
+        (["--tolerance", "1mm,2mm", "--", "true"], "--tolerance: found '1mm,2mm', expected numbers with units"),
+        (["--tolerance", "1mm,,1deg", "--", "true"], "--tolerance: found '', expected numbers with units"),
+        ([*over, str(recording), "--", "true"], "as a file to read and to write, expected two files"),
+        ([*over, str(folder / "link.mcap"), "--", "true"], "as a file to read and to write, expected two files"),
+        (
+            [*over, str(folder / "b"), "--baseline", str(folder / "b"), "--", "true"],
+            "as a file to read and to write, expected two files",
+        ),
         (["--build", "make", "--", "true"], "--build: has no effect without --bisect"),
     ):
         assert cli.main(["resim", str(recording), *words]) == 2
@@ -101,3 +116,10 @@ def test_what_cannot_be_judged_is_2(
     monkeypatch.setattr(library, "_NAME", "_of_another_build")
     assert cli.main(["resim", str(recording), "--", "true"]) == 2
     assert "found no _of_another_build" in capsys.readouterr().err
+
+
+def test_the_report_has_no_name_of_another_format(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(["resim", str(recording), "--junit", "report.mcap", "--", "true"])
+    line = "found 'report.mcap', the name of a recording (MCAP), expected a report (XML): *.xml"
+    assert line in capsys.readouterr().err

@@ -33,7 +33,7 @@ class Faulty(Node):  # type: ignore[misc]
         sys.exit(0)
 
     def raises(self) -> None:
-        raise ValueError("found 3 wheels, expected 4")
+        raise ValueError("found 3 wheels, expected 4:\none is lost")
 
     def crashes(self) -> None:
         os.kill(os.getpid(), 11)
@@ -51,6 +51,19 @@ class Faulty(Node):  # type: ignore[misc]
 
     def spawns(self) -> None:
         self.child = subprocess.Popen(["sleep", "1000"])
+
+    def daemonizes(self) -> None:
+        """The daemon keeps the standard error open, but not the environment."""
+        if not os.fork():
+            os.setsid()
+            if not os.fork():
+                os.execve("/bin/sleep", [os.environ["MARK_OF_THIS_TEST"], "1000"], {})
+            os._exit(0)
+
+    def leaves(self) -> None:
+        """And so does this child."""
+        subprocess.Popen(["sleep", "1000"], start_new_session=True)
+        os._exit(3)
 
     def asks_git(self) -> None:
         """A process that ends is no fault."""
