@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
@@ -131,6 +132,8 @@ class BridgePassage:
         self._tcp = tcp
         self._ros = ros
         self._recorder: Recorder | None = None
+        self._attendant: threading.Thread | None = None
+        self._is_stopping = False
         self.recorder_lock = Lock()
         self._nowhere = Publisher(_NOWHERE)
         self.streams = PassageStreams(passage, self, self._number_of, on_passed, is_kept)
@@ -142,6 +145,14 @@ class BridgePassage:
         """Record what passes; to be called before the first message."""
         self._recorder = recorder
         self._passage.record_into(recorder.queue.memory, self.recorder_lock)
+        self._attendant = threading.Thread(target=self._attend, args=(recorder,), name="igtl-recorder", daemon=True)
+        self._attendant.start()
+
+    def _attend(self, recorder: Recorder) -> None:
+        """Do what the recorder's queue needs of Python, so that no message has to go there for it."""
+        while not self._is_stopping:
+            if room := self._passage.wait_recorder():
+                recorder.attend(room)
 
     def collect(self) -> None:
         """Take over what was counted natively, in slices: messages pass in between."""
@@ -170,6 +181,10 @@ class BridgePassage:
         with self._passage:
             self._passage.closed = True
             self.streams.drop_all()
+        if self._attendant:
+            self._is_stopping = True
+            self._passage.wake()
+            self._attendant.join()
 
     # -- what the streams need (NativeEdges) --------------------------------------------------------------------
 

@@ -40,6 +40,7 @@
 #define LARGEST_RECEIVED (256 * 1024) /* what is larger takes too long for the thread that reads the links */
 #define LARGEST_RECORDED (512 * 1024) /* an input and its outputs, which are copied under the locks */
 #define LARGEST_MADE (64 * 1024 * 1024) /* outputs of a message that is converted without the sequence lock */
+#define ROOM_AHEAD (2 * 1024 * 1024) /* that small messages should have in the recorder's queue before Python finds more */
 #define MAX_PARTS 3 /* of a message that is sent: what is before a picture, the picture, what is after it */
 #define MAX_PLACES 70             /* of a sample, see express.py */
 #define OBSERVATIONS 256
@@ -191,6 +192,8 @@ typedef struct Passage {
     struct queue queue;     /* of the recorder */
     Lock *queue_lock;
     PyObject *queue_memory; /* keeps the mapping */
+    ssize_t largest_recorded; /* bytes of a message with its outputs; guarded by the lock of the queue */
+    char presses;             /* Python has to look after the queue when the message has passed; atomic */
     uint8_t *scratch;       /* MAX_OUTPUTS outputs, guarded by the sequence lock */
     uint32_t times[2][TIMED_PHASES][TIME_BUCKETS]; /* of messages to ROS and to OpenIGTLink; atomic */
     /* links and subscriptions that Python has to look at */
@@ -201,10 +204,12 @@ typedef struct Passage {
     Link *with_large;       /* list of links that have read a large message since wait_large */
     Stream *left_streams;   /* list of those that nothing refers to, but were in use; guarded by the GIL */
     pthread_cond_t large_read;
+    pthread_cond_t pressed;
+    int attends;            /* Python has to look after the recorder's queue */
     Link *closed_links;     /* list of links that the reading thread may still know; it owns a reference to each */
     Subscription *ready;    /* list of subscriptions that Python owns and that have messages */
     Subscription **ready_end;
-    int woken_links, woken_subscriptions, woken_large;
+    int woken_links, woken_subscriptions, woken_large, woken_recorder;
     /* of the reading thread alone */
     Link *waiting;   /* list of links that wait for a turn */
     Link *limited;   /* list of links that are read again at a time */
@@ -473,6 +478,20 @@ static uint8_t *copied(const void *data, ssize_t size)
 
 /* -- the recorder ----------------------------------------------------------------------------------------------------- */
 
+/* Bytes that the next messages might need in the recorder's queue. */
+static ssize_t room_ahead(const Passage *self) { return ROOM_AHEAD + self->largest_recorded; }
+
+/* Have Python wake the recorder, or find room for the next messages, after one with which that is due. */
+static void attend_recorder(Passage *self)
+{
+    if (!__atomic_exchange_n(&self->presses, 0, __ATOMIC_RELAXED))
+        return;
+    pthread_mutex_lock(&self->events);
+    self->attends = 1;
+    pthread_cond_signal(&self->pressed);
+    pthread_mutex_unlock(&self->events);
+}
+
 /* Take the recorder's queue for entries of these streams; 0: Python has to put them. ``most``: bytes. */
 static int begin_record(Passage *self, Stream *stream, struct output *const *outputs, int count, ssize_t bytes,
                         ssize_t most)
@@ -485,8 +504,13 @@ static int begin_record(Passage *self, Stream *stream, struct output *const *out
     for (int i = 0; i < count; i++)
         known &= queue_knows(&self->queue, outputs[i]->number);
     stream->is_stale |= !known;
-    if (known && bytes <= most && queue_fits(&self->queue, (uint64_t)count + 1, (uint64_t)bytes))
+    if (known && bytes <= most && queue_has_room(&self->queue, (uint64_t)count + 1, (uint64_t)bytes)) {
+        self->largest_recorded = bytes > self->largest_recorded ? bytes : self->largest_recorded;
+        if (queue_presses(&self->queue, (uint64_t)count + 1, (uint64_t)bytes) ||
+            queue_left(&self->queue) < (uint64_t)(bytes + room_ahead(self)))
+            __atomic_store_n(&self->presses, 1, __ATOMIC_RELAXED);
         return 1;
+    }
     pthread_mutex_unlock(&self->queue_lock->mutex);
     return 0;
 }
@@ -696,6 +720,7 @@ static int pass_to_ros(Passage *self, Stream *stream, const uint8_t *data, ssize
     record(self, stream, chosen.outputs, chosen.sizes, count, seq, stamp_ns, source_ns, shown_ns, data, size);
     count_times(self, TO_ROS, locked_ns - begun_ns, converted_ns - locked_ns, passed_ns - converted_ns, passed_ns);
     count_to_ros(self, stream, &chosen);
+    attend_recorder(self);
     return 1;
 }
 
@@ -919,6 +944,7 @@ static int pass_large_to_ros(Link *self, Stream *stream, struct kept *kept, int 
             fill(slots[1 + i], &output, 1);
         }
         count_times(passage, TO_ROS, locked_ns - converted_ns, converted_ns - begun_ns, passed_ns - locked_ns, passed_ns);
+        attend_recorder(passage);
     } else if (made && stays) {
         memcpy(data, made, (size_t)bulk.at);
     }
@@ -1343,6 +1369,7 @@ static int pass_to_igtl(Passage *self, Stream *stream, const uint8_t *cdr, ssize
     set_latest(stream, seq, stamp_ns, source_ns, NULL);
     stream->latest_size = size;
     memcpy(stream->latest, cdr, size);
+    attend_recorder(self);
     return 1;
 }
 
@@ -1510,6 +1537,7 @@ static int pass_large_to_igtl(Subscription *self, Stream *stream, struct kept *k
         for (int i = 0; i < large.count; i++)
             fill(slots[1 + i], large.parts[i], large.parts_count);
         count_times(passage, TO_IGTL, locked_ns - converted_ns, converted_ns - begun_ns, passed_ns - locked_ns, passed_ns);
+        attend_recorder(passage);
     }
     free(large.made);
     return passes;
@@ -2629,7 +2657,7 @@ static PyObject *passage_new(PyTypeObject *type, PyObject *args, PyObject *keywo
     struct epoll_event event = {.events = EPOLLIN, .data.ptr = NULL};
     if (self->epoll < 0 || self->wake < 0 || !self->scratch || begin_mutex(&self->sequence) ||
         begin_mutex(&self->events) || pthread_cond_init(&self->taken_over, NULL) ||
-        pthread_cond_init(&self->large_read, NULL) || epoll_ctl(self->epoll, EPOLL_CTL_ADD, self->wake, &event)) {
+        pthread_cond_init(&self->large_read, NULL) || pthread_cond_init(&self->pressed, NULL) || epoll_ctl(self->epoll, EPOLL_CTL_ADD, self->wake, &event)) {
         Py_DECREF(self);
         return PyErr_SetFromErrno(PyExc_OSError);
     }
@@ -2773,12 +2801,28 @@ static PyObject *passage_wait_large(Passage *self, PyObject *wanted)
     return found;
 }
 
+static PyObject *passage_wait_recorder(Passage *self, PyObject *nothing)
+{
+    (void)nothing;
+    int attends;
+    Py_BEGIN_ALLOW_THREADS
+    pthread_mutex_lock(&self->events);
+    while (!self->attends && !self->woken_recorder)
+        pthread_cond_wait(&self->pressed, &self->events);
+    attends = self->attends;
+    self->attends = self->woken_recorder = 0;
+    pthread_mutex_unlock(&self->events);
+    Py_END_ALLOW_THREADS
+    return PyLong_FromSsize_t(attends ? room_ahead(self) : 0);
+}
+
 static PyObject *passage_wake(Passage *self, PyObject *nothing)
 {
     (void)nothing;
     pthread_mutex_lock(&self->events);
-    self->woken_links = self->woken_subscriptions = self->woken_large = 1;
+    self->woken_links = self->woken_subscriptions = self->woken_large = self->woken_recorder = 1;
     pthread_cond_broadcast(&self->taken_over);
+    pthread_cond_broadcast(&self->pressed);
     pthread_cond_broadcast(&self->large_read);
     pthread_mutex_unlock(&self->events);
     wake_links(self);
@@ -2869,6 +2913,7 @@ static PyMethodDef passage_methods[] = {
     {"wait_links", (PyCFunction)passage_wait_links, METH_NOARGS, "Read links; return those that need Python."},
     {"wait_subscriptions", (PyCFunction)passage_wait_subscriptions, METH_NOARGS, "Return the subscriptions that need Python."},
     {"wait_large", (PyCFunction)passage_wait_large, METH_O, "Return the links that have read large messages since; wait for one if that is wanted."},
+    {"wait_recorder", (PyCFunction)passage_wait_recorder, METH_NOARGS, "Wait until the recorder's queue needs Python; return the bytes of room that it should have, 0: nothing is to be done."},
     {"wake", (PyCFunction)passage_wake, METH_NOARGS, "End all waits."},
     {NULL, NULL, 0, NULL},
 };

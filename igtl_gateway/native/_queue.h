@@ -89,26 +89,47 @@ static inline int queue_knows(const struct queue *queue, uint64_t stream)
     return stream >> 32 == queue->counters[QUEUE_GENERATION];
 }
 
-/* Whether there is room for all of these entries at once.
- *
- * If not, Python puts them: it finds more room, wakes the reader, or counts them as dropped.  The caller has the lock.
- */
-static inline int queue_fits(const struct queue *queue, uint64_t entries, uint64_t payload_bytes)
+/* Entries and bytes that wait, with these. */
+static inline void queue_waiting(const struct queue *queue, uint64_t *entries, uint64_t *bytes)
 {
     const uint64_t *counters = queue->counters;
-    uint64_t before = counters[QUEUE_ENTRIES] - __atomic_load_n(&counters[QUEUE_DONE_ENTRIES], __ATOMIC_ACQUIRE);
-    uint64_t bytes = counters[QUEUE_TAKEN] - __atomic_load_n(&counters[QUEUE_DONE_BYTES], __ATOMIC_ACQUIRE);
-    bytes += payload_bytes + entries * QUEUE_ENTRY_BYTES;
-    uint64_t most = counters[QUEUE_MAX_BYTES];
+    *bytes += *entries * QUEUE_ENTRY_BYTES;
+    *entries += counters[QUEUE_ENTRIES] - __atomic_load_n(&counters[QUEUE_DONE_ENTRIES], __ATOMIC_ACQUIRE);
+    *bytes += counters[QUEUE_TAKEN] - __atomic_load_n(&counters[QUEUE_DONE_BYTES], __ATOMIC_ACQUIRE);
+}
+
+/* Whether the reader's attention is to be asked for with these entries, and was not. */
+static inline int queue_presses(const struct queue *queue, uint64_t entries, uint64_t payload_bytes)
+{
+    queue_waiting(queue, &entries, &payload_bytes);
+    return (payload_bytes > QUEUE_WAKE_BYTES || entries > QUEUE_WAKE_ENTRIES) &&
+           !__atomic_load_n(&queue->counters[QUEUE_BELL], __ATOMIC_RELAXED);
+}
+
+/* Bytes that the next records may have together. */
+static inline uint64_t queue_left(const struct queue *queue)
+{
+    const uint64_t *counters = queue->counters;
+    return counters[QUEUE_LIMIT] > counters[QUEUE_PLACE] ? counters[QUEUE_LIMIT] - counters[QUEUE_PLACE] : 0;
+}
+
+/* Whether there is room for all of these entries at once; the caller has the lock. */
+static inline int queue_has_room(const struct queue *queue, uint64_t entries, uint64_t payload_bytes)
+{
+    const uint64_t *counters = queue->counters;
+    uint64_t before = entries, bytes = payload_bytes, most = counters[QUEUE_MAX_BYTES];
+    queue_waiting(queue, &before, &bytes);
     if (payload_bytes >= QUEUE_LARGE_BYTES) /* one of them might be large: these give way first */
         most -= most / 8;
-    if (counters[QUEUE_CLOSED] || before + entries > counters[QUEUE_MAX_ENTRIES] || bytes > most)
-        return 0;
-    if ((bytes > QUEUE_WAKE_BYTES || before + entries > QUEUE_WAKE_ENTRIES) &&
-        !__atomic_load_n(&counters[QUEUE_BELL], __ATOMIC_RELAXED))
-        return 0;
-    return counters[QUEUE_PLACE] + payload_bytes + entries * (QUEUE_RECORD_BYTES + QUEUE_ALIGN) <=
-           counters[QUEUE_LIMIT];
+    return !counters[QUEUE_CLOSED] && before <= counters[QUEUE_MAX_ENTRIES] && bytes <= most &&
+           payload_bytes + entries * (QUEUE_RECORD_BYTES + QUEUE_ALIGN) <= queue_left(queue);
+}
+
+/* Whether these entries can be put without Python, which otherwise finds more room, wakes the reader, or counts them as
+ * dropped; the caller has the lock. */
+static inline int queue_fits(const struct queue *queue, uint64_t entries, uint64_t payload_bytes)
+{
+    return queue_has_room(queue, entries, payload_bytes) && !queue_presses(queue, entries, payload_bytes);
 }
 
 /* Begin an entry, for which queue_fits and queue_knows were true; the caller has the lock since then.

@@ -130,6 +130,13 @@ class Recorder:
             self._wake()
         return taken if isinstance(taken, QueueSlot) else None
 
+    def attend(self, room: int) -> None:
+        """Have room for the next entries of the native writer, and the worker look at what waits."""
+        with self._lock:
+            pressing = not (self._closing or self._ended) and self._queue.look_ahead(room)
+        if pressing:
+            self._wake()
+
     def counters(self) -> dict[str, Any]:
         """What was written, waits, was dropped and was left out, so far."""
         with self._lock:

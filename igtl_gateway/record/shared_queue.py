@@ -423,8 +423,19 @@ class QueueWriter(_QueueEnd):
         barrier()  # on processors that reorder writes, the record is there before the position includes it
         self._counters[_HEAD] += need
 
-    def _reserve(self, need: int) -> bool:
-        """Make room for a record of this size at the place of the next one; False if there is none."""
+    def look_ahead(self, room: int) -> bool:
+        """Have ``room`` bytes at the place of the next records, if possible; return whether the getter should look."""
+        counters = self._counters
+        if counters[_PLACE] + room > counters[_LIMIT]:
+            self._reserve(room, max(_ENOUGH_BYTES, 2 * room))
+        entries, waiting = self.waiting
+        return waiting > _WAKE_BYTES or entries >= _WAKE_ENTRIES
+
+    def _reserve(self, need: int, used: int = _ENOUGH_BYTES) -> bool:
+        """Make room for a record of this size at the place of the next one; False if there is none.
+
+        ``used``: as far as records should reach before it goes back.
+        """
         counters = self._counters
         tail, last = counters[_TAIL], counters[_PLACE]
         while self._runs and self._runs[0][0] + self._runs[0][2] - self._runs[0][1] <= tail:
@@ -443,7 +454,7 @@ class QueueWriter(_QueueEnd):
         fits = last + need <= obstacle
         enough = need + _FREE_BYTES if fits else need  # not to go back for a few bytes
         there = next((gap for gap in free if gap[1] - gap[0] >= enough), None)
-        if there and (not fits or there[0] + enough <= min(_ENOUGH_BYTES, last)):
+        if there and (not fits or there[0] + enough <= min(used, last)):
             _RECORD.pack_into(self._room, last, _MARK, there[0], 0, 0, 0)
             self._runs.append((*self._run, last + _RECORD_BYTES))
             last, obstacle = there
@@ -452,7 +463,7 @@ class QueueWriter(_QueueEnd):
             self._run = counters[_HEAD], last
         elif not fits:
             return False
-        wish = max(_ENOUGH_BYTES, last + need + _FREE_BYTES)  # up to where not to ask again
+        wish = max(used, last + need + _FREE_BYTES)  # up to where not to ask again
         counters[_LIMIT] = min(obstacle, wish) - _RECORD_BYTES
         return True
 

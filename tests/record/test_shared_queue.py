@@ -469,6 +469,16 @@ def test_it_does_not_wake_the_reader(library: ctypes.CDLL) -> None:
     assert native.put(stream, samples.igtl(4, body=b""))
 
 
+def test_room_that_was_found_ahead_is_the_native_writers(library: ctypes.CDLL, small: Pair) -> None:
+    entry = samples.flat(samples.igtl(1, body=bytes(3000)))
+    native = Native(library, small)
+    stream = native.stream(entry)
+    for _ in range(20):  # three times the ring
+        assert not small.putter.look_ahead(3200)
+        assert native.put(stream, entry)
+        assert small.get() == entry
+
+
 def test_a_number_of_a_stream_ends_when_numbers_start_again(
     library: ctypes.CDLL, pair: Pair, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -518,7 +528,7 @@ def test_what_is_put_from_python_in_c() -> None:
 
 STEPS = st.lists(
     st.tuples(
-        st.sampled_from(("native", "python", "command", "reserve", "fill", "get", "get", "get")),
+        st.sampled_from(("native", "python", "command", "reserve", "fill", "ahead", "get", "get", "get")),
         st.integers(0, 3),
         st.sampled_from((0, 1, 50, 700, 3000, 7000)),
     ),
@@ -582,6 +592,8 @@ def _alternate(pair: Pair, native: Native, steps: list[tuple[str, int, int]]) ->
             case "command":
                 assert pair.putter.command("now", number)
                 waiting.append((number, ("now", number)))
+            case "ahead":
+                pair.putter.look_ahead(2 * size)
             case "get":
                 get()
     while unfilled:

@@ -83,8 +83,10 @@ else:
             _LIBC.prctl(_PR_SET_PDEATHSIG, death_signal)
 
     def lower_priority(niceness: int) -> None:
-        """Add to the niceness of this process, where that is permitted."""
+        """Add to the niceness of this process, where that is permitted; it counts without real-time priority only."""
         with suppress(OSError):
+            if sys.platform == "linux" and os.sched_getscheduler(0) in (os.SCHED_FIFO, os.SCHED_RR):
+                os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
             os.nice(niceness)
 
     def end_session(pid: int) -> None:
