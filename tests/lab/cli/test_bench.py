@@ -14,6 +14,7 @@ from igtl_gateway_lab.bench.probe import lacks_probe
 from igtl_gateway_lab.bench.runner import BenchPlan, Runner
 from igtl_gateway_lab.bench.sweeps import SWEEPS
 from igtl_gateway_lab.bench.works import WORKS
+from tests.places import ROOT
 from tests.tables import table
 
 FIGURES = {"p50_ms": 0.5, "p99_ms": 1.0, "p999_ms": 1.5, "mean_ms": 0.6, "sd_ms": 0.1, "max_ms": 2.0}
@@ -187,6 +188,18 @@ def test_a_real_run_against_another_bridge(capsys: pytest.CaptureFixture[str]) -
     assert "bounds" in ours and "bounds" not in theirs
     runs = [line.removeprefix("transform igtl-to-ros").strip() for line in status.splitlines() if "igtl-to-ros" in line]
     assert runs == ["", other, "hop"]
+
+
+@pytest.mark.ros
+@pytest.mark.skipif(bool(lacks_probe()), reason=lacks_probe())
+def test_a_real_run_against_a_bridge_of_others_without_stamps(capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("pyigtl")
+    other = f"{sys.executable} {ROOT / 'examples' / 'bench' / 'pyigtl_bridge.py'} {{port}}"
+    words = ["--case", "transform-n", "--count", "50", "--rate", "30"]
+    assert main(["bench", *words, "--against", other, "--json", "--no-floor"]) == 0
+    rows = [row for row in json.loads(capsys.readouterr().out)["rows"] if row.get("bridge") == other]
+    assert [(row["direction"], row["sent"]) for row in rows] == [("ros-to-igtl", 50), ("igtl-to-ros", 50)]
+    assert all(row["delivered"] > 25 for row in rows)  # pyigtl keeps only the last message of a device
 
 
 @pytest.mark.ros
