@@ -200,22 +200,16 @@ class Fuzzer:
     def batch(self, folder: Path, size: int = _BATCH) -> None:
         """Read ``size`` cases."""
         began = time.monotonic()
-        _reset_peak()
-        # of now: other readers in this process have loaded libraries since this one was made
-        resident_mb = _peak_mb()
         for case in islice(self._cases, size):
             self._one(case, folder)
             self.report.cases += 1
-        peak = _peak_mb()
-        self.report.peak_mb = max(self.report.peak_mb, peak)
-        if peak > resident_mb + GROWTH_MB:
-            self._note("memory", f"a batch before case {self.report.cases} took {peak:.0f} MB", None)
         self.report.seconds += time.monotonic() - began
 
     def _one(self, case: Case, folder: Path) -> None:
         place = folder / "case"
         place.mkdir()
-        began = time.process_time()
+        _reset_peak()  # of here: to make a case may take more than to read it
+        resident_mb, began = _peak_mb(), time.process_time()
         signal.setitimer(signal.ITIMER_PROF, _HANG_S)
         signal.alarm(_WAIT_S)
         try:
@@ -238,6 +232,10 @@ class Fuzzer:
             self.report.longest_s, self.report.longest = spent, case.name[:60]
         if spent > CPU_S:
             self._note(f"slow {case.name[:40]}", f"{spent:.1f} s", case)
+        peak = _peak_mb()
+        self.report.peak_mb = max(self.report.peak_mb, peak)
+        if peak > resident_mb + GROWTH_MB:
+            self._note("memory", f"{resident_mb:.0f} -> {peak:.0f} MB", case)
         shutil.rmtree(place)
 
     def _note(self, key: str, why: str, case: Case | None) -> None:
