@@ -75,7 +75,7 @@ def test_what_others_take_is_not_of_a_case(tmp_path: Path, monkeypatch: pytest.M
     """A reader was blamed for the libraries that others load, and for the 300 MB that it took to make a nested case."""
 
     def cases(_seed: int) -> Iterator[Case]:
-        yield Case("case", {"a": (bytearray(b"1") * (90 << 20))[:1]})
+        yield Case("case", {"a": bytes((bytearray(b"1") * (90 << 20))[:1])})
 
     monkeypatch.setattr(fuzz_files, "GROWTH_MB", 30)
     fuzzer = Fuzzer(Reader(cases, lambda _path, _rng: "read"), 0, None)

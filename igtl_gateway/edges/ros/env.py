@@ -52,13 +52,15 @@ _SEGMENT = re.compile("fast(?:rtps|dds)_[0-9a-f]{16}")
 _SEGMENT_BYTES = 32 << 20
 _ROOM_BYTES = 4 * _SEGMENT_BYTES
 
-_M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD = -1, -2, -3
+_M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -2, -3, -8
 
 # mallopt takes an int.  Before 2.35 glibc refuses a mmap threshold above 32 MiB, still five Full HD images.
 _MALLOC_SETTINGS: tuple[tuple[str, int, tuple[int, ...]], ...] = (
     ("M_MMAP_THRESHOLD", _M_MMAP_THRESHOLD, (1 << 30, 32 << 20)),
     ("M_TRIM_THRESHOLD", _M_TRIM_THRESHOLD, ((1 << 31) - 1,)),
     ("M_TOP_PAD", _M_TOP_PAD, (64 << 20,)),
+    # each arena but the first keeps the largest that its threads had at once: malloc_trim leaves their ends
+    ("M_ARENA_MAX", _M_ARENA_MAX, (2,)),
 )
 _MALLOC_VARIABLES = ("MALLOC_MMAP_THRESHOLD_", "MALLOC_TRIM_THRESHOLD_", "MALLOC_TOP_PAD_")
 
@@ -166,6 +168,8 @@ def tune_malloc() -> str:
     mallopt = ctypes.CDLL(None).mallopt
     done = []
     for name, option, values in _MALLOC_SETTINGS:
+        if os.environ.get(name.replace("M_", "MALLOC_", 1)):  # the number of arenas, which has no bearing on the rest
+            continue
         value = next((value for value in values if mallopt(option, value) == 1), None)
         done.append(f"{name}={value}" if value is not None else f"{name} refused")
     return f"malloc: keeps large blocks ({', '.join(done)})"

@@ -73,8 +73,11 @@ def room_for_segments() -> bool:
 @pytest.mark.skipif(not on_glibc(), reason="mallopt is glibc's")
 def test_allocator_keeps_large_blocks() -> None:
     lines, _, fresh = prepare()
-    assert "M_MMAP_THRESHOLD=1073741824, M_TRIM_THRESHOLD=2147483647, M_TOP_PAD=67108864" in lines[1]
+    settings = "M_MMAP_THRESHOLD=1073741824, M_TRIM_THRESHOLD=2147483647, M_TOP_PAD=67108864"
+    assert f"{settings}, M_ARENA_MAX=2" in lines[1]
     assert fresh <= 4
+    lines, _, _ = prepare(MALLOC_ARENA_MAX="1")
+    assert lines[1] == f"malloc: keeps large blocks ({settings})"
     lines, _, fresh_before = prepare(MALLOC_TRIM_THRESHOLD_="131072", MALLOC_MMAP_THRESHOLD_="131072")
     assert lines[1] == "malloc: kept the user's (MALLOC_MMAP_THRESHOLD_=131072)"
     assert fresh_before >= 8
