@@ -153,6 +153,8 @@ def rows() -> list[Row]:
             Row("image and pose", pairs, named("pairs")),
             Row("lifecycle", texts(60), named("lifecycle", "manager")),
             Row("service", texts(25), named("caller", "switch"), ResimOptions(latency_ns=1_000_000)),
+            Row("action, several threads", texts(12), named("fibonacci server", "fibonacci client")),
+            Row("action, one thread", texts(12), named("fibonacci server single", "fibonacci client single")),
             Row("C on rcl", texts(400), in_c),
         ]
         as_they_are = ResimOptions(lead_ns=1_000_000_000, clocks=Clocks.SESSION)

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from igtl_gateway.addon import Config, Entry, Kind, Qos, SessionWriter, __version__
 from igtl_gateway.addons.resim.goals import numbering
+from igtl_gateway.addons.resim.unread import Digest, ledger_of
 
 #: Topics that every node has: kept in the session, but not part of the verdict.
 OF_EVERY_NODE = ("/rosout", "/parameter_events")
@@ -46,6 +47,11 @@ class OutputStream:
         self.sum.update(time_ns.to_bytes(8, "little"))
         self.sum.update(len(data).to_bytes(8, "little"))
         self.sum.update(data)
+
+    @property
+    def summary(self) -> Digest:
+        """What its digest stands for, and the digest."""
+        return Digest(self.messages, self.first_ns, self.digest)
 
     @property
     def kind(self) -> Kind:
@@ -111,4 +117,4 @@ class OutputFile:
         """Finish the file; idempotent."""
         for stream in self.streams.values():
             stream.digest = stream.sum.hexdigest()
-        self._writer.close({})
+        self._writer.close(ledger_of({name: each.summary for name, each in self.streams.items()}))

@@ -89,7 +89,8 @@ def junit_xml(result: RunResult, verdict: Verdict, outputs: tuple[str, ...] = ()
             _outcome(case, "skipped", "", "not compared: the runs cannot be judged or differ", "")
         elif not stream:
             what = verdict.reference.name if verdict.reference else "a baseline"
-            _outcome(case, "skipped", "", f"not compared: not in {what}", "")
+            why = "its type cannot be read" if name in verdict.uncompared else f"not in {what}"
+            _outcome(case, "skipped", "", f"not compared: {why}", "")
     for parent in (suite, suites):
         parent.set("tests", str(len(suite.findall("testcase"))))
         parent.set("failures", str(len(suite.findall("*/failure"))))

@@ -21,6 +21,7 @@ from igtl_gateway.addon import Entry, Kind, SessionFile, matches, recorded_units
 from igtl_gateway.addons.resim.engine import Run, RunResult
 from igtl_gateway.addons.resim.goals import numbering
 from igtl_gateway.addons.resim.outputs import OF_EVERY_NODE
+from igtl_gateway.addons.resim.unread import Digest, unread_streams
 from igtl_gateway.replay.compare import EXACT, Delta, LeafDecoder, Tolerance, Undecodable, compare_values, first_byte
 from igtl_gateway.replay.diff import DiffInput, StreamDiff, diff
 
@@ -157,6 +158,7 @@ class Verdict:
         wants_any_start: whether outputs must not depend on when the programs start.
         reference: what the outputs were compared with; None = nothing.
         streams: the streams in the reference and in the first run.
+        uncompared: streams of both that are not compared, as their type is not read and the reference has no digest.
     """
 
     runs: int
@@ -170,6 +172,7 @@ class Verdict:
     wants_any_start: bool = False
     reference: Path | None = None
     streams: list[StreamVerdict] = field(default_factory=list)
+    uncompared: list[str] = field(default_factory=list)
 
     @property
     def is_racing(self) -> bool:
@@ -220,11 +223,12 @@ class Verdict:
             same += f" ({self.race.text(self.start_ns)})"
         if not self.reference:
             return same
+        left = f"; not compared, as their type cannot be read: {', '.join(self.uncompared)}" if self.uncompared else ""
         if not self.streams:
-            return f"{same}; {self.reference.name} has none of the outputs to compare with"
+            return f"{same}; {self.reference.name} has none of the outputs to compare with{left}"
         within = sum(each.within for each in self.streams)
         how = f"equal to {self.reference.name}" + (f" within the tolerance ({within:,} messages)" if within else "")
-        return f"{same}; {how}"
+        return f"{same}; {how}{left}"
 
 
 def compare(
@@ -260,15 +264,27 @@ def compare(
         with SessionFile.open(reference) as file:
             is_resim = _RESIM_KEY in file.session
             recorded = {_name(each.kind, each.topic, each.stream) for each in file.channels if each.count} - {""}
+            unread = unread_streams(file)
+        with SessionFile.open(first.outputs) as file:
+            ours = unread_streams(file).keys()
         driven = result.roles.inputs.keys() if result.roles and reference == result.recording else ()
         expected = recorded - {*driven} if is_resim else ()
         names = [name for name in sorted({*first.streams, *expected}) if is_judged(name, outputs)]
-        names = [name for name in names if is_resim or name in recorded]
+        names = [name for name in names if (is_resim or name in recorded) and name not in {*unread, *ours}]
         verdict.streams = (
             _strictly(reference, first.outputs, names, tolerance)
             if is_resim
             else _loosely(reference, first.outputs, names, tolerance, result.links)
         )
+        for name in sorted(name for name in {*unread, *ours} - {*driven} if is_judged(name, outputs)):
+            stream = first.streams[name].summary if name in first.streams else None
+            is_known = name not in recorded and (name not in unread or unread[name].digest)
+            if stream and not is_known:
+                verdict.uncompared.append(name)
+            elif is_resim:
+                verdict.streams.append(_of_unread(name, unread.get(name), stream))
+        if not verdict.streams and not verdict.uncompared and reference != result.recording:
+            verdict.fault = f"{reference.name} has none of the outputs to compare with"
     if not verdict.streams and not any(is_judged(name, outputs) for name in first.streams):
         verdict.fault = "no program published a message"
     return verdict
@@ -285,6 +301,17 @@ def _note_unread(verdict: StreamVerdict, one: Run) -> None:
     if stream and verdict.messages < stream.messages:
         verdict.different += 1
         verdict.note(Difference(verdict.stream, 1, stream.first_ns, "unread"))
+
+
+def _of_unread(name: str, one: Digest | None, other: Digest | None) -> StreamVerdict:
+    """Compare the digests of a stream of two runs; None: it is not there."""
+    verdict = StreamVerdict(name, one.messages if one else 0, other.messages if other else 0)
+    verdict.missing, verdict.extra = int(other is None), int(one is None)
+    verdict.different = int(bool(one and other and one.digest != other.digest))
+    if not verdict.is_equal:
+        what = "missing" if other is None else "extra" if one is None else "unread"
+        verdict.first = Difference(name, 1, min(each.first_ns for each in (one, other) if each), what)
+    return verdict
 
 
 def _digest(one: Run, name: str) -> str:

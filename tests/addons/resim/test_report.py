@@ -8,15 +8,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 from xml.etree import ElementTree
 
 from igtl_gateway.addon import Qos
+from igtl_gateway.addons.resim import outputs
 from igtl_gateway.addons.resim.coordinator import Roles
 from igtl_gateway.addons.resim.engine import Run, RunResult
 from igtl_gateway.addons.resim.outputs import OutputFile, OutputStream
 from igtl_gateway.addons.resim.report import junit_xml, report_lines
 from igtl_gateway.addons.resim.verdict import Difference, Race, StreamVerdict, Verdict, compare
 from igtl_gateway.replay.compare import Delta
+from tests.addons.resim import sessions
 
 #: Element → the attributes that it must have, those that it may have, and its children.
 RULES: dict[str, tuple[set[str], set[str], set[str]]] = {
@@ -155,3 +158,44 @@ def test_bytes_of_a_type_that_is_not_read_count(tmp_path: Path) -> None:
         "NOT DETERMINISTIC: run 3 differs from run 1: /switch/_service_event: bytes of its messages differ, and their "
         "type cannot be read"
     )
+    nothing = replace(run(4), streams={})
+    for run_, baseline, code, line in (
+        (one, same, 0, "1 run; equal to 2.mcap"),
+        (
+            one,
+            other,
+            1,
+            "DIFFERENT from 3.mcap in 1 of 1 streams (1 run): /switch/_service_event: bytes of its messages",
+        ),
+        (nothing, one, 1, "DIFFERENT from 1.mcap in 1 of 1 streams (1 run): /switch/_service_event, message 1 at 0"),
+    ):
+        verdict = compare(RunResult(Path("lab.mcap"), None, [run_]), reference=baseline.outputs)
+        assert (verdict.exit_code, verdict.line()[: len(line)]) == (code, line)
+
+
+def test_a_baseline_without_digests_names_what_it_cannot_compare(tmp_path: Path) -> None:
+    """As of an earlier version, or a bag of ROS: the stream was called equal."""
+    name, type_ = "/switch/_service_event", "std_srvs/srv/SetBool_Event"
+    paths = [tmp_path / "one.mcap", tmp_path / "other.mcap"]
+    with patch.object(outputs, "ledger_of", lambda streams: {}):
+        for path, data in zip(paths, (b"\0\1\0\0\1", b"\0\1\0\0\2"), strict=True):
+            file = OutputFile(path, "lab.mcap")
+            stream = file.streams[name] = OutputStream(name, type_, Qos())
+            file.add(stream, 1, data)
+            file.close()
+    result = RunResult(Path("lab.mcap"), None, [Run(1, path, file.streams)])
+    verdict = compare(result, reference=paths[0])
+    line = "1 run; one.mcap has none of the outputs to compare with; not compared, as their type cannot be read: "
+    assert verdict.line() == line + name
+    assert "not compared: its type cannot be read" in junit_xml(result, verdict).decode()
+    verdict = compare(RunResult(Path("lab.mcap"), None, [Run(1, path)]), reference=paths[0])
+    assert verdict.line().endswith(f"{name}, message 1 at 0.000000 s: missing")
+
+
+def test_a_baseline_without_any_of_the_outputs_is_no_baseline(tmp_path: Path) -> None:
+    file = OutputFile(tmp_path / "run.mcap", "lab.mcap")
+    file.add(file.streams.setdefault("/out", OutputStream("/out", "std_msgs/msg/Empty", Qos())), 1, b"\0\1\0\0\0")
+    file.close()
+    empty = sessions.write(tmp_path / "empty.mcap", [])
+    result = RunResult(Path("lab.mcap"), None, [Run(1, file.path, file.streams)])
+    assert compare(result, reference=empty).fault == "empty.mcap has none of the outputs to compare with"

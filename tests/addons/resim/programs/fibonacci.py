@@ -1,4 +1,4 @@
-"""Client and server of an action, with goals that are cancelled and rejected, in several threads.
+"""Client and server of an action, with goals that are cancelled and rejected, in several threads; "single": in one.
 
 The arguments state which of them; "wrong" has a fault in the feedback of the sixth goal.
 """
@@ -10,7 +10,7 @@ from typing import Any
 import rclpy
 from rclpy.action import ActionClient, ActionServer, CancelResponse, GoalResponse
 from rclpy.callback_groups import ReentrantCallbackGroup
-from rclpy.executors import MultiThreadedExecutor
+from rclpy.executors import MultiThreadedExecutor, SingleThreadedExecutor
 from rclpy.node import Node
 from std_msgs.msg import String
 from test_msgs.action import Fibonacci
@@ -70,8 +70,8 @@ class Client(Node):  # type: ignore[misc]
 
 
 rclpy.init()
-executor = MultiThreadedExecutor(3)
-nodes = [{"server": Server, "client": Client}[name]() for name in sys.argv[1:] if name != "wrong"]
+executor = SingleThreadedExecutor() if "single" in sys.argv else MultiThreadedExecutor(3)
+nodes = [{"server": Server, "client": Client}[name]() for name in sys.argv[1:] if name in ("server", "client")]
 for node in nodes:
     executor.add_node(node)
 executor.spin()
