@@ -1,7 +1,7 @@
 """Why runs differ: the programs run again, three times for each thing that may differ between runs and is now the same.
 
-The runs end at the first difference.  If they are equal now, that thing is the likely cause.  After `MOST_S` no run
-begins: the cause is not worth more.
+The runs end at the first difference.  If they are equal now, and once more in as many runs as a rare difference needs,
+that thing is the likely cause.  After `MOST_S` no run begins: the cause is not worth more.
 """
 
 from __future__ import annotations
@@ -18,6 +18,8 @@ from igtl_gateway.addons.resim.verdict import Verdict, compare
 MOST_S = 60
 #: Of each try: two may be equal by chance.
 _RUNS = 3
+#: At most so many runs have to be equal once more.
+_MOST_AGAIN = 12
 #: Session time behind the first difference: the message has to be there.
 _BEHIND_NS = 1_000_000
 
@@ -45,8 +47,6 @@ _CAUSES = (
     _Cause("random numbers without a seed", env={"IGTL_GATEWAY_RESIM_RANDOM": "1"}),
     _Cause("the order of addresses in memory", command=("setarch", "-R")),
 )
-#: With ties and all causes at once.
-MOST_RUNS = _RUNS * (len(_CAUSES) + 2)
 _TIES = "which of two events of one time is first"
 _SEVERAL = "several: the wall clock, hashes, random numbers or addresses"
 _OTHER = "threads that race, or something outside of the session"
@@ -66,7 +66,7 @@ def likely_cause(
     if not verdict.unequal_run or first is None:
         return ""
     shorter = replace(options, runs=_RUNS, until_ns=first.time_ns + _BEHIND_NS)
-    tries = _Tries(recording, folder)
+    tries = _Tries(recording, folder, again=min(_MOST_AGAIN, _RUNS * (verdict.unequal_run - 1)))
     try:
         if options.swap_ties:
             shorter = replace(shorter, swap_ties=False)
@@ -94,14 +94,21 @@ def _with(programs: Sequence[Program], cause: _Cause) -> list[Program]:
 
 
 class _Tries:
-    """Runs the programs again; raises _Late after a run that ends too late."""
+    """Runs the programs again; raises _Late after a run that ends too late.
 
-    def __init__(self, recording: Path, folder: Path) -> None:
+    ``again``: runs that have to be equal after the first ones, which may be so by chance.
+    """
+
+    def __init__(self, recording: Path, folder: Path, *, again: int) -> None:
         self._recording, self._folder, self._clock = recording, folder, SystemClock()
+        self._again = again
         self._end_ns = self._clock.monotonic_ns() + MOST_S * NS_PER_S
 
     def is_equal(self, programs: Sequence[Program], options: ResimOptions) -> bool:
-        return compare(run(self._recording, programs, options, self._folder, on_run=self._look)).is_deterministic
+        return all(
+            compare(run(self._recording, programs, each, self._folder, on_run=self._look)).is_deterministic
+            for each in (options, replace(options, runs=self._again))
+        )
 
     def _look(self, _one: Run) -> None:
         if self._clock.monotonic_ns() > self._end_ns:

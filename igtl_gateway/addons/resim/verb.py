@@ -32,7 +32,7 @@ from igtl_gateway.addon import (
     written,
 )
 from igtl_gateway.addons.resim.bisect import Step, bisect, bisection_facts
-from igtl_gateway.addons.resim.causes import MOST_RUNS, MOST_S
+from igtl_gateway.addons.resim.causes import MOST_S
 from igtl_gateway.addons.resim.coordinator import Roles
 from igtl_gateway.addons.resim.engine import MOST_DELAY_S, Clocks, Program, ResimOptions, Run, RunResult, run_file
 from igtl_gateway.addons.resim.engine import run as run_programs
@@ -364,7 +364,7 @@ def _print_run(one: Run) -> None:
 
 
 def _print_search() -> None:
-    print_line(f"runs differ: looking for the cause in up to {MOST_RUNS} shorter runs, for at most {MOST_S} s")
+    print_line(f"runs differ: looking for the cause in shorter runs, for at most {MOST_S} s")
 
 
 def _print_verdict(result: RunResult, verdict: Verdict) -> None:

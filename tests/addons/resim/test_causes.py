@@ -12,6 +12,7 @@ import pytest
 from igtl_gateway.addons.resim import causes, engine
 from igtl_gateway.addons.resim.causes import likely_cause
 from igtl_gateway.addons.resim.engine import ResimOptions, Run
+from igtl_gateway.addons.resim.verdict import Difference, StreamVerdict, Verdict
 from tests.addons.resim import sessions
 from tests.addons.resim.runs import judged, program
 
@@ -35,6 +36,24 @@ def test_the_cause_is_named(tmp_path: Path, what: str, cause: str) -> None:
     assert found == cause
     verdict.cause = found
     assert verdict.line().endswith(cause)
+
+
+def test_runs_that_are_equal_by_chance_do_not_name_a_cause(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A race that shows in every fifth run was the wall clock's."""
+    found = iter([(3, True), (12, False), *[(3, False)] * 3, (3, True), (12, True)])
+
+    def again(_recording: Path, _programs: Any, options: ResimOptions, _folder: Path, **_: Any) -> Verdict:
+        runs, is_equal = next(found)
+        assert options.runs == runs
+        return Verdict(runs, 0, unequal_run=0 if is_equal else 2)
+
+    monkeypatch.setattr(causes, "run", again)
+    monkeypatch.setattr(causes, "compare", lambda verdict: verdict)
+    race = [StreamVerdict("/out", 9, 9, different=1, first=Difference("/out", 1, 0, "differs"))]
+    verdict = Verdict(6, 0, unequal_run=6, between_runs=race)
+    cause = likely_cause(tmp_path, [program("planted", "race")], ResimOptions(), verdict, tmp_path)
+    assert cause == "several: the wall clock, hashes, random numbers or addresses"
+    assert not list(found)
 
 
 def test_the_cause_is_not_looked_for_without_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
