@@ -1,7 +1,7 @@
 """Streams whose type no reader of sessions takes, such as the events of a service: their digests stand for them.
 
-A file of outputs has the digests of all its streams in its ledger.  A file without them, such as a live recording, says
-nothing about these streams: they are named as not compared.
+A file of outputs has the digests of all its streams in its ledger.  A file without them, such as a live recording,
+states nothing about these streams: they are named as not compared.
 """
 
 from __future__ import annotations
