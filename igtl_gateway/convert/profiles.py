@@ -99,6 +99,7 @@ class PeerProfile:
         replies: RTS_ types that may be sent; None for all types in ``reads``.
         takes_empty: whether the peer accepts a version 1 message without content of a type that has content.
         ping_ns: time without a message after which a GET_STATUS is sent; 0 = never.
+        asks_once: whether the peer ignores the refusal of a stream: it waits for the frame that it asks for.
         adapt: class of a content → function that adapts it to the peer.
         expects: class of a content → function that returns the metadata which the peer expects with it.
         shows: returns whether only such a peer can send a message; None if no message shows that.
@@ -114,6 +115,7 @@ class PeerProfile:
     replies: frozenset[str] | None = None
     takes_empty: bool = False
     ping_ns: int = 0
+    asks_once: bool = False
     adapt: Mapping[type, Callable[[Any], Adapted]] = field(default_factory=dict)
     expects: Mapping[type, Expected] = field(default_factory=dict)
     shows: Callable[[Message], bool] | None = None
@@ -157,6 +159,7 @@ PLUS_1 = PeerProfile(
         ("reads nine components for most POLYDATA attributes", "§6.15, reproduced"),
     ),
     reads=CPP_FACTORY | {"CLIENTINFO"},
+    asks_once=True,
     adapt={PolyData: _nine_components},
 )
 
@@ -205,11 +208,13 @@ PROFILES: tuple[PeerProfile, ...] = (
             ("answers in the highest header version received", "§10.4; PlusLib#374"),
             ("sends TRANSFORM with the metadata TransformValid, custom types TRACKEDFRAME, USMESSAGE", "§10.4"),
             ("takes a pose without the metadata TransformStatus as valid, with a warning", "PlusLib 112a7f3"),
+            ("asks for tracking data at its start only, and ignores a refusal", "PlusLib 112a7f3, reproduced"),
             ("reads nine components for most POLYDATA attributes", "§6.15, reproduced"),
         ),
         first_version=2,
         reads=CPP_FACTORY | {"CLIENTINFO"},
         ping_ns=NS_PER_S // 4,
+        asks_once=True,
         adapt={PolyData: _nine_components},
         expects={Transform: _pose_status, Position: _position_status, TrackingData: _tool_status},
         shows=_is_plus,

@@ -26,7 +26,7 @@ from igtl_gateway.wire.capability import Capability
 from igtl_gateway.wire.client_info import ClientInfo
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.point import Points
-from igtl_gateway.wire.query import EmptyQuery
+from igtl_gateway.wire.query import EmptyQuery, StartTracking
 from igtl_gateway.wire.registry import BODIES
 from igtl_gateway.wire.text import Status, String
 from igtl_gateway.wire.transform import Transform
@@ -130,6 +130,19 @@ def test_plus_as_a_client_is_recognised_from_its_first_message(attributes: tuple
     pose = rosmsg.TransformStamped(Header(T0_NS, "base"), "Tool", (0.1, 0.2, 0.3), (0.0, 0.0, 0.0, 1.0))
     (line,) = made.ros("/igtl/out/ToolToRobot", pose)
     assert line == f"igtl TRANSFORM/ToolToRobot v{2 if profile == 'plus' else 1} to 1"
+
+
+@pytest.mark.parametrize("attributes", [('TDATAResolution="0"',), ()], ids=["plus", "plus-v1"])
+def test_plus_that_asks_for_tracking_data_before_the_robot_is_there_gets_it(attributes: tuple[str, ...]) -> None:
+    made = script(role="server")
+    made.igtl(Message("CLIENTINFO", "", ClientInfo.of(client_info(*attributes))))
+    asked = join(encode(Message("STT_TDATA", "", StartTracking(0, "Robot"))))
+    assert "note stream_started" in made.igtl(asked)
+    assert "'Robot' is not known yet" in next(note.text for note in made.notes if note.code == "stream_started")
+    pose = rosmsg.TransformStamped(Header(T0_NS, "Robot"), "Tool", (0.1, 0.2, 0.3), (0.0, 0.0, 0.0, 1.0))
+    made.ros("/igtl/out/ToolToRobot", pose)
+    (tracked,) = (one for one in made.sent() if one.type == "TDATA")
+    assert tracked.content.elements["name"].tolist() == [b"ToolToRobot"]  # type: ignore[attr-defined]
 
 
 def test_frames_of_one_stamp_in_one_order_show_a_plus_of_version_1_and_that_it_has_no_validity() -> None:

@@ -98,10 +98,12 @@ def start_stream(message: Message, igtl_type: str, peer: Peer, known: IsKnownFra
     if query_name("STT", igtl_type) not in QUERIES:
         return StartedStream(ERROR, f"streams of {igtl_type} cannot be requested")
     if frame and not known(frame):
-        if not (peer.recent and frame.casefold() == _PATIENT):
+        if peer.recent and peer.profile.asks_once:
+            note = f"the frame {frame!r} is not known yet, and poses are sent as soon as it is"
+        elif not (peer.recent and frame.casefold() == _PATIENT):
             return StartedStream(ERROR, f"the frame {frame!r} is not known: no message and no transform names it")
-        note = f"the frame {frame!r} is not known, and the poses are sent in their own frames"
-        frame = ""
+        else:
+            note, frame = f"the frame {frame!r} is not known, and the poses are sent in their own frames", ""
     if igtl_type in TRACKING and len({*peer.tracked, (igtl_type, device)}) > MAX_TRACKED:
         return StartedStream(ERROR, f"it has requested {MAX_TRACKED} streams of tracking data, the maximum")
     if not peer.start_stream(igtl_type, device, _interval_ns(content), frame):
