@@ -18,7 +18,7 @@ from igtl_gateway.addons.resim.verdict import Verdict, compare
 MOST_S = 60
 #: Of each try: two may be equal by chance.
 _RUNS = 3
-#: At most so many runs have to be equal once more.
+#: At most this number of runs has to be equal once more.
 _MOST_AGAIN = 12
 #: Session time behind the first difference: the message has to be there.
 _BEHIND_NS = 1_000_000
