@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from tools.judges import plus
 from tools.judges.page import page
 from tools.judges.results import DIFFERS, EXACT, FAILS, TO_IGTL, TO_ROS, Row, summed, write
 
@@ -27,3 +28,27 @@ def test_a_judge_fails_if_anything_differs_and_the_page_shows_how(tmp_path: Path
     assert f"| Wrong | 2.0 | server | 4 | 1 | 0 | 0 | {head['date']} | `{head['commit']}` | {head['load']} |" in shown
     assert "| IMAGE | exact (3) | exact (1) |" in shown
     assert r"| STRING | differs (1): a\|b, theirs |  |" in shown
+
+
+def test_the_sequence_of_the_judge_of_plus_is_what_it_compares_with() -> None:
+    head, _, data = plus.sequence().partition(b"ElementDataFile = LOCAL\n")
+    lines = dict(line.split(" = ") for line in head.decode().splitlines())
+    size = plus.WIDTH * plus.HEIGHT
+    for number in range(plus.FRAMES):
+        assert plus.NUMBERS[data[number * size : (number + 1) * size].hex()] == number
+        for name in plus.POSES[:2]:
+            matrix = list(map(float, lines[f"Seq_Frame{number:04d}_{name}Transform"].split()))
+            assert plus.close(matrix, plus.WANTED[name](number).ravel())
+            assert lines[f"Seq_Frame{number:04d}_{name}TransformStatus"] == plus.status(name, number)
+    assert {plus.status("ProbeToReference", number) for number in range(plus.FRAMES)} == {
+        "OK",
+        "OUT_OF_VIEW",
+        "INVALID",
+    }
+
+
+def test_a_pose_that_is_turned_the_other_way_is_not_equal() -> None:
+    there = {axis: value / 1000 for axis, value in zip("xyz", (-4, 7.25, 1), strict=True)}
+    turn = {"x": -0.004999812382094068, "y": -0.009999625229901814, "z": -0.009999625229901814, "w": 0.9998875021054452}
+    assert plus.is_pose({"translation": there, "rotation": turn}, plus.reference(1))
+    assert not plus.is_pose({"translation": there, "rotation": {**turn, "w": -turn["w"]}}, plus.reference(1))
