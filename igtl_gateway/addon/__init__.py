@@ -56,6 +56,8 @@ if TYPE_CHECKING:
     from igtl_gateway.base.extras import in_use as in_use
     from igtl_gateway.base.extras import missing as missing
     from igtl_gateway.base.globs import matches as matches
+    from igtl_gateway.base.near import did_you_mean as did_you_mean
+    from igtl_gateway.base.near import near_names as near_names
     from igtl_gateway.base.once import Once as Once
     from igtl_gateway.base.qos import Endpoint as Endpoint
     from igtl_gateway.base.qos import Qos as Qos
@@ -302,6 +304,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("base.extras", "in_use missing"),
     ("base.addons", "ADDONS check_present is_present part_of"),
     ("base.globs", "matches"),
+    ("base.near", "did_you_mean near_names"),
     ("base.once", "Once"),
     ("base.systems.leaving", "expect_threads_of"),
     ("base.child", "Child report_facts"),

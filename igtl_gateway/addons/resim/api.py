@@ -73,9 +73,9 @@ def resim(
     baseline: Path | str | None = None,
     tolerance_mm: float = 0.0,
     tolerance_deg: float = 0.0,
-    inputs: Sequence[str] = (),
-    outputs: Sequence[str] = (),
-    without: Sequence[str] = (),
+    inputs: str | Sequence[str] = (),
+    outputs: str | Sequence[str] = (),
+    without: str | Sequence[str] = (),
     latency_ms: float = 0.0,
     lead_s: float = 0.0,
     permit_races: bool = False,
@@ -95,9 +95,9 @@ def resim(
         baseline: outputs of an earlier run, to compare with; None: the recording itself.
         tolerance_mm: what positions may differ from them.
         tolerance_deg: what rotations may differ from them.
-        inputs: topics that the recording drives although a program publishes them; globs.
-        outputs: topics that it does not drive; globs.
-        without: topics that programs may ask for although nothing has them; globs.
+        inputs: topics that the recording drives although a program publishes them; globs, or one.
+        outputs: topics that it does not drive; globs, or one.
+        without: topics that programs may ask for although nothing has them; globs, or one.
         latency_ms: of messages from program to program, in session time.
         lead_s: session time from the start of the programs to that of the recording.
         permit_races: whether a timer may race a topic, as of programs that sample by a timer deliberately.
@@ -130,12 +130,12 @@ def resim(
         raise ConfigError(f"clocks: found {clocks!r}, expected one of {', '.join(names)}")
     options = ResimOptions(
         runs=runs,
-        without=tuple(without),
+        without=_globs(without),
         latency_ns=round(latency_ms * NS_PER_MS),
         lead_ns=round(lead_s * NS_PER_S),
         clocks=Clocks(clocks),
-        inputs=tuple(inputs),
-        outputs=tuple(outputs),
+        inputs=_globs(inputs),
+        outputs=_globs(outputs),
         wall_s=wall_limit_s,
         cpu_s=cpu_limit_s,
     )
@@ -158,6 +158,10 @@ def resim(
             wants_any_start=any_start,
         )
         return Resimulation(result, verdict)
+
+
+def _globs(given: str | Sequence[str]) -> tuple[str, ...]:
+    return (given,) if isinstance(given, str) else tuple(given)
 
 
 def _program(given: AnyProgram, cwd: Path | str | None) -> Program:

@@ -23,7 +23,9 @@ from igtl_gateway.addon import (
     ConfigError,
     SessionFile,
     SystemClock,
+    did_you_mean,
     matches,
+    near_names,
 )
 from igtl_gateway.addons.resim.coordinator import Coordinator, Lost, Peer, ProgramFault, Roles
 from igtl_gateway.addons.resim.frames import ABI_VERSION, DEADLINE, INPUT, NEVER, Hello, Remark, welcome
@@ -42,6 +44,7 @@ from igtl_gateway.addons.resim.library import library_path
 from igtl_gateway.addons.resim.link import Gone, Listener
 from igtl_gateway.addons.resim.outputs import OF_EVERY_NODE, OutputFile, OutputStream
 from igtl_gateway.addons.resim.processes import (
+    ENDED_WELL,
     Process,
     apart_from,
     command_of,
@@ -335,7 +338,9 @@ def _run_once(
                 stack.callback(link.close)
                 hello = link.receive()
                 if not isinstance(hello, Hello) or hello.abi != ABI_VERSION:
-                    raise ProgramFault(f"{program.title}: found a library of another version: {hello!r}")
+                    version = hello.abi if isinstance(hello, Hello) else "unknown"
+                    wrong = f"found {library.name} of version {version}, expected {ABI_VERSION}"
+                    raise ProgramFault(f"resim: {wrong}: install igtl-gateway again, which compiles it")
                 process.joined(hello.pid)
                 watch.is_joining = False
                 shift_ns = (one.number - 1) * WALL_STEP_NS if options.clocks is Clocks.SHIFTED and not side else 0
@@ -378,6 +383,8 @@ def _run_once(
             one.fault = str(fault)
             if isinstance(fault, Gone) or fault.is_end:
                 one.fault = watch.ended(wait=True) or one.fault or "a program closed its connection"
+            if not one.start_s and one.fault.endswith(ENDED_WELL):
+                one.fault += " before the session began: does it spin?"
         finally:
             if one.fault:
                 one.end_ns = max(one.start_ns, coordinator.reached_ns if coordinator else 0)
@@ -397,7 +404,9 @@ def _not_received(roles: Roles, options: ResimOptions) -> str:
     wrong: dict[str, dict[str, None]] = {}
     for name in roles.missing:
         action, is_action, _ = name.partition(IN_ACTION)
-        why = "no program is its server" if is_action else "asked for, but the recording has no such topic"
+        question = did_you_mean(near_names(name, roles.unused))
+        absent = "asked for, but the recording has no such topic" + f": {question}" * bool(question)
+        why = "no program is its server" if is_action else absent
         if not (_may_miss(name, options) or _may_miss(action, options)):
             wrong.setdefault(why, {})[f"action {action}" if is_action else name] = None
     for name, why in roles.refused.items():
@@ -530,7 +539,10 @@ class _Watch:
             )
         if max(self._idle_ns, self._waited_ns / _MOST_LIMITS) > options.wall_s * 1e9:
             name = self._processes[-1].name if self.is_joining else busy.name
-            raise ProgramFault(f"{name}: {what} within {options.wall_s:g} s (the wall limit)")
+            is_idle = self._idle_ns > options.wall_s * 1e9
+            limit = "the wall limit" if is_idle else f"{_MOST_LIMITS} wall limits, as it computes"
+            seconds = options.wall_s if is_idle else _MOST_LIMITS * options.wall_s
+            raise ProgramFault(f"{name}: {what} within {seconds:g} s ({limit})")
 
     def ended(self, *, wait: bool = False) -> str:
         """Which process has ended, and how; ``""`` for none.  ``wait``: one of them is about to end."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -15,6 +17,11 @@ from igtl_gateway.base.systems.processes import KILL, end_session, ticks_per_sec
 
 #: What Python writes before an exception that nothing catches, and its exit code then.
 _TRACEBACK, _UNCAUGHT = "Traceback (most recent call last):", 1
+#: How a program ends that has nothing to do.
+ENDED_WELL = "ended with exit code 0"
+#: A line of a traceback with a place, and places in it that no user wrote.
+_FRAME = re.compile(r'  File "(?P<file>.+)", line (?P<line>[0-9]{1,9})')
+_OF_OTHERS = ("/site-packages/", "/dist-packages/", f"/python3.{sys.version_info.minor}/", "<frozen ")
 #: Seconds that a program has to end after the session, as after Ctrl-C.
 _END_S = 2.0
 #: The thread of the library that looks whether all others wait (`_resim_time.h`).
@@ -65,7 +72,9 @@ class Process:
             self._child = Child(f"resim-{name}", command, on_line=lambda line: None, env=env, death_signal=KILL)
         except OSError as error:
             is_there = isinstance(error, FileNotFoundError) and Path(command[0]).exists()
-            why = "found no interpreter of its first line" if is_there else error.strerror
+            script = f"; python {command[0]} runs a script" * command[0].endswith(".py")
+            why = f"found no interpreter of its first line{script}" if is_there else error.strerror
+            why = "found no such program; it comes with a sourced ROS 2" if command[0] == "ros2" else why
             raise ConfigError(f"{name}: cannot be started: {why}: {command[0]}") from error
 
     def joined(self, pid: int) -> None:
@@ -160,7 +169,7 @@ def apart_from(processes: Sequence[Process], place: Path) -> list[int]:
     noted = Path(f"{place}.children")
     rows = [map(int, line.split()) for line in noted.read_text("ascii").splitlines()] if noted.exists() else []
     known = {pid for each in processes for pid in each.family()}
-    marked = {int(each.name) for each in Path("/proc").iterdir() if each.name.isdigit() and mark in _environment(each)}
+    marked = {int(each.name) for each in Path("/proc").glob("[0-9]*") if mark in _environment(each)}
     marked |= {pid for pid, began in rows if _use(Path(f"/proc/{pid}/stat")).began == began}
     return sorted(marked - known)
 
@@ -173,10 +182,13 @@ def _environment(process: Path) -> list[bytes]:
 
 
 def _reason(lines: Sequence[str], code: int) -> str:
-    """The line that states why a program has ended: the last one, or the first one of a Python exception."""
+    """The line that states why a program has ended: the last one, or the first of a Python exception and its place."""
     at = max((index for index, line in enumerate(lines) if line.startswith(_TRACEBACK)), default=None)
     rest = lines if at is None or code != _UNCAUGHT else [line for line in lines[at + 1 :] if line[:1] != " "][:1]
-    return next((line.strip() for line in reversed(rest) if line.strip()), "")
+    frames = [frame for line in lines[at or 0 :] if rest is not lines and (frame := _FRAME.match(line))]
+    own = [frame for frame in frames if not any(part in frame["file"] for part in _OF_OTHERS)]
+    place = "".join(f" ({Path(frame['file']).name}, line {frame['line']})" for frame in (own or frames)[-1:])
+    return next((line.strip() + place for line in reversed(rest) if line.strip()), "")
 
 
 def command_of(pid: int) -> str:

@@ -231,7 +231,8 @@ def run(options: argparse.Namespace) -> int:
                 which = "of run 1" if done else "until then"
                 print_line(f"{options.record}: the outputs {which}, complete")
             raise
-        _keep(options, folder)
+        if any(stream.messages for one in result.runs[:1] for stream in one.streams.values()):
+            _keep(options, folder)
         verdict = judge(
             result,
             programs,

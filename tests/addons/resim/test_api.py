@@ -12,6 +12,7 @@ import pytest
 
 import igtl_gateway
 from igtl_gateway.addon import SessionFile
+from igtl_gateway.addons.resim import api
 from igtl_gateway.base.errors import ConfigError
 from tests.addons.resim import sessions
 from tests.addons.resim.runs import PROGRAMS
@@ -120,6 +121,11 @@ def test_programs_that_are_none() -> None:
         igtl_gateway.resim("none.mcap")
     with pytest.raises(ConfigError, match="programs: found '', expected a string or a list of strings"):
         igtl_gateway.resim("none.mcap", "")
+
+
+def test_one_topic_is_a_list_of_one() -> None:
+    """The letters of a string were topics."""
+    assert api._globs("/tool") == api._globs(["/tool"]) == ("/tool",)
 
 
 def test_without_the_add_on() -> None:

@@ -21,7 +21,7 @@ from typing import Any
 import pytest
 
 from igtl_gateway.addon import ConfigError, SessionFile
-from igtl_gateway.addons.resim import engine
+from igtl_gateway.addons.resim import engine, frames
 from igtl_gateway.addons.resim.coordinator import ProgramFault
 from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, run, run_file
 from igtl_gateway.addons.resim.verdict import compare
@@ -52,8 +52,13 @@ def processes_with(mark: str) -> list[str]:
             "asks",
             "/other: asked for, but the recording has no such topic; --without TOPIC runs the programs without it",
         ),
+        (
+            "mistypes",
+            "/inn: asked for, but the recording has no such topic: did you mean '/in'?; --without TOPIC runs the",
+        ),
+        ("never_spins", "faulty: ended with exit code 0 before the session began: does it spin?"),
         ("ends", "faulty: ended with exit code 0"),
-        ("raises", "faulty: ended with exit code 1: ValueError: found 3 wheels, expected 4:"),
+        ("raises", "faulty: ended with exit code 1: ValueError: found 3 wheels, expected 4: (faulty.py, line "),
         ("leaves", "faulty: ended with exit code 3"),
         ("daemonizes", "faulty: started another process, which still runs: mark-"),
         ("crashes", "faulty: was ended by signal 11"),
@@ -81,7 +86,7 @@ def test_a_fault_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wh
     assert "\n" not in verdict.line()
     assert len(result.runs) == 1
     assert processes_with(mark) == []
-    if what not in ("asks", "floods", "daemonizes"):
+    if what not in ("asks", "mistypes", "never_spins", "floods", "daemonizes"):
         assert len(published(result.runs[0].outputs, "/out")) == 20  # the outputs so far
         assert result.runs[0].delivered == {"/in": 20}
         with SessionFile.open(recording) as file:
@@ -89,12 +94,25 @@ def test_a_fault_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wh
         assert result.runs[0].end_ns == times[19]
 
 
+def test_a_library_of_another_version_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As after an update whose C parts are not compiled yet."""
+    version = frames.ABI_VERSION
+    monkeypatch.setattr(engine, "ABI_VERSION", version + 1)
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(3))
+    _, verdict = judged(recording, tmp_path, "faulty ends", runs=1)
+    assert re.fullmatch(
+        rf"resim: found _resim\S*\.so of version {version}, expected {version + 1}: install igtl-gateway again, .*",
+        verdict.fault,
+    )
+
+
 @pytest.mark.parametrize(("is_computing", "limit_s"), [(True, 10.0), (False, 1.0)])
 def test_a_program_that_waits_for_a_processor_does_not_hang(is_computing: bool, limit_s: float) -> None:
     """Beside a load of 50, a program gets 1 % of a processor: it computes, as its states show."""
     clock, program = ManualClock(), Waiting(is_computing)
     watch = engine._Watch([program], clock, ResimOptions(wall_s=1.0), lambda: None)  # type: ignore[list-item, arg-type]
-    with pytest.raises(ProgramFault, match=r"did not come to rest within 1 s \(the wall limit\)"):
+    how = r"10 s \(10 wall limits, as it computes\)" if is_computing else r"1 s \(the wall limit\)"
+    with pytest.raises(ProgramFault, match=f"did not come to rest within {how}"):
         while True:
             clock.advance(100_000_000)
             watch.look()

@@ -56,6 +56,9 @@ class TestWithRos:
         assert cli.main([*words, str(recipe(folder))]) == 2  # it needs an argument
         assert outcomes(report) == ["error"]
         assert "CANNOT BE JUDGED: planner: ended with exit code 1: IndexError" in capsys.readouterr().out
+        nothing = folder / "nothing.mcap"
+        assert cli.main([*words, str(recipe(folder)), "--record", str(nothing)]) == 2
+        assert not nothing.exists()  # the next try needs no --overwrite
 
 
 def test_what_is_refused_before_a_start(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -18,7 +18,8 @@ class Faulty(Node):  # type: ignore[misc]
         self.publisher = self.create_publisher(String, "/out", 10)
         self.count = 0
         self.fail = getattr(self, what)
-        self.create_subscription(String, "/other" if what == "asks" else "/in", self.take, 10)
+        topic = {"asks": "/other", "mistypes": "/inn"}.get(what, "/in")
+        self.create_subscription(String, topic, self.take, 10)
 
     def take(self, message: String) -> None:
         self.count += 1
@@ -28,6 +29,8 @@ class Faulty(Node):  # type: ignore[misc]
 
     def asks(self) -> None:
         pass
+
+    mistypes = never_spins = asks
 
     def ends(self) -> None:
         sys.exit(0)
@@ -109,6 +112,8 @@ class Faulty(Node):  # type: ignore[misc]
 
 rclpy.init()
 try:
-    rclpy.spin(Faulty(sys.argv[1]))
+    node = Faulty(sys.argv[1])
+    if sys.argv[1] != "never_spins":
+        rclpy.spin(node)
 except KeyboardInterrupt:
     pass
