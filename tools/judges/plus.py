@@ -3,7 +3,7 @@
 ``python tools/judges/plus.py --program PATH``: the program PlusServer, in the folder of its build.  Writes
 docs/evidence/real-programs/plus.jsonl; exit code 1 if anything differs.
 
-Strategy: PLUS plays a sequence whose pixels, poses, statuses and texts are written here.  A message is joined to its
+Strategy: PLUS plays a sequence whose pixels, poses, statuses and strings are written here.  A message is joined to its
 frame by the stamp that PLUS gives all messages of a frame, and compared with what the sequence has.  Poses of ROS come
 back: one PlusServer reads them as a tracker and serves them to the same bridge.
 """
@@ -315,7 +315,7 @@ def of_poses(place: Place, found: dict[tuple[int, int], int], version: int) -> I
     invalid = {(at, name) for at, name, _ in cases} - valid
     what = f"TRANSFORM that is not valid, version {version}"
     if version == 1:
-        text = "on /tf as a valid one: version 1 has no status; its choice of version, and a note says so"
+        text = "on /tf as a valid one: version 1 has no status; its choice of version, and a note states so"
         assert invalid <= on_tf(place), "not all are on /tf"
         yield Row(what, TO_ROS, DIFFERS, len(invalid), text)
         return

@@ -109,6 +109,7 @@ _DIGITS = {
 _ENDLESS = {
     "addons/cohort/loading.py": "the names of open files",
     "doctor/host_facts.py": "globs of names of files",
+    "addons/resim/processes.py": "a glob of names of files",
     "addons/zenoh/library.py": "lines of a library",
     "record/retention/upload_state.py": "names of files",
     "replay/compare.py": "behind the bits of an encoding",
