@@ -19,7 +19,7 @@ from igtl_gateway.base.versions import Self
 _READ_S = 5.0
 #: Lines of the standard error that are kept.
 _KEPT_LINES = 100
-
+#: Seconds that its last line may come after the end of a program.
 _LAST_LINE_S = 0.5
 
 OnLine = Callable[[str], None]

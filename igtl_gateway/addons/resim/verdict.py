@@ -32,8 +32,8 @@ _PARTS = {3: ("x", "y", "z"), 4: ("x", "y", "z", "w"), 7: ("x", "y", "z", "qx", 
 #: Why other runs may differ: with a tie, and without.
 _TIE = "a timer and an input at the same time, whose order is chosen"
 _PHASE = "a timer that races the topic, or the time since the start"
-#: The field of a difference of stamps, whose values are that of a stamp from itself, and from that of the other one.
-_STAMP = "stamp"
+#: Field and first value of a difference of stamps, whose second value is how much later the other one's is.
+_STAMP = "stamp", "0 ns"
 #: Messages that are looked at for a late one.
 _AHEAD = 16
 
@@ -73,7 +73,7 @@ class Difference:
                 return f"{place}: {abs(self.late_ns) / 1e6:.3f} ms {self.what}"
         delta = self.delta
         is_measured = delta.measure and isfinite(delta.mm) and isfinite(delta.deg)  # not those of a NaN
-        if delta.field == _STAMP:
+        if (delta.field, delta.one) == _STAMP:  # not a field of that name with another type
             return f"{place}: its stamp is later by {delta.other}"
         path, one, other = _first_part(delta.field, delta.one, delta.other)
         return f"{place}: {path} is {_short(one)} and {_short(other)}" + f" ({delta.measure})" * bool(is_measured)
@@ -511,7 +511,7 @@ def _compare_messages(
         delta.differ(*first_byte(left.data(), right.data()))
     for stamp_ns in delta.stamps_ns:
         if stamp_ns not in (0, late_ns):
-            delta.differ(_STAMP, "0 ns", f"{stamp_ns:,} ns")
+            delta.differ(*_STAMP, f"{stamp_ns:,} ns")
     verdict.mm, verdict.deg = max(verdict.mm, delta.mm), max(verdict.deg, delta.deg)
     if delta.field:
         verdict.different += 1

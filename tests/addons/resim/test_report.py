@@ -199,3 +199,14 @@ def test_a_baseline_without_any_of_the_outputs_is_no_baseline(tmp_path: Path) ->
     empty = sessions.write(tmp_path / "empty.mcap", [])
     result = RunResult(Path("lab.mcap"), None, [Run(1, file.path, file.streams)])
     assert compare(result, reference=empty).fault == "empty.mcap has none of the outputs to compare with"
+
+
+def test_a_stamp_is_later_and_a_number_of_that_name_differs() -> None:
+    later, other = Delta(), Delta()
+    later.differ("stamp", "0 ns", "5 ns")
+    other.differ("stamp", 1.5, 2.5)
+    texts = [Difference("/a", 1, 0, "differs", 0, delta).text(0) for delta in (later, other)]
+    assert texts == [
+        "/a, message 1 at 0.000000 s: its stamp is later by 5 ns",
+        "/a, message 1 at 0.000000 s: stamp is 1.5 and 2.5",
+    ]
