@@ -14,6 +14,7 @@ from typing import Protocol
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.clock import Clock
+from igtl_gateway.base.errors import WireError
 from igtl_gateway.base.once import Once
 from igtl_gateway.base.versions import Self
 from igtl_gateway.gateway import TICK, Session
@@ -21,6 +22,7 @@ from igtl_gateway.gateway.fastpath import Prepared
 from igtl_gateway.gateway.log.clocksteps import LEAST_NS, ClockStep
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.gateway.to_ros.beforehand import Results
 
 #: What a sink leaves to be done without the lock, such as the copy of a picture.
 DeferredSend = Callable[[], None]
@@ -99,9 +101,9 @@ class Hub:
         self._waiting: deque[_Input] = deque()
         self._check_clock()
 
-    def igtl(self, link: int, message: Buffer) -> None:
-        """Submit a frame from a link."""
-        self._submit(Kind.IGTL_IN, message, "", "", (link,))
+    def igtl(self, link: int, message: Buffer) -> bool:
+        """Submit a frame from a link; return whether it was seen at once that it has no valid content."""
+        return self._submit(Kind.IGTL_IN, message, "", "", (link,))
 
     def ros(self, topic: str, ros_type: str, cdr: bytes, source_ns: int) -> None:
         """Submit a message of a ROS topic."""
@@ -165,11 +167,11 @@ class Hub:
         type_name: str,
         links: tuple[int, ...],
         source_ns: int = 0,
-    ) -> None:
+    ) -> bool:
         me = threading.get_ident()
         if self._owner == me:
             self._waiting.append((kind, payload, channel, type_name, links, source_ns))
-            return
+            return False
         prepared = self._session.prepare(kind, payload, channel, type_name, links, source_ns)
         with self.sequence:
             self._owner = me
@@ -179,6 +181,7 @@ class Hub:
             finally:
                 self._owner = 0
         self._finish(rests)
+        return isinstance(prepared, Results) and isinstance(prepared.decoded, WireError)
 
     def _process_waiting(self) -> None:
         while self._waiting:

@@ -46,7 +46,8 @@ class TcpEdge:
     The clock paces retries, stalls and notes; it must run by itself.
 
     Args:
-        on_frame: link number and one whole message, unchecked; the buffer is the receiver's to keep.
+        on_frame: link number and one whole message, unchecked; the buffer is the receiver's to keep.  It may return
+            True for a message without valid content.
         on_link: a peer connected (True) or disconnected; the note's data has ``peer``, ``local``, ``role``, and, at
             the end, ``reason`` and the counts.
         on_note: link number (0 if none) and a fact: ``truncated``, ``too_large``, ``stalled``, ``unreachable``,
@@ -67,7 +68,7 @@ class TcpEdge:
     def __init__(
         self,
         *,
-        on_frame: Callable[[int, Buffer], None],
+        on_frame: Callable[[int, Buffer], object],
         on_link: Callable[[int, bool, Note], None],
         on_note: Callable[[int, Note], None],
         clock: Clock,

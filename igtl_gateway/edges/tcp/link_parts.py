@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.edges.tcp.link_info import PeerLimits
 from igtl_gateway.edges.tcp.loop import Loop
 from igtl_gateway.edges.tcp.reporter import Reporter
-from igtl_gateway.edges.tcp.turns import Turn
+from igtl_gateway.edges.tcp.turns import InvalidTime, Turn
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.native.passage import Link as NativeLink
 from igtl_gateway.native.passage import Lock, Passage
@@ -57,10 +57,11 @@ class LinkContext:
         limits: what a peer may cost.
         bodies: maximum body sizes of single types, from the limits.
         faults: number of links that a fault ended, or that ended inside a message, by the code of the note.
-        on_frame: the edge's callback for a message.
+        on_frame: the edge's callback for a message; it returns True where that has no valid content.
         drained: called when a send queue has become empty.
         passage: the native passage, which reads and sends natively where it can; None: there is none.
         wait_large: waits until large messages of a link, which the passage has read, are handled.
+        invalid: the time of large messages without valid content.
     """
 
     loop: Loop
@@ -69,10 +70,11 @@ class LinkContext:
     limits: PeerLimits
     bodies: Sequence[tuple[str, int]]
     faults: Counter[str]
-    on_frame: Callable[[int, Buffer], None]
+    on_frame: Callable[[int, Buffer], object]
     drained: Callable[[], None]
     passage: Passage | None
     wait_large: Callable[[NativeLink], None]
+    invalid: InvalidTime = field(default_factory=InvalidTime)
 
 
 class NativeEnds(NamedTuple):

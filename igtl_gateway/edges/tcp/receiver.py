@@ -162,7 +162,7 @@ class Receiver:
         """Take a turn: handle messages that wait, or what the socket has, once."""
         if self._waiting or self._receive():
             self._handle(self._loop.now() + QUANTUM_NS)
-            self._link.turn.has_more = bool(self._waiting) or self._was_full
+            self._link.turn.has_more = bool(self._waiting) or (self._was_full and self.is_reading)
             if self.after_read and self._link.is_open:
                 self.after_read()
 
@@ -239,7 +239,9 @@ class Receiver:
         waiting, call, number = self._waiting, self._reporter.call, self._link.number
         while waiting and not (self._is_stopped and until_ns):
             self._messages += 1
-            call("on_frame", self._on_frame, number, waiting.popleft())
+            size = len(waiting[0])
+            if call("on_frame", self._on_frame, number, waiting.popleft()) is True:
+                self._rest_after_invalid(size)
             if until_ns and waiting and self._loop.now() >= until_ns:
                 break
         if not self._link.is_open:
@@ -248,6 +250,13 @@ class Receiver:
             self._loop.ask(self._link.turn)
         elif self._prepare():
             self._let_passage_read()
+
+    def _rest_after_invalid(self, size: int) -> None:
+        rest_s = self._context.invalid.rest_s(size, self._loop.now())
+        if rest_s and self._link.is_open:
+            self._rate.is_pausing = True
+            self._link.watch()
+            self._loop.call_later(rest_s, self._end_rate_pause, self._link.failed)
 
     def _prepare(self) -> bool:
         """Make room for what comes next; False if nothing may come any more."""

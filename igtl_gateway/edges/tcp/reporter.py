@@ -33,10 +33,10 @@ class Reporter:
         self._on_note = on_note
         self._repeated: dict[str, _RepeatedFact] = {}
 
-    def call(self, name: str, callback: Callable[..., None], *args: object) -> None:
-        """Make the callback; if it raises, note that."""
+    def call(self, name: str, callback: Callable[..., object], *args: object) -> object:
+        """Make the callback and return what it does; if it raises, note that."""
         try:
-            callback(*args)
+            return callback(*args)
         except Exception as exc:
             cause = f"{type(exc).__name__}: {exc}"
             _log.debug("%s raised", name, exc_info=exc)
@@ -46,6 +46,7 @@ class Reporter:
                 return Note(Level.ERROR, "callback_failed", f"{name} raised {cause}", data=data)
 
             self.note_rate_limited(f"{name} raised {type(exc).__name__}", make)
+            return None
 
     def note(self, number: int, note: Note) -> None:
         """Note a fact about the link of that number (0 if none)."""

@@ -16,11 +16,35 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable
 
+from igtl_gateway.base.stamp import NS_PER_S
+
 #: A turn ends after the message with which it has lasted this long.
 QUANTUM_NS = 100_000
 
 #: The part of its time that a turn costs which leaves nothing to be done.
 _PART = 8
+
+#: Large messages without valid content rest for this multiple of their time, beyond what may come at once.
+_REST, _BURST_NS = 9, 200_000_000
+#: What is too large to be one of many small ones, and what a byte of it costs.
+_LARGE_BYTES, _NS_PER_BYTE = 64 << 10, 1
+
+
+class InvalidTime:
+    """The time that large messages without valid content may take, of all links together: a tenth.
+
+    Twenty peers that send pictures with a wrong CRC would otherwise fill both cores, and the poses of ROS wait.
+    """
+
+    def __init__(self) -> None:
+        self._until_ns = 0
+
+    def rest_s(self, size: int, now_ns: int) -> float:
+        """Count such a message of this size; return how long (s) its link is not to be read."""
+        if size < _LARGE_BYTES:
+            return 0.0
+        self._until_ns = max(self._until_ns, now_ns - _BURST_NS) + _REST * _NS_PER_BYTE * size
+        return max(0, self._until_ns - now_ns) / NS_PER_S
 
 
 class Turn:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter
+from itertools import pairwise
 from typing import Any
 
 import pytest
 
-from igtl_gateway.edges.tcp import PeerLimits
+from igtl_gateway.edges.tcp import PeerLimits, turns
 from igtl_gateway.edges.tcp.receiver import Receiver
-from igtl_gateway.edges.tcp.turns import QUANTUM_NS, Turn, Turns
+from igtl_gateway.edges.tcp.turns import QUANTUM_NS, InvalidTime, Turn, Turns
 from tests.edges.tcp.world import World, message, number_of
 
 US = 1_000
@@ -162,6 +163,31 @@ def test_a_large_message_is_read_in_turns(world: World, monkeypatch: pytest.Monk
     (frame,) = seen.wait("frame")
     assert bytes(frame) == large
     assert max(rooms) == 512 << 10
+
+
+def test_large_messages_without_valid_content_take_a_tenth_of_the_time() -> None:
+    invalid, now_ns, size = InvalidTime(), 10**12, 6 << 20
+    assert invalid.rest_s(100, now_ns) == 0
+    for _ in range(1000):
+        now_ns += round(invalid.rest_s(size, now_ns) * 10**9)
+    assert now_ns - 10**12 == pytest.approx(1000 * 9 * size, rel=0.01)
+
+
+def test_a_link_with_a_large_invalid_message_is_not_read_for_a_while(
+    world: World, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(turns, "_BURST_NS", 0)
+    times: list[int] = []
+
+    def invalid(_number: int, _frame: Any) -> bool:
+        times.append(time.monotonic_ns())
+        return True
+
+    _, seen, port = world.server()
+    seen.on_frame_hook = invalid
+    world.peer(port).send(message(1, size=1 << 20) * 3)
+    seen.wait("frame", 3)
+    assert min(b - a for a, b in pairwise(times)) >= 9 << 20
 
 
 def test_what_was_received_before_the_end_of_a_link_is_handled(world: World) -> None:

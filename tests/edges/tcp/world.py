@@ -38,16 +38,16 @@ class Seen:
     def __init__(self) -> None:
         self.events: list[tuple[str, int, Any]] = []
         self._changed = threading.Condition()
-        self.on_frame_hook: Callable[[int, Any], None] = lambda number, frame: None
+        self.on_frame_hook: Callable[[int, Any], object] = lambda number, frame: None
 
     def _add(self, what: str, number: int, value: Any) -> None:
         with self._changed:
             self.events.append((what, number, value))
             self._changed.notify_all()
 
-    def on_frame(self, number: int, frame: Any) -> None:
+    def on_frame(self, number: int, frame: Any) -> object:
         self._add("frame", number, frame)
-        self.on_frame_hook(number, frame)
+        return self.on_frame_hook(number, frame)
 
     def on_link(self, number: int, up: bool, note: Note) -> None:
         self._add("up" if up else "down", number, note)
