@@ -159,8 +159,6 @@ _ELSEWHERE = {
     "addons/merge/writer.py": "in a place of its caller",
     "record/sessionfile/side_file.py": "moved to its name when it is complete",
     "record/parts.py": "the folder of a recording that grows",
-    "record/ring.py": "a trial, removed at once",
-    "record/sole_file.py": "the same",
     "addons/cohort/results.py": "parts that count when the manifest lists them; its lock removes the others",
     "addons/cohort/query.py": "in a place of its caller",
     "addons/resim/bisect.py": "in a temporary directory",

@@ -46,4 +46,4 @@ def _losses(ledger: dict[str, Any]) -> Iterator[tuple[str, int]]:
         if number := counts.get("lost", 0):
             yield f"messages on {topic}, lost before the bridge received them", number
     if number := ledger.get("recorder", {}).get("dropped_entries", 0):
-        yield "entries dropped because the queue of the recorder was full", number
+        yield "entries that the recorder dropped: its queue was full, or the disk failed", number

@@ -11,6 +11,7 @@ import os
 import platform
 import sys
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future
 from concurrent.futures import TimeoutError as NotYetError
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -39,8 +40,9 @@ START, STOP = "~/start_recording", "~/stop_recording"
 PAUSE, RESUME, SNAPSHOT = "~/pause_recording", "~/resume_recording", "~/snapshot"
 SPLIT = "~/split_recording"
 
-#: Longest wait for a snapshot, in seconds: enough for half a gigabyte on a slow disk.
-_SNAPSHOT_S = 60.0
+#: Longest wait for a snapshot, in seconds: enough for half a gigabyte on a slow disk; and for the begin or the end of a
+#: file, before which what waits is written.
+_SNAPSHOT_S, _FILE_S = 60.0, 10.0
 
 
 class Uploads(Protocol):
@@ -168,16 +170,16 @@ def start(recorder: Recorder) -> tuple[bool, str]:
         return False, f"the last {recorder.options.snapshot_s:g} s are kept in memory; save them"
     if not recorder.rests:
         return False, recorder.failure or "the recording runs already"
-    recorder.start()
-    return True, "the recording starts"
+    return _outcome(recorder.start(), "the recording begins: ", _FILE_S)
 
 
 def stop(recorder: Recorder) -> tuple[bool, str]:
     """Close the file; return whether that was possible, and a sentence for people."""
-    if recorder.failure or recorder.rests or recorder.options.snapshot_s:
-        return False, recorder.failure or ("nothing is written to a file" if recorder.options.snapshot_s else _RESTS)
-    recorder.stop()
-    return True, "the recording is closed"
+    if recorder.options.snapshot_s:
+        return False, "nothing is written to a file"
+    if recorder.rests:
+        return False, recorder.failure or _RESTS
+    return _outcome(recorder.stop(), "the recording is closed: ", _FILE_S)
 
 
 def pause(recorder: Recorder) -> tuple[bool, str]:
@@ -200,17 +202,22 @@ def split(recorder: Recorder) -> tuple[bool, str]:
 def _with_file(recorder: Recorder, action: Callable[[], object], done: str) -> tuple[bool, str]:
     """Do something with the file; return whether there is one, and a sentence for people."""
     if recorder.rests:
-        return False, _RESTS
+        return False, recorder.failure or _RESTS
     action()
     return not recorder.failure, recorder.failure or done
 
 
 def snapshot(recorder: Recorder) -> tuple[bool, str]:
     """Write a snapshot and wait for it; return whether that was possible, and the path or the reason."""
+    return _outcome(recorder.snapshot(), "", _SNAPSHOT_S)
+
+
+def _outcome(done: Future[Path], words: str, timeout_s: float) -> tuple[bool, str]:
+    """Wait for a request; return whether it was possible, and its path or the reason."""
     try:
-        return True, str(recorder.snapshot().result(_SNAPSHOT_S))
+        return True, f"{words}{done.result(timeout_s)}"
     except NotYetError:
-        return False, f"not written within {_SNAPSHOT_S:g} s"
+        return False, f"the disk has not answered within {timeout_s:g} s; a note reports the outcome"
     except Exception as error:  # for example of the disk: the caller gets the same text as the note
         return False, str(error)
 

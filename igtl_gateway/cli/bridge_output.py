@@ -29,6 +29,7 @@ from igtl_gateway.wire.registry import BODIES
 
 if TYPE_CHECKING:
     from igtl_gateway.app.metrics import MetricsServer
+    from igtl_gateway.record.recorder import Recorder
 
 #: Level of a note → priority in the journal.
 _PRIORITIES = {Level.INFO: service.INFO, Level.WARN: service.WARNING, Level.ERROR: service.ERROR}
@@ -36,6 +37,10 @@ _MAX_LOSSES = 20  # lines at the end; all are in the recording
 _MAX_CAUSES = (
     1000  # causes of notes that are counted apart: a peer that invents device names must not flood the terminal
 )
+
+
+#: Codes of notes that are each printed: they name a file that is missing.
+_OF_DISK = frozenset({"record_failed", "record_continued", "record_stalled", "trigger_incomplete"})
 
 
 class BridgeOutput(Protocol):
@@ -48,6 +53,13 @@ class BridgeOutput(Protocol):
     def events(self, events: list[Event]) -> None: ...
     def status(self, bridge: Bridge, watch: EntryWatch, seconds: float) -> None: ...
     def stopped(self, bridge: Bridge, watch: EntryWatch) -> None: ...
+
+
+def _state_of(recorder: Recorder) -> str:
+    """Return the state of a recording for the status line, with a space; "": it runs."""
+    if recorder.failure:
+        return "(FAILED) "
+    return "(stopped) " if recorder.rests else "(paused) " if recorder.paused else ""
 
 
 class StatusLine:
@@ -66,7 +78,7 @@ class StatusLine:
         recorded = ""
         if bridge.recorder:
             counters = bridge.recorder.counters()
-            state = "(stopped) " if bridge.recorder.rests else "(paused) " if bridge.recorder.paused else ""
+            state = _state_of(bridge.recorder)
             recorded = f" | recorded {state}{counters['written_entries']:,}" + (
                 f" LOST {counters['dropped_entries']:,}" if counters["dropped_entries"] else ""
             )
@@ -155,7 +167,7 @@ class TextOutput:
             is_first = cause not in self._repeats
             self._repeats[cause] += 1 + event.more
             # the recording has all notes; the terminal has the first of each cause
-            is_shown = (note.level is Level.INFO and note.code != FAULT) or is_first
+            is_shown = (note.level is Level.INFO and note.code != FAULT) or is_first or note.code in _OF_DISK
             if is_shown and self._logs(note.level):
                 more = f" ({event.more:,} more like it)" if event.more else ""
                 self._print(f"{self._MARKS[note.level]} {note_text(note, links)}{more}", _PRIORITIES[note.level])

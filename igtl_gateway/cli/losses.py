@@ -84,5 +84,6 @@ def losses(ledger: dict[str, Any] | None) -> list[str]:
         lines.append(f"{number:>7,}  links: {_LINK_FAULTS.get(code, code)}")
     recorder = ledger.get("recorder", {})
     if recorder.get("dropped_entries"):
-        lines.append(f"{recorder['dropped_entries']:>7,}  entries dropped because the queue of the recorder was full")
+        why = "its queue was full, or the disk failed"
+        lines.append(f"{recorder['dropped_entries']:>7,}  entries that the recorder dropped: {why}")
     return lines

@@ -103,6 +103,7 @@ class BlackBox(Ring):
         clock: paces attempts, and ends windows in which nothing comes.
         counters: returns those of the recorder, for the ledger.
         on_note: takes notes.
+        on_obstacle: called with what is in the way of files, and whether one is missing for that; "": nothing is.
     """
 
     def __init__(
@@ -118,12 +119,14 @@ class BlackBox(Ring):
         clock: Clock,
         counters: Callable[[], dict[str, Any]],
         on_note: Callable[[Note], None],
+        on_obstacle: Callable[[str, bool], None] = lambda _why, _is_missing: None,
     ) -> None:
         super().__init__(path, open_file, prologue, seconds=seconds, max_bytes=max_bytes)
         self._triggers = triggers
         self._clock = clock
         self._counters = counters
         self._on_note = on_note
+        self._on_obstacle = on_obstacle
         self._linger_ns = max(_LEAST_LINGER_NS, *(self._before_ns(rule) for rule in rules))
         self._window: _Window | None = None
         self._last_ns = 0  # of the last entry
@@ -262,7 +265,9 @@ class BlackBox(Ring):
                 with suppress(ValueError):
                     self.files.remove(path)
             window.failed.clear()
-            window.why_not = ""
+            if window.why_not:
+                window.why_not = ""
+                self._on_obstacle("", False)
 
     def _open_earlier(self, window: _Window, writer: SessionWriter) -> None:
         """Write the file of a window again, with what memory has before it."""
@@ -299,8 +304,9 @@ class BlackBox(Ring):
     def lose_file(self, window: _Window, why: str) -> None:
         """Take notice that the file of a window cannot be written (further)."""
         if not window.why_not:
-            text = f"black box, {_names(window.rows)}: {why}; it is tried again while memory has the window"
-            self._on_note(Note(Level.WARN, INCOMPLETE, text))
+            text = f"black box, {_names(window.rows)}: {why}"
+            self._on_obstacle(text, False)
+            self._on_note(Note(Level.WARN, INCOMPLETE, f"{text}; it is tried again while memory has the window"))
         window.why_not = why
         if window.writer:
             path, window.writer = window.writer.path, None
@@ -326,8 +332,10 @@ class BlackBox(Ring):
             text = f"black box, {_names(window.rows)}: no file: {window.why_not}"
             if window.failed:
                 text += f"; igtl-gateway recover repairs {' and '.join(map(str, window.failed))}"
+            self._on_obstacle(text, True)
             self._on_note(Note(Level.ERROR, INCOMPLETE, text, data={"triggers": rows[:_IN_NOTE]}))
             return
+        self._on_obstacle("", False)
         self.entries += window.writer.entries
         self.undefined += [name for name in window.writer.undefined if name not in self.undefined]
         self.size += window.writer.path.stat().st_size

@@ -7,6 +7,7 @@ part, and everything else opens as it is.
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -42,6 +43,7 @@ class PartsWriter:
         max_bytes, max_s: a part ends when it has this size or duration; 0: never.
         overwrite: replace an existing split recording.
         waits: rest at first; the first part has number 1 then: it begins midway, as those after it.
+        later: create the folder with the first part, not now.
         counters: of the recorder so far, for the ledger of a part that is not the last.
         on_closed: called when a part is closed.
 
@@ -58,6 +60,7 @@ class PartsWriter:
         max_s: float,
         overwrite: bool,
         waits: bool = False,
+        later: bool = False,
         counters: Callable[[], dict[str, Any]],
         on_closed: Callable[[], None] = lambda: None,
     ) -> None:
@@ -68,20 +71,33 @@ class PartsWriter:
         self._max_bytes, self._max_ns = max_bytes, int(max_s * NS_PER_S)
         self._counters = counters
         self._parts: list[RecordingPart] = []
+        self._left: list[Path] = []  # parts that could not be written to their end
+        self._left_entries = 0
         self._number = 0
         self._asked = False  # the next part
         self._previous = ""  # name of the part before
         self._rests = self._ended = waits  # ended: the part is one of the complete ones
-        self._old = _make_folder(self.path, overwrite)
+        self._overwrite = overwrite
+        self._old: list[Path] = []
+        self._has_folder = False
+        if later:
+            self._rests = self._ended = True
+            return
+        self._prepare()
         if waits:
             return
         try:
-            self._part = self._open()
+            self._part = self._open(0)
         except RecordingError:
             with contextlib.suppress(OSError):  # it holds something
                 self.path.rmdir()
             raise
         self._remove_old()
+
+    def _prepare(self) -> None:
+        """Make the folder.  Raises RecordingError."""
+        self._old = _make_folder(self.path, self._overwrite)
+        self._has_folder = True
 
     def _remove_old(self) -> None:
         """Remove the files of an earlier recording, which stays until the new one has begun."""
@@ -92,7 +108,8 @@ class PartsWriter:
 
     @property
     def entries(self) -> int:
-        return sum(part.entries for part in self._parts) + (0 if self._ended else self._part.entries)
+        closed = sum(part.entries for part in self._parts) + self._left_entries
+        return closed + (0 if self._ended else self._part.entries)
 
     @property
     def undefined(self) -> list[str]:
@@ -101,7 +118,7 @@ class PartsWriter:
     @property
     def files(self) -> list[Path]:
         """All that was written."""
-        known = [part.path for part in self._parts]
+        known = [*(part.path for part in self._parts), *self._left]
         return [*known, *([] if self._ended else [self._part.path]), self.path / SIDE_FILE]
 
     def write(self, entry: Entry) -> None:
@@ -138,8 +155,23 @@ class PartsWriter:
             self._rests = True
             self._end(ledger, last_part=False)
 
+    def abandon(self) -> int:
+        """Leave a part that cannot be written further, and rest; return how many entries it may not have."""
+        if self._rests or self._ended:
+            self._rests = True
+            return 0
+        part = self._part
+        if not part.has_failed:
+            return 0
+        self._rests = self._ended = True
+        self._left.append(part.path)
+        self._left_entries += part.flushed_entries
+        return part.entries - part.flushed_entries
+
     def begin(self) -> Path:
         """Begin the next part after a rest, and return its path.  Raises RecordingError."""
+        if not self._has_folder or not self.path.is_dir():  # a disk that was repaired may have lost it
+            self._prepare()
         self._next()
         self._rests = False
         self._remove_old()
@@ -155,11 +187,14 @@ class PartsWriter:
         return self._part.path, lost
 
     def _next(self) -> None:
-        if self._parts or not self._rests:
+        if self._parts or self._left or not self._rests:
             self._previous = self._part.path.name
-        self._number += 1
         self._asked = False
-        self._part = self._open()
+        number = self._number + 1
+        while (path := part_path(self.path, number)) not in self._old and os.path.lexists(path):
+            number += 1  # the beginning of one that the disk refused
+        self._part = self._open(number)
+        self._number = number
         self._ended = False
 
     def _full(self, entry: Entry) -> bool:
@@ -170,11 +205,11 @@ class PartsWriter:
             or (self._max_ns and lasted_ns >= self._max_ns)
         )
 
-    def _open(self) -> SessionWriter:
-        facts = {layout.PART_KEY: str(self._number)}
+    def _open(self, number: int) -> SessionWriter:
+        facts = {layout.PART_KEY: str(number)}
         if self._previous:
             facts[layout.PREVIOUS_KEY] = self._previous
-        return self._open_part(part_path(self.path, self._number), facts, self._prologue.entries())
+        return self._open_part(part_path(self.path, number), facts, self._prologue.entries())
 
     def _end(self, ledger: dict[str, Any], *, last_part: bool = True) -> None:
         part = self._part

@@ -25,6 +25,7 @@ from typing import Any
 
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.errors import RecordingError
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.host import Host, in_process
@@ -35,6 +36,10 @@ from igtl_gateway.record.shared_queue import QueueSlot, QueueWriter
 from igtl_gateway.record.worker import FAILED, THREAD, RecordingSummary, WorkerSettings, WorkerState
 
 _ENDED = "the recording has ended"
+#: Codes of the notes about a worker that does not come on with what waits, and that does again.
+STALLED, MOVES = "record_stalled", "record_moves"
+#: The listening thread looks at this interval, s; a worker that took nothing for the second time, ns, is stalled.
+_LOOK_S, _STILL_NS = 0.5, 3_000_000_000
 
 
 class Recorder:
@@ -75,11 +80,14 @@ class Recorder:
         self._lock = lock or threading.Lock()  # held for a few operations at a time; guards all up to the empty line
         self._dropped: Counter[str] = Counter()
         self._closing = False
-        self._snapshots: dict[int, Future[Path]] = {}
-        self._asked_snapshots = 0
+        self._requests: dict[int, Future[Path]] = {}  # starts, stops and snapshots
+        self._requested = 0
 
         self._state = WorkerState(file="" if self.options.waits or self.options.snapshot_s else str(path))
         self._ended = False
+        self._clock = clock
+        self._done, self._done_ns = 0, clock.monotonic_ns()  # what the worker had taken, and since when
+        self._stalled = False
         self._summary: RecordingSummary | None = None
         self._sending = threading.Lock()  # of the pipe
         settings = WorkerSettings(path, dict(session), self.options, rule or StateInputRule())
@@ -122,7 +130,7 @@ class Recorder:
         with self._lock:
             taken: bool | QueueSlot = False
             try:
-                taken = not (self._closing or self._state.failure) and self._queue.reserve(entry)
+                taken = not (self._closing or self._ended) and self._queue.reserve(entry)
             finally:
                 if taken is False:
                     self._count_drop(entry)
@@ -146,18 +154,22 @@ class Recorder:
 
     def facts(self) -> dict[str, Any]:
         """The counters, whether and to which file it records, and the entries since the last start."""
-        counters, (written, left_out) = self.counters(), self._state.before
+        counters, (written, left_out, dropped) = self.counters(), self._state.before
         return counters | {
             "paused": self.paused,
             "rests": self.rests,
             "file": self.file,
+            "saved_files": self._state.saved[0],
+            "saved_bytes": self._state.saved[1],
+            "stalled_s": (self._clock.monotonic_ns() - self._done_ns) / NS_PER_S if self._stalled else 0.0,
             "entries_since_start": counters["written_entries"] - written,
             "left_out_since_start": counters["left_out_entries"] - left_out,
+            "dropped_since_start": counters["dropped_entries"] - dropped,
         }
 
     @property
     def failure(self) -> str:
-        """Why the recording ended before its time, or ``""``."""
+        """Why nothing can be written to a file, or ``""``."""
         return self._state.failure
 
     @property
@@ -167,21 +179,24 @@ class Recorder:
 
     @property
     def rests(self) -> bool:
-        """Whether no file is open: before the start of a recording that waits, and after a stop."""
-        return not (self._state.file or self.options.snapshot_s or self._state.failure)
+        """Whether no file is open: before the start of a recording that waits, after a stop and after a failure."""
+        return not (self._state.file or self.options.snapshot_s)
 
     @property
     def file(self) -> str:
         """The file that is being written; "": there is none."""
         return self._state.file
 
-    def start(self) -> None:
-        """Begin the next file with the next input, after a stop or in a recording that waits."""
-        self._command("start")
+    def start(self) -> Future[Path]:
+        """Begin the next file with the next input, after a stop, a failure or in a recording that waits.
 
-    def stop(self) -> None:
-        """Close the file before the next input, and write nothing until the next start."""
-        self._command("stop")
+        The result is its path, or a RecordingError.
+        """
+        return self._request("start")
+
+    def stop(self) -> Future[Path]:
+        """Close the file before the next input, and write nothing until the next start; the result as of ``start``."""
+        return self._request("stop")
 
     def pause(self) -> None:
         """From the next input on, record no more than what later outputs depend on."""
@@ -197,14 +212,17 @@ class Recorder:
 
     def snapshot(self) -> Future[Path]:
         """Write the last seconds into a file; the result is its path, or a RecordingError."""
+        return self._request("snapshot")
+
+    def _request(self, what: str) -> Future[Path]:
         done: Future[Path] = Future()
         done.set_running_or_notify_cancel()  # what is under way cannot be cancelled
         with self._lock:
-            self._asked_snapshots += 1
-            number = self._asked_snapshots
-            self._snapshots[number] = done
-        if not self._command("snapshot", number):
-            self._end_snapshot(number, None, _ENDED)
+            self._requested += 1
+            number = self._requested
+            self._requests[number] = done
+        if not self._command(what, number):
+            self._answer(number, None, self._state.failure or _ENDED)
         return done
 
     def close(self, ledger: dict[str, Any]) -> RecordingSummary:
@@ -258,6 +276,9 @@ class Recorder:
             self._on_message("note", [Note(Level.WARN, THREAD, self._place.warning)])
         while not self._ended:
             try:
+                self._watch_progress()
+                if not self._pipe.poll(_LOOK_S):
+                    continue
                 topic, *values = self._pipe.recv()
             except (EOFError, OSError):
                 self._on_worker_death()
@@ -275,21 +296,36 @@ class Recorder:
                     self._command("fail", f"recording to {self._path} failed: {type(error).__name__}: {error}")
             case "state":
                 self._state = values[0]
-                if self._state.failure:
-                    self._queue.close()
             case "qos":
                 self._send(self._qos(*values))
             case "drops":
                 with self._lock:
                     dropped = dict(self._dropped)
                 self._send(dropped)
-            case "snapshot":
-                self._end_snapshot(*values)
+            case "answer":
+                self._answer(*values)
             case "closed":
                 with self._lock:
                     self._state, self._summary = values
                     self._ended = True
                     self._queue.close()
+
+    def _watch_progress(self) -> None:
+        """Report that the worker does not come on with what waits, once, and when it does again."""
+        entries, size = self._queue.waiting
+        done, now_ns = self._queue.entries_put - entries, self._clock.monotonic_ns()
+        if done != self._done or not entries:
+            if self._stalled:
+                text = f"the disk answers again, after {(now_ns - self._done_ns) / NS_PER_S:.1f} s"
+                self._on_message("note", [Note(Level.INFO, MOVES, text)])
+            self._done, self._done_ns, self._stalled = done, now_ns, False
+        elif not self._stalled and now_ns - self._done_ns >= _STILL_NS:
+            self._stalled = True
+            text = (
+                f"the disk does not answer: nothing was written for {_STILL_NS / NS_PER_S:g} s; {entries:,} entries "
+                f"({size:,} bytes) wait in memory, and what it has no room for is dropped"
+            )
+            self._on_message("note", [Note(Level.WARN, STALLED, text)])
 
     def _qos(self, topic: str, ros_type: str) -> Any:
         """The QoS, or the words of a defect."""
@@ -330,9 +366,9 @@ class Recorder:
             values["failure"],
         )
 
-    def _end_snapshot(self, number: int, path: Path | None, why: str) -> None:
+    def _answer(self, number: int, path: Path | None, why: str) -> None:
         with self._lock:
-            done = self._snapshots.pop(number, None)
+            done = self._requests.pop(number, None)
         if done and path:
             done.set_result(path)
         elif done:
@@ -342,8 +378,8 @@ class Recorder:
         """There is no worker any more."""
         self._queue.release()
         with self._lock:
-            waiting = list(self._snapshots)
+            waiting = list(self._requests)
         for number in waiting:
-            self._end_snapshot(number, None, _ENDED)
+            self._answer(number, None, self._state.failure or _ENDED)
         with self._sending:  # no thread may write to the next file with this number
             self._pipe.close()

@@ -15,7 +15,7 @@ from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.layout import LayoutError
-from igtl_gateway.record.sessionfile.new_file import create_file
+from igtl_gateway.record.sessionfile.new_file import try_file
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 
 #: (path, further session facts, prologue) → the writer of a snapshot.
@@ -32,8 +32,6 @@ class Ring:
         open_file: makes the writer of a snapshot.
         prologue: has to be fresh.
         seconds, max_bytes: older entries, and those above the size, are dropped, an input with its outputs.
-
-    Raises RecordingError when no file can be created there.
     """
 
     def __init__(self, path: Path, open_file: Open, prologue: Prologue, *, seconds: float, max_bytes: int) -> None:
@@ -50,9 +48,10 @@ class Ring:
         self._bytes = 0
         #: Stamp of the newest input that was forgotten, UTC ns; 0: none was.
         self.forgotten_ns = 0
-        trial = self._path(0)
-        create_file(trial).close()  # an obstacle is reported now, not at the first snapshot
-        trial.unlink()
+
+    def try_place(self) -> None:
+        """Report an obstacle now, not at the first snapshot.  Raises RecordingError."""
+        try_file(self.path, self._path(0))
 
     def write(self, entry: Entry) -> None:
         """Keep an entry, and drop those that are too old."""

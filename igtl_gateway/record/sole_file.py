@@ -1,4 +1,4 @@
-"""A recording that is not split: one file, and a next one where that was taken away, or was closed on request.
+"""A recording that is not split: one file, and a next one where that was taken away, was closed on request, or failed.
 
 A file that another program removes, replaces or changes while it is written cannot be continued.  What comes then goes
 into ``name_1.mcap`` beside it, a later part of the recording: it begins with what is known of the inputs before it.
@@ -17,7 +17,6 @@ from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.chunk_rows import RowStream
-from igtl_gateway.record.sessionfile.new_file import create_file
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.record.shared_queue import LARGE_BYTES
 
@@ -47,11 +46,7 @@ class SoleFile:
         self._closed_entries = 0
         #: The writer of the present file; None in a rest.
         self.file: SessionWriter | None = None
-        if waits:
-            trial = path.with_name(f".{path.name}.trial")
-            create_file(trial).close()  # an obstacle is reported now, not at the first request
-            trial.unlink()
-        else:
+        if not waits:
             self.file = open_file(path, {}, ())
 
     @property
@@ -111,6 +106,17 @@ class SoleFile:
             self._closed.append(self.file.path)
             self._closed_entries += self.file.entries
             self._previous, self.file = self.file.path.name, None
+
+    def abandon(self) -> int:
+        """Leave a file that cannot be written further, and rest; return how many entries it may not have."""
+        file = self.file
+        if file is None or not file.has_failed:
+            return 0
+        self.file = None
+        self._closed.append(file.path)
+        self._closed_entries += file.flushed_entries
+        self._previous = file.path.name
+        return file.entries - file.flushed_entries
 
     def begin(self) -> Path:
         """Open the next file after a rest, and return its path.  Raises RecordingError."""

@@ -33,7 +33,7 @@ from igtl_gateway.record.seal.keys import SigningKey
 from igtl_gateway.record.selection import MAX_STREAMS, OTHERS, SelectionFilter, StateInputRule
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.layout import LayoutError
-from igtl_gateway.record.sessionfile.new_file import files_with_mode
+from igtl_gateway.record.sessionfile.new_file import files_with_mode, try_file
 from igtl_gateway.record.sessionfile.schemas import RosTypes
 from igtl_gateway.record.sessionfile.sealing import SealSeries
 from igtl_gateway.record.sessionfile.writer import SessionWriter
@@ -51,8 +51,9 @@ CONTINUED = "record_continued"
 PAUSED, RESUMED, SNAPSHOT = "record_paused", "record_resumed", "record_snapshot"
 STARTED, STOPPED = "record_started", "record_stopped"
 
-#: Stream by which entries count as dropped that were in a file that was taken away.
-TAKEN = "(in a file that was taken away)"
+#: Streams by which entries count as dropped that were in a file that was taken away, or were not flushed when the disk
+#: failed.
+TAKEN, UNFLUSHED = "(in a file that was taken away)", "(not flushed when the disk failed)"
 
 _LOOK_S = 0.05
 #: A poll that finds no more entries than this is followed by a longer pause.
@@ -82,7 +83,7 @@ class RecordingSummary:
         dropped: entries that are not there though they should be, by stream.
         left_out: entries that were not to be there, by stream.
         files: what was written.
-        failure: why it ended before its time, or ``""``.
+        failure: why it ended before its time, or why a file that was asked for is missing; or ``""``.
     """
 
     path: Path
@@ -120,11 +121,12 @@ class WorkerState:
         written_entries: entries in the file.
         dropped: entries that the file could not take, by stream.
         left_out: entries that are not to be there, by stream.
-        failure: why the recording ended before its time, or ``""``.
+        failure: why nothing can be written, or ``""``.
         paused: whether it is.
         file: the file that is being written; "": there is none, before a start, after a stop, and of a snapshot.
         taken_away: the last file that was removed or changed while it was written, and where it goes on; or ``""``.
-        before: entries that were written and left out before the last start.
+        before: entries that were written, left out and dropped before the last start.
+        saved: snapshots and files of the black box: their number and bytes.
     """
 
     written_entries: int = 0
@@ -134,7 +136,8 @@ class WorkerState:
     paused: bool = False
     file: str = ""
     taken_away: str = ""
-    before: tuple[int, int] = (0, 0)
+    before: tuple[int, int, int] = (0, 0, 0)
+    saved: tuple[int, int] = (0, 0)
 
     def counters(self, not_queued: Counter[str]) -> dict[str, Any]:
         """As they go into the ledger, with what the queue did not take."""
@@ -197,27 +200,6 @@ def _run_worker(
         worker.run()
 
 
-class _NullWriter:
-    """In place of a writer where the disk refused from the start: everything counts as dropped."""
-
-    entries = 0
-    undefined: Sequence[str] = ()
-    files: Sequence[Path] = ()
-
-    def __init__(self, path: Path, why: str) -> None:
-        self.path = path
-        self.why = why
-
-    def write(self, _entry: Entry) -> None:
-        raise DiskRefused(self.why)
-
-    def flush(self) -> None:
-        raise DiskRefused(self.why)
-
-    def close(self, _ledger: dict[str, Any]) -> None:
-        """Nothing is open."""
-
-
 class _BridgeGone(Exception):
     """The bridge is no longer there to be asked."""
 
@@ -258,6 +240,7 @@ class _RecorderWorker:
         self._dropped: Counter[str] = Counter()  # by the file; what the queue did not take is known to the recorder
         self._not_queued: Counter[str] = Counter()  # when it was last asked
         self._failure = ""
+        self._missing = ""  # the first failure: a file that was asked for is missing, or has an end too early
         self._taken_away = ""
         self._gone = False
         self._ledger: dict[str, Any] | None = None  # from the moment on at which the recording is to end
@@ -267,21 +250,21 @@ class _RecorderWorker:
         self._told_state = WorkerState()
         self._is_cut = False  # the next file follows one that was taken away
         self._left_out_before = 0  # of the pause that is on
-        self._before_start = 0, 0
+        self._before_start = 0, 0, 0
         self._flushed_ns = self._stated_ns = self._due_ns = clock.monotonic_ns()
         self._seen_refused = 0
-        self._wanted: bool | None = None  # a start or a stop that is due
-        self._asked: list[tuple[int, int]] = []  # snapshots: number, and UTC ns of the request
+        self._requests: list[tuple[str, int, int]] = []  # start, stop or snapshot; its number; UTC ns
         self._box: BlackBox | None = None
-        self._writer: SoleFile | PartsWriter | Ring | _NullWriter
+        self._refused_text = ""  # what the disk has refused at the start
         try:
             self._writer = self._open(settings.path, settings.rule)
         except DiskRefused as error:
             if self.options.stop_on_failure:
                 raise
-            self._writer = _NullWriter(settings.path, str(error))
+            self._refused_text = str(error)
+            self._writer = self._open(settings.path, settings.rule, later=True)
         self._retention: RetentionThread | None = None
-        if self.options.retention and not isinstance(self._writer, _NullWriter):
+        if self.options.retention:
             from igtl_gateway.record.retaining import RetentionThread  # here: it imports readers and numpy
 
             self._retention = RetentionThread(settings.path, self.options, clock)
@@ -293,20 +276,18 @@ class _RecorderWorker:
         writer = self._writer
         return writer if isinstance(writer, SoleFile) and writer.file and writer.file.takes_rows(LARGE_BYTES) else None
 
-    def _open(self, path: Path, rule: StateInputRule) -> SoleFile | PartsWriter | Ring:
-        """The writer for these options."""
+    def _open(self, path: Path, rule: StateInputRule, *, later: bool = False) -> SoleFile | PartsWriter | Ring:
+        """The writer for these options.
+
+        Args:
+            later: create nothing before it is asked for.
+        """
         options = self.options
-        if options.triggers:
-            self._box = self._open_box(path, rule)
-            return self._box
         if options.snapshot_s:
-            return Ring(
-                path,
-                self._open_file,
-                Prologue(rule),
-                seconds=options.snapshot_s,
-                max_bytes=options.snapshot_bytes,
-            )
+            ring = self._open_ring(path, rule)
+            if not later:
+                ring.try_place()
+            return ring
         if options.split_bytes or options.split_s:
             return PartsWriter(
                 path,
@@ -316,10 +297,27 @@ class _RecorderWorker:
                 max_s=options.split_s,
                 overwrite=options.overwrite,
                 waits=options.waits,
+                later=later,
                 counters=self._counters,
                 on_closed=self._apply_retention,
             )
-        return SoleFile(path, self._open_file, Prologue(rule), waits=options.waits)
+        if options.waits and not later:
+            try_file(path, path.with_name(f".{path.name}.trial"))
+        return SoleFile(path, self._open_file, Prologue(rule), waits=options.waits or later)
+
+    def _open_ring(self, path: Path, rule: StateInputRule) -> Ring:
+        """The memory for snapshots."""
+        options = self.options
+        if options.triggers:
+            self._box = self._open_box(path, rule)
+            return self._box
+        return Ring(
+            path,
+            self._open_file,
+            Prologue(rule),
+            seconds=options.snapshot_s,
+            max_bytes=options.snapshot_bytes,
+        )
 
     def _open_box(self, path: Path, rule: StateInputRule) -> BlackBox:
         """The writer of a black box."""
@@ -333,6 +331,12 @@ class _RecorderWorker:
             if note.code != TRIGGERED:
                 self._apply_retention()
 
+        def on_obstacle(why: str, is_missing: bool) -> None:
+            """Have it shown while it lasts."""
+            self._failure = why
+            if is_missing:
+                self._missing = self._missing or why
+
         return BlackBox(
             path,
             self._open_file,
@@ -344,6 +348,7 @@ class _RecorderWorker:
             clock=self._clock,
             counters=self._counters,
             on_note=on_note,
+            on_obstacle=on_obstacle,
         )
 
     def _open_file(self, path: Path, facts: dict[str, str], prologue: Sequence[Entry]) -> SessionWriter:
@@ -363,8 +368,8 @@ class _RecorderWorker:
 
     def run(self) -> None:
         """Write what comes, until the end."""
-        if isinstance(self._writer, _NullWriter):
-            self._fail(self._writer.why)
+        if self._refused_text:
+            self._fail(self._refused_text)
         self._apply_retention()
         while self._ledger is None and not self._gone:
             self._guarded(self._run_once)
@@ -379,7 +384,8 @@ class _RecorderWorker:
         try:
             step()
         except Exception as error:
-            self._fail(f"recording to {self._writer.path} failed: {type(error).__name__}: {error}")
+            if not self._failure:
+                self._fail(f"recording to {self._writer.path} failed: {type(error).__name__}: {error}")
 
     # -- the bridge -------------------------------------------------------------------------------------------
 
@@ -400,7 +406,7 @@ class _RecorderWorker:
     def _pause_ns(self) -> int:
         """Return the time until the next poll: until the next flush, unless something has to be soon."""
         due_ns = self._flushed_ns + self._flush_ns - self._clock.monotonic_ns()
-        if self._taken > _FEW or self._asked or self._wanted is not None or self._hurried:
+        if self._taken > _FEW or self._requests or self._hurried:
             return min(_LOOK_NS, due_ns) if due_ns > 0 else _LOOK_NS
         return max(_LOOK_NS, due_ns)
 
@@ -445,6 +451,7 @@ class _RecorderWorker:
             self._present(),
             self._taken_away,
             self._before_start,
+            (len(self._writer.files), self._writer.size) if isinstance(self._writer, Ring) else (0, 0),
         )
 
     def _present(self) -> str:
@@ -481,8 +488,7 @@ class _RecorderWorker:
         self._empty_ns += max(0, min(pause_ns, self._clock.monotonic_ns() - begun_ns) - _LOOK_NS)
         self._taken = self._drain()
         if not self._taken and rested:
-            self._take_requested_snapshots()
-            self._start_or_stop()
+            self._answer_requests()
             if self._box:
                 self._box.tick()
         self._run_periodic()
@@ -507,7 +513,7 @@ class _RecorderWorker:
         Nothing depends on what they are: everything is recorded, and into one file.
         """
         writer = self._row_writer
-        if writer is None or self._failure or not self._gate.passes_all or self._wanted is not None:
+        if writer is None or self._failure or not self._gate.passes_all or self._requests:
             return 0
         room, begin, end = self._queue.rows()
         if begin == end:
@@ -530,9 +536,8 @@ class _RecorderWorker:
             return False
         try:
             if isinstance(item, Entry):
-                if item.kind.is_input and (self._asked or self._wanted is not None):
-                    self._take_requested_snapshots()
-                    self._start_or_stop()
+                if item.kind.is_input and self._requests:
+                    self._answer_requests()
                 if self._box:
                     self._box.saw(item)
                 for passed in self._gate.take(item):
@@ -585,26 +590,25 @@ class _RecorderWorker:
                 self._set_paused(True)
             case "resume":
                 self._set_paused(False)
-            case "start" | "stop":
-                self._wanted = command == "start"
+            case "start" | "stop" | "snapshot":
+                self._requests.append((command, *words, self._clock.utc_ns()))
             case "split":
                 if isinstance(self._writer, PartsWriter):
                     self._writer.split()
-            case "snapshot":
-                self._asked.append((*words, self._clock.utc_ns()))
             case "fail":
                 self._fail(*words)
             case "close":
-                self._take_requested_snapshots()
-                self._start_or_stop()
+                self._answer_requests()
                 self._ledger = json.loads(*words)
 
     def _write(self, entry: Entry) -> None:
         writer, written = self._writer, False
         try:
-            if not self._failure:
+            if not self._failure or self._rests or isinstance(writer, Ring):
                 self._put(entry)
                 written = True
+            else:
+                writer.write(entry)  # it has no file: the next one begins with what is known
         except LayoutError as error:
             self._refused(entry, error)
         except RecordingError as error:
@@ -668,57 +672,79 @@ class _RecorderWorker:
         text = f"the recording goes on; {missed:,} entries were left out"
         self._note(Note(Level.INFO, RESUMED, text, data={"left_out": missed}))
 
-    def _start_or_stop(self) -> None:
-        """Begin a file or close it, where that was asked for: as for snapshots, before an input.
+    def _answer_requests(self) -> None:
+        """Do what was asked for: before an input, or when no output can follow the last one.
+
+        It is asked for from another thread than that which gives an input and its outputs, so perhaps in between.
+        """
+        requests, self._requests = self._requests, []
+        for what, number, utc_ns in requests:
+            try:
+                path = self._take_snapshot(utc_ns) if what == "snapshot" else self._start_or_stop(what == "start")
+            except (RecordingError, OSError) as error:
+                self._send("answer", number, None, str(error))
+            else:
+                self._send("answer", number, path, "")
+
+    def _start_or_stop(self, start: bool) -> Path:
+        """Begin a file or close it; return its path.  Raises RecordingError, OSError.
 
         What comes in between is as in a pause: what later outputs depend on is kept for the next file.
         """
-        start, self._wanted = self._wanted, None
         writer = self._writer
-        if start is None or not isinstance(writer, SoleFile | PartsWriter) or start == bool(writer.present):
-            return
+        if not isinstance(writer, SoleFile | PartsWriter):
+            raise RecordingError("found a snapshot buffer, expected a recording")
+        present = writer.present
+        if start == bool(present):
+            return present or writer.path
         try:
-            if start:
-                self._is_cut = isinstance(writer, SoleFile)
-                text, code = f"the recording begins: {writer.begin()}", STARTED
-                self._before_start = writer.entries, self._gate.left_out.total()
-            else:
-                text, code = f"the recording is closed: {writer.present}", STOPPED
-                writer.rest({"recorder": self._counters()})
+            path = self._begin(writer) if start else self._close_present(writer)
         except (RecordingError, OSError) as error:
-            self._note(Note(Level.ERROR, FAILED, f"the recording is not {'started' if start else 'closed'}: {error}"))
-            return
-        finally:
-            self._is_cut = False
+            self._fail(f"the recording is not {'started' if start else 'closed'}: {error}")
+            raise
+        self._failure = ""
         self._gate.paused = self._rests = not start
         self._queue.row_streams[:] = [None] * len(self._queue.row_streams)  # of the channels of the file before
         self._row_writer = self._writer_of_rows()
         self._apply_retention()
-        self._note(Note(Level.INFO, code, text))
+        code, text = (STARTED, "the recording begins") if start else (STOPPED, "the recording is closed")
+        self._note(Note(Level.INFO, code, f"{text}: {path}"))
+        return path
 
-    def _take_requested_snapshots(self) -> None:
-        """Write the snapshots that were asked for: before an input, or when no output can follow the last one.
-
-        They are asked for from another thread than that which gives an input and its outputs, so perhaps in between.
-        """
-        asked, self._asked = self._asked, []
-        for number, utc_ns in asked:
-            self._take_snapshot(number, utc_ns)
-
-    def _take_snapshot(self, number: int, utc_ns: int) -> None:
-        """Write a snapshot.  That one fails does not end the recording: the ring is still there."""
+    def _begin(self, writer: SoleFile | PartsWriter) -> Path:
+        """Begin the next file."""
+        self._is_cut = isinstance(writer, SoleFile) or bool(self._failure)
         try:
-            if not isinstance(self._writer, Ring):
-                raise RecordingError("no snapshots: everything is recorded (--snapshot SECONDS keeps the last ones)")
+            path = writer.begin()
+        finally:
+            self._is_cut = False
+        dropped: int = self._counters()["dropped_entries"]
+        self._before_start = writer.entries, self._gate.left_out.total(), dropped
+        return path
+
+    def _close_present(self, writer: SoleFile | PartsWriter) -> Path:
+        """Close the present file."""
+        path = writer.present
+        assert path
+        writer.rest({"recorder": self._counters()})
+        return path
+
+    def _take_snapshot(self, utc_ns: int) -> Path:
+        """Write a snapshot.  That one fails does not end the recording: the ring is still there."""
+        if not isinstance(self._writer, Ring):
+            raise RecordingError("no snapshots: everything is recorded (--snapshot SECONDS keeps the last ones)")
+        try:
             path = self._writer.take({"recorder": self._counters()}, utc_ns)
         except (RecordingError, OSError) as error:
-            self._note(Note(Level.ERROR, FAILED, f"no snapshot: {error}"))
-            self._send("snapshot", number, None, str(error))
-            return
+            self._failure = f"no snapshot: {error}"
+            self._missing = self._missing or self._failure
+            self._note(Note(Level.ERROR, FAILED, self._failure))
+            raise
+        self._failure = ""
         seconds = f"{self.options.snapshot_s:g}"
         self._apply_retention()
         self._note(Note(Level.INFO, SNAPSHOT, f"the last {seconds} s are in {path}", data={"path": str(path)}))
-        self._send("snapshot", number, path, "")
+        return path
 
     def _refused(self, entry: Entry, error: LayoutError) -> None:
         """Report once per stream that entries do not fit the format."""
@@ -769,11 +795,26 @@ class _RecorderWorker:
                 self._writer.update_side_file()
 
     def _fail(self, text: str) -> None:
-        """The end of the recording, not of the bridge."""
-        if not self._failure:
-            self._failure = text
+        """The end of the present file, not of the bridge; a start begins the next one."""
+        self._missing = self._missing or text
+        if self._failure == text:
+            return
+        self._failure = text
+        writer = self._writer
+        if isinstance(writer, SoleFile | PartsWriter):
+            self._abandon(writer)
             then = "the bridge stops" if self.options.stop_on_failure else "the bridge goes on without recording"
-            self._note(Note(Level.ERROR, FAILED, f"{text}; {then}"))
+            then += "" if self.options.stop_on_failure else " until the next start"
+        else:
+            then = "it is tried again when a file is due"
+        self._note(Note(Level.ERROR, FAILED, f"{text}; {then}"))
+
+    def _abandon(self, writer: SoleFile | PartsWriter) -> None:
+        """Leave a file that cannot be written further."""
+        path = writer.present
+        self._row_writer = None
+        if lost := writer.abandon():
+            self._dropped[UNFLUSHED if path and path.exists() else TAKEN] += lost
 
     # -- the end ----------------------------------------------------------------------------------------------
 
@@ -802,7 +843,7 @@ class _RecorderWorker:
             self._state().counters(self._not_queued)["dropped"],
             counters["left_out"],
             tuple(files),
-            self._failure or self._taken_away,
+            self._missing or self._taken_away,
         )
         self._send("closed", self._state(), summary)
 

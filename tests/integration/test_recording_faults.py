@@ -91,7 +91,7 @@ def test_a_read_only_folder_leaves_the_bridge_to_its_work(disk: Path) -> None:
     try:
         told = bridge.wait_code("record_failed")
         failure = f"cannot record to {path}: {READ_ONLY}, in the folder {disk}"
-        assert told["text"] == f"{failure}; the bridge goes on without recording"
+        assert told["text"] == f"{failure}; the bridge goes on without recording until the next start"
         with RawPeer(bridge.port) as peer:
             peer.send(string("all the same"))
             bridge.wait_code("stream")
@@ -135,7 +135,7 @@ def _fill(bridge: Bridge, path: Path, whole: Path, reason: str, *, stops: bool =
     try:
         told = bridge.wait_code("record_failed")
         failed = time.monotonic()
-        then = "the bridge stops" if stops else "the bridge goes on without recording"
+        then = "the bridge stops" if stops else "the bridge goes on without recording until the next start"
         assert told["text"] == f"recording to {path} failed: {reason}; {then}"
         if not stops:
             load.wait_answers(3)
@@ -158,8 +158,8 @@ def _fill(bridge: Bridge, path: Path, whole: Path, reason: str, *, stops: bool =
     number = counted(entries)
     assert number >= load.answered_before(failed - 0.1 - SLACK_S)
     assert 0 < number < load.sent
-    # what is flushed last may be cut within the outputs of an input
-    assert recording["entries"] >= len(entries)
+    # of what was not flushed, which counts as dropped, some may be there; and an input may lack its last outputs
+    assert recording["entries"] <= len(entries) + recording["dropped"]
     assert ended("verify", str(whole)).code == 0
 
 

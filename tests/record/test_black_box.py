@@ -21,6 +21,7 @@ from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.schemas import RosTypes
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.record.triggers import _CONCERNS, _LOOKS, INCOMPLETE, SAVED, TRIGGERED, Triggers
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import Status
@@ -255,6 +256,38 @@ def test_a_window_ends_where_nothing_comes(tmp_path: Path) -> None:
 
     wait_until(saved)
     recorder.close({})
+
+
+@pytest.mark.parametrize("comes_back", [False, True], ids=["missing", "in time"])
+def test_a_file_that_is_missing_is_a_failure_of_the_bridge(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, comes_back: bool
+) -> None:
+    refuses = True
+    start = SessionWriter.__init__
+
+    def begin(writer: SessionWriter, *words: object, **more: object) -> None:
+        if refuses:
+            raise OSError(28, "No space left on device")
+        start(writer, *words, **more)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(SessionWriter, "__init__", begin)
+    notes: list[Note] = []
+    clock = ManualClock()
+    recorder = Recorder(
+        tmp_path / "box.mcap", samples.SESSION, qos_of=lambda _topic, _type: None, on_note=notes.append, clock=clock,
+        options=RecordOptions(snapshot_s=20.0, triggers=(trigger("mark=slip,after=1"),)), rule=RULE, host=in_thread,
+    )  # fmt: skip
+    for entry in _with_marks(3.0):
+        recorder(entry)
+        if not recorder.failure and entry.stamp_ns > samples.START_NS + 4 * NS and refuses:
+            wait_until(lambda: "No space left" in recorder.failure)
+            refuses = not comes_back
+            clock.advance(2 * NS)
+    summary = recorder.close({"streams": {}})
+    if comes_back:
+        assert (summary.failure, recorder.failure, len(summary.files)) == ("", "", 1)
+    else:
+        assert summary.failure.startswith("black box, mark slip: no file: ") and not summary.files
 
 
 def _silent(count: int, manners: tuple[str, ...]) -> None:

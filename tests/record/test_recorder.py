@@ -793,6 +793,27 @@ def test_a_defect_in_the_thread_ends_the_recording_not_the_process(path: Path) -
     assert len(read(path)) == summary.entries  # closed all the same
 
 
+def test_a_disk_that_does_not_answer_is_reported_while_it_does_not(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench, go_on, write = Bench(path), threading.Event(), SessionWriter.write
+
+    def slow(file: SessionWriter, entry: Entry) -> None:
+        assert go_on.wait(DEADLINE_S)
+        write(file, entry)
+
+    monkeypatch.setattr(SessionWriter, "write", slow)
+    bench.recorder(samples.ros(1))
+    while not bench.notes:
+        bench.clock.advance(1_000_000_000)
+        threading.Event().wait(0.05)
+    (note,) = bench.notes
+    assert (note.level, note.code) == (Level.WARN, recorder_module.STALLED)
+    assert "the disk does not answer" in note.text and bench.recorder.facts()["stalled_s"] > 0
+    go_on.set()
+    bench.wait_notes(2)
+    assert bench.notes[1].code == recorder_module.MOVES and bench.recorder.facts()["stalled_s"] == 0
+    assert bench.recorder.close({}).entries == 1
+
+
 # --- what is taken away ----------------------------------------------------------------------------------------
 
 
@@ -937,7 +958,7 @@ def test_a_folder_of_parts_that_is_taken_away(tmp_path: Path) -> None:
     bench.recorder(samples.ros(10_000))
     bench.wait_notes(1)
     assert "was removed" in bench.notes[0].text
-    assert bench.recorder.close({}).dropped == {"/chatter": 1}
+    assert bench.recorder.close({}).dropped == {"/chatter": 1, worker_module.TAKEN: 1}
 
 
 # --- flush and fsync -------------------------------------------------------------------------------------------

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import os
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from random import Random
@@ -15,13 +18,16 @@ from igtl_gateway.cli import main
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.record import parts
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.seal.keys import SigningKey
+from igtl_gateway.record.sessionfile import new_file, stream, writer
+from igtl_gateway.record.sessionfile.new_file import cannot_begin
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.seals import stated_seals
-from igtl_gateway.record.worker import STARTED, STOPPED
+from igtl_gateway.record.worker import FAILED, STARTED, STOPPED
 from igtl_gateway.replay.verify import DeclaredLosses, verify
 from tests.record import samples
 from tests.record.test_parts import RULE, session, wait_until
@@ -110,6 +116,7 @@ def test_an_obstacle_is_reported_and_the_next_start_succeeds(tmp_path: Path) -> 
     recorder.start()
     wait_until(lambda: bool(notes))
     assert notes[0].text.startswith("the recording is not started: ") and recorder.rests
+    assert recorder.failure in notes[0].text
     (tmp_path / "elsewhere").rename(folder)
     recorder.start()
     wait_until(lambda: not recorder.rests)
@@ -117,6 +124,81 @@ def test_an_obstacle_is_reported_and_the_next_start_succeeds(tmp_path: Path) -> 
     for entry in entries:
         recorder(entry)
     assert recorder.close({}).entries == len(entries)
+
+
+class Disk:
+    """A disk that refuses while it is to."""
+
+    def __init__(self, patch: pytest.MonkeyPatch) -> None:
+        self.refuses = False
+        for module, name in ((stream.McapStream, "flush"), (writer, "create_file"), (new_file, "open_new")):
+            patch.setattr(module, name, self._guarded(getattr(module, name)))
+        patch.setattr(parts, "make_folder", self._guarded(new_file.make_folder))
+
+    def _guarded(self, work: Callable[..., Any]) -> Callable[..., Any]:
+        def guarded(*words: Any, **more: Any) -> Any:
+            if self.refuses:
+                error = OSError(errno.EROFS, os.strerror(errno.EROFS))
+                raise cannot_begin(words[0], error) if work.__name__ == "create_file" else error
+            return work(*words, **more)
+
+        return guarded
+
+
+@pytest.fixture
+def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
+    return Disk(monkeypatch)
+
+
+@pytest.mark.parametrize("options", [{}, {"split_s": 1e3}], ids=["one file", "parts"])
+@pytest.mark.parametrize("waits", [False, True], ids=["", "waits"])
+def test_a_disk_that_refuses_from_the_start_is_tried_again_at_each_start(
+    tmp_path: Path, disk: Disk, options: dict[str, Any], waits: bool
+) -> None:
+    notes, entries = list[Note](), session(1)
+    disk.refuses = True
+    recorder = recorder_of(tmp_path / "a.mcap", notes, waits=waits, **options)
+    wait_until(lambda: bool(recorder.failure))
+    assert "Read-only file system" in recorder.failure and recorder.rests
+    done, why = recording.start(recorder)
+    assert not done and "Read-only file system" in why
+    assert [note.code for note in notes] == [FAILED, FAILED]
+    assert recording.stop(recorder) == (False, recorder.failure)
+    disk.refuses = False
+    done, text = recording.start(recorder)
+    assert done and text.startswith("the recording begins: ") and not recorder.failure
+    for entry in entries:
+        recorder(entry)
+    summary = recorder.close({"streams": {}})
+    assert (summary.entries, summary.dropped) == (len(entries), {})
+    assert "Read-only file system" in summary.failure, "a file that was asked for is missing: exit code 1"
+    assert numbers_of(next(path for path in summary.files if path.suffix == ".mcap")) == [e.seq for e in entries]
+
+
+@pytest.mark.parametrize("options", [{}, {"split_s": 1e3}], ids=["one file", "parts"])
+def test_a_recording_that_has_failed_begins_again_with_what_is_known(
+    tmp_path: Path, disk: Disk, options: dict[str, Any]
+) -> None:
+    notes, entries = list[Note](), session(3)
+    thirds = [at for at, entry in enumerate(entries) if entry.kind.is_input][20:110:40]
+    recorder = recorder_of(tmp_path / "a.mcap", notes, flush_s=0.01, **options)
+    for at, entry in enumerate(entries):
+        if at == thirds[0]:
+            disk.refuses = True
+            recorder._clock.advance(10**9)  # type: ignore[attr-defined]
+        if at == thirds[1]:
+            wait_until(lambda: bool(recorder.failure))
+            disk.refuses = False
+            assert recording.start(recorder)[0]
+        recorder(entry)
+        if at == thirds[0]:
+            wait_until(lambda: bool(recorder.failure))
+    summary = recorder.close({"streams": {}})
+    assert [note.code for note in notes] == [FAILED, STARTED]
+    last = max(path for path in summary.files if path.suffix == ".mcap")
+    assert numbers_of(last) == [entry.seq for entry in entries[thirds[1] :]]
+    assert summary.entries + sum(summary.dropped.values()) == len(entries) and "Read-only" in summary.failure
+    assert recorder.facts()["dropped_since_start"] == 0
 
 
 def test_an_earlier_recording_is_not_replaced(tmp_path: Path) -> None:

@@ -258,8 +258,6 @@ class BridgePage:
         if what == "mark":
             if bridge.recorder and bridge.recorder.rests:
                 return False, "nothing is recorded; start the recording first"
-            if bridge.recorder and bridge.recorder.failure:
-                return False, "nothing is recorded: the recording has failed"
             try:
                 bridge.mark(MarkNote.parse(line, _WHO))
             except GatewayError as error:

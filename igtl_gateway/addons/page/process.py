@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import sys
 import threading
 from collections import deque
@@ -16,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.addon import NS_PER_S, GatewayError, SystemClock, __version__, failure_text
+from igtl_gateway.addons.page.disk import DiskLook
 from igtl_gateway.addons.page.jobs import CANCELLED, RUNNING, Job, Jobs
 from igtl_gateway.addons.page.now import OK, Now
 from igtl_gateway.addons.page.recordings import MAX_LISTED, Recordings
@@ -31,6 +31,8 @@ from igtl_gateway.edges.tcp.tls import TlsFiles
 _BRIDGE = ("start", "stop", "pause", "resume", "mark", "snapshot", "split", "end")
 #: Time over which the growth of a recording is measured, ns.
 _GROWTH_NS = 30 * NS_PER_S
+#: Messages are being lost for this time after the last one, ns.
+_LOSING_NS = 5 * NS_PER_S
 
 
 class Page:
@@ -48,6 +50,7 @@ class Page:
         self.jobs = Jobs(self._take_result)
         self._results = Results(folder)
         self.replay = Replay()
+        self._disk = DiskLook()
         self._now = Now()
         self._lock = threading.Lock()
         self._answers = False
@@ -60,7 +63,8 @@ class Page:
         self._begun_ns = 0  # of the file
         self._begun: dict[str, int] = {}  # name in the list → when its recording began, UTC ns
         self._path: Path | None = None  # of the last file
-        self._dropped = self._dropped_before = 0  # entries, at the last sample and when the file began
+        self._dropped = 0  # entries since the file began, at the last sample
+        self._lost_ns = 0  # when the last one was, monotonic
         self._written = ""  # name in the list of what is being recorded
         self._poller = Poller(source, self._take) if source else None
 
@@ -175,7 +179,10 @@ class Page:
         whole, file = Path(how["path"]), counters["file"]
         path = self._path if self._path and not file else Path(file).absolute() if file and not how["split"] else whole
         self._path = path
-        size, files = _size(path, whole.with_suffix(""))
+        disk = self._disk.look(path, whole.with_suffix(""))
+        size, files = (
+            (counters["saved_bytes"], counters["saved_files"]) if how["snapshot_s"] else (disk.size, disk.files)
+        )
         now_ns = self._clock.monotonic_ns()
         growth = self._growth
         if (known := "" if counters["rests"] else str(path)) != self._file:
@@ -184,17 +191,18 @@ class Page:
             recorded = whole.with_suffix("") if how["split"] else path
             self._written = recorded.name if known and not how["snapshot_s"] else ""
             if known:
-                self._dropped_before = self._dropped
                 self._begun[self._written] = self._clock.utc_ns()
                 while len(self._begun) > MAX_LISTED:
                     del self._begun[next(iter(self._begun))]
-        self._dropped = counters["dropped_entries"]
+        if counters["dropped_since_start"] > self._dropped and known:
+            self._lost_ns = now_ns
+        self._dropped = counters["dropped_since_start"]
         growth.append((now_ns, size))
         while len(growth) > 2 and now_ns - growth[1][0] >= _GROWTH_NS:
             growth.popleft()
         seconds = (now_ns - growth[0][0]) / NS_PER_S
         per_s = max(0, size - growth[0][1]) / seconds if seconds else 0.0
-        free = _free(path.parent)
+        free = disk.free
         return {
             "name": path.name,
             "folder": _from_home(path.parent),
@@ -206,11 +214,14 @@ class Page:
             "paused": counters["paused"],
             "rests": counters["rests"],
             "lasted_s": (now_ns - self._begun_ns) / NS_PER_S if known else 0,
-            "failure": counters["failure"] or counters.get("taken_away", ""),
+            "failure": counters["failure"],
+            "taken_away": counters.get("taken_away", ""),
+            "losing": bool(self._lost_ns) and now_ns - self._lost_ns < _LOSING_NS,
             "entries": counters["entries_since_start"],
-            "dropped": self._dropped - self._dropped_before,
+            "dropped": self._dropped,
             "left_out": counters["left_out_since_start"],
             "queued": counters["queued_entries"],
+            "stands": bool(counters["stalled_s"] or disk.silent_s),
             "snapshot_s": how["snapshot_s"],
             "triggers": how["triggers"],
             "split": how["split"],
@@ -230,14 +241,6 @@ class Page:
         }
 
 
-def _free(folder: Path) -> int | None:
-    """Return the bytes that a disk has left; None: the folder is gone."""
-    try:
-        return shutil.disk_usage(folder).free
-    except OSError:
-        return None
-
-
 def _json(facts: object) -> bytes:
     return json.dumps(facts, separators=(",", ":"), default=str).encode()
 
@@ -248,17 +251,6 @@ def _from_home(path: Path) -> str:
         return str(Path("~") / path.absolute().relative_to(Path.home()))
     except (ValueError, RuntimeError):  # elsewhere, or a user without a home
         return str(path)
-
-
-def _size(path: Path, parts: Path) -> tuple[int, int]:
-    """Return bytes and number of the files of a recording."""
-    try:
-        if path.is_file():
-            return path.stat().st_size, 1
-        sizes = [each.stat().st_size for each in parts.glob("*.mcap")] if parts.is_dir() else []
-        return sum(sizes), len(sizes)
-    except OSError:  # a part that was just removed
-        return 0, 0
 
 
 def serve(page: Page, settings: dict[str, Any]) -> PageServer:

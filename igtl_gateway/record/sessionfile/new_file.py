@@ -121,6 +121,20 @@ def create_file(path: Path) -> BufferedWriter:
         raise cannot_begin(path, error) from error
 
 
+def try_file(path: Path, trial: Path) -> None:
+    """Create a file beside that of a path and remove it, so that an obstacle is reported before that one is needed.
+
+    Raises RecordingError, which names the path.
+    """
+    if found := obstacle(path):
+        raise RecordingError(f"cannot record to {path}: {found}")
+    try:
+        open_new(trial).close()
+        trial.unlink()
+    except (OSError, ValueError) as error:
+        raise cannot_begin(path, error) from error
+
+
 def cannot_begin(path: Path, error: OSError | ValueError) -> RecordingError:
     """The error for a recording that cannot begin at ``path``: DiskRefused where the path itself is plausible."""
     kind = DiskRefused if isinstance(error, OSError) and error.errno not in _WRONG_PATH else RecordingError

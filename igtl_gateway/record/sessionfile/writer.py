@@ -12,7 +12,7 @@ from __future__ import annotations
 import errno
 import os
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from io import BufferedWriter, BytesIO
 from pathlib import Path
 from typing import Any, Literal
@@ -91,8 +91,8 @@ class SessionWriter:
         sealer: Sealer | None = None,
     ) -> None:
         self.path = path
-        #: Entries written so far.
-        self.entries = 0
+        #: Entries written so far, and at the last flush: a failure of the disk may cost those in between.
+        self.entries = self.flushed_entries = 0
         #: Stamps of the first and the last one, 0 before there is one.
         self.start_ns = self.end_ns = 0
         #: ROS types without a definition: their messages are recorded, but other tools cannot decode them.
@@ -118,7 +118,8 @@ class SessionWriter:
                     sync_folder(place.parent)
             except OSError as error:
                 self._abandon()
-                place.unlink(missing_ok=True)
+                with suppress(OSError):  # the disk has become read-only
+                    place.unlink(missing_ok=True)
                 raise cannot_begin(path, error) from error
 
     def _start(self, session: dict[str, str], prologue: bytes) -> None:
@@ -201,6 +202,12 @@ class SessionWriter:
         with self._disk_errors():
             self._mcap.flush()
             self._check_file("flush")
+        self.flushed_entries = self.entries
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether nothing more can be written: the disk has refused, or the file was taken away."""
+        return bool(self._failure)
 
     @property
     def size(self) -> int:

@@ -127,7 +127,7 @@ def test_many_notes_do_not_hide_what_was_done() -> None:
 def test_no_mark_is_taken_after_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(live, "Child", MagicMock())
     bridge = MagicMock()
-    bridge.recorder.rests, bridge.recorder.failure = False, "no space left on device"
+    bridge.recorder.rests, bridge.recorder.failure = True, "no space left on device"
     with page_of(bridge, []) as (_, source):
-        assert source.press("mark", "slip") == (False, "nothing is recorded: the recording has failed")
+        assert source.press("mark", "slip") == (False, "nothing is recorded; start the recording first")
     bridge.mark.assert_not_called()

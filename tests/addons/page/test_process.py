@@ -20,6 +20,7 @@ import pytest
 
 import igtl_gateway
 from igtl_gateway.addon import GatewayError
+from igtl_gateway.addons.page import disk
 from igtl_gateway.addons.page.process import Page
 from igtl_gateway.addons.page.source import BridgeSource
 from tests.addons.page.browser import CHROMIUM, Browser
@@ -208,8 +209,8 @@ class Source(BridgeSource):
 
     def report(self, file: str, written: int, left_out: int = 0, dropped: int = 0) -> None:
         """Report a recorder that writes a file, "": none; the counts of entries and losses so far."""
-        counts = {"entries_since_start": written, "left_out_since_start": left_out, "dropped_entries": dropped}
-        state = {"failure": "", "queued_entries": 0, "paused": False, "rests": not file}
+        counts = {"entries_since_start": written, "left_out_since_start": left_out, "dropped_since_start": dropped}
+        state = {"failure": "", "queued_entries": 0, "paused": False, "rests": not file, "stalled_s": 0.0}
         path = str(self._folder / "today.mcap")
         recorder = counts | state | {"file": file and str(self._folder / file), "path": path}
         how = {"path": path, "snapshot_s": 0, "triggers": [], "split": False, "sealed": False, "phases": []}
@@ -240,12 +241,13 @@ def test_size_and_counts_are_of_the_file_that_is_written(source: Source, tmp_pat
     (folder / "today.mcap").write_bytes(bytes(100))
     with closing(Page(folder, source)) as page:
         source.report("today.mcap", 40, dropped=2)
+        assert recording_of(page)["losing"]
         source.report("", 40, dropped=2)
         (folder / "today_2.mcap").write_bytes(bytes(7))
-        source.report("today_2.mcap", 3, dropped=3)
+        source.report("today_2.mcap", 3, dropped=1)
         found = recording_of(page)
         assert (found["name"], found["bytes"], found["entries"], found["dropped"]) == ("today_2.mcap", 7, 3, 1)
-        source.report("", 3, dropped=3)
+        source.report("", 3, dropped=1)
         found = recording_of(page)
         assert (found["name"], found["bytes"], found["entries"]) == ("today_2.mcap", 7, 3)
 
@@ -259,6 +261,30 @@ def test_a_recording_has_its_begin_before_it_was_read(source: Source, tmp_path: 
         source.report("", 4)
         (row,) = page.sessions()
         assert begun <= row["start_ns"] <= page._clock.utc_ns()
+
+
+def test_a_disk_that_does_not_answer_does_not_stop_the_page(
+    source: Source, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go_on = threading.Event()
+
+    def ask(*_paths: Path) -> tuple[int, int, int | None]:
+        assert go_on.wait(30)
+        return 7, 1, 9
+
+    monkeypatch.setattr(disk, "_WAIT_S", 0.01)
+    monkeypatch.setattr(disk, "_SILENT_NS", 1)
+    with closing(Page(tmp_path / "a", source)) as page:
+        page._disk = disk.DiskLook(ask)
+        source.report("today.mcap", 4)
+        source.report("today.mcap", 5)
+        assert recording_of(page)["stands"] and recording_of(page)["entries"] == 5
+        go_on.set()
+        for number in range(1_000):
+            source.report("today.mcap", number)
+            if not recording_of(page)["stands"]:
+                break
+        assert recording_of(page)["bytes"] == 7
 
 
 def test_a_folder_that_is_gone_is_named_and_the_rest_goes_on(source: Source, tmp_path: Path) -> None:

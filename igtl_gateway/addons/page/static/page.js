@@ -192,19 +192,34 @@ function draw() {
   $("role").hidden = !locked();
   const wrong = state.wrong;
   $("badge").hidden = !wrong; put($("badge"), String(wrong)); $("badge").setAttribute("aria-label", `${wrong} to check`);
+  drawTrouble(rec);
   const pill = $("pill");
   pill.hidden = !state.has_bridge;
   const [dot, word] = recState();
-  const lasted = rec && !rec.rests && !rec.failure && !isLost && clock(rec.lasted_s);
+  const lasted = rec && !rec.rests && !rec.failure && !rec.stands && !isLost && clock(rec.lasted_s);
   part(pill, [dot, word, lasted], () => [h("span.dot." + dot), h("span", null, word), lasted && h("span.sub", null, lasted)]);
   put($("foot"), state.has_bridge ? (now ? `igtl-gateway ${now.version} · runs for ${span(now.uptime_s)}` : `igtl-gateway ${state.version}`) : `igtl-gateway ${state.version} · ${state.folder}`);
   ({ now: drawNow, recording: drawRecording, sessions: drawSessions, replay: drawReplay })[view]();
+}
+/* What is wrong with the recording, on top of every view. */
+function trouble(rec) {
+  if (!rec || isLost) return [];
+  if (rec.failure) return ["error", `${sentence(rec.failure)} ${rec.snapshot_s ? "It is tried again when a file is due." : rec.rests ? "Messages go on passing, but nothing is recorded. Start begins the next file." : "Nothing more is recorded."}`];
+  if (rec.stands) return ["error", "The disk does not answer. Messages go on passing and wait in memory; what it has no room for is not recorded."];
+  if (rec.losing) return ["error", "The disk is too slow: messages are missing in the recording, and more are being lost."];
+  return rec.taken_away ? ["warning", sentence(rec.taken_away)] : [];
+}
+function drawTrouble(rec) {
+  const [kind, text] = trouble(rec), at = $("trouble");
+  at.hidden = !text; at.className = `lost s-${kind}`;
+  part(at, [kind, text], () => (text ? [icon(kind), " ", text] : []));
 }
 function recState() {
   const now = bridge(), rec = now?.recording;
   if (isLost || (state.has_bridge && !state.answers)) return ["fail", "No answer"];
   if (!rec) return ["off", "Not recording"];
-  if (rec.failure) return ["fail", "Recording failed"];
+  if (rec.failure) return ["fail", rec.snapshot_s ? "Cannot save" : "Recording failed"];
+  if (rec.stands) return ["fail", "Disk does not answer"];
   if (rec.rests) return ["off", "Not recording"];
   if (rec.paused) return ["paused", "Paused"];
   return ["rec", rec.snapshot_s ? `Keeps ${number(rec.snapshot_s)} s` : "Recording"];
@@ -348,16 +363,16 @@ function drawRecording() {
   const [dot, word] = recState();
   if (at.state._kind !== "recording") { at.state._kind = "recording"; html(at.state, h("div.card", null, h("div.body"), h("dl.facts", { class: "facts" }), h("div.body"))); }
   const [hero, facts, buttons] = at.state.firstChild.children;
-  part(hero, [dot, word, rec.name, rec.folder, rec.failure, rec.rests, clock(rec.lasted_s)], () => h("div.hero", null, h("span.dot." + dot), h("div", null, h("h1", null, word), h("p.sub", null, rec.rests ? `Messages pass. Start writes them to a file in ${rec.folder}` : `${rec.name} in ${rec.folder}`), rec.failure && h("p.s-error", null, rec.failure), rec.failure && h("p", null, "Messages go on passing. To record again, shut the bridge down and start it with a folder that it can write to.")), !rec.rests && !rec.failure && h("span.clock", { "aria-label": "duration" }, clock(rec.lasted_s))));
+  part(hero, [dot, word, rec.name, rec.folder, rec.failure, rec.rests, clock(rec.lasted_s)], () => h("div.hero", null, h("span.dot." + dot), h("div", null, h("h1", null, word), h("p.sub", null, rec.rests ? `Messages pass. Start writes them to a file in ${rec.folder}` : `${rec.name} in ${rec.folder}`)), !rec.rests && !rec.failure && h("span.clock", { "aria-label": "duration" }, clock(rec.lasted_s))));
   const short = rec.lasts_s != null && rec.lasts_s < 3600;
   part(facts, [rec.bytes, rec.files, rec.per_s, rec.free, rec.lasts_s, rec.dropped, rec.entries, rec.left_out, rec.rests, rec.sealed, rec.triggers], () => [
-    fact("Size", bytes(rec.bytes), rec.per_s ? `${bytes(rec.per_s)} per second` : rec.files ? count(rec.files, "file") : "nothing is written"),
-    rec.free == null ? fact("Disk", "not found", "the folder is gone", "error") : fact("Disk", rec.lasts_s == null ? bytes(rec.free) : `lasts ${span(rec.lasts_s)}`, `${bytes(rec.free)} free`, short && "warning"),
+    fact(rec.snapshot_s ? "Saved" : "Size", rec.snapshot_s ? count(rec.files, "file") : bytes(rec.bytes), rec.snapshot_s ? bytes(rec.bytes) : rec.per_s ? `${bytes(rec.per_s)} per second` : rec.files ? count(rec.files, "file") : "nothing is written"),
+    rec.free == null ? fact("Disk", "not found", "the folder is gone", "error") : rec.free < 10e6 ? fact("Disk", bytes(rec.free), "the disk is full", "error") : fact("Disk", rec.lasts_s == null ? bytes(rec.free) : `lasts ${span(rec.lasts_s)}`, `${bytes(rec.free)} free`, short && "warning"),
     fact("Losses", rec.dropped ? number(rec.dropped) : "none", rec.dropped ? "messages are missing" : "every message is kept", rec.dropped && "error"),
     fact("Messages", number(rec.entries), rec.rests ? (rec.entries ? "in the last file" : "nothing is written yet") : rec.left_out ? `in this file; ${number(rec.left_out)} more in pauses or not chosen` : rec.split ? "in the files of this recording" : "in this file"),
     fact("Seal", rec.sealed ? "on" : "off", rec.sealed ? "each change will show" : "--seal KEY signs it"),
     ...(rec.triggers.length ? [fact("Black box", count(rec.triggers.length, "rule"), rec.triggers.join(", "))] : [])]);
-  const takes = !rec.snapshot_s && !rec.failure;
+  const takes = !rec.snapshot_s && (!rec.failure || rec.rests);
   part(buttons, [rec.paused, rec.rests, rec.snapshot_s, rec.split, takes, locked()], () => h("div.actions", null,
     takes && rec.rests && button("Start recording", () => act({ do: "start" }), { kind: ".big.primary", key: "start" }),
     takes && !rec.rests && (rec.paused ? button("Resume", () => act({ do: "resume" }), { kind: ".big.primary", key: "pause" }) : button("Pause", () => act({ do: "pause" }), { kind: ".big", key: "pause" })),
