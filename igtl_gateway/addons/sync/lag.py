@@ -149,7 +149,8 @@ def measure_together(
 ) -> Lag:
     """Return the one lag of several pairs of signals: all fixed ones have one clock, all moving ones another one.
 
-    A pair in which nothing moves is left out.  ``Lag.pairs`` has what each contributes.
+    A pair in which nothing moves is left out; a movement that never reverses counts beside one that does.
+    ``Lag.pairs`` has what each contributes.
 
     Args:
         pairs: (fixed, moving) of each movement.
@@ -158,7 +159,7 @@ def measure_together(
     range_s = MAX_LAG_S if max_lag_s is None else max_lag_s
     origin_ns = min(_common_ns(*pair)[0] for pair in pairs)
     prepared = [_prepared(*pair, origin_ns, range_s, cut_off_hz) for pair in pairs]
-    first = next((each for each in prepared if each.probe), prepared[0])
+    first = next((each for each in prepared if each.verdict is Verdict.MEASURED), prepared[0])
     found = Lag(
         first.verdict,
         common_s=first.common_s,
@@ -166,7 +167,7 @@ def measure_together(
         samples=first.samples,
         pairs=tuple(each.pair for each in prepared),
     )
-    if not first.probe:
+    if first.verdict is not Verdict.MEASURED:
         return found
     used = [each for each in prepared if each.probe]
     cut_off_hz = max(each.cut_off_hz for each in used)
@@ -176,6 +177,7 @@ def measure_together(
         curve = replace(curve, each=curve.each[related])
         used = [each for each, is_related in zip(used, related.tolist(), strict=True) if is_related]
     probes = [each.probe for each in used if each.probe]
+    curve = curve.sharpened(probes)
     fit = Fit(probes)
     found = replace(
         found,
@@ -200,7 +202,7 @@ def _contribution(prepared: _Prepared, lag: Lag, period_s: float | None) -> Pair
 
 @dataclass(frozen=True, slots=True)
 class _Prepared:
-    """A pair of signals, filtered; without a probe the verdict is the reason."""
+    """A pair of signals, filtered; the verdict is the reason if there is no probe, or if it does not suffice alone."""
 
     pair: Pair
     common_s: float
@@ -248,10 +250,10 @@ def _prepared(fixed: Signal, moving: Signal, origin_ns: int, max_lag_s: float, c
     if known.is_still(times) or other.is_still(times):
         return refused(Verdict.STILL, len(times))
     target = main_component(known.at(times))
-    if min(reversals(target), reversals(main_component(other.at(times[other.covers(times)])))) < 1:
-        return refused(Verdict.ONE_WAY, len(times))
-    probe = Probe(times, target, other, -1 if is_exchanged else 1, cut_off_hz)
-    return replace(refused(Verdict.MEASURED, len(times)), cut_off_hz=cut_off_hz, probe=probe)
+    reverses = min(reversals(target), reversals(main_component(other.at(times[other.covers(times)])))) > 0
+    probe = Probe(times, target, other, -1 if is_exchanged else 1, cut_off_hz, reverses=reverses)
+    verdict = Verdict.MEASURED if reverses else Verdict.ONE_WAY
+    return replace(refused(verdict, len(times)), cut_off_hz=cut_off_hz, probe=probe)
 
 
 def _searched(found: Lag, fit: Fit, curve: Curve, *, is_known: bool) -> tuple[Lag, list[float]]:
@@ -278,7 +280,8 @@ def _searched(found: Lag, fit: Fit, curve: Curve, *, is_known: bool) -> tuple[La
     if best is None:
         return replace(found, verdict=Verdict.AT_EDGE), periods
     lag_s = float(curve.lags[best])
-    if all(probe.is_chance(lag_s, float(r2)) for probe, r2 in zip(probes, curve.each[:, best], strict=True)):
+    by_chance = [probe.is_chance(lag_s) for probe in probes]
+    if all(chance for chance, decides in zip(by_chance, deciders, strict=True) if decides or not any(deciders)):
         return replace(found, verdict=Verdict.BY_CHANCE), periods
     if any(deciders):
         other_s = rival(curve, best, probes, deciders, beyond=not is_known)
@@ -351,5 +354,4 @@ def _skew(line: Solution | None, windows: Sequence[Window]) -> tuple[float, floa
         freedom = len(windows) - 2
         half = max(half, student(freedom) * math.sqrt(float(rest @ rest) / freedom / float(since @ since)))
     skew_ppm, half_ppm = line.skew * 1e6, half * 1e6
-    is_physical = abs(skew_ppm) <= MOST_SKEW_PPM or abs(skew_ppm) <= half_ppm
-    return (skew_ppm, half_ppm) if is_physical else (math.nan, math.nan)
+    return (skew_ppm, half_ppm) if abs(skew_ppm) <= MOST_SKEW_PPM else (math.nan, math.nan)

@@ -29,31 +29,45 @@ class Probe:
 
     Attributes:
         times: (N,) s after the origin; target: (N,) low-pass filtered.
-        some: (S,) as many of the times as contain all of the filtered movement, for the search.
+        some: (S,) as many of the times as contain all of the filtered movement, for the search; none near the ends.
         faster: the other signal.
         direction: 1 if the target is of the fixed stream; -1 if it is of the moving one, which lags behind.
-        drift: (N, D) slow cosines, which are part of the regression.
+        drift: (N, D) slow cosines, which are part of the regression; also a line, if the movement never reverses: a
+            ramp fits at any lag.
     """
 
-    def __init__(self, times: Floats, target: Floats, faster: Filtered, direction: int, cut_off_hz: float) -> None:
+    def __init__(
+        self,
+        times: Floats,
+        target: Floats,
+        faster: Filtered,
+        direction: int,
+        cut_off_hz: float,
+        *,
+        reverses: bool = True,
+    ) -> None:
         self.times, self.target, self.faster, self.direction = times, target, faster, direction
         seconds = max(float(times[-1] - times[0]), 1e-9)
         slow = min(int(2 * seconds / _DRIFT_S), _MOST_DRIFT)
-        self.drift = np.cos(np.pi * np.arange(slow + 1) * ((times - times[0]) / seconds)[:, np.newaxis])
+        part = ((times - times[0]) / seconds)[:, np.newaxis]
+        self.drift = np.cos(np.pi * np.arange(slow + 1) * part)
+        if not reverses:
+            self.drift = np.column_stack([self.drift, part])
         values = faster.at(times[faster.covers(times)])
         _, sizes, axes = np.linalg.svd(values - values.mean(axis=0), full_matrices=False)
         kept = sizes > _SPREAD * sizes[0]
         self.axes = (axes[kept] / sizes[kept, np.newaxis]).T * math.sqrt(len(values))
         rate_hz = (len(times) - 1) / seconds
         every = max(1, min(int(rate_hz / (_SEARCH_HZ * cut_off_hz)), len(times) // (2 * LEAST_SAMPLES)))
-        self.some = self.times[::every]
-        self._least = max(LEAST_SAMPLES / every, _PART_COVERED * len(self.some))
-        self._target, self._drift = self.target[::every], self.drift[::every]
+        edge_s = min(faster.edge_s, seconds / 8)
+        chosen = np.flatnonzero((times >= times[0] + edge_s) & (times <= times[-1] - edge_s))[::every]
+        self.some, self._target, self._drift = times[chosen], target[chosen], self.drift[chosen]
+        self._least = max(LEAST_SAMPLES / every, _PART_COVERED * len(chosen))
 
     def r2(self, lag_s: float) -> float:
         """Return the explained part of the variance at a lag; NaN if it covers too few samples."""
         at = self.some + self.direction * lag_s
-        inside = self.faster.covers(at)
+        inside = self.faster.covers_well(at)
         if np.count_nonzero(inside) < self._least:
             return math.nan
         target, drift = self._target[inside], self._drift[inside]
@@ -69,7 +83,7 @@ class Probe:
     def _beside_drift(self, lag_s: float) -> tuple[Mask, Floats, Floats]:
         """Which of some samples are covered (S), and of these (M) the target and what the faster signal explains."""
         at = self.some + self.direction * lag_s
-        inside = self.faster.covers(at)
+        inside = self.faster.covers_well(at)
         drift = self._drift[inside]
         values = without(drift, self.faster.at(at[inside]) @ self.axes)
         target = without(drift, self._target[inside])
@@ -92,14 +106,26 @@ class Probe:
         inside, target, predicted = self._beside_drift(lag_s)
         return min(half_waves(self.some[inside], each) for each in (target, predicted))
 
-    def is_chance(self, lag_s: float, r2: float) -> bool:
-        """Return whether an R² of this size is found at some lag of signals that are not related.
+    def is_chance(self, lag_s: float) -> bool:
+        """Return whether signals that are not related are as alike at some lag, in what they show and in its speed.
 
-        Slow signals have few independent values, and any two of them are alike at some lag.
+        Slow signals have few independent values, and any two of them are alike at some lag.  Where something moves from
+        place to place and seldom back, its speed has many.
         """
-        components = self.axes.shape[1]
-        left = self.freedom(lag_s) - self.drift.shape[1] - (components + 1) / 2
-        return bool(left <= 0 or -left * math.log(max(1 - r2, 1e-9)) < chi_squared(components, _CHANCE))
+        inside, target, predicted = self._beside_drift(lag_s)
+        times, components = self.some[inside], self.axes.shape[1]
+        if not _is_chance(times, target, predicted, components, self.drift.shape[1]):
+            return False
+        speed = np.gradient(target, times)
+        speeds = self.faster.slope_at(times + self.direction * lag_s) @ self.axes
+        return _is_chance(times, speed, speeds @ gains_of(speeds, speed), components, 1)
+
+
+def _is_chance(times: Floats, target: Floats, predicted: Floats, components: int, drift: int) -> bool:
+    """Whether a target (N) could be explained so well by chance."""
+    freedom = min(half_waves(times, target), half_waves(times, predicted)) - drift - (components + 1) / 2
+    left = float(np.sum((target - predicted) ** 2)) / max(float(np.sum(target**2)), 1e-300)
+    return bool(freedom <= 0 or -freedom * math.log(max(left, 1e-9)) < chi_squared(components, _CHANCE))
 
 
 def without(drift: Floats, values: Floats) -> Floats:

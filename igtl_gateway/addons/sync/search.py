@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from igtl_gateway.addons.sync.probe import Probe
 from igtl_gateway.addons.sync.signal import Floats
 
 _STEP_S, _STEP_PERIODS = 0.04, 0.1  # the step is at most this, and this part of the shortest period
+_HALVINGS = 5  # of the two steps around a peak, until its top is found: a lag of 2 ms at most
 _BEYOND = 1.5  # a lag beyond the search range shows itself in a search of this times the range ...
 _BEYOND_S = 2.5  # ... and up to this at least
 _SIMILAR_R2, _EQUAL_R2 = 0.9, 0.98  # R² of another peak, relative to the best, that may be, or is, as good
@@ -29,23 +30,44 @@ class Curve:
         lags: (L,) s, increasing.
         each: (P, L) R² of each probe, NaN where a lag covers too few of its samples.
         max_lag_s: the search range; lags beyond it only show whether the lag is in it.
+        step_s: of the search.
     """
 
     lags: Floats
     each: Floats
     max_lag_s: float
+    step_s: float
 
     @classmethod
     def of(cls, probes: Sequence[Probe], max_lag_s: float, cut_off_hz: float) -> Curve:
         step_s = min(_STEP_S, _STEP_PERIODS / cut_off_hz)
         reach = math.ceil(max(_BEYOND * max_lag_s, _BEYOND_S) / step_s)
         lags = np.arange(-reach, reach + 1, dtype=np.float64) * step_s
-        return cls(lags, np.array([[probe.r2(lag) for lag in lags.tolist()] for probe in probes]), max_lag_s)
+        each = np.array([[probe.r2(lag) for lag in lags.tolist()] for probe in probes])
+        return cls(lags, each, max_lag_s, step_s)
+
+    def sharpened(self, probes: Sequence[Probe]) -> Curve:
+        """Return the curve with each peak of all probes at its top, which is between the lags of the search.
+
+        The peaks of a fast movement are so narrow that the next lag of the search decides which of them is higher.
+        """
+        lags, each = self.lags.copy(), self.each.copy()
+        for place in peaks_of(self.of_probes([True] * len(probes))):
+            low, high = self.lags[place - 1], self.lags[place + 1]
+            for _ in range(_HALVINGS):
+                step = (high - low) / 4
+                tried = np.array([lags[place] - step, lags[place] + step])
+                values = np.array([[probe.r2(lag) for lag in tried.tolist()] for probe in probes])
+                left = _together(np.column_stack([values, each[:, place]]))
+                best = int(np.argmax(np.where(np.isfinite(left), left, -np.inf)))
+                if best < 2:
+                    lags[place], each[:, place] = tried[best], values[:, best]
+                low, high = lags[place] - step, lags[place] + step
+        return replace(self, lags=lags, each=each)
 
     def of_probes(self, chosen: Sequence[bool]) -> Floats:
         """Return R² of some probes together (L): from 1, the geometric mean of what is left."""
-        left = 1 - np.clip(self.each[np.array(chosen)], 0.0, 1 - 1e-9)
-        return np.asarray(1 - np.exp(np.mean(np.log(left), axis=0)))
+        return _together(self.each[np.array(chosen)])
 
     def largest(self) -> Floats:
         """Return the largest R² of each probe in the search range (P), 0 without one."""
@@ -54,7 +76,12 @@ class Curve:
     @property
     def inside(self) -> Floats:
         """Which lags are in the search range, and one step more for its peaks (L), bool."""
-        return np.asarray(np.abs(self.lags) <= self.max_lag_s + (self.lags[1] - self.lags[0]))
+        return np.asarray(np.abs(self.lags) <= self.max_lag_s + self.step_s)
+
+
+def _together(each: Floats) -> Floats:
+    """R² of probes (P, L) together (L)."""
+    return np.asarray(1 - np.exp(np.mean(np.log(1 - np.clip(each, 0.0, 1 - 1e-9)), axis=0)))
 
 
 def peaks_of(values: Floats) -> list[int]:

@@ -19,6 +19,7 @@ _MOST_GRID = 1 << 20  # samples of a grid: stamps may lie, and be centuries apar
 _POWER = 0.98  # part of the power of a movement that its bandwidth has to have
 _MARGIN = 1.5
 _GAP = 3.0  # periods without a sample from which on a signal is unknown
+_EDGE = 2.0  # standard deviations of the filter: nearer to an end, its result is off by more than 5 % of them
 _REFERENCE_HZ = 1.5  # cut-off above which nothing counts as the movement of a reference: noise does not move
 _HYSTERESIS = 0.2  # part of the range of a movement that a reversal has to exceed
 _ALIKE = 0.97  # autocorrelation from which on a movement repeats itself
@@ -76,6 +77,7 @@ class Filtered:
         grid: (G, K).
         slope: derivative of the grid, per second.
         gap_s: from here on, the time between samples is a gap.
+        edge_s: so near to its ends the signal is less exact: the filter has samples on one side only.
     """
 
     times: Floats
@@ -84,6 +86,7 @@ class Filtered:
     grid: Floats
     slope: Floats
     gap_s: float
+    edge_s: float
 
     @classmethod
     def of(cls, signal: Signal, origin_ns: int, cut_off_hz: float) -> Filtered:
@@ -97,7 +100,7 @@ class Filtered:
         grid = _smoothed(raw, sigma_s / step_s)
         smooth = np.stack([np.interp(times, at, column) for column in grid.T], axis=1)
         noise = float(np.sqrt(np.mean((signal.values - smooth) ** 2)))
-        return cls(times, noise, step_s, grid, np.gradient(grid, step_s, axis=0), _GAP * period)
+        return cls(times, noise, step_s, grid, np.gradient(grid, step_s, axis=0), _GAP * period, _EDGE * sigma_s)
 
     def covers(self, at: Floats) -> npt.NDArray[np.bool_]:
         """Return at which times (s) the signal is known: between samples that are not far apart."""
@@ -106,6 +109,10 @@ class Filtered:
         right = np.clip(after, 1, len(self.times) - 1)
         on_sample = (after < len(self.times)) & (self.times[np.clip(after, 0, len(self.times) - 1)] == at)
         return np.asarray(on_sample | (inside & (self.times[right] - self.times[right - 1] <= self.gap_s)))
+
+    def covers_well(self, at: Floats) -> npt.NDArray[np.bool_]:
+        """Return at which times (s) the signal is known as exactly as anywhere: not near its ends."""
+        return np.asarray(self.covers(at) & (at >= self.times[0] + self.edge_s) & (at <= self.times[-1] - self.edge_s))
 
     def at(self, at: Floats) -> Floats:
         """Return the values (N, K) at these times."""
@@ -217,4 +224,7 @@ def period(times: Floats, values: Floats) -> float:
     first = int(np.argmax(later >= _ALIKE * float(later.max())))
     while first + 1 < len(later) and later[first + 1] > later[first]:
         first += 1
-    return float((below[0] + first) * step)
+    place = int(below[0]) + first
+    left, top, right = (float(likeness[min(place + by, len(likeness) - 1)]) for by in (-1, 0, 1))
+    bend = left - 2 * top + right  # of the parabola through the three: its top is between the samples
+    return (place + ((left - right) / (2 * bend) if bend < 0 else 0.0)) * step

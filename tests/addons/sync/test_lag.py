@@ -13,7 +13,7 @@ from igtl_gateway.addons.sync.lag import MOST_SKEW_PPM, Verdict, measure_lag, me
 from igtl_gateway.addons.sync.signal import Floats, Signal
 from igtl_gateway.addons.sync.statistics import chi_squared, student
 from igtl_gateway.base.stamp import NS_PER_S
-from tests.addons.sync.trajectories import trajectory
+from tests.addons.sync.trajectories import staircase, trajectory
 from tests.addons.sync.worlds import irregular, stamps, world
 from tests.tables import table
 
@@ -149,6 +149,15 @@ def test_a_skew_is_one_of_clocks(number: int) -> None:
     assert not lag.has_skew or abs(lag.skew_ppm) <= MOST_SKEW_PPM
 
 
+@pytest.mark.parametrize("number", range(6))
+def test_noise_has_no_skew_beyond_that_of_clocks(number: int) -> None:
+    """Short and noisy movements gave up to 9,073 ppm, with an interval as wide."""
+    random = np.random.default_rng([8, number])
+    fixed = irregular(random, 8, 30, 1, 1.0)
+    lag = measure_lag(fixed, Signal(fixed.times_ns, fixed.values + random.normal(0, 1.2, fixed.values.shape)))
+    assert not abs(lag.skew_ppm) > MOST_SKEW_PPM
+
+
 def test_two_windows_that_contradict_each_other() -> None:
     """Without a third one, the data do not show which of them is right."""
     fixed, moving = pair(lambda at: np.sin(2 * at) + np.sin(5.1 * at + 1) + np.sin(at * at / 3), seconds=6)
@@ -171,6 +180,22 @@ def test_trajectories_of_an_instrument() -> None:
             found.append(lag.low_s <= case.lag_s <= lag.high_s)
     assert len(found) >= 64 / 68 * TRAJECTORIES
     assert sum(found) >= 0.9 * len(found) - 1
+
+
+@pytest.mark.parametrize("number", [0, 8, 37])
+def test_an_insertion_from_place_to_place_chooses(number: int) -> None:
+    """Also one that never reverses (0, 8), and between lags that are nearer than the steps of the search (37)."""
+    pairs, lag_s, frame_s = staircase(number)
+    lag = measure_together(pairs, max_lag_s=5.0)
+    assert lag.verdict.has_lag
+    assert abs(lag.lag_s - lag_s) < frame_s
+
+
+@pytest.mark.parametrize("number", [0, 2])
+def test_an_insertion_that_is_not_related_does_not_choose(number: int) -> None:
+    """What is alike by chance is no reason for one of the lags that a jaw offers."""
+    pairs, *_ = staircase(number, is_related=False)
+    assert measure_together(pairs, max_lag_s=5.0).verdict is Verdict.BY_CHANCE
 
 
 @pytest.mark.slow

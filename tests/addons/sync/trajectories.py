@@ -74,6 +74,40 @@ def trajectory(number: int, seed: int = 0) -> Trajectory:
     )
 
 
+def staircase(number: int, *, is_related: bool = True) -> tuple[list[tuple[Signal, Signal]], float, float]:
+    """Return two pairs, the lag and the time of a frame: a jaw, and an insertion in steps that sum up, or go one way.
+
+    Without ``is_related``, the video shows another insertion than that of the kinematics.
+    """
+    random = np.random.default_rng([77, number])
+    seconds, lag_s, period_s = (float(random.uniform(*span)) for span in ((25, 60), (-2.4, 2.4), (0.6, 2.5)))
+    jaw = _jaw(random, seconds, period_s)
+    insertions = [_steps(random, seconds, one_way=number % 2 == 0) for _ in range(2)]
+    robot, video = np.arange(-3, seconds + 3, 1 / 100), np.arange(0, seconds, 1 / 30)
+    known, seen = stamps(robot), stamps(video + lag_s + random.normal(0, 0.002, len(video)))
+    pairs = [
+        (
+            Signal.of(known, here(robot) + random.normal(0, 0.01, len(robot)), "/psm"),
+            Signal.of(seen, -there(video) + random.normal(0, float(random.uniform(0.02, 0.3)), len(video)), "/video"),
+        )
+        for here, there in ((jaw, jaw), (insertions[0], insertions[not is_related]))
+    ]
+    return pairs, lag_s, 1 / 30
+
+
+def _steps(random: Random, seconds: float, *, one_way: bool) -> Movement:
+    """Movements from place to place, with pauses."""
+    begins = np.cumsum(random.uniform(0.5, 3, 200)) - 6
+    sizes = random.normal(size=200)
+    lasts = random.uniform(0.4, 3, 200)
+
+    def at(time: Floats) -> Floats:
+        part = np.clip((time[:, np.newaxis] - begins) / lasts, 0, 1)
+        return np.asarray((part**3 * (10 - 15 * part + 6 * part**2)) @ (np.abs(sizes) if one_way else sizes))
+
+    return at
+
+
 def _tracked(random: Random, values: Floats, size: float) -> Floats:
     """What a tracker in a video makes of a movement: its errors last for some frames, and some are large."""
     errors = random.normal(0, 1, (2, len(values)))
