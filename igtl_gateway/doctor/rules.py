@@ -341,7 +341,8 @@ RULES: tuple[Rule, ...] = (
     ),
     Rule(
         "IGTL-W703", "messages lost", "docs/reference/session-log.md",
-        "see the losses in `igtl-gateway info FILE`", checks.lost,
+        "see the losses in `igtl-gateway info FILE`; large ROS messages: start their node with the Fast DDS profile of "
+        "docs/how-to/ros-robot.md", checks.lost,
     ),
     Rule(
         "IGTL-W801", "other note", f"{DOCTOR}: Notes",

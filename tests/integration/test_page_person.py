@@ -82,7 +82,7 @@ def test_from_the_first_screen_to_a_replay_from_the_second_mark(tmp_path: Path) 
             page.click("#replay button", "Pause")
             page.wait("document.querySelector('#replay .transport').textContent.includes('Play')")
             with RawPeer(port) as client:
-                page.wait("document.querySelector('#replay').textContent.includes('unrecognised')")  # the client
+                page.wait("document.querySelector('#replay ul.list b')")  # the client
                 page.run("window.drawn = known")
                 page.click("#replay .list button", "suture", hold="known !== drawn")  # it is drawn again meanwhile
                 page.wait(f"state.replay.state.position_s === markTime({_SUTURE}, {_TODAY})")

@@ -141,7 +141,9 @@ class Now:
             watched.setdefault(("igtl_in" if one["link"] else "ros_in", one["stream"]), []).append(one)
         rows = []
         _, all_rates = self._rates.take(now_ns, facts["totals"])
-        for side, title in _SIDES.items():
+        for side, title in (
+            _SIDES if facts.get("ros", True) else _SIDES | {"ros_out": "for ROS, which is off"}
+        ).items():
             rates, totals, drops = all_rates.get(side, {}), facts["totals"].get(side, {}), facts["drops"].get(side, {})
             for stream in sorted({*totals, *drops}):
                 seen = self._streams.setdefault((side, stream), _Seen(now_ns))
@@ -225,6 +227,13 @@ class Now:
                 }
             )
         return rows
+
+
+def wrong_things(rows: Mapping[str, Any]) -> int:
+    """Return how many links and streams are not good; a stream of a peer that is not is the same thing."""
+    peers = {row["peer"] for row in rows["links"] if row["state"] != OK}
+    streams = [row for row in rows["streams"] if row["state"] != OK and row["way"].removeprefix("from ") not in peers]
+    return sum(row["state"] != OK for row in rows["links"]) + len(streams)
 
 
 def _judged(

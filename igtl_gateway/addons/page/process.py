@@ -17,7 +17,7 @@ from typing import Any
 from igtl_gateway.addon import NS_PER_S, GatewayError, SystemClock, __version__, failure_text
 from igtl_gateway.addons.page.disk import DiskLook
 from igtl_gateway.addons.page.jobs import CANCELLED, RUNNING, Job, Jobs
-from igtl_gateway.addons.page.now import OK, Now
+from igtl_gateway.addons.page.now import Now, wrong_things
 from igtl_gateway.addons.page.recordings import MAX_LISTED, Recordings
 from igtl_gateway.addons.page.replays import Replay
 from igtl_gateway.addons.page.results import Results
@@ -168,7 +168,7 @@ class Page:
                 "pictures": found.get("pictures", []),
             }
         shown = _json(rows)
-        wrong = sum(row["state"] != OK for row in (*rows["streams"], *rows["links"])) if rows else 0
+        wrong = wrong_things(rows) if rows else 0
         with self._lock:
             self._answers, self._shown, self._wrong = found is not None, shown, wrong
 

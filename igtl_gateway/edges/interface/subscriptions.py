@@ -118,7 +118,8 @@ class Subscriptions(ABC, Generic[S]):
             lost = one.counts.lost - one.noted_lost
             if lost:
                 one.noted_lost += lost
-                text = f"{one.topic}: {lost} messages lost before we took them (queue too short, or the network)"
+                why = "queue too short, the network, or a sender with little shared memory for large messages"
+                text = f"{one.topic}: {lost} messages lost before we took them ({why})"
                 self._reports.note(Level.WARN, "ros_lost", text, one.topic, {"lost": lost})
 
     def sync(self) -> None:

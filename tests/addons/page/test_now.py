@@ -2,7 +2,18 @@ from __future__ import annotations
 
 from typing import Any
 
-from igtl_gateway.addons.page.now import AHEAD_NS, ERROR, MAX_ROWS, OK, OLD_NS, SILENT, WAITING, WARNING, Now
+from igtl_gateway.addons.page.now import (
+    AHEAD_NS,
+    ERROR,
+    MAX_ROWS,
+    OK,
+    OLD_NS,
+    SILENT,
+    WAITING,
+    WARNING,
+    Now,
+    wrong_things,
+)
 from igtl_gateway.addons.page.sample import WATCHED
 from igtl_gateway.doctor import checks
 from igtl_gateway.gateway.log.timing import FUTURE_NS
@@ -153,6 +164,19 @@ def test_late_messages_and_the_peer_that_sends_them() -> None:
 def test_a_peer_that_reads_slowly() -> None:
     sample = facts({}, peers=[peer(1, "a:1", queued=51, queued_bytes=5_406)])
     assert Now().rows(sample, _S, _S)["links"][0]["text"] == "reads slowly: 51 messages wait"
+
+
+def test_a_late_peer_and_its_stream_are_one_thing() -> None:
+    links = [{"peer": "a:1", "state": WARNING}, {"peer": "b:2", "state": OK}]
+    ways = ["from a:1", "from b:2", "from ROS"]
+    streams = [{"way": way, "state": WARNING} for way in ways] + [{"way": "from b:2", "state": OK}]
+    assert wrong_things({"links": links, "streams": streams}) == 3
+
+
+def test_without_ros_nothing_goes_to_it() -> None:
+    sample = facts({}) | {"ros": False}
+    sample["totals"] |= {"ros_out": {"/a": 9}}
+    assert Now().rows(sample, _S, _S)["streams"][0]["way"] == "for ROS, which is off"
 
 
 def test_what_goes_out_is_below_and_is_never_silent() -> None:

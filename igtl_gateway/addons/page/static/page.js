@@ -300,7 +300,7 @@ function drawNow() {
     h("p", null, [count(now.links.filter((link) => link.link).length, "peer"), count(total, "stream"), now.relay ? "relay" : now.ros ? "with ROS 2" : "without ROS", now.refused ? `${number(now.refused)} messages refused` : "nothing refused"].join(" · ")))));
   if (!links) {
     links = new Rows([["State"], ["Peer"], ["Since", "n wide"], ["Rate", "n"], ["Last minute", "wide"], ["Latency", "n"], ["Jitter", "n wide"], ["Queue", "n"], ["Dropped", "n"]], () => [
-      stateColumn(), twoLines((row) => row.name || row.peer, (row) => [`${row.role}${row.name ? ` ${row.peer}` : ""}`, row.profile].filter(Boolean).join(" · ")),
+      stateColumn(), twoLines((row) => row.name || row.peer, (row) => [`${row.role}${row.name ? ` ${row.peer}` : ""}`, row.profile !== "unrecognised" && row.profile].filter(Boolean).join(" · ")),
       textCell("n wide", (row) => (row.since_ns ? time(row.since_ns) : [NONE, true])), textCell("n", (row) => `${number(row.rate_hz)} /s`), sparkColumn(),
       latencyCell(), textCell("n wide", (row) => (row.jitter_ms == null ? [NONE, true] : `${number(row.jitter_ms, 2)} ms`)),
       textCell("n", (row) => [number(row.queue), !row.queue]), textCell("n", (row) => [number(row.dropped), !row.dropped])], "Links");
@@ -394,14 +394,14 @@ function fact(title, value, more, kind) { return h("div", { class: kind ? "s-" +
 function markCard() {
   const mark = async (sign) => {
     const label = $("mark-label").value.trim(), text = $("mark-text").value.trim();
-    if (!label) { $("mark-label").focus(); toast("write a label, such as suture-1", true); return; }
+    if (!label) { $("mark-label").focus(); toast("write a label first, such as suture-1", true); return; }
     if (await act({ do: "mark", line: `${sign}${label}${text ? ": " + text : ""}` })) { $("mark-label").value = $("mark-text").value = ""; $("mark-label").focus(); }
   };
   const enter = (event) => { if (event.key === "Enter") mark(""); if (event.key === "Escape") event.target.blur(); };
   const off = locked();
   return card("Mark", "recorded also while the recording is paused", h("div.body", null,
     h("div.form", null,
-      h("label.field", null, h("span", null, "Label"), h("input", { type: "text", id: "mark-label", maxlength: 64, placeholder: "suture-1", autocomplete: "off", onkeydown: enter, disabled: off, list: "labels" })),
+      h("label.field", null, h("span", null, "Label"), h("input", { type: "text", id: "mark-label", maxlength: 64, placeholder: "short name", autocomplete: "off", onkeydown: enter, disabled: off, list: "labels" })),
       h("label.field", null, h("span", null, "Text"), h("input", { type: "text", id: "mark-text", maxlength: 1000, placeholder: "what happens (optional)", autocomplete: "off", onkeydown: enter, disabled: off }))),
     h("div.actions", null, button("Mark this moment", () => mark(""), { kind: ".primary" }), button("Begin a phase", () => mark("+"))),
     h("div", { id: "phases" })));
@@ -514,8 +514,12 @@ async function act2(words) {
 }
 async function begin() {
   const [to, way] = target.split(" ");
-  const length = (sessions || []).find((row) => row.name === chosen)?.duration_s, at = from < length - 0.05 ? from : 0;  // from the end: again
-  await act({ do: "replay", name: chosen, to, role: way || "listen", address: place || usualPlace(), rate: Number(speed), from_s: at });
+  await act({ do: "replay", name: chosen, to, role: way || "listen", address: place || usualPlace(), rate: Number(speed), from_s: beginning() });
+}
+/* Where the replay begins: from the end, again. */
+function beginning() {
+  const length = (sessions || []).find((row) => row.name === chosen)?.duration_s;
+  return from < length - 0.05 ? from : 0;
 }
 /* Beside a bridge the port of Slicer's connector is often its own. */
 function usualPlace() { return state.has_bridge && !target.includes("connect") ? "127.0.0.1:18945" : "127.0.0.1:18944"; }
@@ -529,13 +533,14 @@ function drawReplay() {
   const ready = (sessions || []).filter((each) => each.closed || each.name === chosen);
   if (!chosen && ready.length) choose(ready[0].name);
   const title = (each) => (each.closed ? each.name : `${each.name} (${sessionState(each)[1]})`);
-  part(at.choice, [ready.map(title), chosen, running, locked(), target], () => h("div.card", null, h("div.body", null, h("div.form.four", null,
+  const begins = beginning();
+  part(at.choice, [ready.map(title), chosen, running, locked(), target, begins], () => h("div.card", null, h("div.body", null, h("div.form.four", null,
     h("label.field", null, h("span", null, "Recording"), h("select", { "data-key": "choose", disabled: running, onchange: (event) => { choose(event.target.value); draw(); } }, ready.map((each) => h("option", { value: each.name, selected: each.name === chosen }, title(each))))),
     h("label.field", null, h("span", null, "Send to"), h("select", { "data-key": "target", disabled: running, onchange: (event) => { target = event.target.value; draw(); } },
       [["igtl listen", "OpenIGTLink clients"], ["igtl connect", "an OpenIGTLink server"], ["ros", "ROS 2"], ["both listen", "OpenIGTLink clients and ROS 2"]].map(([value, title]) => h("option", { value, selected: value === target }, title)))),
     h("label.field", null, h("span", null, target.includes("connect") ? "Its address" : "At address"), h("input", { type: "text", "data-key": "place", disabled: running || target === "ros", value: place, placeholder: usualPlace(), oninput: (event) => { place = event.target.value.trim(); } })),
     h("label.field", null, h("span", null, "Rate"), h("select", { "data-key": "speed", disabled: running, onchange: (event) => { speed = event.target.value; } }, ["0.1", "0.25", "0.5", "1", "2", "5", "10"].map((value) => h("option", { value, selected: value === speed }, `${value} ×`)))),
-    running ? button("Stop", () => steer("stop"), { kind: ".danger", key: "begin" }) : button("Start", begin, { kind: ".primary", off: chosen ? "" : "No recording", key: "begin" })))));
+    running ? button("Stop", () => steer("stop"), { kind: ".danger", key: "begin" }) : button(begins > 0 ? `Start at ${moment(begins)}` : "Start", begin, { kind: ".primary", off: chosen ? "" : "No recording", key: "begin" })))));
   if (row?.duration_s == null) {
     at.player._track = at.below._track = null;
     part(at.below, null, () => []);
@@ -564,7 +569,7 @@ function drawPlayer(at, row, playing) {
   at._duration = duration; at._position = position;
   const off = playing ? "" : "Start the replay first";
   part(at._buttons, [paused, Boolean(playing), playing?.rate, locked()], () => [
-    paused ? button("▶ Play", () => steer("play"), { kind: ".primary", off, key: "play" }) : button("❚❚ Pause", () => steer("pause"), { kind: ".primary", off, key: "play" }),
+    paused ? button("▶ Play", () => (playing ? steer("play") : begin()), { kind: ".primary", key: "play" }) : button("❚❚ Pause", () => steer("pause"), { kind: ".primary", off, key: "play" }),
     button("Step", () => steer("step"), { off: off || (paused ? "" : "Pause first") }), button("Slower", () => steer("rate", playing.rate / 1.25), { off }), button("Faster", () => steer("rate", playing.rate * 1.25), { off }),
     h("span.sub", null, playing ? `rate ${number(playing.rate ?? 1, 2)} ×` : ""), h("span.time", null, "")]);
   html(at._buttons.lastChild, moment(position), h("small", null, ` of ${moment(duration)}`));
@@ -619,8 +624,8 @@ function drawBelow(place, row, replay, running) {
   const names = { mark: "Mark", phase: "Phase", finding: "Finding", loss: "Loss", pause: "Pause", link: "Link" };
   part(place, [found, !placesOf[row.name], mine?.lines, peers, running, mine?.state?.sent, mine?.state?.without_peer, locked()], () => h("div.split", null,
     card("On the time line", placesOf[row.name] ? null : "findings, losses and pauses are being read", found.length ? h("ul.list", { tabindex: 0, "aria-label": "On the time line" }, found.map((each, number) => h("li", null, h("button", { type: "button", disabled: locked() && running, "data-key": `at ${number}`, onclick: () => jump(each.at_s) }, h("span.at", null, moment(each.at_s)), h("span.sub", null, names[each.kind]), h("span", null, each.text))))) : h("p.empty", null, placesOf[row.name] ? "Nothing but messages." : "Reading …")),
-    card("Peers", running && mine ? [`${number(mine.state.sent || 0)} messages sent`, mine.state.without_peer ? `${number(mine.state.without_peer)} played while no peer was connected` : ""].filter(Boolean).join(" · ") : null, peers.length ? h("ul.list", null, peers.map(([address, profile]) => h("li", null, icon("ok"), h("b", null, address), h("span.sub", null, profile)))) : h("p.empty", null, running ? (mine?.to === "ros" ? "Nodes of ROS receive the messages; the page does not count them." : "No OpenIGTLink peer is connected: what plays now reaches nobody.") : "Peers appear when the replay runs."),
-      mine?.lines.length ? h("ul.notes", null, mine.lines.map((line) => h("li", null, h("span", null, line)))) : null)));
+    card("Peers", running && mine ? [`${number(mine.state.sent || 0)} messages sent`, mine.state.without_peer ? `${number(mine.state.without_peer)} played while no peer was connected` : ""].filter(Boolean).join(" · ") : null, peers.length ? h("ul.list", null, peers.map(([address, profile]) => h("li", null, icon("ok"), h("b", null, address), h("span.sub", null, profile === "unrecognised" ? "" : profile)))) : h("p.empty", null, running ? (mine?.to === "ros" ? "Nodes of ROS receive the messages; the page does not count them." : "No OpenIGTLink peer is connected: what plays now reaches nobody.") : "Peers appear when the replay runs."),
+      mine?.lines.length ? h("ul.notes", null, mine.lines.map((line) => h("li", null, h("span", null, line.replace(/^[=!] /, ""))))) : null)));
 }
 
 const asked = location.hash.slice(1);  // a view that the address names
