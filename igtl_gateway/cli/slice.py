@@ -95,7 +95,8 @@ def run(options: argparse.Namespace) -> int:
         )
         added = added_marks(file.path, file.start_ns, file.end_ns)
         _write(file, part, window, options)
-        carry_marks(options.output, [mark for mark in added if _is_in(mark, window)])
+        # the window may begin before the first message in it, and end behind the last one
+        carry_marks(options.output, [mark for mark in added if _is_in(mark, window)], only_within=False)
         if options.json:
             print_json({"file": str(options.output), "bytes": options.output.stat().st_size, **_facts(part.report)})
         else:

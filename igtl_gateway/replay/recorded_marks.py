@@ -80,8 +80,13 @@ def _noted(entries: Iterable[Entry]) -> Iterator[Noted]:
             yield entry.stamp_ns, Note.of(entry.data())
 
 
-def carry_marks(out: Path, added: Iterable[Mark]) -> None:
-    """Give a new recording the marks that were added to the one that it was made of: those within its time.
+def carry_marks(out: Path, added: Iterable[Mark], *, only_within: bool = True) -> None:
+    """Give a new recording the marks that were added to the one that it was made of.
+
+    Args:
+        out: the new recording.
+        added: the marks.
+        only_within: leave out those that are not between its first and its last entry.
 
     Raises as ``write_marks``.
     """
@@ -90,7 +95,8 @@ def carry_marks(out: Path, added: Iterable[Mark]) -> None:
         write_marks(out, (), 0, 0)
         return
     with SessionFile.open(out) as file:
-        kept = [mark for mark in marks if mark.time_ns <= file.end_ns and file.start_ns <= mark.last_ns]
+        is_in = [mark.time_ns <= file.end_ns and file.start_ns <= mark.last_ns for mark in marks]
+        kept = [mark for mark, within in zip(marks, is_in, strict=True) if within or not only_within]
         write_marks(out, kept, file.start_ns, file.end_ns)
 
 

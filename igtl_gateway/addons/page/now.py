@@ -230,10 +230,10 @@ class Now:
 
 
 def wrong_things(rows: Mapping[str, Any]) -> int:
-    """Return how many links and streams are not good; a stream of a peer that is not is the same thing."""
-    peers = {row["peer"] for row in rows["links"] if row["state"] != OK}
-    streams = [row for row in rows["streams"] if row["state"] != OK and row["way"].removeprefix("from ") not in peers]
-    return sum(row["state"] != OK for row in rows["links"]) + len(streams)
+    """Return how many links and streams are not good; what a stream has of its peer is one thing."""
+    links = [(row["peer"], row["advice"]) for row in rows["links"] if row["state"] != OK]
+    streams = [(row["way"].removeprefix("from "), row["advice"]) for row in rows["streams"] if row["state"] != OK]
+    return len(links) + sum(each not in links for each in streams)
 
 
 def _judged(

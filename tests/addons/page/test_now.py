@@ -167,10 +167,12 @@ def test_a_peer_that_reads_slowly() -> None:
 
 
 def test_a_late_peer_and_its_stream_are_one_thing() -> None:
-    links = [{"peer": "a:1", "state": WARNING}, {"peer": "b:2", "state": OK}]
-    ways = ["from a:1", "from b:2", "from ROS"]
-    streams = [{"way": way, "state": WARNING} for way in ways] + [{"way": "from b:2", "state": OK}]
-    assert wrong_things({"links": links, "streams": streams}) == 3
+    links = [{"peer": "a:1", "state": WARNING, "advice": "clocks"}, {"peer": "b:2", "state": OK, "advice": ""}]
+    streams = [
+        {"way": way, "state": WARNING, "advice": advice}
+        for way, advice in (("from a:1", "clocks"), ("from a:1", "crc"), ("from b:2", "crc"), ("from ROS", "crc"))
+    ]
+    assert wrong_things({"links": links, "streams": streams}) == 4
 
 
 def test_without_ros_nothing_goes_to_it() -> None:

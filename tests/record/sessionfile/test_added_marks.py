@@ -13,6 +13,7 @@ from igtl_gateway.base.errors import DamagedRecording
 from igtl_gateway.cli import main
 from igtl_gateway.gateway.log.marks import Mark
 from igtl_gateway.record.sessionfile.added_marks import added_marks, marks_file, write_marks
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from tests import marked
 from tests.places import FIXTURES
 from tests.tables import table
@@ -129,3 +130,13 @@ def test_other_recordings_made_of_it_have_them(tmp_path: Path, capsys: pytest.Ca
     assert [(mark.time_ns, mark.end_ns) for mark in marks["clean"]] == [(mark.time_ns, mark.end_ns) for mark in added]
     assert not {mark.label for mark in marks["clean"]} & {"early", "later"}
     assert main(["verify", str(tmp_path / "part.mcap")]) == 0
+
+
+def test_a_slice_has_the_marks_of_its_window_where_no_message_is(tmp_path: Path) -> None:
+    path = Path(shutil.copy(FIXTURES / "acquisition.mcap", tmp_path / "out.mcap"))
+    with SessionFile.open(path) as file:
+        write_marks(path, [Mark("last", "", "", file.end_ns)], file.start_ns, file.end_ns)
+    assert main(["slice", str(path), "-o", str(tmp_path / "part.mcap"), "--start", "mark:last"]) == 0
+    with igtl_gateway.open(tmp_path / "part.mcap") as part:
+        assert [mark.label for mark in part.marks] == ["last"]
+    assert main(["info", str(tmp_path / "part.mcap")]) == 0
