@@ -12,6 +12,7 @@
 #include <structmember.h>
 
 #include <errno.h>
+#include <poll.h>
 #include <pthread.h>
 #include <stdatomic.h>
 #include <stdlib.h>
@@ -51,6 +52,9 @@
 #define REMEMBERED 64        /* own messages of a latched topic: more than a late subscription gets of them */
 #define REMEMBERED_BYTES 256 /* of their beginning, as in edges/ros/topics.py */
 #define MAX_LARGE_WAITING 3 /* messages; then TCP makes the peer wait */
+#define MAX_UNFILLED 3 /* messages of a direction; then the oldest is copied to the recorder at once */
+#define READ_BYTES_PER_US 1500 /* by the receiver of a large message: its copies and ours would share the memory's bandwidth */
+#define ROOM_NS 3000000 /* the longest wait for a peer that is about to take the rest of a large message */
 #define LOCK_NS 2000000 /* the longest wait of a thread of the middleware */
 #define SEQUENCE_NS 100000 /* its longest wait for the sequence lock, in which it receives nothing */
 #define BATCH_NS 3000000 /* messages of ROS that wait pass with one taking of the sequence lock, for this time at most */
@@ -88,6 +92,18 @@ static int begin_mutex(pthread_mutex_t *mutex)
     pthread_mutexattr_setprotocol(&attributes, PTHREAD_PRIO_INHERIT);
     int failed = pthread_mutex_init(mutex, &attributes);
     pthread_mutexattr_destroy(&attributes);
+    return failed ? -1 : 0;
+}
+
+/* A condition whose timed waits are by the monotonic clock. */
+static int begin_condition(pthread_cond_t *condition)
+{
+    pthread_condattr_t attributes;
+    if (pthread_condattr_init(&attributes))
+        return -1;
+    pthread_condattr_setclock(&attributes, CLOCK_MONOTONIC);
+    int failed = pthread_cond_init(condition, &attributes);
+    pthread_condattr_destroy(&attributes);
     return failed ? -1 : 0;
 }
 
@@ -175,6 +191,8 @@ typedef struct Link Link;
 typedef struct Subscription Subscription;
 typedef struct Stream Stream;
 
+enum { TO_ROS, TO_IGTL };
+
 typedef struct Passage {
     PyObject_HEAD
     pthread_mutex_t sequence;
@@ -210,6 +228,8 @@ typedef struct Passage {
     Subscription *ready;    /* list of subscriptions that Python owns and that have messages */
     Subscription **ready_end;
     int woken_links, woken_subscriptions, woken_large, woken_recorder;
+    struct unfilled *unfilled[2], **unfilled_end[2]; /* large messages of each direction, oldest first */
+    int unfilled_count[2];
     /* of the reading thread alone */
     Link *waiting;   /* list of links that wait for a turn */
     Link *limited;   /* list of links that are read again at a time */
@@ -257,7 +277,6 @@ static int has_sequence(Passage *self)
 
 /* What a message waits for.  MIDDLEWARE: from the source stamp until it is taken (to OpenIGTLink only). */
 enum { MIDDLEWARE, SEQUENCE, CONVERSION, OUTPUT, RECORDING };
-enum { TO_ROS, TO_IGTL };
 
 /* Count a time, in buckets of a quarter of a power of two. */
 static void count_time(Passage *self, int direction, int phase, int64_t ns)
@@ -267,13 +286,17 @@ static void count_time(Passage *self, int direction, int phase, int64_t ns)
     __atomic_add_fetch(&self->times[direction][phase][4 * power + (int)(time >> (power - 2) & 3)], 1, __ATOMIC_RELAXED);
 }
 
-/* Count the phases of a message that ends now: three durations, and the monotonic time when it had passed. */
-static void count_times(Passage *self, int direction, int64_t sequence_ns, int64_t conversion_ns, int64_t output_ns,
-                        int64_t passed_ns)
+/* Count the phases of a message but the last one. */
+static void count_times(Passage *self, int direction, int64_t sequence_ns, int64_t conversion_ns, int64_t output_ns)
 {
     count_time(self, direction, SEQUENCE, sequence_ns);
     count_time(self, direction, CONVERSION, conversion_ns);
     count_time(self, direction, OUTPUT, output_ns);
+}
+
+/* Count the last phase, which ends now, of a message that had passed at this monotonic time. */
+static void count_recording(Passage *self, int direction, int64_t passed_ns)
+{
     count_time(self, direction, RECORDING, clock_ns(CLOCK_MONOTONIC) - passed_ns);
 }
 
@@ -564,6 +587,100 @@ static void fill(uint8_t *slot, const struct iovec *parts, int count)
     queue_filled(slot);
 }
 
+/* A large message that has passed, and has places in the recorder's queue: it is copied there when its receiver has
+ * probably read it. */
+struct unfilled {
+    struct unfilled *next;
+    int direction, count;       /* of the entries: the input and its outputs */
+    int64_t passed_ns, due_ns;  /* monotonic */
+    uint8_t *slots[1 + MAX_OUTPUTS];
+    struct iovec parts[1 + MAX_OUTPUTS][MAX_PARTS];
+    int parts_counts[1 + MAX_OUTPUTS];
+    struct kept *kept; /* what the parts are of: this and */
+    uint8_t *made;
+};
+
+static void add_entry(struct unfilled *unfilled, uint8_t *slot, const struct iovec *parts, int count)
+{
+    memcpy(unfilled->parts[unfilled->count], parts, (size_t)count * sizeof *parts);
+    unfilled->parts_counts[unfilled->count] = count;
+    unfilled->slots[unfilled->count++] = slot;
+}
+
+/* Copy a message to its places in the recorder's queue, if it has any, and forget it. */
+static void end_unfilled(Passage *self, struct unfilled *unfilled)
+{
+    for (int i = 0; i < unfilled->count; i++)
+        fill(unfilled->slots[i], unfilled->parts[i], unfilled->parts_counts[i]);
+    count_recording(self, unfilled->direction, unfilled->passed_ns);
+    attend_recorder(self);
+    leave_kept(unfilled->kept);
+    free(unfilled->made);
+    free(unfilled);
+}
+
+/* Take the oldest of a direction that has waited until this time (monotonic); NULL: none has.  With the lock of events. */
+static struct unfilled *take_unfilled(Passage *self, int direction, int64_t until_ns)
+{
+    struct unfilled *oldest = self->unfilled[direction];
+    if (!oldest || (oldest->due_ns > until_ns && self->unfilled_count[direction] <= MAX_UNFILLED))
+        return NULL;
+    if (!(self->unfilled[direction] = oldest->next))
+        self->unfilled_end[direction] = &self->unfilled[direction];
+    self->unfilled_count[direction]--;
+    return oldest;
+}
+
+/* Copy all of a direction that have waited until this time. */
+static void fill_until(Passage *self, int direction, int64_t until_ns)
+{
+    for (;;) {
+        pthread_mutex_lock(&self->events);
+        struct unfilled *unfilled = take_unfilled(self, direction, until_ns);
+        pthread_mutex_unlock(&self->events);
+        if (!unfilled)
+            return;
+        end_unfilled(self, unfilled);
+    }
+}
+
+/* Copy a message that has just passed to the recorder's queue, when ``bytes`` of it are read.  Owns ``made`` from here on,
+ * and takes part in ``kept``. */
+static void fill_later(Passage *self, struct unfilled *unfilled, struct kept *kept, uint8_t *made, ssize_t bytes)
+{
+    int direction = unfilled->direction;
+    unfilled->due_ns = unfilled->passed_ns + (int64_t)bytes * 1000 / READ_BYTES_PER_US;
+    unfilled->kept = kept, unfilled->made = made;
+    __atomic_add_fetch(&kept->owners, 1, __ATOMIC_RELAXED);
+    if (!self->is_recorded) {
+        end_unfilled(self, unfilled);
+        return;
+    }
+    pthread_mutex_lock(&self->events);
+    *self->unfilled_end[direction] = unfilled;
+    self->unfilled_end[direction] = &unfilled->next;
+    self->unfilled_count[direction]++;
+    pthread_mutex_unlock(&self->events);
+    fill_until(self, direction, unfilled->passed_ns);
+}
+
+/* Wait for a condition, and copy meanwhile what is due.  With the lock of events. */
+static void wait_and_fill(Passage *self, pthread_cond_t *condition, int direction)
+{
+    const struct unfilled *oldest = self->unfilled[direction];
+    if (!oldest) {
+        pthread_cond_wait(condition, &self->events);
+        return;
+    }
+    int64_t due_ns = oldest->due_ns;
+    const struct timespec until = {.tv_sec = due_ns / NS_PER_S, .tv_nsec = due_ns % NS_PER_S};
+    if (pthread_cond_timedwait(condition, &self->events, &until) != ETIMEDOUT)
+        return;
+    pthread_mutex_unlock(&self->events);
+    fill_until(self, direction, due_ns);
+    pthread_mutex_lock(&self->events);
+}
+
 /* Number an input of this time and its outputs; return the number of the input. */
 static uint64_t take_numbers(Passage *self, int outputs, int64_t now_ns, int64_t stamp_ns)
 {
@@ -718,7 +835,8 @@ static int pass_to_ros(Passage *self, Stream *stream, const uint8_t *data, ssize
     }
     int64_t passed_ns = clock_ns(CLOCK_MONOTONIC);
     record(self, stream, chosen.outputs, chosen.sizes, count, seq, stamp_ns, source_ns, shown_ns, data, size);
-    count_times(self, TO_ROS, locked_ns - begun_ns, converted_ns - locked_ns, passed_ns - converted_ns, passed_ns);
+    count_times(self, TO_ROS, locked_ns - begun_ns, converted_ns - locked_ns, passed_ns - converted_ns);
+    count_recording(self, TO_ROS, passed_ns);
     count_to_ros(self, stream, &chosen);
     attend_recorder(self);
     return 1;
@@ -728,9 +846,12 @@ static int pass_to_ros(Passage *self, Stream *stream, const uint8_t *data, ssize
 
 enum { NATIVE, PYTHON }; /* who reads a link */
 
-/* A message of which the kernel took nothing, or only the beginning: Python queues it. */
+/* A message of which the kernel took nothing, or only the beginning: Python queues it, unless the thread that has its memory
+ * sends it in time. */
 struct unsent {
     uint8_t *data;
+    const struct iovec *parts; /* of the message, in the memory of that thread; NULL: it is in ``data`` */
+    int parts_count;
     ssize_t size, sent;
     char *channel;
     char keep;
@@ -780,7 +901,8 @@ struct Link {
     _Atomic char clear; /* nothing is queued: what is sent goes to the kernel at once */
     char muted;         /* nothing is sent any more */
     struct unsent *unsent, **unsent_end; /* oldest first; then the link is not clear */
-    long long unsent_bytes;
+    struct unsent *lent; /* the one that is in the memory of another thread; that one is the oldest */
+    long long unsent_bytes, lent_bytes; /* the latter: how many of the former are of the lent one */
     long long sent_messages, sent_bytes;
     /* events; guarded by the passage */
     Link *next_noted, *next_closed, *next_with_large;
@@ -923,7 +1045,8 @@ static int pass_large_to_ros(Link *self, Stream *stream, struct kept *kept, int 
         memcpy(made, data, (size_t)bulk.at);
         put_frame(chosen.forms, size - bulk.at - bulk.tail, 0);
     }
-    int passes = made && (stays || bulk_from_igtl(&bulk, data, size, chosen.forms, chosen.count, 0));
+    struct unfilled *unfilled = calloc(1, sizeof *unfilled);
+    int passes = made && unfilled && (stays || bulk_from_igtl(&bulk, data, size, chosen.forms, chosen.count, 0));
     int64_t converted_ns = clock_ns(CLOCK_MONOTONIC), locked_ns = converted_ns;
     if (passes) {
         wait_for_sequence(passage);
@@ -936,20 +1059,22 @@ static int pass_large_to_ros(Link *self, Stream *stream, struct kept *kept, int 
             put_stamps(&chosen.forms[i], shown_ns);
             publish_output(passage, &chosen, i, chosen.forms[i].out);
         }
-        int64_t passed_ns = clock_ns(CLOCK_MONOTONIC);
+        *unfilled = (struct unfilled){.direction = TO_ROS, .passed_ns = clock_ns(CLOCK_MONOTONIC)};
         const struct iovec input[2] = {{stays ? made : data, (size_t)bulk.at}, {data + bulk.at, (size_t)(size - bulk.at)}};
-        fill(slots[0], input, 2);
+        add_entry(unfilled, slots[0], input, 2);
         for (int i = 0; i < chosen.count; i++) {
             const struct iovec output = {chosen.forms[i].out, (size_t)chosen.sizes[i]};
-            fill(slots[1 + i], &output, 1);
+            add_entry(unfilled, slots[1 + i], &output, 1);
         }
-        count_times(passage, TO_ROS, locked_ns - converted_ns, converted_ns - begun_ns, passed_ns - locked_ns, passed_ns);
-        attend_recorder(passage);
-    } else if (made && stays) {
-        memcpy(data, made, (size_t)bulk.at);
+        count_times(passage, TO_ROS, locked_ns - converted_ns, converted_ns - begun_ns, unfilled->passed_ns - locked_ns);
+        fill_later(passage, unfilled, kept, made, chosen.bytes);
+        return 1;
     }
+    if (made && stays)
+        memcpy(data, made, (size_t)bulk.at);
+    free(unfilled);
     free(made);
-    return passes;
+    return 0;
 }
 
 static int is_right(const Link *self) { return self->checks && self->body_crc == get_u64(self->body + CRC_AT); }
@@ -1242,7 +1367,7 @@ static int lock_links(Stream *stream)
                 unlock_links(stream, i, k);
                 return 0;
             }
-            if (!link->muted && link->unsent_bytes > MOST_UNSENT) {
+            if (!link->muted && link->unsent_bytes - link->lent_bytes > MOST_UNSENT) {
                 unlock_links(stream, i, k + 1);
                 return 0;
             }
@@ -1251,39 +1376,134 @@ static int lock_links(Stream *stream)
     return 1;
 }
 
-/* Send a message; what the kernel does not take is Python's, so that a link that is read slowly leaves the others native.
- * A link that takes nothing any more, because its peer has left, is passed over likewise.
+/* Free the oldest message that was not sent. */
+static void forget_unsent(Link *self)
+{
+    struct unsent *unsent = self->unsent;
+    if (!(self->unsent = unsent->next))
+        self->unsent_end = &self->unsent;
+    self->unsent_bytes -= unsent->size;
+    if (unsent == self->lent)
+        self->lent = NULL, self->lent_bytes = 0;
+    free(unsent->data);
+    free(unsent->channel);
+    free(unsent);
+}
+
+/* Have the kernel take as much of a message as it has room for, behind the first ``sent`` bytes; return how much, or -1. */
+static ssize_t send_behind(const Link *self, const struct iovec *parts, int count, ssize_t sent)
+{
+    struct iovec left[MAX_PARTS];
+    int number = 0;
+    for (int i = 0; i < count; i++) {
+        ssize_t size = (ssize_t)parts[i].iov_len, skipped = sent < size ? sent : size;
+        sent -= skipped;
+        if (skipped < size)
+            left[number++] = (struct iovec){(uint8_t *)parts[i].iov_base + skipped, (size_t)(size - skipped)};
+    }
+    const struct msghdr message = {.msg_iov = left, .msg_iovlen = (size_t)number};
+    return sendmsg(self->fd, &message, MSG_DONTWAIT | MSG_NOSIGNAL);
+}
+
+/* Send a message, of which the kernel takes at once what it has room for.  Returns what is queued of the rest, with a copy of
+ * it if ``lends`` is 0; NULL: nothing.  A link that takes nothing any more, because its peer has left, is passed over.
  * The caller has the lock of the link. */
-static void send_to_link(Link *self, const struct iovec *parts, int count, ssize_t size, struct output *output)
+static struct unsent *send_or_queue(Link *self, const struct iovec *parts, int count, ssize_t size, struct output *output,
+                                    int lends)
 {
     if (self->muted) {
         add(&output->ignored);
-        return;
+        return NULL;
     }
-    struct msghdr message = {.msg_iov = (struct iovec *)(uintptr_t)parts, .msg_iovlen = (size_t)count};
-    ssize_t sent = !self->clear ? 0 : count > 1 ? sendmsg(self->fd, &message, MSG_DONTWAIT | MSG_NOSIGNAL)
-                                                : send(self->fd, parts->iov_base, size, MSG_DONTWAIT | MSG_NOSIGNAL);
+    ssize_t sent = !self->clear ? 0 : count > 1 ? send_behind(self, parts, count, 0)
+                                                : send(self->fd, parts->iov_base, (size_t)size, MSG_DONTWAIT | MSG_NOSIGNAL);
     if (sent == size) {
         self->sent_messages++;
         self->sent_bytes += size;
-        return;
+        return NULL;
     }
     struct unsent *unsent = calloc(1, sizeof *unsent);
-    uint8_t *data = malloc(size);
+    lends = lends && self->clear && sent > 0;
+    uint8_t *data = lends ? NULL : malloc((size_t)size);
     self->clear = 0;
     if (!unsent) {
         free(data);
-        return;
+        return NULL;
     }
     if (data)
         join_parts(data, parts, count);
-    *unsent = (struct unsent){data, size, sent > 0 ? sent : 0, strdup(output->channel), output->keep, NULL};
-    int is_first = !self->unsent;
+    *unsent = (struct unsent){.data = data, .parts = lends ? parts : NULL, .parts_count = count, .size = size,
+                              .sent = sent > 0 ? sent : 0, .channel = strdup(output->channel), .keep = output->keep};
     *self->unsent_end = unsent;
     self->unsent_end = &unsent->next;
     self->unsent_bytes += size;
-    if (is_first)
+    if (lends)
+        self->lent = unsent, self->lent_bytes = size;
+    return unsent;
+}
+
+/* Send a message; what the kernel does not take is Python's, so that a link that is read slowly leaves the others native.
+ * The caller has the lock of the link. */
+static void send_to_link(Link *self, const struct iovec *parts, int count, ssize_t size, struct output *output)
+{
+    struct unsent *unsent = send_or_queue(self, parts, count, size, output, 0);
+    if (unsent && unsent == self->unsent)
         note_link(self);
+}
+
+/* Send the lent message, and what was queued behind it, as far as there is room.  The caller has the lock of the link. */
+static void send_queued(Link *self)
+{
+    struct unsent *unsent;
+    while (!self->muted && (unsent = self->unsent)) {
+        const struct iovec whole = {unsent->data, (size_t)unsent->size};
+        if (!unsent->parts && !unsent->data)
+            return; /* there was no memory for it: Python counts it */
+        ssize_t sent = unsent->parts ? send_behind(self, unsent->parts, unsent->parts_count, unsent->sent)
+                                     : send_behind(self, &whole, 1, unsent->sent);
+        if (sent <= 0)
+            return;
+        unsent->sent += sent;
+        if (unsent->sent < unsent->size)
+            continue;
+        self->sent_messages++;
+        self->sent_bytes += unsent->size;
+        forget_unsent(self);
+    }
+    self->clear = !self->unsent && !self->muted;
+}
+
+/* Copy the lent message, which is Python's from here on.  The caller has the lock of the link. */
+static void own_lent(Link *self)
+{
+    struct unsent *unsent = self->lent;
+    if ((unsent->data = malloc((size_t)unsent->size)))
+        join_parts(unsent->data, unsent->parts, unsent->parts_count);
+    unsent->parts = NULL;
+    self->lent = NULL, self->lent_bytes = 0;
+}
+
+/* Send a large message.  Where the peer is about to take the rest, this waits for that, without the lock of the link, instead
+ * of copying the message for Python. */
+static void send_large_to_link(Link *self, const struct iovec *parts, int count, ssize_t size, struct output *output)
+{
+    pthread_mutex_lock(&self->sending->mutex);
+    const struct unsent *unsent = send_or_queue(self, parts, count, size, output, 1);
+    int64_t until_ns = unsent ? clock_ns(CLOCK_MONOTONIC) + ROOM_NS : 0;
+    while (unsent && self->lent == unsent) { /* else it is sent, or Python has taken it */
+        int64_t left_ns = until_ns - clock_ns(CLOCK_MONOTONIC);
+        struct pollfd room = {.fd = self->fd, .events = POLLOUT};
+        pthread_mutex_unlock(&self->sending->mutex);
+        int has_room = left_ns > 0 && poll(&room, 1, (int)(left_ns / 1000000) + 1) > 0 && room.revents == POLLOUT;
+        pthread_mutex_lock(&self->sending->mutex);
+        if (self->lent == unsent && has_room && !self->muted)
+            send_queued(self);
+        else if (self->lent == unsent)
+            own_lent(self);
+    }
+    if (unsent && self->unsent)
+        note_link(self);
+    pthread_mutex_unlock(&self->sending->mutex);
 }
 
 /* -- ROS to OpenIGTLink ------------------------------------------------------------------------------------------------ */
@@ -1363,7 +1583,8 @@ static int pass_to_igtl(Passage *self, Stream *stream, const uint8_t *cdr, ssize
     record(self, stream, built, sizes, count, seq, stamp_ns, source_ns, shown_ns, cdr, size);
     if (source_ns)
         count_time(self, TO_IGTL, MIDDLEWARE, now_ns - self->ahead_ns - source_ns - (locked_ns - begun_ns));
-    count_times(self, TO_IGTL, locked_ns - begun_ns, converted_ns - locked_ns, passed_ns - converted_ns, passed_ns);
+    count_times(self, TO_IGTL, locked_ns - begun_ns, converted_ns - locked_ns, passed_ns - converted_ns);
+    count_recording(self, TO_IGTL, passed_ns);
     stream->received++;
     stream->converted++;
     set_latest(stream, seq, stamp_ns, source_ns, NULL);
@@ -1512,8 +1733,9 @@ static int pass_large_to_igtl(Subscription *self, Stream *stream, struct kept *k
     int64_t begun_ns = clock_ns(CLOCK_MONOTONIC);
     struct found found = {0};
     struct large_outputs large = {.made = NULL};
+    struct unfilled *unfilled = calloc(1, sizeof *unfilled);
     uint8_t *slots[1 + MAX_OUTPUTS] = {NULL};
-    int passes = stream->is_bulk &&
+    int passes = unfilled && stream->is_bulk &&
                  find_in_ros(&stream->bulk_from_ros, kept->message.buffer, (ssize_t)kept->message.length, &found) &&
                  make_large(stream, &found, &large);
     int64_t converted_ns = clock_ns(CLOCK_MONOTONIC), locked_ns = converted_ns;
@@ -1527,20 +1749,20 @@ static int pass_large_to_igtl(Subscription *self, Stream *stream, struct kept *k
         for (int i = 0; i < large.count; i++)
             for (int k = 0; k < large.outputs[i]->link_count; k++) {
                 Link *link = large.outputs[i]->links[k];
-                pthread_mutex_lock(&link->sending->mutex);
-                send_to_link(link, large.parts[i], large.parts_count, large.sizes[i], large.outputs[i]);
-                pthread_mutex_unlock(&link->sending->mutex);
+                send_large_to_link(link, large.parts[i], large.parts_count, large.sizes[i], large.outputs[i]);
             }
-        int64_t passed_ns = clock_ns(CLOCK_MONOTONIC);
+        *unfilled = (struct unfilled){.direction = TO_IGTL, .passed_ns = clock_ns(CLOCK_MONOTONIC)};
         const struct iovec input = {kept->message.buffer, kept->message.length};
-        fill(slots[0], &input, 1);
+        add_entry(unfilled, slots[0], &input, 1);
         for (int i = 0; i < large.count; i++)
-            fill(slots[1 + i], large.parts[i], large.parts_count);
-        count_times(passage, TO_IGTL, locked_ns - converted_ns, converted_ns - begun_ns, passed_ns - locked_ns, passed_ns);
-        attend_recorder(passage);
+            add_entry(unfilled, slots[1 + i], large.parts[i], large.parts_count);
+        count_times(passage, TO_IGTL, locked_ns - converted_ns, converted_ns - begun_ns, unfilled->passed_ns - locked_ns);
+        fill_later(passage, unfilled, kept, large.made, large.bytes);
+        return 1;
     }
+    free(unfilled);
     free(large.made);
-    return passes;
+    return 0;
 }
 
 /* Pass on a message that was taken; 0: it is Python's.  The caller has the sequence lock. */
@@ -2267,18 +2489,6 @@ static PyObject *link_get_waits(Link *self, void *closure)
     return (void)closure, PyBool_FromLong(self->waits || self->is_limited);
 }
 
-/* Free the oldest message that was not sent. */
-static void forget_unsent(Link *self)
-{
-    struct unsent *unsent = self->unsent;
-    if (!(self->unsent = unsent->next))
-        self->unsent_end = &self->unsent;
-    self->unsent_bytes -= unsent->size;
-    free(unsent->data);
-    free(unsent->channel);
-    free(unsent);
-}
-
 static void link_dealloc(Link *self)
 {
     free(self->chunk);
@@ -2341,6 +2551,8 @@ static PyObject *link_take_unsent(Link *self, PyObject *nothing)
     struct unsent *unsent = self->unsent;
     if (!unsent)
         Py_RETURN_NONE;
+    if (unsent == self->lent)
+        own_lent(self);
     PyObject *found = Py_BuildValue("y#nsO", (const char *)unsent->data, (Py_ssize_t)(unsent->data ? unsent->size : 0),
                                     (Py_ssize_t)unsent->sent, unsent->channel ? unsent->channel : "",
                                     unsent->keep ? Py_True : Py_False);
@@ -2651,13 +2863,14 @@ static PyObject *passage_new(PyTypeObject *type, PyObject *args, PyObject *keywo
     if (!self)
         return NULL;
     self->ready_end = &self->ready;
+    self->unfilled_end[TO_ROS] = &self->unfilled[TO_ROS], self->unfilled_end[TO_IGTL] = &self->unfilled[TO_IGTL];
     self->epoll = epoll_create1(EPOLL_CLOEXEC);
     self->wake = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
     self->scratch = malloc((size_t)MAX_OUTPUTS * LARGEST_OUTPUT);
     struct epoll_event event = {.events = EPOLLIN, .data.ptr = NULL};
     if (self->epoll < 0 || self->wake < 0 || !self->scratch || begin_mutex(&self->sequence) ||
-        begin_mutex(&self->events) || pthread_cond_init(&self->taken_over, NULL) ||
-        pthread_cond_init(&self->large_read, NULL) || pthread_cond_init(&self->pressed, NULL) || epoll_ctl(self->epoll, EPOLL_CTL_ADD, self->wake, &event)) {
+        begin_mutex(&self->events) || begin_condition(&self->taken_over) ||
+        begin_condition(&self->large_read) || begin_condition(&self->pressed) || epoll_ctl(self->epoll, EPOLL_CTL_ADD, self->wake, &event)) {
         Py_DECREF(self);
         return PyErr_SetFromErrno(PyExc_OSError);
     }
@@ -2671,6 +2884,8 @@ static void passage_dealloc(Passage *self)
     if (self->wake > 0)
         close(self->wake);
     free(self->scratch);
+    for (int direction = 0; direction < 2; direction++)
+        fill_until(self, direction, INT64_MAX);
     Py_XDECREF((PyObject *)self->queue_lock);
     Py_XDECREF(self->queue_memory);
     Py_TYPE(self)->tp_free((PyObject *)self);
@@ -2752,7 +2967,7 @@ static PyObject *passage_wait_subscriptions(Passage *self, PyObject *nothing)
     while (!self->woken_subscriptions && (!left || (self->ready && turns--))) {
         Subscription *one = self->ready;
         if (!one) {
-            pthread_cond_wait(&self->taken_over, &self->events);
+            wait_and_fill(self, &self->taken_over, TO_IGTL);
             continue;
         }
         if (!(self->ready = one->next_ready))
@@ -2786,7 +3001,7 @@ static PyObject *passage_wait_large(Passage *self, PyObject *wanted)
     Py_BEGIN_ALLOW_THREADS
     pthread_mutex_lock(&self->events);
     while (waits > 0 && !self->with_large && !self->woken_large)
-        pthread_cond_wait(&self->large_read, &self->events);
+        wait_and_fill(self, &self->large_read, TO_ROS);
     pthread_mutex_unlock(&self->events);
     Py_END_ALLOW_THREADS
     pthread_mutex_lock(&self->events);
@@ -2814,6 +3029,16 @@ static PyObject *passage_wait_recorder(Passage *self, PyObject *nothing)
     pthread_mutex_unlock(&self->events);
     Py_END_ALLOW_THREADS
     return PyLong_FromSsize_t(attends ? room_ahead(self) : 0);
+}
+
+static PyObject *passage_fill(Passage *self, PyObject *nothing)
+{
+    (void)nothing;
+    Py_BEGIN_ALLOW_THREADS
+    fill_until(self, TO_ROS, INT64_MAX);
+    fill_until(self, TO_IGTL, INT64_MAX);
+    Py_END_ALLOW_THREADS
+    Py_RETURN_NONE;
 }
 
 static PyObject *passage_wake(Passage *self, PyObject *nothing)
@@ -2915,6 +3140,7 @@ static PyMethodDef passage_methods[] = {
     {"wait_large", (PyCFunction)passage_wait_large, METH_O, "Return the links that have read large messages since; wait for one if that is wanted."},
     {"wait_recorder", (PyCFunction)passage_wait_recorder, METH_NOARGS, "Wait until the recorder's queue needs Python; return the bytes of room that it should have, 0: nothing is to be done."},
     {"wake", (PyCFunction)passage_wake, METH_NOARGS, "End all waits."},
+    {"fill", (PyCFunction)passage_fill, METH_NOARGS, "Copy what has passed to the recorder's queue; when nothing passes any more."},
     {NULL, NULL, 0, NULL},
 };
 

@@ -152,6 +152,7 @@ class NativeReceiver(EventPolling):
         self._stopping = True
         self._passage.wake()
         self._thread.join()
+        self._passage.fill()
 
     def _run(self) -> None:
         while not self._stopping:

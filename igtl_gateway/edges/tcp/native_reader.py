@@ -60,6 +60,7 @@ class NativeReader:
         for thread in self._threads:
             if thread.ident is not None:
                 thread.join()
+        self._passage.fill()
 
     def wait_large(self, link: Link) -> None:
         """Wait until the large messages of a link are handled: what Python handles next came after them."""

@@ -37,6 +37,7 @@ from igtl_gateway.convert.rosmsg import Header, TransformStamped
 from igtl_gateway.edges.ros.receiver import NativeReceiver
 from igtl_gateway.edges.tcp import PeerLimits
 from igtl_gateway.edges.tcp.native_reader import NativeReader
+from igtl_gateway.edges.tcp.sender import Sender
 from igtl_gateway.gateway import Session, guarded_stream, make_core
 from igtl_gateway.gateway.fastpath import passage_streams
 from igtl_gateway.gateway.live_settings import LiveSettings
@@ -621,6 +622,58 @@ def test_points_pass_in_the_thread_that_reads_as_in_python(monkeypatch: pytest.M
             return [one for one in here.middleware.published if "Marks" in one[0]]
 
     assert published(native=True) == published(native=False)
+
+
+def test_the_end_of_a_bridge_loses_no_picture_that_was_still_to_be_copied(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Pictures are copied for the recorder after their receivers have read them."""
+    path, pixels, count = tmp_path / "session.mcap", bytes(640 * 480 * 3), 12
+    with scene(monkeypatch, path=path) as here:
+        peer = here.connect()
+        for number in range(count):
+            header = Header(time.time_ns(), "base")
+            here.send_ros(rosmsg.Image(header, 480, 640, "rgb8", 0, 1920, pixels), "/igtl/out/camera")
+            picture = Message("IMAGE", "Camera", Image((640, 480, 1), 3, pixels, 3), ns_to_ticks(time.time_ns()))
+            peer.send(join(encode(picture)))
+            if number < count - 2:
+                wait_for(lambda number=number: here.received("igtl_in") == here.received("ros_in") == number + 1)
+        wait_for(lambda: here.received("igtl_in") == here.received("ros_in") == count)
+    kinds = check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+    assert [kinds[kind] for kind in (Kind.IGTL_IN, Kind.ROS_IN, Kind.IGTL_OUT)] == [count] * 3
+
+
+def test_the_rest_of_a_picture_is_sent_to_a_peer_that_reads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also what the kernel has no room for: Python would copy it, and others behind it."""
+    pixels, count = bytes(1920 * 1080 * 3), 10
+    queued: list[Any] = []
+    queue = Sender._queue
+
+    def count_queued(self: Sender, *arguments: Any) -> bool:
+        queued.append(arguments)
+        return queue(self, *arguments)
+
+    with scene(monkeypatch) as here, socket.create_connection(here.bridge.addresses[0]) as peer:
+        read = [0]
+        reader = threading.Thread(target=_read_all, args=(peer, read), daemon=True)
+        reader.start()
+        wait_for(here.bridge.tcp.links)
+        for number in range(2 * count):
+            if number == count:
+                monkeypatch.setattr(Sender, "_queue", count_queued)
+            header = Header(time.time_ns(), "base")
+            here.send_ros(rosmsg.Image(header, 1080, 1920, "rgb8", 0, 5760, pixels), "/igtl/out/hd")
+            wait_for(lambda number=number: read[0] > (number + 1) * len(pixels))
+        assert here.native == 1
+        assert len(queued) <= count // 2  # a busy host might be late; before, all of them
+    reader.join(TIMEOUT_S)
+
+
+def _read_all(peer: socket.socket, read: list[int]) -> None:
+    memory = bytearray(4 << 20)
+    with suppress(OSError):
+        while size := peer.recv_into(memory):
+            read[0] += size
 
 
 @pytest.mark.slow
