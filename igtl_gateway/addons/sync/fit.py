@@ -190,7 +190,7 @@ def _part(
     """Linearise one probe at a lag; None with too few samples."""
     times, target = probe.times[chosen], probe.target[chosen]
     at = times + probe.direction * (lag_s + skew * (times - middle_s))
-    inside = probe.faster.covers(at)
+    inside = probe.faster.covers(at) if whole else probe.faster.covers_well(at)
     if np.count_nonzero(inside) < 16:
         return None
     values = probe.faster.at(at[inside]) @ probe.axes
