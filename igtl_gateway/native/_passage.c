@@ -210,7 +210,7 @@ typedef struct Passage {
     struct queue queue;     /* of the recorder */
     Lock *queue_lock;
     PyObject *queue_memory; /* keeps the mapping */
-    ssize_t largest_recorded; /* bytes of a message with its outputs; guarded by the lock of the queue */
+    ssize_t largest_recorded; /* bytes of a message with its outputs; written with the lock of the queue, atomic */
     char presses;             /* Python has to look after the queue when the message has passed; atomic */
     uint8_t *scratch;       /* MAX_OUTPUTS outputs, guarded by the sequence lock */
     uint32_t times[2][TIMED_PHASES][TIME_BUCKETS]; /* of messages to ROS and to OpenIGTLink; atomic */
@@ -502,7 +502,10 @@ static uint8_t *copied(const void *data, ssize_t size)
 /* -- the recorder ----------------------------------------------------------------------------------------------------- */
 
 /* Bytes that the next messages might need in the recorder's queue. */
-static ssize_t room_ahead(const Passage *self) { return ROOM_AHEAD + self->largest_recorded; }
+static ssize_t room_ahead(const Passage *self)
+{
+    return ROOM_AHEAD + __atomic_load_n(&self->largest_recorded, __ATOMIC_RELAXED);
+}
 
 /* Have Python wake the recorder, or find room for the next messages, after one with which that is due. */
 static void attend_recorder(Passage *self)
@@ -528,7 +531,8 @@ static int begin_record(Passage *self, Stream *stream, struct output *const *out
         known &= queue_knows(&self->queue, outputs[i]->number);
     stream->is_stale |= !known;
     if (known && bytes <= most && queue_has_room(&self->queue, (uint64_t)count + 1, (uint64_t)bytes)) {
-        self->largest_recorded = bytes > self->largest_recorded ? bytes : self->largest_recorded;
+        if (bytes > self->largest_recorded)
+            __atomic_store_n(&self->largest_recorded, bytes, __ATOMIC_RELAXED);
         if (queue_presses(&self->queue, (uint64_t)count + 1, (uint64_t)bytes) ||
             queue_left(&self->queue) < (uint64_t)(bytes + room_ahead(self)))
             __atomic_store_n(&self->presses, 1, __ATOMIC_RELAXED);

@@ -8,7 +8,7 @@ order that must not be seen, and what permits it if it is left out.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import pytest
 
@@ -181,6 +181,36 @@ def test_the_native_writer_needs_the_release_of_its_position_only() -> None:
     for release, is_seen in ((True, False), (False, True)):
         writer = [write("record", 1), write("head", 1, release=release)]
         assert (lost in outcomes([writer, reader], {})) is is_seen
+
+
+#: Name → (reader, the thread that looks after the queue, native writer, memory at the start, what must not be seen).
+ATTENDED: dict[str, tuple[Program, Program, Program, dict[str, int], dict[str, int]]] = {
+    "room that it finds for the writer": (
+        [read("record", "record"), *FENCE, write("tail", 1)],
+        [read("tail", "tail"), write("lock", 1, release=True, needs="tail")],
+        [Access("lock", name="lock", ordered=True), write("record", 2, needs="lock")],
+        {"record": 1},
+        {"lock": 1, "record": 2, "tail": 1},
+    ),
+    "a bell that it rings for the writer": (
+        [write("bell", 0), *FENCE, read("head", "head")],
+        [Access("lock", name="lock", ordered=True), *FENCE, read("bell", "bell")],
+        [write("head", 1), write("lock", 1, release=True)],
+        {"bell": 1},
+        {"bell": 1, "head": 0, "lock": 1},
+    ),
+}
+
+
+@pytest.mark.parametrize("name", ATTENDED)
+def test_the_thread_that_looks_after_the_queue_needs_the_fence_of_the_reader_and_the_lock(name: str) -> None:
+    reader, attendant, writer, start, forbidden = ATTENDED[name]
+    unfenced = [access for access in reader if access not in FENCE]
+    unlocked = [replace(access, ordered=False) for access in writer]
+    lost = tuple(sorted(forbidden.items()))
+    assert lost not in outcomes([reader, attendant, writer], start)
+    assert lost in outcomes([unfenced, attendant, writer], start)
+    assert (lost in outcomes([reader, attendant, unlocked], start)) == (writer[0].is_write)
 
 
 def test_the_model_itself() -> None:
