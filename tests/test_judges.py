@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from tools.judges import plus
+from tools.judges import cisst, plus
 from tools.judges.page import page
 from tools.judges.results import DIFFERS, EXACT, FAILS, TO_IGTL, TO_ROS, Row, summed, write
 
@@ -52,3 +52,11 @@ def test_a_pose_that_is_turned_the_other_way_is_not_equal() -> None:
     turn = {"x": -0.004999812382094068, "y": -0.009999625229901814, "z": -0.009999625229901814, "w": 0.9998875021054452}
     assert plus.is_pose({"translation": there, "rotation": turn}, plus.reference(1))
     assert not plus.is_pose({"translation": there, "rotation": {**turn, "w": -turn["w"]}}, plus.reference(1))
+
+
+def test_what_the_judge_of_cisst_sends_is_what_it_expects_back() -> None:
+    for number in (1, 7):
+        assert cisst.is_pose(cisst.pose_command(number), number)
+        assert not cisst.is_pose(cisst.pose_command(number), number + 1)
+        assert cisst.six(cisst.force_command(number)["wrench"], "force", "torque") == cisst.force(number)
+    assert cisst.by_stamp({"header": {"stamp": {"sec": cisst.BEGIN_S + 1, "nanosec": 750_000_000}}}) == 7

@@ -10,8 +10,8 @@ from igtl_gateway.base.errors import RosError
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.edges.interface.reports import Reports, TopicCounts
 
-#: Within this time after the start a graph without subscribers might only mean that discovery is not complete: a participant
-#: whose first announcements are lost sends the next one after 3 s.
+#: Within this time after the start a graph without subscribers might only mean that discovery is not complete: a
+#: participant whose first announcements are lost sends the next one after 3 s.
 DISCOVERY_NS = 4_000_000_000
 
 _CDR_HEADER = 4
