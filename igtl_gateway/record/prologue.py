@@ -21,6 +21,8 @@ from igtl_gateway.record.selection import StateInputRule
 
 MAX_ENTRIES = 5_000
 MAX_BYTES = 64 << 20
+#: One picture must not push out everything else.
+MAX_ENTRY_BYTES = MAX_BYTES // 8
 #: Messages of mixed topics, such as the frames of many nodes on /tf.
 MAX_MIXED = 1_000
 
@@ -87,8 +89,8 @@ class Prologue:
         return [found[seq] for seq in sorted(found)]
 
     def _add(self, kept: OrderedDict[Hashable, Entry], key: Hashable, entry: Entry) -> None:
-        if entry.size > self._max_bytes // 8:
-            return  # one picture must not push out everything else
+        if entry.size > min(MAX_ENTRY_BYTES, self._max_bytes // 8):
+            return
         before = kept.pop(key, None)
         kept[key] = entry
         self._bytes += entry.size - (before.size if before else 0)

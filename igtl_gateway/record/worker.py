@@ -268,7 +268,7 @@ class _RecorderWorker:
             from igtl_gateway.record.retaining import RetentionThread  # here: it imports readers and numpy
 
             self._retention = RetentionThread(settings.path, self.options, clock)
-        self._gate.paused = self._rests = self.options.waits
+        self._rests = self.options.waits
         self._row_writer = self._writer_of_rows()
 
     def _writer_of_rows(self) -> SoleFile | None:
@@ -703,7 +703,7 @@ class _RecorderWorker:
             self._fail(f"the recording is not {'started' if start else 'closed'}: {error}")
             raise
         self._failure = ""
-        self._gate.paused = self._rests = not start
+        self._gate.paused, self._rests = False, not start
         self._queue.row_streams[:] = [None] * len(self._queue.row_streams)  # of the channels of the file before
         self._row_writer = self._writer_of_rows()
         self._apply_retention()

@@ -13,11 +13,15 @@ from typing import Any
 import pytest
 
 from igtl_gateway.app import recording
+from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.clock import ManualClock
 from igtl_gateway.cli import main
 from igtl_gateway.config.configuration import Config
-from igtl_gateway.gateway.log.entry import Entry
-from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.convert import rosmsg
+from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.gateway import LINK_UP, Gateway, Session
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record import parts
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
@@ -29,6 +33,9 @@ from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.seals import stated_seals
 from igtl_gateway.record.worker import FAILED, STARTED, STOPPED
 from igtl_gateway.replay.verify import DeclaredLosses, verify
+from igtl_gateway.wire.image import Image
+from igtl_gateway.wire.message import Message, encode
+from igtl_gateway.wire.query import EmptyQuery
 from tests.record import samples
 from tests.record.test_parts import RULE, session, wait_until
 
@@ -91,6 +98,33 @@ def test_each_file_has_all_between_start_and_stop(
     if options:
         with SessionFile.open(summary.path) as file:
             assert file.entry_count == summary.entries and not file.missing_parts
+
+
+def test_a_file_that_begins_after_large_pictures_verifies(tmp_path: Path) -> None:
+    """Their first one is noted, and a query after the start is answered with the last one before it."""
+    gateway, notes, entries = Session(Gateway(Config())), list[Note](), list[Entry]()
+
+    def take(kind: Kind, *payload: Buffer, **fields: Any) -> None:
+        now_ns = samples.START_NS + len(entries)
+        entries.extend(gateway.input(now_ns, kind, payload, **fields or {"links": (1,)}))
+
+    take(Kind.LINK, Note(Level.INFO, LINK_UP, "a peer", data={"address": "127.0.0.1:1"}).pack())
+    for value in (1, 2):
+        take(Kind.IGTL_IN, b"".join(encode(Message("IMAGE", "CT", Image((300, 300, 1), 3, bytes([value]) * 90_000)))))
+        picture = rosmsg.Image(Header(samples.START_NS, "probe"), 300, 300, "mono8", 0, 300, bytes([value]) * 90_000)
+        take(Kind.ROS_IN, picture.pack(), channel="/igtl/out/US", type_name=picture.TYPE)
+    begin = len(entries)
+    take(Kind.IGTL_IN, b"".join(encode(Message("GET_IMAGE", "US", EmptyQuery()))))
+    take(Kind.IGTL_IN, b"".join(encode(Message("IMAGE", "CT", Image((300, 300, 1), 3, bytes(90_000))))))
+    assert [entry.type for entry in entries[begin:] if entry.kind is Kind.IGTL_OUT] == ["IMAGE"]
+    recorder = recorder_of(tmp_path / "a.mcap", notes, waits=True)
+    for entry in entries[:begin]:
+        recorder(entry)
+    assert recording.start(recorder)[0]
+    for entry in entries[begin:]:
+        recorder(entry)
+    (path,) = recorder.close({"streams": {}}).files
+    assert numbers_of(path) == [entry.seq for entry in entries[begin:]]
 
 
 def test_nothing_else_is_done_to_a_recording_that_is_stopped(tmp_path: Path) -> None:

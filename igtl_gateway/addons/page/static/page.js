@@ -368,7 +368,7 @@ function drawRecording() {
   part(facts, [rec.bytes, rec.files, rec.per_s, rec.free, rec.lasts_s, rec.dropped, rec.entries, rec.left_out, rec.rests, rec.sealed, rec.triggers], () => [
     fact(rec.snapshot_s ? "Saved" : "Size", rec.snapshot_s ? count(rec.files, "file") : bytes(rec.bytes), rec.snapshot_s ? bytes(rec.bytes) : rec.per_s ? `${bytes(rec.per_s)} per second` : rec.files ? count(rec.files, "file") : "nothing is written"),
     rec.free == null ? fact("Disk", "not found", "the folder is gone", "error") : rec.free < 10e6 ? fact("Disk", bytes(rec.free), "the disk is full", "error") : fact("Disk", rec.lasts_s == null ? bytes(rec.free) : `lasts ${span(rec.lasts_s)}`, `${bytes(rec.free)} free`, short && "warning"),
-    fact("Losses", rec.dropped ? number(rec.dropped) : "none", rec.dropped ? "messages are missing" : "every message is kept", rec.dropped && "error"),
+    fact("Losses", rec.dropped ? number(rec.dropped) : "none", rec.dropped ? "messages are missing" : rec.rests ? "no file is open" : "every message is kept", rec.dropped && "error"),
     fact("Messages", number(rec.entries), rec.rests ? (rec.entries ? "in the last file" : "nothing is written yet") : rec.left_out ? `in this file; ${number(rec.left_out)} more in pauses or not chosen` : rec.split ? "in the files of this recording" : "in this file"),
     fact("Seal", rec.sealed ? "on" : "off", rec.sealed ? "each change will show" : "--seal KEY signs it"),
     ...(rec.triggers.length ? [fact("Black box", count(rec.triggers.length, "rule"), rec.triggers.join(", "))] : [])]);
@@ -430,7 +430,7 @@ const ACTIONS = [["verify", "Verify"], ["lint", "Find problems"], ["review", "Re
 /* Names of the machine of the program, where the viewer's link leads somewhere. */
 const HERE = new Set(["127.0.0.1", "localhost", "[::1]"]);
 const RESULTS = { running: ["waiting", "runs"], done: ["ok", "good"], failed: ["error", "not good"], cancelled: ["off", "cancelled"] };
-const RESULTS_OF = { lint: { done: ["ok", "none found"], failed: ["warning", "problems found"] } };
+const RESULTS_OF = { lint: { done: ["ok", "no errors"], failed: ["warning", "problems found"] } };
 function result(row, action, none) {
   const found = row.results[action];
   if (!found) return h("span.result.zero", null, none);
