@@ -59,6 +59,10 @@ from igtl_gateway.base.systems.signals import endings_held
 _ENVIRONMENT = {"LTTNG_UST_REGISTER_TIMEOUT": "0"}
 #: A process that a program has started, such as a compiler, has to compute or end: it may idle for this real time.
 _CHILD_IDLE_NS = 3_000_000_000
+#: Real time for which a process beside a program may compute after the last input, before it takes part or not.
+_BESIDE_S = 10.0
+#: Looks, 0.02 s each, in which none has computed.
+_BESIDE_LOOKS = 5
 #: Real time that a process may take from closing its connection to its end.
 _ENDING_NS = 5_000_000_000
 #: After this many wall limits a program hangs, even if it computes now and then.
@@ -316,7 +320,7 @@ def _run_once(
         stack.callback(listener.close)
         processes: list[Process] = []
         stack.callback(end_all, processes, listener.path)
-        watch = _Watch(processes, clock, options, look_for_signals)
+        watch = _Watch(processes, listener, clock, options, look_for_signals)
         coordinator: Coordinator | None = None
         try:
             peers = []
@@ -341,6 +345,7 @@ def _run_once(
                     version = hello.abi if isinstance(hello, Hello) else "unknown"
                     wrong = f"found {library.name} of version {version}, expected {ABI_VERSION}"
                     raise ProgramFault(f"resim: {wrong}: install igtl-gateway again, which compiles it")
+                watch.check_family(hello.pid)
                 process.joined(hello.pid)
                 watch.is_joining = False
                 shift_ns = (one.number - 1) * WALL_STEP_NS if options.clocks is Clocks.SHIFTED and not side else 0
@@ -378,7 +383,7 @@ def _run_once(
             )
             coordinator.run()
             watch.look_at_libraries()
-            watch.await_others(listener.path)
+            watch.await_others()
         except (ProgramFault, Gone) as fault:
             one.fault = str(fault)
             if isinstance(fault, Gone) or fault.is_end:
@@ -415,6 +420,12 @@ def _not_received(roles: Roles, options: ResimOptions) -> str:
     return "; ".join(f"{', '.join(names)}: {why}" for why, names in wrong.items())
 
 
+def _second(name: str, pid: int) -> str:
+    """What is wrong with a second process of a program that takes part."""
+    what = f"started another process that takes part: {command_of(pid)}"
+    return f"{name}: {what}; run each as a program of its own (--recipe)"
+
+
 def _may_miss(topic: str, options: ResimOptions) -> bool:
     return any(matches(glob, topic) for glob in options.without)
 
@@ -438,9 +449,14 @@ class _Watch:
     """Looks after the processes while they are waited for: whether they run, and what time they use."""
 
     def __init__(
-        self, processes: list[Process], clock: SystemClock, options: ResimOptions, look_for_signals: Callable[[], None]
+        self,
+        processes: list[Process],
+        listener: Listener,
+        clock: SystemClock,
+        options: ResimOptions,
+        look_for_signals: Callable[[], None],
     ) -> None:
-        self._processes, self._clock, self._options = processes, clock, options
+        self._processes, self._listener, self._clock, self._options = processes, listener, clock, options
         self._look_for_signals = look_for_signals
         self._looked_ns = self._waited_ns = self._idle_ns = 0
         self._cpu_s: dict[int, float] = {}
@@ -477,19 +493,39 @@ class _Watch:
                 if _GPU.match(name):
                     self.remarks.add(f"{each.name}: has loaded {name}: what a GPU computes may differ from run to run")
 
-    def await_others(self, place: Path) -> None:
+    def check_family(self, pid: int) -> None:
+        """Raise ProgramFault if a process that has joined comes from a program that takes part already."""
+        for each in self._processes[:-1]:
+            if pid in each.family():
+                raise ProgramFault(_second(each.name, pid))
+
+    def look_for_strangers(self) -> None:
+        """Raise ProgramFault if a second process of a program has connected."""
+        if pid := self._listener.stranger():
+            raise ProgramFault(
+                _second(next((one.name for one in self._processes if pid in one.family()), self._any), pid)
+            )
+
+    @property
+    def _any(self) -> str:
+        names = {each.name for each in self._processes}
+        return names.pop() if len(names) == 1 else "a program"
+
+    def await_others(self) -> None:
         """Wait for the end of the processes that programs have started, also of those that run apart from them.
 
-        Args:
-            place: of the session's socket.
-
         Raises:
-            ProgramFault: one of them neither computes nor ends.
+            ProgramFault: one of them neither computes nor ends, or takes part.
         """
-        names = {each.name for each in self._processes}
-        program = names.pop() if len(names) == 1 else "a program"
-        for pid in apart_from(self._processes, place):
-            self._children.setdefault(pid, _Started(program))
+        until_ns, quiet = self._clock.monotonic_ns() + round(_BESIDE_S * 1e9), 0
+        while quiet < _BESIDE_LOOKS and self._clock.monotonic_ns() < until_ns:
+            self.look_for_strangers()
+            if len(set().union(*(each.family() for each in self._processes))) == len(self._processes):
+                break
+            quiet = 0 if any(each.has_starting() for each in self._processes) else quiet + 1
+            self._processes[0].wait(0.02)
+        for pid in apart_from(self._processes, self._listener.path):
+            self._children.setdefault(pid, _Started(self._any))
         self.begin()
         while self._children:
             self.look()
@@ -509,6 +545,8 @@ class _Watch:
             raise ProgramFault(f"{ended}; {absent}" if is_absent else ended)
         if self.is_joining and self.side:
             self.side.look()
+        if not self.is_joining:
+            self.look_for_strangers()
         passed_ns = min(now_ns - self._looked_ns, _MOST_BETWEEN_LOOKS_NS)
         self._looked_ns = now_ns
         self._waited_ns += passed_ns

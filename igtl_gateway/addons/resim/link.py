@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import select
 import socket
 import struct
 from collections.abc import Callable
@@ -12,6 +13,8 @@ from typing import Protocol
 from igtl_gateway.addons.resim import frames
 
 _SIZE = struct.Struct("=I")
+#: Of the process at the other end: its number, user and group.
+_CREDENTIALS = struct.Struct("=3i")
 _READ_BYTES = 1 << 18
 #: How often a wait looks after the processes.
 _PATIENCE_S = 0.1
@@ -86,6 +89,7 @@ class Listener:
         self._socket.bind(str(self.path))
         self._socket.listen()
         self._socket.settimeout(_PATIENCE_S)
+        self._strangers: list[socket.socket] = []
 
     def accept(self, waiting: Callable[[], None]) -> Link:
         """Return the connection of the next process; ``waiting`` as of `Link`, also while there is none."""
@@ -95,6 +99,16 @@ class Listener:
                 return Link(connection, waiting)
             waiting()
 
+    def stranger(self) -> int:
+        """Return the number of a process that has connected, which none was to; 0 for none.  It waits until `close`."""
+        if not select.select([self._socket], [], [], 0)[0]:
+            return 0
+        connection, _ = self._socket.accept()
+        self._strangers.append(connection)
+        of_process = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+        return int(_CREDENTIALS.unpack(of_process)[0])
+
     def close(self) -> None:
-        self._socket.close()
+        for each in (*self._strangers, self._socket):
+            each.close()
         self.path.unlink(missing_ok=True)

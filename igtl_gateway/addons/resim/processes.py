@@ -136,6 +136,11 @@ class Process:
         """It, the launcher that may have started it, and the processes that these have started."""
         return set(_family(self._root))
 
+    def has_starting(self) -> bool:
+        """Whether a process beside it, which it or its launcher has started, computes: it may be about to take part."""
+        beside = (pid for pid in self.family() if self.pid not in _family(pid))
+        return any(use.state in _COMPUTING for pid in beside for use in _threads(pid))
+
     def end(self) -> None:
         """Have it end as by Ctrl-C, and kill what is left of its session."""
         if self._child.is_running:

@@ -110,7 +110,8 @@ def test_a_library_of_another_version_is_named(tmp_path: Path, monkeypatch: pyte
 def test_a_program_that_waits_for_a_processor_does_not_hang(is_computing: bool, limit_s: float) -> None:
     """Beside a load of 50, a program gets 1 % of a processor: it computes, as its states show."""
     clock, program = ManualClock(), Waiting(is_computing)
-    watch = engine._Watch([program], clock, ResimOptions(wall_s=1.0), lambda: None)  # type: ignore[list-item, arg-type]
+    nobody = Nobody()
+    watch = engine._Watch([program], nobody, clock, ResimOptions(wall_s=1.0), lambda: None)  # type: ignore[list-item, arg-type]
     how = r"10 s \(10 wall limits, as it computes\)" if is_computing else r"1 s \(the wall limit\)"
     with pytest.raises(ProgramFault, match=f"did not come to rest within {how}"):
         while True:
@@ -122,6 +123,13 @@ def test_a_program_that_waits_for_a_processor_does_not_hang(is_computing: bool, 
     watch.look()
     clock.advance(100_000_000_000)
     watch.look()
+
+
+class Nobody:
+    """Where no process connects."""
+
+    def stranger(self) -> int:
+        return 0
 
 
 @dataclass(eq=False)
@@ -146,6 +154,15 @@ def test_a_process_that_ends_is_no_fault(tmp_path: Path) -> None:
     result, verdict = judged(recording, tmp_path, "faulty asks_git", runs=2)
     assert verdict.exit_code == 0
     assert result.runs[0].remarks == []
+
+
+def test_a_second_node_of_a_program_is_a_fault(tmp_path: Path) -> None:
+    """It would wait without an end, and the verdict be of the first one alone."""
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(10))
+    node = f"{sys.executable} {PROGRAMS}/single.py"
+    program = Program(("bash", "-c", f"{node} & {node} & wait"), "both")
+    fault = compare(run(recording, [program], ResimOptions(), tmp_path)).fault
+    assert fault.startswith(f"both: started another process that takes part: {node}")
 
 
 def test_a_compiler_that_takes_long_is_no_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
