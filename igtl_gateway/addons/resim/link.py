@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import select
 import socket
 import struct
 from collections.abc import Callable
@@ -101,9 +100,13 @@ class Listener:
 
     def stranger(self) -> int:
         """Return the number of a process that has connected, which none was to; 0 for none.  It waits until `close`."""
-        if not select.select([self._socket], [], [], 0)[0]:
+        self._socket.setblocking(False)
+        try:
+            connection, _ = self._socket.accept()
+        except BlockingIOError:
             return 0
-        connection, _ = self._socket.accept()
+        finally:
+            self._socket.settimeout(_PATIENCE_S)
         self._strangers.append(connection)
         of_process = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
         return int(_CREDENTIALS.unpack(of_process)[0])
