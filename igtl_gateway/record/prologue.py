@@ -18,11 +18,10 @@ from copy import copy
 
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.selection import StateInputRule
+from igtl_gateway.record.shared_queue import owned
 
 MAX_ENTRIES = 5_000
 MAX_BYTES = 64 << 20
-#: One picture must not push out everything else.
-MAX_ENTRY_BYTES = MAX_BYTES // 8
 #: Messages of mixed topics, such as the frames of many nodes on /tf.
 MAX_MIXED = 1_000
 
@@ -54,6 +53,10 @@ class Prologue:
                 self._gone[came] = self._links.pop(came)
                 self._add(self._gone, entry.seq, entry)
         elif entry.kind.is_input:
+            self._input, self._refused = None, False
+            if entry.size > self._max_bytes // 8:
+                return  # one picture must not push out everything else
+            entry = owned(entry)  # a large one may be lent
             self._input, self._refused = entry, self._rule.commands_robot(entry)
             if self._refused:
                 return
@@ -89,8 +92,6 @@ class Prologue:
         return [found[seq] for seq in sorted(found)]
 
     def _add(self, kept: OrderedDict[Hashable, Entry], key: Hashable, entry: Entry) -> None:
-        if entry.size > min(MAX_ENTRY_BYTES, self._max_bytes // 8):
-            return
         before = kept.pop(key, None)
         kept[key] = entry
         self._bytes += entry.size - (before.size if before else 0)

@@ -14,11 +14,10 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.gateway.log.entry import Entry
-from igtl_gateway.record.prologue import MAX_ENTRY_BYTES, Prologue
+from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.chunk_rows import RowStream
 from igtl_gateway.record.sessionfile.writer import SessionWriter
-from igtl_gateway.record.shared_queue import owned
 
 #: (path, further session facts, prologue) → the writer of a file.
 Open = Callable[[Path, dict[str, str], Sequence[Entry]], SessionWriter]
@@ -71,10 +70,7 @@ class SoleFile:
         """As SessionWriter.write; in a rest only what a later file begins with is kept."""
         if self.file:
             self.file.write(entry)
-        if entry.kind.is_input and entry.size > MAX_ENTRY_BYTES:
-            self._prologue.skip()
-        else:  # what is large may be lent
-            self._prologue.observe(owned(entry) if entry.kind.is_input else entry)
+        self._prologue.observe(entry)
 
     def add_rows(self, room: memoryview, begin: int, end: int, streams: list[RowStream | None]) -> tuple[int, int, int]:
         """As SessionWriter.add_rows."""
