@@ -240,13 +240,18 @@ def test_info_states_why_the_file_is_there(tmp_path: Path, capsys: pytest.Captur
     assert main(["verify", str(first)]) == 0
 
 
+def box(folder: Path, notes: list[Note], clock: ManualClock, seconds: float) -> Recorder:
+    """A black box that a mark triggers, with a second after it."""
+    return Recorder(
+        folder / "box.mcap", samples.SESSION, qos_of=lambda _topic, _type: None, on_note=notes.append, clock=clock,
+        options=RecordOptions(snapshot_s=seconds, triggers=(trigger("mark=slip,after=1"),)), rule=RULE, host=in_thread,
+    )  # fmt: skip
+
+
 def test_a_window_ends_where_nothing_comes(tmp_path: Path) -> None:
     notes: list[Note] = []
     clock = ManualClock()
-    recorder = Recorder(
-        tmp_path / "box.mcap", samples.SESSION, qos_of=lambda _topic, _type: None, on_note=notes.append, clock=clock,
-        options=RecordOptions(snapshot_s=2.0, triggers=(trigger("mark=slip,after=1"),)), rule=RULE, host=in_thread,
-    )  # fmt: skip
+    recorder = box(tmp_path, notes, clock, seconds=2.0)
     for entry in _with_marks(9.99)[:-1]:
         recorder(entry)
 
@@ -273,10 +278,7 @@ def test_a_file_that_is_missing_is_a_failure_of_the_bridge(
     monkeypatch.setattr(SessionWriter, "__init__", begin)
     notes: list[Note] = []
     clock = ManualClock()
-    recorder = Recorder(
-        tmp_path / "box.mcap", samples.SESSION, qos_of=lambda _topic, _type: None, on_note=notes.append, clock=clock,
-        options=RecordOptions(snapshot_s=20.0, triggers=(trigger("mark=slip,after=1"),)), rule=RULE, host=in_thread,
-    )  # fmt: skip
+    recorder = box(tmp_path, notes, clock, seconds=20.0)
     for entry in _with_marks(3.0):
         recorder(entry)
         if not recorder.failure and entry.stamp_ns > samples.START_NS + 4 * NS and refuses:
