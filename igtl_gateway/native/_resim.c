@@ -63,6 +63,8 @@ enum { SUBSCRIPTION = 's', PUBLISHER = 'p', SERVICE = 'v', CLIENT = 'c' };
 enum { FLUSH_BYTES = 1 << 20, PROGRESS_BYTES = 64 };
 /* Real time after which the watching thread sends what the program has published, though it has not come to rest. */
 #define LATE_NS 100000000LL
+/* Real time for which the end of a process waits for what is not sent yet. */
+#define REST_NS 500000000LL
 /* Polls of a thread in a row that found nothing before the next one waits, and how long: a loop without a sleep. */
 enum { POLLS = 20, POLL_NS = 1000000 };
 
@@ -149,6 +151,7 @@ static struct {
     uint64_t ready_count;
     size_t callbacks;
     bool has_lost;
+    bool is_copy; /* a process that the program has forked: it has all of the program, and no part in the session */
     struct message *inbox, *last_inbox; /* from the coordinator, in order of time and class */
     struct message *own, *last_own;     /* published here, for subscriptions here */
     struct message *current;            /* is delivered to one subscription after the other */
@@ -175,6 +178,7 @@ static __thread struct {
 } own_wait = {.timeout_ns = -1};
 
 static void join_session(void);
+static void refuse_copy(const char *function);
 
 /* -- functions of ROS -------------------------------------------------------------------------------------------- */
 
@@ -316,6 +320,24 @@ static void found_real_wait(pid_t tid, const char *call)
     name[size > 0 ? size - 1 : 0] = 0; /* without the end of the line */
     snprintf(text, sizeof text, "%s %s", call, name);
     remark('w', text);
+}
+
+/* Report another process whose wait ends by real time, or one that keeps the program from its rest; under the lock. */
+static void found_real_wait_of(pid_t process, const char *call)
+{
+    static pid_t told[64];
+    char text[64];
+    if (told[process % 64] == process)
+        return;
+    told[process % 64] = process;
+    snprintf(text, sizeof text, "%d %s", process, call);
+    remark('h', text);
+}
+static void found_other(pid_t process, bool is_computing)
+{
+    char text[16];
+    snprintf(text, sizeof text, "%d", process);
+    remark(is_computing ? 'c' : 'z', text);
 }
 
 /* The next frame; blocks.  Returns its bytes behind the size; they stay until the next call. */
@@ -804,13 +826,16 @@ static void send_late(void)
         return;
     next_ns = now_ns + LATE_NS;
     report_progress();
+    report_others();
     flush();
 }
 
-/* Send what is not sent yet, at the end of the process. */
+/* Send what is not sent yet, at the end of the process: another thread holds the lock for a short time, a crash perhaps
+ * until the end. */
 __attribute__((destructor)) static void send_rest(void)
 {
-    if (S.socket < 0 || pthread_mutex_trylock(&T.lock))
+    struct timespec until = timespec_of(real_ns(CLOCK_REALTIME) + REST_NS);
+    if (S.socket < 0 || pthread_mutex_timedlock(&T.lock, &until))
         return;
     report_progress();
     size_t at = 0;
@@ -848,39 +873,24 @@ static void in_child(void)
     pthread_mutex_t fresh = PTHREAD_MUTEX_INITIALIZER;
     memcpy(&T.lock, &fresh, sizeof fresh);
     T.waiters = NULL;
+    S.is_copy = true;
     close(S.socket);
     S.socket = -1;
 }
 
-/* When a process began, in the ticks of /proc; 0 if it has ended. */
-static unsigned long long began(pid_t process)
+/* A line in a file beside the socket, for the coordinator: `f`, a process that was started, which may run on in a session of
+ * its own; `s`, one that has a socket of the network; `u`, a copy of the program that uses ROS, and how. */
+static void note(char what, pid_t process, const char *text)
 {
-    char text[512];
-    snprintf(text, sizeof text, "/proc/%d/stat", process);
-    int file = open(text, O_RDONLY | O_CLOEXEC);
-    ssize_t size = file < 0 ? 0 : read(file, text, sizeof text - 1);
-    if (file >= 0)
-        close(file);
-    text[size > 0 ? size : 0] = 0;
-    char *at = strrchr(text, ')');
-    for (int field = 2; at && field < 22; field++)
-        at = strchr(at + 1, ' ');
-    return at ? strtoull(at, NULL, 10) : 0;
-}
-
-/* A process without a connection, as one that the program has started, notes what it starts in a file beside the socket: the
- * coordinator finds it there if it runs on in a session of its own. */
-static void note_child(pid_t child)
-{
-    char text[256];
+    char line[256];
     const char *place = getenv("IGTL_GATEWAY_RESIM");
-    snprintf(text, sizeof text, "%s.children", place ? place : "");
-    int file = place ? open(text, O_WRONLY | O_APPEND | O_CREAT | O_CLOEXEC, 0600) : -1;
+    snprintf(line, sizeof line, "%s.notes", place ? place : "");
+    int file = place ? open(line, O_WRONLY | O_APPEND | O_CREAT | O_CLOEXEC, 0600) : -1;
     if (file < 0)
         return;
-    int size = snprintf(text, sizeof text, "%d %llu\n", child, began(child));
-    if (write(file, text, (size_t)size) < 0)
-        fprintf(stderr, "igtl-gateway resim: cannot note process %d\n", child);
+    int size = snprintf(line, sizeof line, "%c %d %llu %s\n", what, process, stat_field(process, 22), text);
+    if (write(file, line, (size_t)size) < 0)
+        fprintf(stderr, "igtl-gateway resim: cannot note process %d\n", process);
     close(file);
 }
 static void notice(char code, const char *text)
@@ -893,19 +903,19 @@ static void notice(char code, const char *text)
     leave();
 }
 
-/* Remember a process that the program has started, and report it. */
 static void has_started(pid_t child)
 {
-    char text[16];
-    if (S.socket < 0)
-        return note_child(child);
-    for (size_t i = 0; i < MOST_CHILDREN; i++) {
-        pid_t nobody = 0;
-        if (atomic_compare_exchange_strong(&T.children[i], &nobody, child))
-            break;
-    }
-    snprintf(text, sizeof text, "%d", child);
-    notice('f', text);
+    atomic_fetch_add(&O.started, 1);
+    note('f', child, "");
+}
+
+/* A copy cannot take part: its messages would be lost, and its waits never end. */
+static void refuse_copy(const char *function)
+{
+    if (!S.is_copy)
+        return;
+    note('u', getpid(), function);
+    give_up("a copy of the program uses ROS 2");
 }
 
 pid_t fork(void)
@@ -942,6 +952,12 @@ int posix_spawnp(pid_t *restrict child, const char *restrict file, const posix_s
         *child = started;
     return code;
 }
+FILE *popen(const char *command, const char *mode)
+{
+    FILE *file = NEXT(popen)(command, mode);
+    atomic_fetch_add(&O.started, 1);
+    return file;
+}
 int system(const char *command) { return REALLY(NEXT(system)(command)); }
 
 /* Random numbers of the system: the same in every process, if resim looks for what makes runs differ. */
@@ -972,8 +988,11 @@ int socket(int domain, int type, int protocol)
         join_session();
     }
     int file = NEXT(socket)(domain, type, protocol);
-    if (file >= 0 && is_network && !atomic_load(&S.by_sockets))
+    if (file >= 0 && is_network && !atomic_load(&S.by_sockets)) {
         notice('s', "");
+        if (S.socket < 0)
+            note('s', getpid(), "");
+    }
     return file;
 }
 
@@ -996,6 +1015,7 @@ static void join_session(void)
         PUT((uint32_t)ABI_VERSION);
         end_frame(hello);
         flush();
+        find_launchers(S.socket);
         uint32_t size;
         uint8_t *frame = next_frame(&size);
         if (GET(char) != 'W')
@@ -1010,7 +1030,9 @@ static void join_session(void)
         if (!start_time(start_ns, wall_offset_ns, clocks))
             give_up("cannot start session time");
         pthread_atfork(NULL, NULL, in_child);
-        static const int crashes[] = {SIGSEGV, SIGBUS, SIGFPE, SIGILL, SIGABRT};
+        static const int crashes[] = {SIGSEGV, SIGBUS,  SIGFPE,  SIGILL, SIGABRT, SIGTRAP,
+                                      SIGSYS,  SIGTERM, SIGHUP, SIGPIPE, SIGALRM};
+        at_quick_exit(send_rest);
         for (size_t i = 0; i < sizeof crashes / sizeof *crashes; i++) {
             struct sigaction before;
             if (!sigaction(crashes[i], NULL, &before) && before.sa_handler == SIG_DFL)

@@ -46,6 +46,7 @@ static struct guard *new_guard(struct abi_context *context)
 
 struct abi_node *rmw_create_node(struct abi_context *context, const char *name, const char *namespace_)
 {
+    refuse_copy("rmw_create_node");
     struct node *node = calloc(1, sizeof *node);
     if (!node)
         return NULL;
@@ -128,6 +129,7 @@ static void announce(const struct entity *entity, bool is_made)
 static struct entity *new_entity(int kind, const struct abi_node *node, const char *name, const struct abi_qos *qos,
                                  const struct abi_message_type *message, const struct abi_service_type *service)
 {
+    refuse_copy("rmw_create");
     struct entity *entity = calloc(1, sizeof *entity);
     if (!entity)
         return NULL;
@@ -353,6 +355,7 @@ static ret serialise(struct entity *entity, const void *message, const struct ab
 
 static void send_published(struct entity *entity, const uint8_t *data, size_t size)
 {
+    refuse_copy("rmw_publish");
     enter();
     int64_t now = atomic_load(&T.now_ns);
     if (atomic_load(&T.active)) {
@@ -400,6 +403,7 @@ ret rmw_publish_serialized_message(const struct abi_publisher *handle, const str
 
 ret rmw_send_request(const struct abi_named *handle, const void *request, int64_t *number)
 {
+    refuse_copy("rmw_send_request");
     struct entity *entity = handle->data;
     pthread_mutex_lock(&entity->buffer_lock);
     ret result = serialise(entity, request, entity->service_type->request);
@@ -421,6 +425,7 @@ ret rmw_send_request(const struct abi_named *handle, const void *request, int64_
 
 ret rmw_send_response(const struct abi_named *handle, struct abi_request_id *request, void *response)
 {
+    refuse_copy("rmw_send_response");
     struct entity *entity = handle->data;
     uint32_t from[2];
     memcpy(from, request->writer, sizeof from);
@@ -620,6 +625,7 @@ ret rmw_wait(struct abi_array *subscriptions, struct abi_array *guards, struct a
              struct abi_array *clients, struct abi_array *events, struct abi_wait_set *set,
              const struct abi_time *timeout)
 {
+    refuse_copy("rmw_wait");
     struct abi_array *lists[] = {subscriptions, guards, services, clients, events};
     int64_t timeout_ns = !timeout || timeout->sec > 1000000000ULL
                              ? NEVER

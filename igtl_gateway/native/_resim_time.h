@@ -12,8 +12,8 @@
 #define IGTL_GATEWAY_RESIM_TIME_H
 
 enum { CLOCKS_SESSION = 0, CLOCKS_REAL = 1 }; /* whether the clocks and waits of libc have session time */
-enum { MOST_POLLS = 1000 };
-enum { MOST_CHILDREN = 64, MOST_OTHERS = 16, OWN_TIMED = 1024 };
+enum { POLLS_A_NS = 10, MOST_POLLS = 10000, MOST_EPOLLS = 1000, POLL_WAIT_NS = 1000000 };
+enum { MOST_OTHERS = 16, OWN_TIMED = 1024 };
 enum wait_kind { WAIT_ROS, WAIT_SLEEP, WAIT_SIGNAL, WAIT_CONDITION };
 
 #define NEVER INT64_MAX
@@ -60,7 +60,6 @@ static struct {
     pid_t watcher;
     sem_t is_watching;
     _Atomic pid_t others[MOST_OTHERS]; /* threads that are no part of the program; 0 = free */
-    _Atomic pid_t children[MOST_CHILDREN]; /* processes that this one has started; 0 = free */
     _Atomic pid_t own_timed[OWN_TIMED]; /* threads in waits of the interpreter, which are of real time, by their numbers */
     int task_folder;
     struct task {
@@ -82,11 +81,14 @@ static struct {
 static __thread pid_t own_tid;
 static __thread uint64_t own_number;    /* by creation, from 1; 0: of the main thread */
 static __thread bool own_is_other;      /* this thread is no part of the program */
+static __thread int64_t own_polled_ns;  /* session time that the steady clock of this thread has reached by polls */
 static __thread bool own_starts_others; /* nor are those that it starts now */
 
 static void step(void);
 static void send_late(void);
 static void found_real_wait(pid_t tid, const char *call);
+static void found_real_wait_of(pid_t process, const char *call);
+static void found_other(pid_t process, bool is_computing);
 static bool is_spinning(void); /* whether the program waits for events, so that time may pass */
 
 static pid_t tid_of_this(void)
@@ -104,7 +106,7 @@ int epoll_pwait2(int file, struct epoll_event *events, int most, const struct ti
 #define REPLACED(row)                                                                                                  \
     row(clock_gettime) row(gettimeofday) row(clock_nanosleep) row(nanosleep) row(sem_timedwait) row(sem_clockwait)     \
     row(pthread_cond_timedwait) row(pthread_cond_clockwait) row(poll) row(epoll_wait) row(select) row(ppoll) row(epoll_pwait) row(epoll_pwait2) row(sigtimedwait) row(pselect) row(fork)            \
-    row(posix_spawn) row(posix_spawnp) row(system) row(socket) row(pthread_create)       \
+    row(posix_spawn) row(posix_spawnp) row(popen) row(system) row(socket) row(pthread_create)       \
     row(sem_wait) row(getrandom) row(getentropy) row(_exit)
 static struct {
 #define MEMBER(name) __typeof__(&name) name##_;
@@ -166,11 +168,11 @@ static int64_t cpu_ns_of(const struct task *task)
     return syscall(SYS_clock_gettime, task->clock, &time) ? -1 : ns_of(&time);
 }
 
-/* State of a thread: a letter of the kernel, 0 if it has ended. */
-static char state_of(const struct task *task)
+/* State of a thread, whose `stat` is open: a letter of the kernel, 0 if it has ended. */
+static char state_at(int stat)
 {
     char text[128];
-    ssize_t size = pread(task->stat, text, sizeof text - 1, 0);
+    ssize_t size = pread(stat, text, sizeof text - 1, 0);
     if (size <= 0)
         return 0;
     text[size] = 0;
@@ -238,21 +240,6 @@ static bool list_tasks(void)
     return true;
 }
 
-/* Whether a process that this one has started still runs: it may wake us at any time. */
-static bool has_child(void)
-{
-    for (size_t i = 0; i < MOST_CHILDREN; i++) {
-        pid_t child = atomic_load(&T.children[i]);
-        siginfo_t info = {.si_pid = 0};
-        if (!child)
-            continue;
-        if (!waitid(P_PID, (id_t)child, &info, WEXITED | WNOHANG | WNOWAIT) && !info.si_pid)
-            return true;
-        atomic_store(&T.children[i], 0);
-    }
-    return false;
-}
-
 /* System calls that end after a time which this library does not know: of the argument with that number (from 0), the
  * first bit is what counts.  Threads come to them by the functions that are not replaced here, or by syscall(). */
 static const struct {
@@ -302,6 +289,24 @@ static const char *timed_call(long call, const uint64_t *arguments)
     return NULL;
 }
 
+/* Whether a call with a time limit waits for nothing else. */
+static bool is_sleep(long call, const uint64_t *arguments)
+{
+    bool is_wait_for_none = call == SYS_ppoll && !arguments[1];
+    is_wait_for_none |= call == SYS_pselect6 && !arguments[0];
+#ifdef SYS_poll
+    is_wait_for_none |= (call == SYS_poll && !arguments[1]) || (call == SYS_select && !arguments[0]);
+#endif
+    return is_wait_for_none || call == SYS_clock_nanosleep || call == SYS_nanosleep;
+}
+
+/* Parse a line of /proc/PID/syscall; false if the thread runs, or the line cannot be read. */
+static bool parse_call(const char *text, long *call, uint64_t *arguments)
+{
+    return sscanf(text, "%ld %" SCNx64 " %" SCNx64 " %" SCNx64 " %" SCNx64 " %" SCNx64 " %" SCNx64, call, &arguments[0],
+                  &arguments[1], &arguments[2], &arguments[3], &arguments[4], &arguments[5]) == 7;
+}
+
 /* Look which system call a thread sleeps in, if it has run since the last look. */
 static void look_at_call(struct task *task)
 {
@@ -318,8 +323,7 @@ static void look_at_call(struct task *task)
     text[size > 0 ? size : 0] = 0;
     long call;
     uint64_t arguments[6];
-    if (sscanf(text, "%ld %" SCNx64 " %" SCNx64 " %" SCNx64 " %" SCNx64 " %" SCNx64 " %" SCNx64, &call, &arguments[0],
-               &arguments[1], &arguments[2], &arguments[3], &arguments[4], &arguments[5]) != 7)
+    if (!parse_call(text, &call, arguments))
         return;
     task->is_locking = call == SYS_flock || (call == SYS_fcntl && (arguments[1] == F_SETLKW || arguments[1] == F_OFD_SETLKW));
     const char *name = task->is_told || T.clocks == CLOCKS_REAL || atomic_load(&T.own_timed[task->tid % OWN_TIMED]) == task->tid
@@ -331,15 +335,19 @@ static void look_at_call(struct task *task)
     }
 }
 
-/* Whether all threads sleep but the caller's and the watching one; under the lock. */
+#include "_resim_others.h"
+
+/* Whether all threads sleep but the caller's and the watching one, and all of the other processes; under the lock. */
 static bool is_quiet(int entering)
 {
     struct stat folder;
-    if (atomic_load(&T.entering) != entering || atomic_load(&T.real_waits) || has_child())
+    if (atomic_load(&T.entering) != entering || atomic_load(&T.real_waits))
         return false;
     if (fstat(T.task_folder, &folder) || (folder.st_nlink != T.task_count + 2 && !list_tasks()))
         return false;
-    bool all_skipped = true;
+    if (!begin_others())
+        return false;
+    bool all_skipped = !O.count;
     pid_t self = tid_of_this();
     for (size_t i = 0; i < T.task_count; i++) {
         struct task *task = &T.tasks[i];
@@ -361,12 +369,14 @@ static bool is_quiet(int entering)
     for (size_t i = 0; i < T.task_count; i++) {
         if (T.tasks[i].skip)
             continue;
-        char state = state_of(&T.tasks[i]);
+        char state = state_at(T.tasks[i].stat);
         if (!state)
             list_tasks();
         if (state != 'S')
             return false;
     }
+    if (!others_sleep())
+        return false;
     for (size_t i = 0; i < T.task_count; i++)
         if (!T.tasks[i].skip && cpu_ns_of(&T.tasks[i]) != T.tasks[i].cpu_ns)
             return false;
@@ -376,6 +386,8 @@ static bool is_quiet(int entering)
         if (!T.tasks[i].skip && T.tasks[i].is_locking)
             return false;
     }
+    if (!others_rest())
+        return false;
     return atomic_load(&T.entering) == entering;
 }
 
@@ -561,7 +573,8 @@ static int64_t read_clock(clockid_t clock)
 {
     if (!is_session(clock))
         return real_ns(clock);
-    return is_steady(clock) ? steady_ns() : wall_ns();
+    int64_t ahead_ns = own_polled_ns - atomic_load(&T.now_ns);
+    return is_steady(clock) ? steady_ns() + (ahead_ns > 0 ? ahead_ns : 0) : wall_ns();
 }
 
 /* Session time of a deadline on a clock. */
@@ -812,34 +825,50 @@ int pthread_cond_clockwait(pthread_cond_t *restrict condition, pthread_mutex_t *
         result;                                                                                                        \
     })
 
+/* How often a thread has polled at one time, and found nothing. */
+static int fruitless_polls(int found)
+{
+    static __thread int64_t at_ns;
+    static __thread int count;
+    int64_t now = atomic_load(&T.now_ns);
+    count = found || at_ns != now || !is_on() ? 0 : count + 1;
+    at_ns = now;
+    return count;
+}
+
+/* Python's pipes poll until their clock has passed the time of the first poll: so it passes for this thread alone, since
+ * others might do something meanwhile. */
+static int poll_at_once(struct pollfd *files, nfds_t count)
+{
+    int found = NEXT(poll)(files, count, 0), polls = fruitless_polls(found);
+    int64_t now = atomic_load(&T.now_ns);
+    if (polls && polls % POLLS_A_NS == 0)
+        own_polled_ns = (own_polled_ns > now ? own_polled_ns : now) + 1;
+    return polls && polls % MOST_POLLS == 0 ? POLLED(NEXT(poll)(files, count, -1), POLL_WAIT_NS) : found;
+}
+
 int poll(struct pollfd *files, nfds_t count, int timeout_ms)
 {
-    if (timeout_ms <= 0)
+    if (!timeout_ms)
+        return poll_at_once(files, count);
+    if (timeout_ms < 0)
         return NEXT(poll)(files, count, timeout_ms);
     if (!is_on())
         return REALLY(NEXT(poll)(files, count, timeout_ms));
     return POLLED(NEXT(poll)(files, count, -1), (int64_t)timeout_ms * 1000000);
 }
 
-/* Polls without a wait that find nothing at one time: at last they wait, as loops of events expect that time passes. */
-static int poll_at_once(int file, struct epoll_event *events, int most)
+/* Loops of events expect that time passes at last. */
+static int epoll_at_once(int file, struct epoll_event *events, int most)
 {
-    static __thread int64_t at_ns;
-    static __thread int count;
-    int found = NEXT(epoll_wait)(file, events, most, 0);
-    int64_t now = atomic_load(&T.now_ns);
-    count = found || at_ns != now ? 0 : count + 1;
-    at_ns = now;
-    if (count < MOST_POLLS || !is_on())
-        return found;
-    count = 0;
-    return POLLED(NEXT(epoll_wait)(file, events, most, -1), 1000000);
+    int found = NEXT(epoll_wait)(file, events, most, 0), polls = fruitless_polls(found);
+    return polls && polls % MOST_EPOLLS == 0 ? POLLED(NEXT(epoll_wait)(file, events, most, -1), POLL_WAIT_NS) : found;
 }
 
 int epoll_wait(int file, struct epoll_event *events, int most, int timeout_ms)
 {
     if (!timeout_ms)
-        return poll_at_once(file, events, most);
+        return epoll_at_once(file, events, most);
     if (timeout_ms < 0)
         return NEXT(epoll_wait)(file, events, most, timeout_ms);
     if (!is_on())

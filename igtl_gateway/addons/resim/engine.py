@@ -51,18 +51,15 @@ from igtl_gateway.addons.resim.processes import (
     cpu_with_children_s,
     end_all,
     is_computing,
+    notes,
 )
 from igtl_gateway.addons.resim.services import recorded_services
 from igtl_gateway.base.systems.signals import endings_held
 
 #: Nothing traces the program, so it does not wait for LTTng.
 _ENVIRONMENT = {"LTTNG_UST_REGISTER_TIMEOUT": "0"}
-#: A process that a program has started, such as a compiler, has to compute or end: it may idle for this real time.
-_CHILD_IDLE_NS = 3_000_000_000
-#: Real time for which a process beside a program may compute after the last input, before it takes part or not.
-_BESIDE_S = 10.0
-#: Looks, 0.02 s each, in which none has computed.
-_BESIDE_LOOKS = 5
+#: A process that a program has started may sleep for this real time while the program waits for it.
+_CHILD_SLEEP_NS = 3_000_000_000
 #: Real time that a process may take from closing its connection to its end.
 _ENDING_NS = 5_000_000_000
 #: After this many wall limits a program hangs, even if it computes now and then.
@@ -72,6 +69,8 @@ _MOST_BETWEEN_LOOKS_NS = 500_000_000
 _NO_NODE = "made no ROS 2 node, or is linked statically"
 _NO_SOCKET = "made no TCP socket, or is linked statically"
 _OTHER_MIDDLEWARE = re.compile(r"librmw_(?!fastrtps|implementation|dds_common)\w+\.so")
+_APART = "run each as a program of its own (--recipe)"
+_OWN_SOCKET = "has a socket of its own: what it receives there comes in real time"
 _GPU = re.compile(r"lib(cuda|nvcuvid|nvinfer|OpenCL|amdhip64|ze_loader)\.so")
 #: The only middleware whose serialisation the library knows how to find.
 _MIDDLEWARE = "rmw_fastrtps_cpp"
@@ -420,10 +419,9 @@ def _not_received(roles: Roles, options: ResimOptions) -> str:
     return "; ".join(f"{', '.join(names)}: {why}" for why, names in wrong.items())
 
 
-def _second(name: str, pid: int) -> str:
+def _second(pid: int) -> str:
     """What is wrong with a second process of a program that takes part."""
-    what = f"started another process that takes part: {command_of(pid)}"
-    return f"{name}: {what}; run each as a program of its own (--recipe)"
+    return f"started another process that takes part: {command_of(pid)}; {_APART}"
 
 
 def _may_miss(topic: str, options: ResimOptions) -> bool:
@@ -434,15 +432,6 @@ def _chosen(topic: str, options: ResimOptions) -> bool | None:
     if any(matches(glob, topic) for glob in options.inputs):
         return True
     return False if any(matches(glob, topic) for glob in options.outputs) else None
-
-
-@dataclass(slots=True)
-class _Started:
-    """A process that a program has started: for how long it has not computed, and its CPU seconds until then."""
-
-    program: str
-    idle_ns: int = 0
-    cpu_s: float = 0.0
 
 
 class _Watch:
@@ -460,7 +449,9 @@ class _Watch:
         self._look_for_signals = look_for_signals
         self._looked_ns = self._waited_ns = self._idle_ns = 0
         self._cpu_s: dict[int, float] = {}
-        self._children: dict[int, _Started] = {}
+        # since when the program waits for other processes, when it was seen, how long they slept; their CPU time before
+        self._helped_ns = self._seen_ns = self._asleep_ns = 0
+        self._helper_s: dict[int, float] = {}
         #: Whether the last process is expected to connect.
         self.is_joining = False
         #: Of an OpenIGTLink program that is expected to connect.
@@ -470,16 +461,19 @@ class _Watch:
 
     def begin(self) -> None:
         """An event happened: the time of the next one begins.  Raises KeyboardInterrupt after Ctrl-C."""
-        self._looked_ns = 0
+        self._looked_ns = self._helped_ns = self._asleep_ns = 0
         self._look_for_signals()
 
     def take(self, peer: Peer, remark: Remark) -> None:
         """Take a remark of a program."""
-        if remark.code == "f":
-            self._children[int(remark.text)] = _Started(peer.name)
+        if remark.code in "cz":
+            self._wait_for(peer.name, int(remark.text), is_asleep=remark.code == "z")
         elif remark.code == "s":
-            self.remarks.add(f"{peer.name}: has a socket of its own: what it receives there comes in real time")
-
+            self.remarks.add(f"{peer.name}: {_OWN_SOCKET}")
+        elif remark.code == "h":
+            pid, _, call = remark.text.partition(" ")
+            if command := command_of(int(pid)):
+                self.remarks.add(f"{peer.name}: process {command!r} waits by {call}, whose timeout passes in real time")
         elif remark.code == "w":
             call, _, thread = remark.text.partition(" ")
             self.remarks.add(f"{peer.name}: thread {thread!r} waits by {call}, whose timeout passes in real time")
@@ -497,39 +491,61 @@ class _Watch:
         """Raise ProgramFault if a process that has joined comes from a program that takes part already."""
         for each in self._processes[:-1]:
             if pid in each.family():
-                raise ProgramFault(_second(each.name, pid))
+                raise ProgramFault(f"{each.name}: {_second(pid)}")
 
-    def look_for_strangers(self) -> None:
-        """Raise ProgramFault if a second process of a program has connected."""
-        if pid := self._listener.stranger():
-            raise ProgramFault(
-                _second(next((one.name for one in self._processes if pid in one.family()), self._any), pid)
-            )
+    def await_others(self) -> None:
+        """Wait for the end of the processes that programs have started, and that run apart from them.
+
+        Raises:
+            ProgramFault: one of them neither computes nor ends, or takes part in ROS.
+        """
+        place = self._listener.path
+        ros = {each.pid for each in self._processes}
+        self._look_for_strangers()
+        for note in notes(place):
+            if note.what == "u":
+                raise ProgramFault(f"{self._any_name}: forked, and the copy uses ROS 2 ({note.text}); {_APART}")
+            if note.what == "s" and note.pid not in ros:
+                self.remarks.add(
+                    f"{self._any_name}: another process, {command_of(note.pid) or 'which has ended'}, {_OWN_SOCKET}"
+                )
+        self.begin()
+        while others := apart_from(self._processes, place):
+            self._look_for_signals()
+            for pid in others:
+                self._wait_for(self._any_name, pid, is_asleep=not is_computing(pid))
+            self._processes[0].wait(0.02)
 
     @property
-    def _any(self) -> str:
+    def _any_name(self) -> str:
         names = {each.name for each in self._processes}
         return names.pop() if len(names) == 1 else "a program"
 
-    def await_others(self) -> None:
-        """Wait for the end of the processes that programs have started, also of those that run apart from them.
+    def _look_for_strangers(self) -> None:
+        """Raise ProgramFault if a second process of a program has joined."""
+        if pid := self._listener.stranger():
+            name = next((each.name for each in self._processes if pid in each.family()), self._any_name)
+            raise ProgramFault(f"{name}: {_second(pid)}")
 
-        Raises:
-            ProgramFault: one of them neither computes nor ends, or takes part.
-        """
-        until_ns, quiet = self._clock.monotonic_ns() + round(_BESIDE_S * 1e9), 0
-        while quiet < _BESIDE_LOOKS and self._clock.monotonic_ns() < until_ns:
-            self.look_for_strangers()
-            if len(set().union(*(each.family() for each in self._processes))) == len(self._processes):
-                break
-            quiet = 0 if any(each.has_starting() for each in self._processes) else quiet + 1
-            self._processes[0].wait(0.02)
-        for pid in apart_from(self._processes, self._listener.path):
-            self._children.setdefault(pid, _Started(self._any))
-        self.begin()
-        while self._children:
-            self.look()
-            self._processes[0].wait(0.02)
+    def _wait_for(self, program: str, pid: int, *, is_asleep: bool) -> None:
+        """A program does not come to rest because of another process.  Raises ProgramFault if that takes too long."""
+        now_ns, options = self._clock.monotonic_ns(), self._options
+        cpu_s = cpu_with_children_s(pid)
+        if not self._helped_ns:
+            self._helped_ns = self._seen_ns = now_ns
+            self._helper_s.clear()
+        if is_asleep and not any(each.is_computing() for each in self._processes):
+            self._asleep_ns += min(now_ns - self._seen_ns, _MOST_BETWEEN_LOOKS_NS)
+        else:
+            self._waited_ns = self._idle_ns = 0  # the program waits for it
+        self._seen_ns = now_ns
+        is_late = self._asleep_ns > max(min(_CHILD_SLEEP_NS, options.wall_s * 1e9), (now_ns - self._helped_ns) // 2)
+        is_busy = cpu_s - self._helper_s.setdefault(pid, cpu_s) > options.cpu_s
+        if is_late or is_busy:
+            command = command_of(pid) or "a process"
+            raise ProgramFault(
+                f"{program}: started another process, which still runs: {command}; {_APART}, or not at all"
+            )
 
     def look(self) -> None:
         """Raise ProgramFault if a process has ended, hangs, or is busy; KeyboardInterrupt after Ctrl-C."""
@@ -546,24 +562,11 @@ class _Watch:
         if self.is_joining and self.side:
             self.side.look()
         if not self.is_joining:
-            self.look_for_strangers()
+            self._look_for_strangers()
         passed_ns = min(now_ns - self._looked_ns, _MOST_BETWEEN_LOOKS_NS)
         self._looked_ns = now_ns
         self._waited_ns += passed_ns
         self._idle_ns += 0 if any(each.is_computing() for each in self._processes) else passed_ns
-        for pid, child in list(self._children.items()):
-            if not (command := command_of(pid)):
-                del self._children[pid]
-                continue
-            child.idle_ns += passed_ns
-            if (cpu_s := cpu_with_children_s(pid)) > child.cpu_s or is_computing(pid):
-                child.cpu_s, child.idle_ns = cpu_s, 0
-                self._waited_ns = self._idle_ns = 0  # the program waits for it
-            if child.idle_ns > min(_CHILD_IDLE_NS, options.wall_s * 1e9) or cpu_s > options.cpu_s:
-                raise ProgramFault(
-                    f"{child.program}: started another process, which still runs: {command}; "
-                    "run each as a program of its own (--recipe), or not at all"
-                )
         used = {each: each.cpu_s() - self._cpu_s.get(each.pid, 0.0) for each in self._processes}
         busy = max(used, key=lambda each: used[each], default=None)
         if busy is None:

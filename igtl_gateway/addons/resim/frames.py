@@ -92,7 +92,11 @@ class Response:
 
 @dataclass(frozen=True, slots=True)
 class Remark:
-    """Something that the coordinator has to know: ``f`` the program has forked."""
+    """Something that the coordinator has to know.
+
+    ``s``: the program has a socket of its own; ``w``: a thread, ``h``: another process waits in real time; ``c``:
+    another process computes, ``z``: sleeps, for which the program waits.
+    """
 
     code: str
     text: str

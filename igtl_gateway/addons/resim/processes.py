@@ -28,6 +28,8 @@ _END_S = 2.0
 _WATCHER = "igtl-resim"
 #: The variable with the place of the session's socket.
 _PLACE = "IGTL_GATEWAY_RESIM"
+#: Letters of a command in a message.
+_COMMAND_LENGTH = 100
 #: States of a thread that computes, or waits for a processor or a disk.
 _COMPUTING = "RD"
 
@@ -112,8 +114,11 @@ class Process:
         return f"{how}: {line}" if line else how
 
     def cpu_s(self) -> float:
-        """CPU time of all its threads so far, s; 0 where the system has no /proc, or it has ended."""
-        return _use(Path(f"/proc/{self.pid}/stat")).cpu_s
+        """CPU time of all its threads so far, s; 0 where the system has no /proc, or it has ended.
+
+        As long as no process has joined the session: with all that it has started.
+        """
+        return _use_of(self.pid).cpu_s if self._ros_pid else cpu_with_children_s(self._root)
 
     def busiest(self) -> ThreadUse:
         """The thread that runs, or else the one with the most CPU time."""
@@ -135,11 +140,6 @@ class Process:
     def family(self) -> set[int]:
         """It, the launcher that may have started it, and the processes that these have started."""
         return set(_family(self._root))
-
-    def has_starting(self) -> bool:
-        """Whether a process beside it, which it or its launcher has started, computes: it may be about to take part."""
-        beside = (pid for pid in self.family() if self.pid not in _family(pid))
-        return any(use.state in _COMPUTING for pid in beside for use in _threads(pid))
 
     def end(self) -> None:
         """Have it end as by Ctrl-C, and kill what is left of its session."""
@@ -171,12 +171,33 @@ def apart_from(processes: Sequence[Process], place: Path) -> list[int]:
     They have the session in their environment, or the library has noted their number beside its socket.
     """
     mark = f"{_PLACE}={place}".encode()
-    noted = Path(f"{place}.children")
-    rows = [map(int, line.split()) for line in noted.read_text("ascii").splitlines()] if noted.exists() else []
     known = {pid for each in processes for pid in each.family()}
     marked = {int(each.name) for each in Path("/proc").glob("[0-9]*") if mark in _environment(each)}
-    marked |= {pid for pid, began in rows if _use(Path(f"/proc/{pid}/stat")).began == began}
+    marked |= {each.pid for each in notes(place) if each.what == "f" and _use_of(each.pid).began == each.began}
     return sorted(marked - known)
+
+
+@dataclass(frozen=True, slots=True)
+class Note:
+    """What the library has noted of a process beside the socket of the session.
+
+    Attributes:
+        what: ``f`` it was started, ``s`` it has a socket of the network, ``u`` it is a copy of a program, and uses ROS.
+        pid, began: the process, and when it began, in ticks.
+        text: the function that a copy has called.
+    """
+
+    what: str
+    pid: int
+    began: int
+    text: str
+
+
+def notes(place: Path) -> list[Note]:
+    """Return what the library has noted; ``place``: of the session's socket."""
+    file = Path(f"{place}.notes")
+    lines = [line.split(" ", 3) for line in file.read_text("ascii").splitlines()] if file.exists() else []
+    return [Note(what, int(pid), int(began), text) for what, pid, began, text in lines]
 
 
 def _environment(process: Path) -> list[bytes]:
@@ -197,11 +218,13 @@ def _reason(lines: Sequence[str], code: int) -> str:
 
 
 def command_of(pid: int) -> str:
-    """The command of a process that runs; ``""`` if it has ended."""
+    """The command of a process that runs, in a short line; ``""`` if it has ended."""
     with suppress(OSError):
         words = Path(f"/proc/{pid}/cmdline").read_bytes().split(b"\0")
-        state = _use(Path(f"/proc/{pid}/stat")).state
-        return b" ".join(words).decode("utf-8", "replace").strip() if state not in ("Z", "X", "") else ""
+        state = _use_of(pid).state
+        text = " ".join(b" ".join(words).decode("utf-8", "replace").split())
+        text = text if len(text) <= _COMMAND_LENGTH else f"{text[:_COMMAND_LENGTH]}…"
+        return text if state not in ("Z", "X", "") else ""
     return ""
 
 
@@ -212,7 +235,7 @@ def is_computing(pid: int) -> bool:
 
 def cpu_with_children_s(pid: int) -> float:
     """CPU seconds that a process, and those that it has started, have used; 0 if it has ended."""
-    uses = [_use(Path(f"/proc/{each}/stat")) for each in _family(pid)]
+    uses = [_use_of(each) for each in _family(pid)]
     return sum(use.cpu_s + use.children_s for use in uses)
 
 
@@ -232,6 +255,11 @@ def _threads(pid: int) -> list[ThreadUse]:
         uses = [_use(task / "stat") for task in Path(f"/proc/{pid}/task").iterdir()]
         return [use for use in uses if use.state]
     return []
+
+
+def _use_of(pid: int) -> ThreadUse:
+    """What a process uses."""
+    return _use(Path(f"/proc/{pid}/stat"))
 
 
 def _use(stat: Path) -> ThreadUse:

@@ -76,8 +76,9 @@ def _program(place: str, table: dict[str, Any], beside: Path) -> Program:
     env = table.get("env", {})
     if not isinstance(env, dict) or not all(isinstance(value, str) and "\0" not in value for value in env.values()):
         raise ConfigError(f"{place}.env: found {env!r}, expected a table of strings")
-    if wrong := next((name for name in env if not name or "=" in name or "\0" in name), None):
-        raise ConfigError(f"{place}.env: found {wrong!r}, expected names of variables")
+    for name in env:
+        if not name or "=" in name or "\0" in name:
+            raise ConfigError(f"{place}.env: found {name!r}, expected names of variables")
     return Program(
         command_of(f"{place}.command", table["command"]), _text(place, table, "name"), env, folder, _role(place, table)
     )

@@ -27,7 +27,7 @@ from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, run,
 from igtl_gateway.addons.resim.verdict import compare
 from igtl_gateway.base.clock import ManualClock
 from tests.addons.resim import sessions
-from tests.addons.resim.runs import PROGRAMS, compiled, judged, published, strings
+from tests.addons.resim.runs import PROGRAMS, compiled, judged, program, published, strings
 
 pytestmark = [pytest.mark.ros, pytest.mark.skipif(not find_spec("rclpy"), reason="needs ROS 2")]
 
@@ -60,11 +60,13 @@ def processes_with(mark: str) -> list[str]:
         ("ends", "faulty: ended with exit code 0"),
         ("raises", "faulty: ended with exit code 1: ValueError: found 3 wheels, expected 4: (faulty.py, line "),
         ("leaves", "faulty: ended with exit code 3"),
+        ("is_stopped", "faulty: was ended by signal 15"),
         ("daemonizes", "faulty: started another process, which still runs: mark-"),
         ("crashes", "faulty: was ended by signal 11"),
         ("hangs", "faulty: did not come to rest within 1 s (the wall limit)"),
         ("loops", "faulty: did not come to rest within 1 s of CPU time (the CPU limit): thread 'python"),
-        ("forks", "faulty: started another process, which still runs: "),
+        ("forks", "faulty: forked, and the copy uses ROS 2 (rmw_"),
+        ("starts_a_node", "faulty: started another process that takes part: "),
         (
             "spawns",
             "faulty: started another process, which still runs: sleep 1000; run each as a program of its own (--re",
@@ -86,7 +88,7 @@ def test_a_fault_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wh
     assert "\n" not in verdict.line()
     assert len(result.runs) == 1
     assert processes_with(mark) == []
-    if what not in ("asks", "mistypes", "never_spins", "floods", "daemonizes"):
+    if what not in ("asks", "mistypes", "never_spins", "floods", "daemonizes", "forks", "starts_a_node"):
         assert len(published(result.runs[0].outputs, "/out")) == 20  # the outputs so far
         assert result.runs[0].delivered == {"/in": 20}
         with SessionFile.open(recording) as file:
@@ -160,13 +162,45 @@ def test_a_second_node_of_a_program_is_a_fault(tmp_path: Path) -> None:
     """It would wait without an end, and the verdict be of the first one alone."""
     recording = sessions.write(tmp_path / "in.mcap", sessions.texts(10))
     node = f"{sys.executable} {PROGRAMS}/single.py"
-    program = Program(("bash", "-c", f"{node} & {node} & wait"), "both")
-    fault = compare(run(recording, [program], ResimOptions(), tmp_path)).fault
+    both = Program(("bash", "-c", f"{node} & {node} & wait"), "both")
+    fault = compare(run(recording, [both], ResimOptions(), tmp_path)).fault
     assert fault.startswith(f"both: started another process that takes part: {node}")
 
 
+PYTHON = sys.executable
+#: Launchers, and programs with helpers that wait for work: the outputs are those of the program alone.
+HELPED = {
+    "shell": ("bash", "-c", f"true && {PYTHON} {PROGRAMS}/helped.py none; true"),
+    "launcher": (PYTHON, str(PROGRAMS / "helped.py"), "launch"),
+    "helper": (PYTHON, str(PROGRAMS / "helped.py"), "idle"),
+    "shared memory": (PYTHON, str(PROGRAMS / "helped.py"), "memory"),
+    "pool of processes": (PYTHON, str(PROGRAMS / "helped.py"), "pool"),
+    "pool, asked later": (PYTHON, str(PROGRAMS / "helped.py"), "later"),
+    "pool of threads": (PYTHON, str(PROGRAMS / "helped.py"), "threads"),
+}
+
+
+@pytest.mark.parametrize("what", HELPED)
+def test_a_process_that_waits_for_work_is_no_fault(tmp_path: Path, what: str) -> None:
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(10))
+    result = run(recording, [Program(HELPED[what])], ResimOptions(runs=2), tmp_path)
+    assert compare(result).line() == "deterministic: 2 of 2 runs equal"
+    assert result.runs[0].remarks == []
+    answers = [number * number for number in range(1, 11)]
+    if what == "pool, asked later":
+        answers = [0, *answers[:-1]]
+    assert strings(result.runs[0].outputs, "/out") == [f"m{number} {each}" for number, each in enumerate(answers)]
+
+
+def test_a_process_that_works_by_itself_is_a_fault(tmp_path: Path) -> None:
+    """It would send in real time."""
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(10))
+    fault = compare(run(recording, [program("helped", "pushes")], ResimOptions(), tmp_path)).fault
+    assert fault.startswith(f"helped: started another process, which still runs: {PYTHON} {PROGRAMS}/helped.py ")
+
+
 def test_a_compiler_that_takes_long_is_no_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(engine, "_CHILD_IDLE_NS", 1_000_000_000)
+    monkeypatch.setattr(engine, "_CHILD_SLEEP_NS", 1_000_000_000)
     recording = sessions.write(tmp_path / "in.mcap", sessions.texts(40))
     result, verdict = judged(recording, tmp_path, "faulty compiles", runs=1, wall_s=1.5)
     assert (verdict.exit_code, verdict.fault) == (0, "")

@@ -59,6 +59,7 @@ def test_a_good_one(tmp_path: Path) -> None:
         ('[[program]]\ncommand = "a \'b"', "expected words of a shell: No closing quotation"),
         ("[[program]]\ncommand = 'a'\nenvironment = {}", "program[0].environment: unknown key, expected one of name"),
         ("[[program]]\ncommand = 'a'\nenv = { A = 1 }", "program[0].env: found {'A': 1}, expected a table of strings"),
+        ("[[program]]\ncommand = 'a'\nenv = { '' = '1' }", "program[0].env: found '', expected names of variables"),
         ("[[program]]\ncommand = 'a'\nenv = { 'A=' = '' }", "program[0].env: found 'A=', expected names of variables"),
         ("[[program]]\ncommand = 'a'\nfolder = 'none'", "program[0].folder: found no folder "),
         ("[[program]]\ncommand = 'a'\nname = ''", "program[0].name: found '', expected a string"),

@@ -3,6 +3,7 @@
 import ctypes
 import fcntl
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -48,9 +49,15 @@ class Faulty(Node):  # type: ignore[misc]
         while True:
             pass
 
+    def is_stopped(self) -> None:
+        os.kill(os.getpid(), signal.SIGTERM)
+
     def forks(self) -> None:
-        if not os.fork():
-            threading.Event().wait()
+        """Both go on."""
+        os.fork()
+
+    def starts_a_node(self) -> None:
+        self.child = subprocess.Popen([sys.executable, __file__, "asks"])
 
     def spawns(self) -> None:
         self.child = subprocess.Popen(["sleep", "1000"])
