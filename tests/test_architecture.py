@@ -76,7 +76,7 @@ MOST_OF_CORE = {
     "exchange": 13,
     "lerobot": 7,
     "merge": 11,
-    "page": 24,
+    "page": 23,
     "resim": 9,
     "review": 7,
     "sync": 4,

@@ -17,6 +17,8 @@ from tests.places import FIXTURES
 
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs a Chromium: apt-get install chromium")
 _LATE_NS = 3_000_000_000
+#: Messages after which a peer is silent.
+_REST = 120
 #: Expressions of the page: name in the first row of the links and the line below it; the session, and its second mark.
 _FIRST_LINK, _WHY = "document.querySelector('#now tbody .name').textContent", "document.querySelector('#now tr.why')"
 _TODAY = "sessions.find((row) => row.name === 'today.mcap')"
@@ -24,14 +26,14 @@ _SUTURE = f"{_TODAY}.marks.find((mark) => mark.label === 'suture')"
 
 
 class Peer:
-    """A peer that sends its count as the x of a pose, at 20 Hz.
+    """A peer that sends its count as the x of a pose, at 20 Hz, and is silent now and then.
 
     Attributes:
         sent: the last count.
     """
 
-    def __init__(self, port: int, device: str, age_ns: int = 0) -> None:
-        self.sent = 0
+    def __init__(self, port: int, device: str, age_ns: int = 0, silent_s: float = 0.0) -> None:
+        self.sent, self._silent_s = 0, silent_s
         self._port, self._device, self._age_ns = port, device, age_ns
 
     def sending(self) -> AbstractContextManager[None]:
@@ -39,6 +41,8 @@ class Peer:
 
     def _next(self) -> bytes:
         self.sent += 1
+        if self.sent % _REST == 0:
+            time.sleep(self._silent_s)
         pose = Transform((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, float(self.sent), 0.0, 0.0))
         ticks = ns_to_ticks(time.time_ns() - self._age_ns)
         return b"".join(encode(Message("TRANSFORM", self._device, pose, ticks, 1, 0, ())))
@@ -53,7 +57,7 @@ def test_from_the_first_screen_to_a_replay_from_the_second_mark(tmp_path: Path) 
             with arm.sending(), camera.sending():
                 page.open(link)
                 # which peer is slow: the first line of the links, in words, without a click or scrolling
-                page.wait("document.querySelector('#now h1').textContent.includes('attention')")
+                page.wait("document.querySelector('#now h1').textContent.startsWith('Camera: is late')")
                 page.wait(f"{_FIRST_LINK} === 'Camera' && {_WHY}.textContent.startsWith('Is late: its messages are ')")
                 assert page.run(f"{_WHY}.getBoundingClientRect().bottom < innerHeight")
                 # record, two phases
@@ -89,6 +93,22 @@ def test_from_the_first_screen_to_a_replay_from_the_second_mark(tmp_path: Path) 
                 assert before < _count(page, client) <= after + 1
             assert page.complaints == []
         assert bridge.end().code == 0
+    finally:
+        bridge.close()
+
+
+def test_a_peer_that_is_silent_now_and_then_is_named(tmp_path: Path) -> None:
+    """It is named while it is silent, and that it has been, without a click."""
+    bridge = Bridge("--no-ros", "--page")
+    try:
+        link = bridge.wait_events(lambda event: event["event"] == "page", "page")[0]["link"]
+        arm, tracker = Peer(bridge.port, "Arm"), Peer(bridge.port, "Tracker", silent_s=3.0)
+        with Browser() as page, arm.sending(), tracker.sending():
+            page.open(link)
+            for expected in ("silent for [0-9.]+ s$", "silent for [0-9.]+ s, once in the last minute$"):
+                page.wait(f"/^Tracker: {expected}/.test(document.querySelector('#now h1').textContent)")
+                page.wait(f"{_FIRST_LINK} === 'Tracker' && {_WHY}.textContent.startsWith('Silent for ')")
+            assert page.complaints == []
     finally:
         bridge.close()
 

@@ -240,8 +240,10 @@ class BridgePage:
         }
 
     def _facts_of(self, session: RunningSession) -> dict[str, Any]:
-        uptime_s = (self._clock.monotonic_ns() - self._begun_ns) / NS_PER_S
-        return sample_of(session.bridge) | {"uptime_s": uptime_s, "refused": session.watch.refused}
+        session.bridge.collect()
+        at_ns = self._clock.monotonic_ns()
+        more = {"at_ns": at_ns, "uptime_s": (at_ns - self._begun_ns) / NS_PER_S, "refused": session.watch.refused}
+        return sample_of(session.bridge) | more
 
     def act(self, what: str, line: str) -> tuple[bool, str]:
         """Do what was pressed; return whether it was possible, and a sentence for people."""

@@ -17,7 +17,7 @@ from typing import Any
 from igtl_gateway.addon import NS_PER_S, GatewayError, SystemClock, __version__, failure_text
 from igtl_gateway.addons.page.disk import DiskLook
 from igtl_gateway.addons.page.jobs import CANCELLED, RUNNING, Job, Jobs
-from igtl_gateway.addons.page.now import Now, wrong_things
+from igtl_gateway.addons.page.now import Now, headline, slowest, wrong_things
 from igtl_gateway.addons.page.recordings import MAX_LISTED, Recordings
 from igtl_gateway.addons.page.replays import Replay
 from igtl_gateway.addons.page.results import Results
@@ -155,7 +155,7 @@ class Page:
             if path != self._session:  # another session
                 self._session, self._now = path, Now()
                 self._growth.clear()
-            rows = self._now.rows(facts, self._clock.monotonic_ns(), self._clock.utc_ns(), found.get("types", {}))
+            rows = self._now.rows(facts, facts["at_ns"], self._clock.utc_ns(), found.get("types", {}))
             rows |= {
                 "version": facts["version"],
                 "uptime_s": facts["uptime_s"],
@@ -166,6 +166,8 @@ class Page:
                 "notes": found.get("notes", []),
                 "done": found.get("done", []),
                 "pictures": found.get("pictures", []),
+                "headline": headline(rows),
+                "slowest": slowest(rows),
             }
         shown = _json(rows)
         wrong = wrong_things(rows) if rows else 0

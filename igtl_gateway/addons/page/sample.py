@@ -16,12 +16,26 @@ if TYPE_CHECKING:
 
 #: Directions of the ledger that are shown.
 SIDES = ("igtl_in", "ros_in", "igtl_out", "ros_out")
-#: What a row of ``watched`` has, times in ns.
-WATCHED = ("link", "stream", "age_ns", "jitter_ns", "stamped", "unset", "stale", "episodes")
+#: What a row of ``watched`` has, times in ns: looks of the guard, the time since the last one (None before the first),
+#: and end and length of the last pause between two are what `Rhythm` takes.
+WATCHED = (
+    "link",
+    "stream",
+    "age_ns",
+    "jitter_ns",
+    "stamped",
+    "unset",
+    "stale",
+    "episodes",
+    "looks",
+    "silent_ns",
+    "pause",
+)
 
 
 def sample_of(bridge: Bridge) -> dict[str, Any]:
     """Return the counts of a bridge so far, as JSON values; the caller has let it ``collect``."""
+    now_ns = bridge.hub.now_ns()
     totals, recorder = bridge.gateway.ledger.totals(), bridge.recorder
     return {
         "version": __version__,
@@ -38,6 +52,9 @@ def sample_of(bridge: Bridge) -> dict[str, Any]:
                 one.timing.unset > 0,
                 one.stale,
                 sorted(one.episodes) if one.episodes else (),
+                one.timing.messages,
+                max(0, now_ns - one.arrived_ns) if one.arrived_ns else None,
+                one.timing.pause,
             )
             for (link, stream), one in bridge.gateway.guard.items()
         ],

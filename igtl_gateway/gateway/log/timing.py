@@ -24,6 +24,8 @@ _ENOUGH = 10
 _BLOCK_NS = 10 * NS_PER_S
 #: Least distance of the first and the last block from which the drift is estimated.
 _DRIFT_MIN_NS = 60 * NS_PER_S
+#: A time without a message from which on it is kept as a pause; the guard looks at one message in a tenth of a second.
+PAUSE_NS = 500 * NS_PER_MS
 #: A stamp further ahead than this is in the future: clocks kept by NTP on one network are closer.
 FUTURE_NS = 100 * NS_PER_MS
 
@@ -39,9 +41,11 @@ class StampTiming:
         most_ns: the largest age.
         backwards: stamps before the one before them.
         repeated: stamps equal to the one before them.
+        pause: arrival that ended the last time of ``PAUSE_NS`` or more without a message, and its length; 0: none.
     """
 
     __slots__ = (
+        "_arrived_ns",
         "_block_end_ns",
         "_block_least_ns",
         "_excess_ns",
@@ -54,6 +58,7 @@ class StampTiming:
         "least_ns",
         "messages",
         "most_ns",
+        "pause",
         "repeated",
         "unset",
     )
@@ -61,7 +66,8 @@ class StampTiming:
     def __init__(self) -> None:
         self.messages = self.unset = self.future = self.backwards = self.repeated = 0
         self.least_ns = self.most_ns = 0
-        self._previous_ns = 0
+        self._previous_ns = self._arrived_ns = 0
+        self.pause = (0, 0)
         self._steps: tuple[int, ...] = _STEPS
         self._excess_ns = 0  # sum over the ages of what is above the least of their block, so far
         self._block_end_ns = 0
@@ -72,6 +78,9 @@ class StampTiming:
     def add(self, stamp_ns: int, arrival_ns: int) -> None:
         """Look at a message; stamp 0 or below is unset."""
         self.messages += 1
+        if arrival_ns - self._arrived_ns >= PAUSE_NS and self._arrived_ns:
+            self.pause = arrival_ns, arrival_ns - self._arrived_ns
+        self._arrived_ns = arrival_ns
         if stamp_ns <= 0:
             self.unset += 1
             return
@@ -95,7 +104,7 @@ class StampTiming:
 
     def reset(self) -> None:
         """Our own clock was set: what is known of the other one is known no more; counts stay."""
-        self._previous_ns = 0
+        self._previous_ns = self._arrived_ns = 0
         self._first = self._last = None
 
     @property

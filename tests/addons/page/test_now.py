@@ -2,20 +2,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from igtl_gateway.addons.page.now import (
-    AHEAD_NS,
-    ERROR,
-    MAX_ROWS,
-    OK,
-    OLD_NS,
-    SILENT,
-    WAITING,
-    WARNING,
-    Now,
-    wrong_things,
-)
+from igtl_gateway.addons.page.now import MAX_ROWS, Now, headline, slowest, wrong_things
 from igtl_gateway.addons.page.sample import WATCHED
-from igtl_gateway.doctor import checks
+from igtl_gateway.addons.page.trouble import AHEAD_NS, ERROR, OK, SILENT, WAITING, WARNING
 from igtl_gateway.gateway.log.timing import FUTURE_NS
 
 _S = 1_000_000_000
@@ -39,7 +28,7 @@ def facts(
 
 def watched(stream: str, **changes: Any) -> list[Any]:
     usual = {"link": 1, "stream": stream, "age_ns": 400_000, "jitter_ns": 10_000, "stamped": True, "unset": False}
-    found = usual | {"stale": 0, "episodes": []} | changes
+    found = usual | {"stale": 0, "episodes": [], "looks": 0, "silent_ns": None, "pause": (0, 0)} | changes
     return [found[name] for name in WATCHED]
 
 
@@ -48,17 +37,22 @@ def peer(number: int, name: str, **changes: Any) -> dict[str, Any]:
     return usual | {"dropped": 0, "queued": 0, "queued_bytes": 0} | changes
 
 
+def regular(now: Now, names: list[str], until_s: int = 10) -> dict[str, int]:
+    """Streams of 10 Hz each, from 1 s on; return the counts of the last sample."""
+    for half in range(2, 2 * until_s + 1):
+        now.rows(facts(dict.fromkeys(names, 5 * half)), half * _S // 2, half * _S // 2)
+    return dict.fromkeys(names, 10 * until_s)
+
+
 def test_what_is_wrong_is_on_top_with_advice() -> None:
     now = Now()
-    names = ["TRANSFORM/a", "TRANSFORM/b", "IMAGE/c", "TRANSFORM/d", "TRANSFORM/e"]
-    now.rows(facts(dict.fromkeys(names, 0)), _S // 2, 0)
-    now.rows(facts(dict.fromkeys(names, 10)), _S, _S)
+    counts = regular(now, ["TRANSFORM/a", "TRANSFORM/b", "IMAGE/c", "TRANSFORM/d", "TRANSFORM/e"])
     sample = facts(
-        dict.fromkeys(names, 110) | {"IMAGE/c": 10},
+        {name: number + 100 for name, number in counts.items()} | {"IMAGE/c": counts["IMAGE/c"]},
         dropped={"TRANSFORM/b": {"bad_crc": 3}},
         watched=[watched("TRANSFORM/d", episodes=["stamp_future"]), watched("TRANSFORM/e", stale=2)],
     )
-    found = now.rows(sample, 11 * _S, 11 * _S)["streams"]
+    found = now.rows(sample, 20 * _S, 20 * _S)["streams"]
     assert [(row["name"], row["state"]) for row in found] == [
         ("b", ERROR),
         ("e", ERROR),
@@ -69,9 +63,66 @@ def test_what_is_wrong_is_on_top_with_advice() -> None:
     texts = [row["text"] for row in found]
     assert texts[0] == "3 messages dropped: wrong CRC" and "compute it" not in found[0]["advice"]
     assert found[0]["advice"].startswith("The sender changes the body after computing the CRC")
-    assert texts[2] == "no message for 10 s" and texts[3] == "stamps are in the future"
+    assert texts[2] == "silent for 10.0 s" and texts[3] == "stamps are in the future"
     assert found[3]["advice"] == "Synchronise the clocks of the two machines (NTP, PTP)"
     assert found[-1]["advice"] == "" and found[3]["stamps"] == "in the future"
+
+
+def test_a_peer_that_is_silent_again_and_again_is_named() -> None:
+    """5 Hz, and 4 s of each 14 silent: the guard's looks at each message, and samples twice a second."""
+    now, looks, arrived, pause = Now(), 0, 0, (0, 0)
+    states: list[tuple[float, str, str, str]] = []
+    for step in range(1, 70 * 10 + 1):  # tenths of a second
+        at_ns = step * _S // 10
+        if step % 2 == 0 and at_ns % (14 * _S) <= 10 * _S:
+            if arrived and at_ns - arrived >= _S // 2:
+                pause = at_ns, at_ns - arrived
+            looks, arrived = looks + 1, at_ns
+        if step % 5 == 0:
+            row = watched("TRANSFORM/Tracker", looks=looks, silent_ns=at_ns - arrived, pause=pause)
+            sample = facts({"TRANSFORM/Tracker": looks}, peers=[peer(1, "a:1", messages=looks)], watched=[row])
+            rows = now.rows(sample, at_ns, at_ns)
+            (link,), (stream,) = rows["links"], rows["streams"]
+            states.append((at_ns / _S, link["state"], stream["state"], headline(rows)))
+            assert wrong_things(rows) == int(link["state"] != OK)
+    by_time = {at_s: tuple(found) for at_s, *found in states}
+    assert by_time[10.0] == (OK, OK, "")
+    assert by_time[11.0] == (SILENT, SILENT, "Tracker: silent for 1.0 s")
+    assert by_time[16.0] == (WARNING, WARNING, "Tracker: silent for 4.0 s, once in the last minute")
+    assert by_time[26.0][2] == "Tracker: silent for 2.0 s, and once before that in the last minute"
+    assert by_time[60.0][2] == "Tracker: silent for up to 4.0 s, 4 times in the last minute"
+    assert (stream["gap_s"], stream["gap_utc_ns"]) == (4.0, 14 * _S)
+
+
+def test_the_headline_names_the_worst_first() -> None:
+    now = Now()
+    counts = regular(now, ["TRANSFORM/a", "TRANSFORM/b"])
+    found = now.rows(facts(counts | {"TRANSFORM/a": 150}, peers=[peer(0, "c:3", connected=False)]), 13 * _S, 0)
+    assert (headline(found), wrong_things(found)) == ("b: silent for 3.0 s", 2)
+    found = now.rows(facts({}, peers=[peer(0, "c:3", connected=False)]), 13 * _S, 0)
+    assert headline(Now().rows(facts({"TRANSFORM/a": 1}), _S, 0)) == ""
+    rows = Now().rows(facts({}, peers=[peer(0, "c:3", connected=False)]), _S, 0)
+    assert headline(rows) == "c:3: not connected; the bridge tries again"
+
+
+def test_the_slowest_of_several_peers() -> None:
+    now, names = Now(), {1: "Arm", 2: "Tracker"}
+    for half in range(20):
+        peers = [peer(number, f"{number}", messages=half * 20 // number**2) for number in names]
+        ones = [watched(f"TRANSFORM/{name}", link=link, age_ns=link**8 * 7_000_000) for link, name in names.items()]
+        rows = now.rows(facts({}, peers=peers, watched=ones), (half + 1) * _S // 2, 0)
+    assert slowest(rows) == ["lowest rate: Tracker, 10 a second", "highest latency: Tracker, 1,792 ms"]
+    assert slowest(Now().rows(facts({}, peers=[peer(1, "a:1")]), _S, 0)) == []
+
+
+def test_a_stream_that_has_become_slower_is_named() -> None:
+    now, received = Now(), 0
+    for half in range(1, 121):
+        received += 15 if half <= 80 else 3
+        row = now.rows(facts({"TRANSFORM/a": received}), half * _S // 2, 0)["streams"][0]
+        if half == 80:
+            assert row["state"] == OK
+    assert (row["state"], row["text"]) == (WARNING, "6 messages a second, 30 before")
 
 
 def test_a_loss_is_a_problem_for_ten_seconds_and_stays_counted() -> None:
@@ -102,21 +153,6 @@ def test_links() -> None:
     assert found[0]["text"] == "reads too slowly: 4 messages dropped"
     assert found[0]["advice"].startswith("Send less, or let the peer read faster")
     assert found[2]["latency_ms"] == 0.4 and found[2]["since_ns"] == 77 and found[1]["since_ns"] is None
-
-
-def test_a_sparkline_has_a_value_each_second() -> None:
-    now = Now()
-    for tenth in range(1, 36):
-        row = now.rows(facts({"TRANSFORM/a": tenth}), tenth * _S // 10 + _S, 0)["streams"][0]
-    assert row["spark"] == [9, 10, 10]
-    assert (row["gap_s"], row["gap_utc_ns"]) == (0.1, 0)
-
-
-def test_the_worst_gap_and_when_it_ended() -> None:
-    now = Now()
-    for second, received in ((1, 0), (2, 20), (3, 40), (10, 41), (11, 61)):
-        row = now.rows(facts({"TRANSFORM/a": received}), second * _S, (100 + second) * _S)["streams"][0]
-    assert (row["state"], row["gap_s"], row["gap_utc_ns"]) == (OK, 7.0, 110 * _S)
 
 
 def test_a_clock_that_is_ahead_is_said_in_words() -> None:
@@ -158,7 +194,15 @@ def test_late_messages_and_the_peer_that_sends_them() -> None:
     assert stream["way"] == "from a:1" and stream["advice"] == link["advice"] != ""
     sample["watched"] = [watched("TRANSFORM/a", link=3, age_ns=400 * 86_400 * _S)]  # a replay
     assert Now().rows(sample, _S, _S)["links"][0]["state"] == OK
-    assert OLD_NS == checks.OLD_NS and AHEAD_NS == FUTURE_NS
+    assert AHEAD_NS == FUTURE_NS
+
+
+def test_one_late_message_makes_no_peer_late() -> None:
+    now = Now()
+    for looks, age_ns in enumerate((1_000_000, 1_000_000, 900_000_000, 900_000_000, 900_000_000), start=1):
+        sample = facts({}, peers=[peer(1, "a:1")], watched=[watched("TRANSFORM/a", looks=looks, age_ns=age_ns)])
+        state = now.rows(sample, looks * _S, 0)["links"][0]["state"]
+        assert state == (WARNING if looks == 5 else OK)
 
 
 def test_a_peer_that_reads_slowly() -> None:
@@ -176,17 +220,17 @@ def test_a_late_peer_and_its_stream_are_one_thing() -> None:
 
 
 def test_without_ros_nothing_goes_to_it() -> None:
-    sample = facts({}) | {"ros": False}
+    sample = facts({"TRANSFORM/a": 9}) | {"ros": False}
     sample["totals"] |= {"ros_out": {"/a": 9}}
-    assert Now().rows(sample, _S, _S)["streams"][0]["way"] == "for ROS, which is off"
+    found = Now().rows(sample, _S, _S)
+    assert ([row["side"] for row in found["streams"]], found["unsent"]) == (["igtl_in"], 1)
 
 
 def test_what_goes_out_is_below_and_is_never_silent() -> None:
-    sample = facts({"TRANSFORM/a": 9})
-    sample["totals"] |= {"ros_out": {"/a": 9}, "ros_in": {"/b": 1}}
     now = Now()
-    now.rows(sample | {"totals": {"ros_in": {"/b": 1}}}, _S // 2, 0)
-    now.rows(sample, _S, _S)
+    counts = regular(now, ["TRANSFORM/a"])
+    sample = facts(counts)
+    sample["totals"] |= {"ros_out": {"/a": 9}, "ros_in": {"/b": 1}}
     found = now.rows(sample, 30 * _S, 30 * _S, {"/a": "std_msgs/msg/String"})
     assert [(row["name"], row["way"], row["state"]) for row in found["streams"]] == [
         ("a", "from OpenIGTLink", SILENT),

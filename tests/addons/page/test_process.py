@@ -189,7 +189,16 @@ def test_a_folder_without_a_bridge(tmp_path: Path) -> None:
 
 
 #: What the page needs of a bridge without peers.
-_FACTS = {"peers": [], "watched": [], "totals": {}, "drops": {}, "version": "0", "uptime_s": 1.0, "refused": 0}
+_FACTS = {
+    "peers": [],
+    "watched": [],
+    "totals": {},
+    "drops": {},
+    "version": "0",
+    "uptime_s": 1.0,
+    "at_ns": 1,
+    "refused": 0,
+}
 
 
 class Source(BridgeSource):

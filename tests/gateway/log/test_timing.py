@@ -61,3 +61,14 @@ def test_the_best_stream_of_a_peer_is_the_one_that_waited_least() -> None:
     unstamped.add(0, T0_NS)
     assert best([slow, unstamped, fast]) is fast
     assert best([unstamped]) is unstamped and best([]) is None
+
+
+def test_the_last_pause_between_two_arrivals() -> None:
+    timing = StampTiming()
+    assert timing.pause == (0, 0)
+    for arrival_ns in (1_000 * NS_PER_MS, 1_100 * NS_PER_MS, 5_200 * NS_PER_MS, 5_300 * NS_PER_MS):
+        timing.add(0, arrival_ns)
+    assert timing.pause == (5_200 * NS_PER_MS, 4_100 * NS_PER_MS)
+    timing.reset()  # our clock was set
+    timing.add(0, 9_000 * NS_PER_MS)
+    assert timing.pause == (5_200 * NS_PER_MS, 4_100 * NS_PER_MS)

@@ -295,9 +295,11 @@ function drawNow() {
   }
   const wrong = state.wrong, total = now.inputs;
   const worst = [...now.streams, ...now.links].map((row) => row.state).sort((a, b) => "error silent warning waiting ok".indexOf(a) - "error silent warning waiting ok".indexOf(b))[0] || "waiting";
-  const title = !total && !wrong ? "No messages yet" : wrong ? `${count(wrong, "thing needs", "things need")} attention` : total === 1 ? "The stream arrives" : `All ${number(total)} streams arrive`;
-  part(at.lead, [title, worst, total, now.links.length, now.ros, now.relay, now.refused], () => h("div.lead", null, icon(total || wrong ? worst : "waiting"), h("div", null, h("h1", null, title),
-    h("p", null, [count(now.links.filter((link) => link.link).length, "peer"), count(total, "stream"), now.relay ? "relay" : now.ros ? "with ROS 2" : "without ROS", now.refused ? `${number(now.refused)} messages refused` : "nothing refused"].join(" · ")))));
+  const title = now.headline ? sentence(now.headline).replace(/\.$/, "") : !total ? "No messages yet" : total === 1 ? "The stream arrives" : `All ${number(total)} streams arrive`;
+  const more = wrong > 1 && `${count(wrong - 1, "more thing needs", "more things need")} attention`;
+  part(at.lead, [title, more, worst, total, now.links.length, now.ros, now.relay, now.refused, now.slowest], () => h("div.lead", null, icon(total || wrong ? worst : "waiting"), h("div", null, h("h1", null, title),
+    h("p", null, [more, count(now.links.filter((link) => link.link).length, "peer"), count(total, "stream"), now.relay ? "relay" : now.ros ? "with ROS 2" : "without ROS", now.refused ? `${number(now.refused)} messages refused` : "nothing refused"].filter(Boolean).join(" · ")),
+    now.slowest.length ? h("p", null, sentence(now.slowest.join(" · ")).replace(/\.$/, "")) : null)));
   if (!links) {
     links = new Rows([["State"], ["Peer"], ["Since", "n wide"], ["Rate", "n"], ["Last minute", "wide"], ["Latency", "n"], ["Jitter", "n wide"], ["Queue", "n"], ["Dropped", "n"]], () => [
       stateColumn(), twoLines((row) => row.name || row.peer, (row) => [`${row.role}${row.name ? ` ${row.peer}` : ""}`, row.profile !== "unrecognised" && row.profile].filter(Boolean).join(" · ")),
@@ -317,7 +319,7 @@ function drawNow() {
   links.draw(now.links); streams.draw(now.streams);
   links.element.hidden = !now.links.length; at.links._nothing.hidden = Boolean(now.links.length);
   streams.element.hidden = !now.streams.length; at.streams._nothing.hidden = Boolean(now.streams.length);
-  put(at.streams._more, now.more ? `${number(now.more)} more are not shown` : "what is wrong is on top");
+  put(at.streams._more, now.more ? `${number(now.more)} more are not shown` : now.unsent ? `${count(now.unsent, "topic")} for ROS, which is off, not shown` : "what is wrong is on top");
   drawPictures(at.pictures, now.pictures);
   part(at.notes, now.notes, () => card("Notes of the session", null, now.notes.length ? h("ul.notes", { tabindex: 0, "aria-label": "Notes" }, [...now.notes].reverse().map(note)) : h("p.empty", null, "No notes yet.")));
 }
