@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ from igtl_gateway.app.setting_values import config_of
 from igtl_gateway.base.addons import part_of
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.realtime import RealtimeOptions
-from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.notations import (
     DDS,
@@ -31,13 +29,10 @@ from igtl_gateway.edges.reserved import ReservedPorts
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
 from igtl_gateway.edges.video import VideoOptions
 from igtl_gateway.gateway.diagnostics import DIAGNOSTICS_TOPIC
-from igtl_gateway.record.options import RecordOptions
+from igtl_gateway.record.options import TIME, RecordOptions, path_at
 from igtl_gateway.record.selection import Selection
 
 _NEVER = TlsFiles()
-
-#: In the name of a recording: the time of the start, so that each start of a service has a file of its own.
-TIME = "{time}"
 
 Address = tuple[str, int]
 
@@ -108,8 +103,8 @@ class BridgeOptions:
         """Return the options of a session that starts at this time: ``{time}`` in the name of its file is replaced."""
         if self.record is None or TIME not in str(self.record):
             return self
-        time = datetime.fromtimestamp(utc_ns // NS_PER_S, timezone.utc)
-        return replace(self, record=Path(str(self.record).replace(TIME, f"{time:%Y%m%dT%H%M%SZ}")))
+        recording = replace(self.recording, named=self.record)
+        return replace(self, record=path_at(self.record, utc_ns), recording=recording)
 
 
 def bridge_options(

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.config.notations import RetentionRule
 from igtl_gateway.config.triggers import Trigger
 from igtl_gateway.record.selection import Selection
@@ -24,6 +26,14 @@ LARGEST_BYTES = 1 << 30
 SNAPSHOT_BYTES = 512 << 20
 #: Interval at which the file is flushed: what a kill −9 of bridge and recorder may cost.
 FLUSH_S = 0.5
+#: In the path of a recording: the time of its start, so that each start has a file of its own.
+TIME = "{time}"
+
+
+def path_at(path: Path, utc_ns: int) -> Path:
+    """Return the path of a recording that starts at this time: ``{time}`` in it is replaced."""
+    time = datetime.fromtimestamp(utc_ns // NS_PER_S, timezone.utc)
+    return Path(str(path).replace(TIME, f"{time:%Y%m%dT%H%M%SZ}"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +55,7 @@ class RecordOptions:
         overwrite: replace an existing recording instead of refusing it.
         stop_on_failure: the bridge stops when the recording fails.
         waits: the first file is begun on request.
+        named: path with ``{time}``, of the files that are begun on request; None: they are numbered.
         custom: keys and values of the user for the metadata of the recording.
         file_mode: mode of the files; directories may also be entered by those who may read files.
         seal: file of the private key that seals the recording; None: it is not sealed.
@@ -67,6 +78,7 @@ class RecordOptions:
     overwrite: bool = False
     stop_on_failure: bool = False
     waits: bool = False
+    named: Path | None = None
     custom: tuple[tuple[str, str], ...] = ()
     file_mode: int = 0o600
     seal: Path | None = None

@@ -31,14 +31,18 @@ class SoleFile:
         open_file: makes its writer.
         prologue: has to be fresh.
         waits: rest at first.
+        next_path: returns the path of a file that is begun after a rest; one that is taken gets a number.
 
     Raises RecordingError when the file cannot be created.
     """
 
-    def __init__(self, path: Path, open_file: Open, prologue: Prologue, *, waits: bool = False) -> None:
+    def __init__(
+        self, path: Path, open_file: Open, prologue: Prologue, *, waits: bool, next_path: Callable[[], Path]
+    ) -> None:
         self.path = path
         self._open_file = open_file
         self._prologue = prologue
+        self._next_path = next_path
         self._number = 0
         self._previous = ""
         self._closed: list[Path] = []  # on request
@@ -118,23 +122,24 @@ class SoleFile:
 
     def begin(self) -> Path:
         """Open the next file after a rest, and return its path.  Raises RecordingError."""
-        return self._next(None if self._closed or os.path.lexists(self.path) else self.path)
+        path = self._next_path()
+        return self._next(path, is_taken=path in self._closed or os.path.lexists(path))
 
     def go_on(self) -> tuple[Path, int]:
         """Open the next file; return its path, and the entries of the one before.  Raises RecordingError."""
         before = self.file
         assert before
         self._previous = before.path.name
-        return self._next(None), before.entries
+        return self._next(self.path, is_taken=True), before.entries
 
-    def _next(self, path: Path | None) -> Path:
-        """Open a later file of the recording; without a path, at a new one."""
-        stem = self.path.stem if self.path.suffix == ".mcap" else self.path.name
+    def _next(self, path: Path, *, is_taken: bool) -> Path:
+        """Open a later file of the recording: at this path, or beside it with a number."""
+        stem = path.stem if path.suffix == ".mcap" else path.name
         number = self._number + 1
-        if path is None:
-            while os.path.lexists(self.path.with_name(f"{stem}_{number}.mcap")):
+        if is_taken:
+            while os.path.lexists(path.with_name(f"{stem}_{number}.mcap")):
                 number += 1
-            path = self.path.with_name(f"{stem}_{number}.mcap")
+            path = path.with_name(f"{stem}_{number}.mcap")
         facts = {layout.PART_KEY: str(number)} | ({layout.PREVIOUS_KEY: self._previous} if self._previous else {})
         self.file = self._open_file(path, facts, self._prologue.entries())
         self._number = number

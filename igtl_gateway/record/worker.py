@@ -25,7 +25,7 @@ from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.versions import Self
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.note import Level, Note
-from igtl_gateway.record.options import RecordOptions
+from igtl_gateway.record.options import RecordOptions, path_at
 from igtl_gateway.record.parts import PartsWriter
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.ring import Ring
@@ -303,7 +303,14 @@ class _RecorderWorker:
             )
         if options.waits and not later:
             try_file(path, path.with_name(f".{path.name}.trial"))
-        return SoleFile(path, self._open_file, Prologue(rule), waits=options.waits or later)
+        named = options.named or path
+        return SoleFile(
+            path,
+            self._open_file,
+            Prologue(rule),
+            waits=options.waits or later,
+            next_path=lambda: path_at(named, self._clock.utc_ns()),
+        )
 
     def _open_ring(self, path: Path, rule: StateInputRule) -> Ring:
         """The memory for snapshots."""

@@ -15,6 +15,7 @@ import pytest
 from igtl_gateway.app import recording
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.clock import ManualClock
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.cli import main
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert import rosmsg
@@ -40,13 +41,13 @@ from tests.record import samples
 from tests.record.test_parts import RULE, session, wait_until
 
 
-def recorder_of(path: Path, notes: list[Note], **options: Any) -> Recorder:
+def recorder_of(path: Path, notes: list[Note], clock: ManualClock | None = None, **options: Any) -> Recorder:
     return Recorder(
         path,
         samples.SESSION,
         qos_of=lambda _topic, _type: None,
         on_note=notes.append,
-        clock=ManualClock(),
+        clock=clock or ManualClock(),
         host=in_thread,
         options=RecordOptions(**options),
         rule=RULE,
@@ -259,3 +260,17 @@ def test_each_file_has_a_seal_of_its_own(tmp_path: Path) -> None:
     assert len(files) == 2 and all(map(stated_seals, files))
     for path in files:
         assert main(["verify", str(path), "--seal"]) == 0
+
+
+def test_each_file_has_the_time_of_its_own_start(tmp_path: Path) -> None:
+    clock = ManualClock(1_700_000_000 * NS_PER_S)
+    named = tmp_path / "s_{time}.mcap"
+    recorder = recorder_of(tmp_path / "s_0.mcap", [], clock=clock, waits=True, named=named)
+    for wait_s in (10, 0, 60):
+        clock.advance(wait_s * NS_PER_S)
+        recorder.start()
+        wait_until(lambda: not recorder.rests)
+        recorder.stop()
+        wait_until(lambda: recorder.rests)
+    names = [path.name for path in recorder.close({}).files]
+    assert names == ["s_20231114T221330Z.mcap", "s_20231114T221330Z_2.mcap", "s_20231114T221430Z.mcap"]
