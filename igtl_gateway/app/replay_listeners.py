@@ -82,10 +82,10 @@ class Listeners:
             except WireError:
                 return
 
-    def present(self) -> list[tuple[str, str]]:
-        """Return address and profile of each listener."""
+    def present(self) -> dict[int, tuple[str, str]]:
+        """Return link → address and profile of each listener."""
         with self._lock:
-            return [(peer.address, peer.profile.name) for peer in self._peers.all()]
+            return {peer.link: (peer.address, peer.profile.name) for peer in self._peers.all()}
 
     @property
     def awaits_hello(self) -> bool:

@@ -26,7 +26,7 @@ from igtl_gateway.base.stamp import NS_PER_MS
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.ros.env import prepare_environment
 from igtl_gateway.edges.ros.host import NodeHost
-from igtl_gateway.edges.tcp import TcpEdge
+from igtl_gateway.edges.tcp import LinkCounters, TcpEdge
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.sessionfile.reader import SessionFile
@@ -53,6 +53,7 @@ class ReplaySides:
         admit: returns an entry as the connected peers can read it; None if none of them can.
         listeners: the OpenIGTLink peers; None: there is no such side.
         failed: topic → messages that ROS did not take, at the end.
+        traffic: link → its traffic so far.
         undelivered: messages that did not leave for their peer, once for each peer; and whether there was never more
             than one peer at a time, so that no peer received these messages.  Called when the edge is closed.
     """
@@ -64,6 +65,7 @@ class ReplaySides:
     admit: Callable[[Entry], Entry | None] = lambda entry: entry
     listeners: Listeners | None = None
     failed: Callable[[], Mapping[str, int]] = dict
+    traffic: Callable[[], Mapping[int, LinkCounters]] = dict
     undelivered: Callable[[], tuple[int, bool]] = lambda: (0, True)
 
 
@@ -103,6 +105,7 @@ def open_sides(
             admit=igtl.admit,
             listeners=igtl.listeners,
             failed=ros.failed,
+            traffic=igtl.traffic,
             undelivered=igtl.undelivered,
         )
     return igtl or ros
@@ -156,6 +159,7 @@ def _open_igtl(
         send_all=send_all,
         admit=lambda entry: listeners.admit(entry, connected(edge)),
         listeners=listeners,
+        traffic=edge.counters,
         undelivered=undelivered,
     )
 

@@ -10,10 +10,11 @@ from collections import deque
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import Child, SystemClock, python_command
+from igtl_gateway.addon import NS_PER_S, Child, SystemClock, python_command
 
 _COMMAND = python_command("igtl_gateway.addons.page.listing")
-#: Most recordings of the list, the newest; longest time for one, seconds, and how often it is tried.
+#: Most recordings of the list, the newest; longest time for one at its first try, seconds (the next one has twice as
+#: much: a busy machine reads slowly), and how often it is tried.
 MAX_LISTED, _PATIENCE_S, _TRIES = 500, 30.0, 3
 #: A file that changed within this time is being written, ns.
 _REST_NS = 3_000_000_000
@@ -37,13 +38,15 @@ class Recordings:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self._clock = SystemClock()
         self._lock = threading.Lock()
         self._placing = threading.Lock()
         self._places: dict[str, tuple[tuple[int, int], dict[str, Any]]] = {}  # of the last time lines
         self._known: dict[str, tuple[tuple[int, int], dict[str, Any]]] = {}
         self._to_read: dict[str, tuple[int, int]] = {}  # the first is being read
         self._reading = False
-        self._tries: dict[tuple[str, tuple[int, int]], int] = {}  # of the first, where it was not read
+        self._tries: dict[tuple[str, tuple[int, int]], int] = {}  # of those that were not read in time
+        self._begun_ns = 0  # of the one that is being read, monotonic
 
     def path(self, name: str) -> Path | None:
         """Return the path of a recording of the list; None for any other name."""
@@ -55,7 +58,7 @@ class Recordings:
 
     def rows(self) -> list[dict[str, Any]]:
         """Return the recordings, the newest first, with what is known of each."""
-        found, now_ns = self._found(), SystemClock().utc_ns()
+        found, now_ns = self._found(), self._clock.utc_ns()
         with self._lock:
             rows = []
             for name, mark, size in found:
@@ -66,6 +69,8 @@ class Recordings:
                 rows.append({"name": name, "bytes": size, "modified_ns": mark[1], **facts, "read": is_read})
                 if not is_read:
                     self._to_read.setdefault(name, mark)
+                    if self._begun_ns and name == next(iter(self._to_read)):
+                        rows[-1]["reading_s"] = (self._clock.monotonic_ns() - self._begun_ns) // NS_PER_S
             if self._to_read and not self._reading:
                 self._reading = True
                 threading.Thread(target=self._read_all, name="igtl-page-listing", daemon=True).start()
@@ -107,20 +112,24 @@ class Recordings:
         reader = _Reader()
         while True:
             with self._lock:
+                self._begun_ns = self._clock.monotonic_ns() if self._to_read else 0
                 if not self._to_read:
                     self._reading = False
                     break
                 name, mark = next(iter(self._to_read.items()))
-            facts = reader.ask(self.folder / name)
+                tries = self._tries.get((name, mark), 0)
+            facts = reader.ask(self.folder / name, patience_s=_PATIENCE_S * 2**tries)
             if not reader.is_usable:  # it did not survive the file
                 reader.close()
                 reader = _Reader()
             with self._lock:
-                tries = self._tries.get((name, mark), 0) + 1
-                self._tries = {(name, mark): tries} if facts.get("unread") else {}
-                if not facts.get("unread") or tries >= _TRIES:
+                self._tries.pop((name, mark), None)
+                del self._to_read[name]
+                if facts.get("unread") and tries + 1 < _TRIES:
+                    self._tries[name, mark] = tries + 1
+                    self._to_read[name] = mark  # after the others
+                else:
                     self._known[name] = mark, facts
-                    del self._to_read[name]
         reader.close()
 
 
@@ -138,17 +147,19 @@ class _Reader:
         self.is_usable = True
         self._child = Child("page-listing", _COMMAND, on_line=self._take, on_end=self._end, env=child_environment())
 
-    def ask(self, path: Path, *, places: bool = False) -> dict[str, Any]:
+    def ask(self, path: Path, *, places: bool = False, patience_s: float = _PATIENCE_S) -> dict[str, Any]:
         """Return what it reads of a recording."""
         self._child.write(json.dumps([str(path), places]) + "\n")
         with self._changed:
-            self._changed.wait_for(lambda: self._lines or self._ended, _PATIENCE_S)
+            self._changed.wait_for(lambda: self._lines or self._ended, patience_s)
             line = self._lines.popleft() if self._lines else ""
         if line:
             facts: dict[str, Any] = json.loads(line)
             return facts
         self.is_usable = False
-        return {"unread": SystemClock().utc_ns(), "problem": f"cannot be read within {_PATIENCE_S:g} s"}
+        late = f"not read within {patience_s:g} s: this machine is busy, or its disk"
+        problem = "it ended the process that reads it" if self._ended else late
+        return {"unread": SystemClock().utc_ns(), "problem": problem}
 
     def close(self) -> None:
         """End the process."""

@@ -15,7 +15,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import NS_PER_S, GatewayError, SessionFile, failure_text, report_facts
+from igtl_gateway.addon import NS_PER_S, GatewayError, SessionFile, SystemClock, failure_text, report_facts
+from igtl_gateway.addons.page.rhythm import Rhythm
 from igtl_gateway.app.player import Player
 from igtl_gateway.app.replay_options import REPLAY, ReplayOptions
 from igtl_gateway.app.replay_sides import ReplaySides
@@ -37,6 +38,7 @@ class _Replay:
     def __init__(self, settings: dict[str, Any]) -> None:
         self._settings = settings
         self._stop = threading.Event()
+        self._clock = SystemClock()
         self._player: Player | None = None
         self._file: SessionFile | None = None
         threading.Thread(target=self._listen, daemon=True).start()
@@ -69,6 +71,7 @@ class _Replay:
         if not self._settings["paused"]:
             player.resume()
         over = threading.Event()
+        rhythms: dict[int, Rhythm] = {}
 
         def report() -> None:
             position_ns = player.position_ns
@@ -79,7 +82,7 @@ class _Replay:
                 "rate": player.rate,
                 "sent": player.played.messages - player.played.without_peer,
                 "without_peer": player.played.without_peer,
-                "peers": side.listeners.present() if side.listeners else [],
+                "peers": _peers(side, rhythms, self._clock.monotonic_ns()),
             }
             report_facts({"state": state})
 
@@ -117,6 +120,20 @@ class _Replay:
         }
         if action := actions.get(command["do"]):
             action()
+
+
+def _peers(side: ReplaySides, rhythms: dict[int, Rhythm], now_ns: int) -> list[dict[str, Any]]:
+    """Return what the page shows of each listener."""
+    found, traffic = [], side.traffic()
+    for link, (address, profile) in side.listeners.present().items() if side.listeners else ():
+        counts = traffic.get(link)
+        if counts is None:  # it has left meanwhile
+            continue
+        rhythm = rhythms.setdefault(link, Rhythm())
+        rhythm.take(now_ns, counts.sent_messages)
+        queue = {"queued": counts.queued_messages, "rate_hz": rhythm.rate_hz, "sent": counts.sent_messages}
+        found.append({"peer": address, "profile": profile} | queue)
+    return found
 
 
 if __name__ == "__main__":

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import Child, ConfigError, python_command
+from igtl_gateway.addon import NS_PER_S, Child, ConfigError, SystemClock, python_command
 from igtl_gateway.addons.page.recordings import child_environment
 from igtl_gateway.config.notations import address
 
@@ -32,6 +32,9 @@ class Replay:
         self._state: dict[str, Any] = {}
         self._lines: deque[str] = deque(maxlen=_LINES)
         self._failed = False
+        self._place = ""
+        self._clock = SystemClock()
+        self._begun_ns = 0
 
     def start(self, name: str, path: Path, how: Mapping[str, Any]) -> tuple[bool, str]:
         """Start a replay; return whether that was possible, and a sentence for people.
@@ -67,6 +70,8 @@ class Replay:
                 return False, f"the replay of {self._name} runs; stop it first"
             self._name, self._to, self._state, self._failed = name, to, {}, False
             self._lines.clear()
+            self._place = place if to != "ros" else ""
+            self._begun_ns = self._clock.monotonic_ns()
             ready = threading.Event()
             threading.Thread(target=self._run, args=(settings, ready), name="igtl-page-replay", daemon=True).start()
             ready.wait(_END_S)
@@ -91,6 +96,8 @@ class Replay:
         return {
             "name": self._name,
             "to": self._to,
+            "place": self._place,
+            "opening_s": 0 if state else (self._clock.monotonic_ns() - self._begun_ns) // NS_PER_S,
             "running": running,
             "failed": self._failed,
             "state": state,

@@ -46,8 +46,10 @@ def test_a_session_is_run_from_the_page(tmp_path: Path) -> None:
             page.wait("document.querySelector('#now h1').textContent === 'All 2 streams arrive'")
             assert {"Room", "\ufffd<script>"} <= set(page.text().split())
             assert "token" not in page.run("location.href") and page.run("document.cookie") == ""
-            # Recording: start, a mark by the keyboard, a phase, a pause by clicks
+            # Recording: no mark before there is one; start, a mark by the keyboard, a phase, a pause by clicks
             page.press("2")
+            page.wait("[...document.querySelectorAll('#mark-actions .btn')].every((each) => each.disabled)")
+            assert "Nothing is recorded: press Start first" in page.text()
             page.click("button", "Start recording")
             page.wait("document.querySelector('#recording h1').textContent === 'Recording'")
             page.press("m")
@@ -176,7 +178,7 @@ def test_a_folder_without_a_bridge(tmp_path: Path) -> None:
                 page.click("#replay button", "Step")
                 page.wait("document.querySelector('#replay').textContent.includes('127.0.0.1')")
             page.click("#replay button", "Stop")
-            page.wait("document.querySelector('#replay .btn.primary').textContent.startsWith('Start')", 30)
+            page.wait("document.querySelector('#replay .btn.primary').textContent.startsWith('▶ Start')", 30)
             assert page.complaints == []
             # those who only look
             page.open(spectators)

@@ -69,6 +69,25 @@ def test_a_time_line_that_was_not_read_in_time_is_read_again(tmp_path: Path, mon
     assert recordings.places("a.mcap") == recordings.places("a.mcap") == {"places": []}
 
 
+def test_what_is_not_read_in_time_waits_behind_the_others_and_gets_more_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[str, float]] = []
+
+    def ask(_reader: _Reader, path: Path, *, patience_s: float) -> dict[str, Any]:
+        asked.append((path.name, patience_s))
+        is_late = path.name == "b.mcap" and patience_s < 100
+        return {"unread": time.time_ns(), "problem": "not read"} if is_late else {"closed": True}
+
+    monkeypatch.setattr(_Reader, "ask", ask)
+    for number, name in enumerate(("a.mcap", "b.mcap"), start=1):
+        (tmp_path / name).touch()
+        os.utime(tmp_path / name, ns=(number, number))
+    found = rows(Recordings(tmp_path))
+    assert asked == [("b.mcap", 30.0), ("a.mcap", 30.0), ("b.mcap", 60.0), ("b.mcap", 120.0)]
+    assert found["a.mcap"]["closed"] and found["b.mcap"]["closed"] and "reading_s" not in found["b.mcap"]
+
+
 def test_a_file_that_ends_the_process_costs_one_row(tmp_path: Path) -> None:
     pipe = tmp_path / "b.mcap"
     shutil.copy(FIXTURES / "lego.mcap", pipe)

@@ -35,7 +35,11 @@ def test_a_replay_is_steered() -> None:
         assert peer.receive(type_name="TRANSFORM").device
         wait(lambda: state("position_s") > 20 and state("rate") == 5)
         facts = replay.facts()
-        assert facts and facts["to"] == "igtl" and len(facts["state"]["peers"]) == 1
+        assert facts and facts["to"] == "igtl" and facts["place"] == f"127.0.0.1:{port}"
+        (client,) = facts["state"]["peers"]
+        assert client["peer"].startswith("127.0.0.1:") and client["queued"] == 0
+        wait(lambda: (replay.facts() or {})["state"]["peers"][0]["rate_hz"] > 1)
+        assert (replay.facts() or {})["state"]["peers"][0]["sent"] > 1
         assert replay.steer("stop", None)[0]
         wait(lambda: not (replay.facts() or {})["running"])
 

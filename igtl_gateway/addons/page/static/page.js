@@ -174,6 +174,7 @@ $("tabs").addEventListener("keydown", (event) => {
   if (step) show(VIEWS[(VIEWS.indexOf(view) + step + VIEWS.length) % VIEWS.length], true);
 });
 $("pill").addEventListener("click", () => show("recording"));
+$("playing").addEventListener("click", () => show("replay"));
 document.querySelector(".brand").addEventListener("click", (event) => { event.preventDefault(); show("now"); });
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey || /INPUT|SELECT|TEXTAREA/.test(document.activeElement.tagName) || $("dialog").open) return;
@@ -198,6 +199,9 @@ function draw() {
   const [dot, word] = recState();
   const lasted = rec && !rec.rests && !rec.failure && !rec.stands && !isLost && clock(rec.lasted_s);
   part(pill, [dot, word, lasted], () => [h("span.dot." + dot), h("span", null, word), lasted && h("span.sub", null, lasted)]);
+  const playing = state.replay?.running && !isLost ? state.replay : null;
+  $("playing").hidden = !playing;
+  part($("playing"), playing && [playing.state.paused, moment(Math.floor(playing.state.position_s || 0)).slice(0, -3)], () => (playing ? [h("span", { "aria-hidden": "true" }, playing.state.paused ? "❚❚" : "▶"), h("span", null, "Replay"), h("span.sub", null, moment(Math.floor(playing.state.position_s || 0)).slice(0, -3))] : []));
   put($("foot"), state.has_bridge ? (now ? `igtl-gateway ${now.version} · runs for ${span(now.uptime_s)}` : `igtl-gateway ${state.version}`) : `igtl-gateway ${state.version} · ${state.folder}`);
   ({ now: drawNow, recording: drawRecording, sessions: drawSessions, replay: drawReplay })[view]();
 }
@@ -282,6 +286,7 @@ function sparkColumn() {
   return { td, draw: (row) => { const d = sparkline(row.spark); if (d !== last) path.setAttribute("d", last = d); } };
 }
 
+const TO = { igtl: (place) => `, at ${place}`, ros: () => ", to ROS 2", both: (place) => `, at ${place} and to ROS 2` };
 let links, streams;
 function drawNow() {
   const at = places($("now"), "lead", "links", "streams", "pictures", "notes"), now = bridge();
@@ -297,9 +302,11 @@ function drawNow() {
   const worst = [...now.streams, ...now.links].map((row) => row.state).sort((a, b) => "error silent warning waiting ok".indexOf(a) - "error silent warning waiting ok".indexOf(b))[0] || "waiting";
   const title = now.headline ? sentence(now.headline).replace(/\.$/, "") : !total ? "No messages yet" : total === 1 ? "The stream arrives" : `All ${number(total)} streams arrive`;
   const more = wrong > 1 && `${count(wrong - 1, "more thing needs", "more things need")} attention`;
-  part(at.lead, [title, more, worst, total, now.links.length, now.ros, now.relay, now.refused, now.slowest], () => h("div.lead", null, icon(total || wrong ? worst : "waiting"), h("div", null, h("h1", null, title),
+  const playing = state.replay?.running ? `A replay runs: ${state.replay.name}${TO[state.replay.to](state.replay.place)}` : "";
+  part(at.lead, [title, more, worst, total, now.links.length, now.ros, now.relay, now.refused, now.slowest, playing], () => h("div.lead", null, icon(total || wrong ? worst : "waiting"), h("div", null, h("h1", null, title),
     h("p", null, [more, count(now.links.filter((link) => link.link).length, "peer"), count(total, "stream"), now.relay ? "relay" : now.ros ? "with ROS 2" : "without ROS", now.refused ? `${number(now.refused)} messages refused` : "nothing refused"].filter(Boolean).join(" · ")),
-    now.slowest.length ? h("p", null, sentence(now.slowest.join(" · ")).replace(/\.$/, "")) : null)));
+    now.slowest.length ? h("p", null, sentence(now.slowest.join(" · ")).replace(/\.$/, "")) : null,
+    playing ? h("p", null, playing) : null)));
   if (!links) {
     links = new Rows([["State"], ["Peer"], ["Since", "n wide"], ["Rate", "n"], ["Last minute", "wide"], ["Latency", "n"], ["Jitter", "n wide"], ["Queue", "n"], ["Dropped", "n"]], () => [
       stateColumn(), twoLines((row) => row.name || row.peer, (row) => [`${row.role}${row.name ? ` ${row.peer}` : ""}`, row.profile !== "unrecognised" && row.profile].filter(Boolean).join(" · ")),
@@ -360,6 +367,7 @@ function drawRecording() {
   if (!now || !rec) {
     part(at.state, ["none", Boolean(now), state.has_bridge], () => h("div.card", null, h("p.empty", null, now ? ["This bridge has no file to record to. Start it with ", h("code", null, "--record FILE"), ", or with ", h("code", null, "--record FILE --record-wait"), " and press Start here."] : state.has_bridge ? "The bridge does not answer." : "This page shows a folder of recordings. To record, start a bridge with --record FILE --page.")));
     part(at.work, [Boolean(now), locked()], () => (now ? [markCard()] : []));
+    if (now) drawMarkButtons(null);
     return;
   }
   const [dot, word] = recState();
@@ -369,7 +377,7 @@ function drawRecording() {
   const short = rec.lasts_s != null && rec.lasts_s < 3600;
   part(facts, [rec.bytes, rec.files, rec.per_s, rec.free, rec.lasts_s, rec.dropped, rec.entries, rec.left_out, rec.rests, rec.sealed, rec.triggers], () => [
     fact(rec.snapshot_s ? "Saved" : "Size", rec.snapshot_s ? count(rec.files, "file") : bytes(rec.bytes), rec.snapshot_s ? bytes(rec.bytes) : rec.per_s ? `${bytes(rec.per_s)} per second` : rec.files ? count(rec.files, "file") : "nothing is written"),
-    rec.free == null ? fact("Disk", "not found", "the folder is gone", "error") : rec.free < 10e6 ? fact("Disk", bytes(rec.free), "the disk is full", "error") : fact("Disk", rec.lasts_s == null ? bytes(rec.free) : `lasts ${span(rec.lasts_s)}`, `${bytes(rec.free)} free`, short && "warning"),
+    rec.free == null ? fact("Disk", "not found", "the folder is gone", "error") : rec.free < 10e6 ? fact("Disk", bytes(rec.free), "the disk is full", "error") : fact("Disk", rec.lasts_s == null ? bytes(rec.free) : `lasts ${span(rec.lasts_s)}`, rec.lasts_s == null ? "free" : `${bytes(rec.free)} free`, short && "warning"),
     fact("Losses", rec.dropped ? number(rec.dropped) : "none", rec.dropped ? "messages are missing" : rec.rests ? "no file is open" : "every message is kept", rec.dropped && "error"),
     fact("Messages", number(rec.entries), rec.rests ? (rec.entries ? "in the last file" : "nothing is written yet") : rec.left_out ? `in this file; ${number(rec.left_out)} more in pauses or not chosen` : rec.split ? "in the files of this recording" : "in this file"),
     fact("Seal", rec.sealed ? "on" : "off", rec.sealed ? "each change will show" : "--seal KEY signs it"),
@@ -393,25 +401,38 @@ async function stopRecording() {
 }
 function fact(title, value, more, kind) { return h("div", { class: kind ? "s-" + kind : "" }, h("dt", null, title), h("dd", null, value, h("small", null, more))); }
 
+/* Why a mark would be lost; "" if it is recorded. */
+function lostMark(rec) {
+  if (!rec) return "This bridge has no file: nothing is recorded";
+  if (rec.snapshot_s) return "";
+  return rec.rests ? "Nothing is recorded: press Start first" : rec.failure ? "The recording has failed: nothing is recorded" : "";
+}
+async function mark(sign) {
+  const label = $("mark-label").value.trim(), text = $("mark-text").value.trim(), why = lostMark(bridge()?.recording);
+  if (why) { toast(why, true); return; }
+  if (!label) { $("mark-label").focus(); toast("write a label first, such as suture-1", true); return; }
+  if (await act({ do: "mark", line: `${sign}${label}${text ? ": " + text : ""}` })) { $("mark-label").value = $("mark-text").value = ""; $("mark-label").focus(); }
+}
+function drawMarkButtons(rec) {
+  const off = lostMark(rec), more = $("mark-more");
+  put(more, off || "recorded also while the recording is paused"); more.classList.toggle("s-warning", Boolean(off));
+  part($("mark-actions"), [off, locked()], () => [button("Mark this moment", () => mark(""), { kind: ".primary", off }), button("Begin a phase", () => mark("+"), { off })]);
+}
 function markCard() {
-  const mark = async (sign) => {
-    const label = $("mark-label").value.trim(), text = $("mark-text").value.trim();
-    if (!label) { $("mark-label").focus(); toast("write a label first, such as suture-1", true); return; }
-    if (await act({ do: "mark", line: `${sign}${label}${text ? ": " + text : ""}` })) { $("mark-label").value = $("mark-text").value = ""; $("mark-label").focus(); }
-  };
   const enter = (event) => { if (event.key === "Enter") mark(""); if (event.key === "Escape") event.target.blur(); };
   const off = locked();
-  return card("Mark", "recorded also while the recording is paused", h("div.body", null,
+  return card("Mark", h("span", { id: "mark-more" }), h("div.body", null,
     h("div.form", null,
       h("label.field", null, h("span", null, "Label"), h("input", { type: "text", id: "mark-label", maxlength: 64, placeholder: "short name", autocomplete: "off", onkeydown: enter, disabled: off, list: "labels" })),
       h("label.field", null, h("span", null, "Text"), h("input", { type: "text", id: "mark-text", maxlength: 1000, placeholder: "what happens (optional)", autocomplete: "off", onkeydown: enter, disabled: off }))),
-    h("div.actions", null, button("Mark this moment", () => mark(""), { kind: ".primary" }), button("Begin a phase", () => mark("+"))),
+    h("div.actions", { id: "mark-actions" }),
     h("div", { id: "phases" })));
 }
 function drawMarks(at, rec, now) {
   const [left, right] = at._two || (at._two = [h("div"), h("div")]);
   if (at._kind !== "marks") { at._kind = "marks"; at._shown = ""; html(at, h("div.split", null, left, right)); }
   part(left, [locked()], () => [markCard()]);
+  drawMarkButtons(rec);
   const phases = $("phases");
   part(phases, [rec.phases, locked()], () => (rec.phases.length ? h("div.phases", null, "Open phases:", rec.phases.map((label) => button(`End “${label}”`, () => act({ do: "mark", line: `-${label}` }), { kind: ".small" }))) : []));
   const marks = now.done;
@@ -441,7 +462,7 @@ function result(row, action, none) {
 }
 function sessionState(row) {
   if (row.recording) return ["waiting", "recording"];
-  if (!row.read) return ["waiting", "reading"];
+  if (!row.read) return ["waiting", row.reading_s == null ? "to be read" : row.reading_s < 3 ? "reading" : `reading, ${span(row.reading_s).replace(/\.0 s$/, " s")}`];
   if (row.unread) return ["warning", "not read"];
   return row.problem ? ["error", "not closed"] : ["ok", "closed"];
 }
@@ -466,7 +487,7 @@ function sessionRow(row) {
   if (!open) return tr;
   const off = row.recording ? "It is being recorded" : "";
   return [tr, h("tr.open", null, h("td", { colspan: 10 },
-    row.problem && h("p.s-error", null, sentence(row.problem)),
+    row.problem && (row.unread ? h("p.sub", null, `${sentence(row.problem)} It is tried again by itself; all that is below works meanwhile.`) : h("p.s-error", null, sentence(row.problem))),
     h("div.actions", null, ACTIONS.map(([action, title]) => button(title, () => act({ do: "job", action, name: row.name }).then(loadSessions), { off, kind: "", key: `${row.name} ${action}` })),
       h("span.gap"), button("Replay …", () => { choose(row.name); show("replay"); }, { kind: ".primary", off, key: `${row.name} replay` })),
     row.marks?.length ? h("div.phases", null, "Marks:", row.marks.slice(0, 24).map((mark) => h("button.btn.small", { type: "button", disabled: locked(), "data-key": `${row.name} ${mark.label} ${mark.time_ns}`, onclick: () => { choose(row.name, markTime(mark, row)); show("replay"); } }, `${mark.label} ${moment(markTime(mark, row))}`))) : null))];
@@ -525,6 +546,13 @@ function beginning() {
 }
 /* Beside a bridge the port of Slicer's connector is often its own. */
 function usualPlace() { return state.has_bridge && !target.includes("connect") ? "127.0.0.1:18945" : "127.0.0.1:18944"; }
+/* What must be there before the start, and what is lost without it. */
+const HINTS = {
+  "igtl listen": (at) => `Start makes an OpenIGTLink server at ${at}: let the clients connect to it. What plays while none is connected reaches no client.`,
+  "igtl connect": (at) => `An OpenIGTLink server must run at ${at}. What plays while it cannot be reached is lost.`,
+  ros: () => "All topics are published as they were recorded, in the ROS domain of this program; nodes that run there get them.",
+  "both listen": (at) => `Topics are published as they were recorded, and clients connect to ${at}. What plays while none is connected reaches no client.`,
+};
 function drawReplay() {
   const at = places($("replay"), "head", "choice", "player", "below"), replay = state.replay, running = replay?.running;
   if (running && chosen !== replay.name) choose(replay.name);
@@ -532,49 +560,73 @@ function drawReplay() {
   else if (follows) { follows = false; if (chosen === replay?.name) from = replay.state.position_s ?? from; }
   part(at.head, [running, replay?.name], () => h("div.lead", null, h("div", null, h("h1", null, running ? `Replay of ${replay.name}` : "Replay"), h("p", null, "Sends a recording to OpenIGTLink peers, to ROS, or to both, as it was."))));
   const row = (sessions || []).find((each) => each.name === chosen);
-  const ready = (sessions || []).filter((each) => each.closed || each.name === chosen);
+  const ready = (sessions || []).filter((each) => each.closed || each.name === chosen || (each.closed == null && !each.recording));
   if (!chosen && ready.length) choose(ready[0].name);
   const title = (each) => (each.closed ? each.name : `${each.name} (${sessionState(each)[1]})`);
-  const begins = beginning();
-  part(at.choice, [ready.map(title), chosen, running, locked(), target, begins], () => h("div.card", null, h("div.body", null, h("div.form.four", null,
+  part(at.choice, [ready.map(title), chosen, running, locked(), target], () => h("div.card", null, h("div.body", null, h("div.form.four", null,
     h("label.field", null, h("span", null, "Recording"), h("select", { "data-key": "choose", disabled: running, onchange: (event) => { choose(event.target.value); draw(); } }, ready.map((each) => h("option", { value: each.name, selected: each.name === chosen }, title(each))))),
     h("label.field", null, h("span", null, "Send to"), h("select", { "data-key": "target", disabled: running, onchange: (event) => { target = event.target.value; draw(); } },
       [["igtl listen", "OpenIGTLink clients"], ["igtl connect", "an OpenIGTLink server"], ["ros", "ROS 2"], ["both listen", "OpenIGTLink clients and ROS 2"]].map(([value, title]) => h("option", { value, selected: value === target }, title)))),
-    h("label.field", null, h("span", null, target.includes("connect") ? "Its address" : "At address"), h("input", { type: "text", "data-key": "place", disabled: running || target === "ros", value: place, placeholder: usualPlace(), oninput: (event) => { place = event.target.value.trim(); } })),
-    h("label.field", null, h("span", null, "Rate"), h("select", { "data-key": "speed", disabled: running, onchange: (event) => { speed = event.target.value; } }, ["0.1", "0.25", "0.5", "1", "2", "5", "10"].map((value) => h("option", { value, selected: value === speed }, `${value} ×`)))),
-    running ? button("Stop", () => steer("stop"), { kind: ".danger", key: "begin" }) : button(begins > 0 ? `Start at ${moment(begins)}` : "Start", begin, { kind: ".primary", off: chosen ? "" : "No recording", key: "begin" })))));
-  if (row?.duration_s == null) {
-    at.player._track = at.below._track = null;
+    target !== "ros" && h("label.field", null, h("span", null, target.includes("connect") ? "Its address" : "At address"), h("input", { type: "text", "data-key": "place", disabled: running, value: place || usualPlace(), onfocus: (event) => setTimeout(() => event.target.select()), oninput: (event) => { place = event.target.value.trim(); drawHint(); } })),
+    h("label.field", null, h("span", null, "Rate"), h("select", { "data-key": "speed", disabled: running, onchange: (event) => { speed = event.target.value; } }, ["0.1", "0.25", "0.5", "1", "2", "5", "10"].map((value) => h("option", { value, selected: value === speed }, `${value} ×`))))),
+    running ? null : h("p.hint", { id: "hint" }, hint()))));
+  const playing = running ? replay.state : null, length = row?.duration_s ?? playing?.duration_s;
+  if (!row) {
+    at.player._track = null;
+    part(at.player, sessions == null, () => h("div.card", null, h("p.empty", null, sessions == null ? "Reading the folder …" : "No recording can be replayed yet. Record one, or start the page in a folder that has some.")));
     part(at.below, null, () => []);
-    const why = row && (row.problem ? `${row.name} ${row.problem}` : `${row.name} is being read`);
-    part(at.player, why, () => (why ? h("div.card", null, h("p.empty", null, sentence(why))) : []));
+    return;
+  }
+  drawPlayer(at.player, row, length, playing, replay);
+  if (row.duration_s == null) {
+    at.below._track = null;
+    part(at.below, null, () => []);
     return;
   }
   readPlaces(row.name);
-  drawPlayer(at.player, row, running ? replay.state : null);
   drawBelow(at.below, row, replay, running);
+}
+function hint() { return HINTS[target](place || usualPlace()); }
+function drawHint() { if ($("hint")) put($("hint"), hint()); }
+/* What a person waits for, "" if for nothing. */
+function waits(row, playing, replay) {
+  const passed = (seconds) => (seconds >= 2 ? ` (${number(seconds)} s so far)` : "");
+  if (playing && playing.duration_s == null) return `${row.name} is opened for the replay${passed(replay.opening_s)}`;
+  if (row.duration_s != null) return "";
+  if (row.unread) return `${row.name} was ${row.problem}. It is tried again by itself, and can be replayed all the same`;
+  return row.problem ? `${row.name} ${row.problem}` : `${row.name} is being read${passed(row.reading_s || 0)}. Its time line follows, and it can be replayed all the same`;
 }
 function marksOf(row) {
   return (row.marks || []).map((mark) => ({ kind: mark.end_ns == null ? "mark" : "phase", at_s: markTime(mark, row), end_s: mark.end_ns == null ? null : (mark.end_ns - row.start_ns) / 1e9, text: mark.label + (mark.text ? `: ${mark.text}` : "") }));
 }
-function drawPlayer(at, row, playing) {
-  const duration = Math.max(row.duration_s, 1e-3), position = playing?.position_s ?? from, paused = playing?.paused ?? true;
-  if (at._track !== row.name) {
-    at._track = row.name; at._shown = null;
-    at._buttons = h("div.transport"); at._rail = h("div.track", { role: "slider", tabindex: 0, "aria-label": "Position", "aria-valuemin": 0, "data-key": "track" });
-    const seek = (event) => { const box = at._rail.getBoundingClientRect(); jump(Math.min(1, Math.max(0, (event.clientX - box.left) / box.width)) * at._duration); };
-    at._rail.addEventListener("pointerdown", (event) => { at._rail.setPointerCapture(event.pointerId); seek(event); at._rail.onpointermove = seek; });
-    at._rail.addEventListener("pointerup", () => { at._rail.onpointermove = null; });
-    at._rail.addEventListener("keydown", (event) => { const step = { ArrowRight: 1, ArrowLeft: -1, PageUp: 10, PageDown: -10 }[event.key]; if (step) { event.preventDefault(); jump(Math.min(at._duration, Math.max(0, at._position + step * Math.max(.1, at._duration / 100)))); } if (event.key === "Home") jump(0); });
-    html(at, h("div.card", null, h("div.body", null, at._buttons, at._rail, legend())));
+function drawPlayer(at, row, length, playing, replay) {
+  const duration = Math.max(length ?? 0, 1e-3), position = playing?.position_s ?? from, paused = playing?.paused ?? true;
+  const kind = `${row.name} ${length == null}`;
+  if (at._track !== kind) {
+    at._track = kind; at._shown = null;
+    at._buttons = h("div.transport"); at._wait = h("div"); at._rail = null;
+    if (length != null) {
+      at._rail = h("div.track", { role: "slider", tabindex: 0, "aria-label": "Position", "aria-valuemin": 0, "data-key": "track" });
+      const seek = (event) => { const box = at._rail.getBoundingClientRect(); jump(Math.min(1, Math.max(0, (event.clientX - box.left) / box.width)) * at._duration); };
+      at._rail.addEventListener("pointerdown", (event) => { at._rail.setPointerCapture(event.pointerId); seek(event); at._rail.onpointermove = seek; });
+      at._rail.addEventListener("pointerup", () => { at._rail.onpointermove = null; });
+      at._rail.addEventListener("keydown", (event) => { const step = { ArrowRight: 1, ArrowLeft: -1, PageUp: 10, PageDown: -10 }[event.key]; if (step) { event.preventDefault(); jump(Math.min(at._duration, Math.max(0, at._position + step * Math.max(.1, at._duration / 100)))); } if (event.key === "Home") jump(0); });
+    }
+    html(at, h("div.card", null, h("div.body", null, at._buttons, at._wait, at._rail, at._rail && legend())));
   }
   at._duration = duration; at._position = position;
-  const off = playing ? "" : "Start the replay first";
-  part(at._buttons, [paused, Boolean(playing), playing?.rate, locked()], () => [
-    paused ? button("▶ Play", () => (playing ? steer("play") : begin()), { kind: ".primary", key: "play" }) : button("❚❚ Pause", () => steer("pause"), { kind: ".primary", off, key: "play" }),
+  const begins = beginning(), opens = Boolean(playing) && playing.duration_s == null;
+  const off = !playing ? "Start the replay first" : opens ? "The recording is being opened" : "", wait = waits(row, playing, replay);
+  part(at._buttons, [paused, Boolean(playing), opens, playing?.rate, locked(), begins, length == null, row.recording], () => [
+    !playing ? button(begins > 0 ? `▶ Start at ${moment(begins)}` : "▶ Start", begin, { kind: ".primary", off: row.recording ? "It is being recorded" : "", key: "play" })
+      : paused ? button("▶ Play", () => steer("play"), { kind: ".primary", off, key: "play" }) : button("❚❚ Pause", () => steer("pause"), { kind: ".primary", off, key: "play" }),
+    playing && button("Stop", () => steer("stop"), { kind: ".danger", key: "stop" }),
     button("Step", () => steer("step"), { off: off || (paused ? "" : "Pause first") }), button("Slower", () => steer("rate", playing.rate / 1.25), { off }), button("Faster", () => steer("rate", playing.rate * 1.25), { off }),
-    h("span.sub", null, playing ? `rate ${number(playing.rate ?? 1, 2)} ×` : ""), h("span.time", null, "")]);
-  html(at._buttons.lastChild, moment(position), h("small", null, ` of ${moment(duration)}`));
+    h("span.sub", null, playing?.rate ? `rate ${number(playing.rate, 2)} ×` : ""), h("span.time", null, "")]);
+  html(at._buttons.lastChild, ...(length == null ? [] : [moment(position), h("small", null, ` of ${moment(duration)}`)]));
+  const busy = opens || (!row.problem && wait);
+  part(at._wait, [wait, busy], () => (wait ? [h(row.problem && !row.unread ? "p.wait.s-error" : "p.wait", null, sentence(wait)), busy ? h("div.bar", { role: "progressbar", "aria-label": "Reading" }, h("i")) : null] : []));
+  if (!at._rail) return;
   at._rail.setAttribute("aria-valuemax", duration.toFixed(2)); at._rail.setAttribute("aria-valuenow", position.toFixed(2)); at._rail.setAttribute("aria-valuetext", `${moment(position)} of ${moment(duration)}`);
   const found = [...marksOf(row), ...(placesOf[row.name] || [])];
   part(at._rail, [found, duration], () => track(found, duration));
@@ -626,7 +678,7 @@ function drawBelow(place, row, replay, running) {
   const names = { mark: "Mark", phase: "Phase", finding: "Finding", loss: "Loss", pause: "Pause", link: "Link" };
   part(place, [found, !placesOf[row.name], mine?.lines, peers, running, mine?.state?.sent, mine?.state?.without_peer, locked()], () => h("div.split", null,
     card("On the time line", placesOf[row.name] ? null : "findings, losses and pauses are being read", found.length ? h("ul.list", { tabindex: 0, "aria-label": "On the time line" }, found.map((each, number) => h("li", null, h("button", { type: "button", disabled: locked() && running, "data-key": `at ${number}`, onclick: () => jump(each.at_s) }, h("span.at", null, moment(each.at_s)), h("span.sub", null, names[each.kind]), h("span", null, each.text))))) : h("p.empty", null, placesOf[row.name] ? "Nothing but messages." : "Reading …")),
-    card("Peers", running && mine ? [`${number(mine.state.sent || 0)} messages sent`, mine.state.without_peer ? `${number(mine.state.without_peer)} played while no peer was connected` : ""].filter(Boolean).join(" · ") : null, peers.length ? h("ul.list", null, peers.map(([address, profile]) => h("li", null, icon("ok"), h("b", null, address), h("span.sub", null, profile === "unrecognised" ? "" : profile)))) : h("p.empty", null, running ? (mine?.to === "ros" ? "Nodes of ROS receive the messages; the page does not count them." : "No OpenIGTLink peer is connected: what plays now reaches nobody.") : "Peers appear when the replay runs."),
+    card("Peers", running && mine ? [`${number(mine.state.sent || 0)} messages sent`, mine.state.without_peer ? `${number(mine.state.without_peer)} played while no peer was connected` : ""].filter(Boolean).join(" · ") : null, peers.length ? h("ul.list", null, peers.map((each) => h("li", null, icon(each.queued > 50 ? "warning" : "ok"), h("b", null, each.peer), h("span.sub", null, [each.profile !== "unrecognised" && each.profile, `${rate(each.rate_hz)} messages a second`, `${number(each.sent)} sent`, each.queued ? `${number(each.queued)} wait: it reads slowly` : "queue 0"].filter(Boolean).join(" · "))))) : h("p.empty", null, running ? (mine?.to === "ros" ? "Nodes of ROS receive the messages; the page does not count them." : "No OpenIGTLink peer is connected: what plays now reaches nobody.") : "Peers appear when the replay runs."),
       mine?.lines.length ? h("ul.notes", null, mine.lines.map((line) => h("li", null, h("span", null, line.replace(/^[=!] /, ""))))) : null)));
 }
 
