@@ -145,6 +145,7 @@ NOTES: dict[str, dict[str, str]] = {
         "record_refused": "an entry cannot be recorded",
         "record_undefined": "the definition of a ROS type is unknown; its messages are recorded without it",
         "record_thread": "a thread of the bridge writes the file, because no process can be started",
+        "prologue_incomplete": "a file begins without large inputs: `verify` of it may find differences",
         "record_started": "a file of the recording begins",
         "record_stopped": "the file of the recording is closed, and the bridge goes on",
         "record_paused": "the recording is paused",

@@ -24,10 +24,18 @@ MAX_ENTRIES = 5_000
 MAX_BYTES = 64 << 20
 #: Messages of mixed topics, such as the frames of many nodes on /tf.
 MAX_MIXED = 1_000
+#: Inputs above the eighth of ``MAX_BYTES``, such as volumes: the last of each stream, within these bounds (one, all).
+LARGEST_BYTES, MAX_LARGE_BYTES = 64 << 20, 128 << 20
+#: Streams that are named whose last input was not kept.
+MAX_FORGOTTEN = 20
 
 
 class Prologue:
-    """Sees all entries in their order; remembers the inputs that matter."""
+    """Sees all entries in their order; remembers the inputs that matter.
+
+    Attributes:
+        forgotten: stream → size of its last input, which was too large to be kept.
+    """
 
     def __init__(self, rule: StateInputRule, max_entries: int = MAX_ENTRIES, max_bytes: int = MAX_BYTES) -> None:
         self._rule = rule
@@ -40,7 +48,9 @@ class Prologue:
         self._commands: OrderedDict[Hashable, Entry] = OrderedDict()  # accepted, by topic
         self._refused = False  # nothing shows yet that the input, a command to a robot, was accepted
         self._mixed: OrderedDict[Hashable, Entry] = OrderedDict()  # by number
-        self._bytes = 0
+        self._large: OrderedDict[Hashable, Entry] = OrderedDict()  # by stream and link
+        self._bytes = self._large_bytes = 0
+        self.forgotten: OrderedDict[str, int] = OrderedDict()
 
     def observe(self, entry: Entry) -> None:
         """Take notice of the next entry."""
@@ -54,8 +64,9 @@ class Prologue:
                 self._add(self._gone, entry.seq, entry)
         elif entry.kind.is_input:
             self._input, self._refused = None, False
-            if entry.size > self._max_bytes // 8:
-                return  # one picture must not push out everything else
+            if entry.size > self._max_bytes // 8:  # one picture must not push out everything else
+                self._keep_large(entry)
+                return
             entry = owned(entry)  # a large one may be lent
             self._input, self._refused = entry, self._rule.commands_robot(entry)
             if self._refused:
@@ -88,8 +99,29 @@ class Prologue:
 
     def entries(self) -> list[Entry]:
         """The inputs to be fed to a gateway first, in their order."""
-        found = {entry.seq: entry for kept in self._tables() for entry in kept.values()}
+        found = {entry.seq: entry for kept in (*self._tables(), self._large) for entry in kept.values()}
         return [found[seq] for seq in sorted(found)]
+
+    def _keep_large(self, entry: Entry) -> None:
+        """Keep the last of its stream: a first one taught the gateway no more than that."""
+        key = entry.kind, entry.channel, entry.links
+        before = self._large.pop(key, None)
+        self._large_bytes -= before.size if before else 0
+        self.forgotten.pop(entry.channel, None)
+        if entry.size > LARGEST_BYTES:
+            self._forget(entry)
+            return
+        self._large[key] = owned(entry)
+        self._large_bytes += entry.size
+        while self._large_bytes > MAX_LARGE_BYTES:
+            _, gone = self._large.popitem(last=False)
+            self._large_bytes -= gone.size
+            self._forget(gone)
+
+    def _forget(self, entry: Entry) -> None:
+        self.forgotten[entry.channel] = entry.size
+        if len(self.forgotten) > MAX_FORGOTTEN:
+            self.forgotten.popitem(last=False)
 
     def _add(self, kept: OrderedDict[Hashable, Entry], key: Hashable, entry: Entry) -> None:
         before = kept.pop(key, None)

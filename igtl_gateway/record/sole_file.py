@@ -9,7 +9,7 @@ among them.  So does what comes after a rest, in which nothing is written.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +55,11 @@ class SoleFile:
     @property
     def entries(self) -> int:
         return self._closed_entries + (self.file.entries if self.file else 0)
+
+    @property
+    def forgotten(self) -> Mapping[str, int]:
+        """Stream → size of its last input, which a file that begins now lacks."""
+        return self._prologue.forgotten
 
     @property
     def undefined(self) -> list[str]:

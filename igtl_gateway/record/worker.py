@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -50,6 +50,8 @@ THREAD = "record_thread"
 CONTINUED = "record_continued"
 PAUSED, RESUMED, SNAPSHOT = "record_paused", "record_resumed", "record_snapshot"
 STARTED, STOPPED = "record_started", "record_stopped"
+#: A file begins without large inputs that its outputs may depend on.
+INCOMPLETE_BEGIN = "prologue_incomplete"
 
 #: Streams by which entries count as dropped that were in a file that was taken away, or were not flushed when the disk
 #: failed.
@@ -714,6 +716,8 @@ class _RecorderWorker:
         self._queue.row_streams[:] = [None] * len(self._queue.row_streams)  # of the channels of the file before
         self._row_writer = self._writer_of_rows()
         self._apply_retention()
+        if start and isinstance(writer, SoleFile) and writer.forgotten:
+            self._note(_without(writer.forgotten))
         code, text = (STARTED, "the recording begins") if start else (STOPPED, "the recording is closed")
         self._note(Note(Level.INFO, code, f"{text}: {path}"))
         return path
@@ -861,6 +865,13 @@ class _RecorderWorker:
         except FileTaken as error:
             self._go_on(error)
             self._writer.close(ledger | {"recorder": self._state().counters(self._not_queued)})
+
+
+def _without(forgotten: Mapping[str, int]) -> Note:
+    """The note of a file that begins without large inputs."""
+    names = ", ".join(f"{stream} ({size / 1e6:,.0f} MB)" for stream, size in forgotten.items())
+    text = f"the file begins without the last message of {names}: verify of it may find differences"
+    return Note(Level.WARN, INCOMPLETE_BEGIN, text, data={"streams": dict(forgotten)})
 
 
 def _seal_series(options: RecordOptions, clock: Clock) -> SealSeries | None:

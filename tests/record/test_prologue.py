@@ -98,9 +98,20 @@ def test_the_bound_in_bytes() -> None:
     assert kept(Prologue(RULE, max_bytes=10_000), entries) == list(range(20, 30))
 
 
-def test_one_picture_does_not_push_out_the_rest() -> None:
-    entries = [samples.note(1, Kind.LINK), samples.igtl(2, device="a"), samples.igtl(3, body=bytes(9_000))]
-    assert kept(Prologue(RULE, max_bytes=10_000), entries) == [1, 2]
+def test_one_picture_does_not_push_out_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The last of each stream is kept beside it, within its own bounds, and what is not is named."""
+    monkeypatch.setattr(prologue, "LARGEST_BYTES", 20_000)
+    monkeypatch.setattr(prologue, "MAX_LARGE_BYTES", 30_000)
+    entries = [samples.note(1, Kind.LINK), samples.igtl(2, device="a")]
+    entries += [samples.igtl(seq, device="CT", body=bytes(9_000)) for seq in (3, 4)]
+    seen = Prologue(RULE, max_bytes=10_000)
+    assert kept(seen, entries) == [1, 2, 4] and not seen.forgotten
+    entries = [samples.igtl(seq, device=f"n{seq}", body=bytes(9_000)) for seq in (5, 6, 7)]
+    assert kept(seen, entries) == [1, 2, 5, 6, 7] and list(seen.forgotten) == ["TRANSFORM/CT"]
+    assert kept(seen, [samples.igtl(8, device="n7", body=bytes(20_000))]) == [1, 2, 5, 6]
+    assert list(seen.forgotten) == ["TRANSFORM/CT", "TRANSFORM/n7"]
+    assert kept(seen, [samples.igtl(9, device="n7", body=bytes(9_000))]) == [1, 2, 5, 6, 9]
+    assert list(seen.forgotten) == ["TRANSFORM/CT"]
 
 
 def test_of_a_robot_the_last_accepted_command_and_no_refused_one() -> None:

@@ -23,7 +23,7 @@ from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.gateway import LINK_UP, Gateway, Session
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
-from igtl_gateway.record import parts
+from igtl_gateway.record import parts, prologue
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
@@ -101,8 +101,10 @@ def test_each_file_has_all_between_start_and_stop(
             assert file.entry_count == summary.entries and not file.missing_parts
 
 
-def test_a_file_that_begins_after_large_pictures_verifies(tmp_path: Path) -> None:
+@pytest.mark.parametrize("side", [300, 3_000])
+def test_a_file_that_begins_after_large_pictures_verifies(tmp_path: Path, side: int) -> None:
     """Their first one is noted, and a query after the start is answered with the last one before it."""
+    size = side * side
     gateway, notes, entries = Session(Gateway(Config())), list[Note](), list[Entry]()
 
     def take(kind: Kind, *payload: Buffer, **fields: Any) -> None:
@@ -111,12 +113,12 @@ def test_a_file_that_begins_after_large_pictures_verifies(tmp_path: Path) -> Non
 
     take(Kind.LINK, Note(Level.INFO, LINK_UP, "a peer", data={"address": "127.0.0.1:1"}).pack())
     for value in (1, 2):
-        take(Kind.IGTL_IN, b"".join(encode(Message("IMAGE", "CT", Image((300, 300, 1), 3, bytes([value]) * 90_000)))))
-        picture = rosmsg.Image(Header(samples.START_NS, "probe"), 300, 300, "mono8", 0, 300, bytes([value]) * 90_000)
+        take(Kind.IGTL_IN, b"".join(encode(Message("IMAGE", "CT", Image((side, side, 1), 3, bytes([value]) * size)))))
+        picture = rosmsg.Image(Header(samples.START_NS, "probe"), side, side, "mono8", 0, side, bytes([value]) * size)
         take(Kind.ROS_IN, picture.pack(), channel="/igtl/out/US", type_name=picture.TYPE)
     begin = len(entries)
     take(Kind.IGTL_IN, b"".join(encode(Message("GET_IMAGE", "US", EmptyQuery()))))
-    take(Kind.IGTL_IN, b"".join(encode(Message("IMAGE", "CT", Image((300, 300, 1), 3, bytes(90_000))))))
+    take(Kind.IGTL_IN, b"".join(encode(Message("IMAGE", "CT", Image((side, side, 1), 3, bytes(size))))))
     assert [entry.type for entry in entries[begin:] if entry.kind is Kind.IGTL_OUT] == ["IMAGE"]
     recorder = recorder_of(tmp_path / "a.mcap", notes, waits=True)
     for entry in entries[:begin]:
@@ -126,6 +128,20 @@ def test_a_file_that_begins_after_large_pictures_verifies(tmp_path: Path) -> Non
         recorder(entry)
     (path,) = recorder.close({"streams": {}}).files
     assert numbers_of(path) == [entry.seq for entry in entries[begin:]]
+    assert not [note for note in notes if note.level > Level.INFO]
+
+
+def test_a_file_that_begins_without_the_largest_inputs_names_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(prologue, "LARGEST_BYTES", 8_500_000)
+    notes = list[Note]()
+    recorder = recorder_of(tmp_path / "a.mcap", notes, waits=True)
+    recorder(samples.igtl(1, device="CT", body=bytes(9_000_000)))
+    assert recording.start(recorder)[0]
+    recorder.close({})
+    (found,) = [note for note in notes if note.code == "prologue_incomplete"]
+    assert found.text.startswith("the file begins without the last message of TRANSFORM/CT (9 MB)")
 
 
 def test_nothing_else_is_done_to_a_recording_that_is_stopped(tmp_path: Path) -> None:
