@@ -253,7 +253,7 @@ static void flush(void)
         if (sent > 0)
             at += (size_t)sent;
         else if (errno != EINTR)
-            give_up("the coordinator has ended");
+            give_up("the connection with the session is closed, perhaps by the program");
     }
     S.out_size = 0;
 }
@@ -372,7 +372,7 @@ static uint8_t *next_frame(uint32_t *size)
         if (got > 0)
             S.in_size += (size_t)got;
         else if (got == 0 || errno != EINTR)
-            give_up("the coordinator has ended");
+            give_up("the connection with the session is closed, perhaps by the program");
     }
 }
 

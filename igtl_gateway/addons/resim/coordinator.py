@@ -28,6 +28,8 @@ from igtl_gateway.base.qos import incompatible
 
 #: Messages and bytes that are sent to a program at once.
 _BATCH, _BATCH_BYTES = 512, 1 << 20
+#: Messages of the programs at one session time; more are a flood.
+_MOST_AT_ONCE = 100_000
 
 
 class ProgramFault(GatewayError):
@@ -177,6 +179,7 @@ class Coordinator:
         self._is_input = is_input
         self._on_start, self._on_event, self._on_remark = on_start, on_event, on_remark
         self._left = most_outputs
+        self._last_ns, self._at_once = start_ns, 0
         self._input_class = input_class
         self._messages: list[tuple[int, int, int, bytes]] = []  # heap of time, order, peer, frame
         self._order = 0
@@ -384,10 +387,17 @@ class Coordinator:
     def _published(self, peer: Peer, frame: frames.Published) -> None:
         publisher = peer.entities[frame.publisher]
         self.reached_ns = max(self.reached_ns, frame.time_ns)
-        if self._left == 0:
+        self._at_once = self._at_once + 1 if frame.time_ns == self._last_ns else 1
+        self._last_ns = frame.time_ns
+        if self._left == 0 or self._at_once > _MOST_AT_ONCE:
+            most = (
+                f"{self._outputs.count:,} (the limit of outputs)"
+                if not self._left
+                else f"{_MOST_AT_ONCE:,} at one time"
+            )
             raise ProgramFault(
                 f"{peer.name}: flooded the session with messages, the last one of {publisher.frame.name}; "
-                f"expected at most {self._outputs.count:,} (the limit of outputs)"
+                f"expected at most {most}"
             )
         self._left -= 1
         if publisher.stream is None:

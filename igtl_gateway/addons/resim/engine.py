@@ -266,6 +266,7 @@ def run(
             for index, program in enumerate(programs)
             if program.igtl
         }
+    _check_links(programs, replaced)
     result = RunResult(recording, links=frozenset(each.number for each in replaced.values()))
     for number in range(1, options.runs + 1):
 
@@ -281,6 +282,16 @@ def run(
         if one.fault:
             break
     return result
+
+
+def _check_links(programs: Sequence[Program], replaced: Mapping[int, RecordedLink]) -> None:
+    """Raise ConfigError if two programs replace the peer of one link: each would get its messages."""
+    first: dict[int, str] = {}
+    for index, link in replaced.items():
+        title = programs[index].title
+        other = first.setdefault(link.number, title)
+        if other != title:
+            raise ConfigError(f"{title}: found link {link.number}, which {other} has, expected another link")
 
 
 def run_file(folder: Path, number: int) -> Path:
@@ -547,8 +558,11 @@ class _Watch:
                 f"{program}: started another process, which still runs: {command}; {_APART}, or not at all"
             )
 
-    def look(self) -> None:
-        """Raise ProgramFault if a process has ended, hangs, or is busy; KeyboardInterrupt after Ctrl-C."""
+    def look(self, *, is_flowing: bool = False) -> None:
+        """Raise ProgramFault if a process has ended, hangs, or is busy; KeyboardInterrupt after Ctrl-C.
+
+        ``is_flowing``: a program sends so much that it waits for this process.
+        """
         self._look_for_signals()
         options = self._options
         now_ns = self._clock.monotonic_ns()
@@ -556,7 +570,7 @@ class _Watch:
             self._looked_ns, self._waited_ns, self._idle_ns = now_ns, 0, 0
             self._cpu_s = {each.pid: each.cpu_s() for each in self._processes}
         absent = _NO_SOCKET if self.side else _NO_NODE
-        if ended := self.ended():
+        if not is_flowing and (ended := self.ended()):  # else the rest of its messages first
             is_absent = self.is_joining and not any(each.has_failed for each in self._processes)
             raise ProgramFault(f"{ended}; {absent}" if is_absent else ended)
         if self.is_joining and self.side:
@@ -567,6 +581,8 @@ class _Watch:
         self._looked_ns = now_ns
         self._waited_ns += passed_ns
         self._idle_ns += 0 if any(each.is_computing() for each in self._processes) else passed_ns
+        if is_flowing:
+            self._waited_ns = self._idle_ns = 0
         used = {each: each.cpu_s() - self._cpu_s.get(each.pid, 0.0) for each in self._processes}
         busy = max(used, key=lambda each: used[each], default=None)
         if busy is None:

@@ -19,7 +19,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from igtl_gateway.addon import ConfigError, GatewayError, Kind, Qos, SessionFile, SystemClock
-from igtl_gateway.addon.igtl import HEADER_SIZE, HEADER_VERSIONS, Framer, Header, visible
+from igtl_gateway.addon.igtl import HEADER_SIZE, HEADER_VERSIONS, Framer, Header, crc64, visible
 from igtl_gateway.addons.resim import frames
 from igtl_gateway.addons.resim.coordinator import ProgramFault
 from igtl_gateway.addons.resim.frames import DEADLINE, NEVER, EntityFrame, Idle, Published
@@ -310,11 +310,19 @@ class IgtlLink:
                     f"expected at most {_MOST_AT_ONCE:,}"
                 )
             if moved < _UNBLOCKS and not self._push():
-                break
+                if not self._hangs():
+                    break
+                self._library.look()
             has_looked = False
         if self._has_closed:
             at_s = (time_ns - self._start_ns) / 1e9
             raise ProgramFault(f"{self._name}: closed its connection at {at_s:.6f} s of the session", is_end=True)
+
+    def _hangs(self) -> bool:
+        """Whether the program has read, waits for nothing that comes, and leaves what has arrived."""
+        if self._idle.next_ns != NEVER or self._has_closed or not self._connection:
+            return False
+        return 0 < self._connection.unread() < self._connection.sent
 
     def _await(self, *, arrived: bool) -> None:
         """Wait until what was sent has arrived in the program, or what it has sent has arrived here."""
@@ -374,6 +382,8 @@ class IgtlLink:
 
     def _output(self, data: bytes, time_ns: int) -> None:
         header = self._check(data)
+        if (crc := crc64(data[HEADER_SIZE:])) != header.crc:
+            raise self._garbage(f"{visible(header.type)}: found CRC {header.crc:016x}, expected {crc:016x}", time_ns)
         stream = f"{header.type}/{header.device_name}"
         self._ready.append(Published(self._publisher(stream), time_ns, data))
 

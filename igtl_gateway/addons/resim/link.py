@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import socket
 import struct
-from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
@@ -15,8 +14,8 @@ _SIZE = struct.Struct("=I")
 #: Of the process at the other end: its number, user and group.
 _CREDENTIALS = struct.Struct("=3i")
 _READ_BYTES = 1 << 18
-#: How often a wait looks after the processes.
-_PATIENCE_S = 0.1
+#: How often a wait looks after the processes, and after how many bytes without a wait.
+_PATIENCE_S, _PATIENCE_BYTES = 0.1, 1 << 20
 
 
 class Gone(Exception):
@@ -31,14 +30,20 @@ class AnyLink(Protocol):
     def receive(self) -> frames.FromProgram: ...
 
 
-class Link:
-    """The connection of one process.  ``waiting`` is called now and then while a frame is awaited; it may raise."""
+class Waiting(Protocol):
+    """Is called now and then while a frame is awaited; ``is_flowing``: others arrive.  It may raise."""
 
-    def __init__(self, connection: socket.socket, waiting: Callable[[], None]) -> None:
+    def __call__(self, *, is_flowing: bool = False) -> None: ...
+
+
+class Link:
+    """The connection of one process."""
+
+    def __init__(self, connection: socket.socket, waiting: Waiting) -> None:
         self._socket = connection
         self._waiting = waiting
         self._buffer = bytearray()
-        self._at = 0
+        self._at = self._unwatched_bytes = 0
         connection.settimeout(_PATIENCE_S)
 
     def send(self, data: bytes) -> None:
@@ -64,16 +69,24 @@ class Link:
                     self._at = end
                     return frames.parse(frame)
             self._buffer, self._at = buffer[at:], 0
+            if self._unwatched_bytes >= _PATIENCE_BYTES:
+                self._unwatched_bytes = 0
+                self._waiting(is_flowing=True)
             try:
                 more = self._socket.recv(_READ_BYTES)
             except TimeoutError:
-                self._waiting()
+                self.look()
                 continue
             except OSError as error:
                 raise Gone from error
             if not more:
                 raise Gone
             self._buffer += more
+            self._unwatched_bytes += len(more)
+
+    def look(self) -> None:
+        """Look after the processes.  Raises what the one who waits does."""
+        self._waiting()
 
     def close(self) -> None:
         self._socket.close()
@@ -90,7 +103,7 @@ class Listener:
         self._socket.settimeout(_PATIENCE_S)
         self._strangers: list[socket.socket] = []
 
-    def accept(self, waiting: Callable[[], None]) -> Link:
+    def accept(self, waiting: Waiting) -> Link:
         """Return the connection of the next process; ``waiting`` as of `Link`, also while there is none."""
         while True:
             with suppress(TimeoutError):

@@ -73,7 +73,7 @@ class Process:
         try:
             self._child = Child(f"resim-{name}", command, on_line=lambda line: None, env=env, death_signal=KILL)
         except OSError as error:
-            is_there = isinstance(error, FileNotFoundError) and Path(command[0]).exists()
+            is_there = isinstance(error, FileNotFoundError) and "/" in command[0] and Path(command[0]).exists()
             script = f"; python {command[0]} runs a script" * command[0].endswith(".py")
             why = f"found no interpreter of its first line{script}" if is_there else error.strerror
             why = "found no such program; it comes with a sourced ROS 2" if command[0] == "ros2" else why

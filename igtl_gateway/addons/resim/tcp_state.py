@@ -69,7 +69,7 @@ class Connection:
         counts = self._counts()
         if counts is None:
             return True  # it is closed
-        got, written = counts
+        got, written, _ = counts
         if arrived:
             return got + 1 >= self.sent  # the counts of the kernel may have the SYN in them
         if written <= self.received + 1:
@@ -80,8 +80,13 @@ class Connection:
             here = 0
         return here == _PEEK_BYTES or written <= self.received + here + 1
 
-    def _counts(self) -> tuple[int, int] | None:
-        """Bytes that the other end has got and that it has written; None if there is no such connection."""
+    def unread(self) -> int:
+        """Bytes that the other end has got and not read; 0 where that is not known."""
+        counts = self._counts() if self._netlink else None
+        return counts[2] if counts else 0
+
+    def _counts(self) -> tuple[int, int, int] | None:
+        """Bytes that the other end has got, has written, and has not read; None if there is no such connection."""
         assert self._netlink
         try:
             self._netlink.send(self._query)
@@ -91,13 +96,13 @@ class Connection:
         _, kind, *_ = _NLMSG.unpack_from(answer)
         if kind != _SOCK_DIAG_BY_FAMILY:
             return None
-        _, waiting = _QUEUES.unpack_from(answer, _NLMSG.size + _QUEUES_AT)
+        unread, waiting = _QUEUES.unpack_from(answer, _NLMSG.size + _QUEUES_AT)
         at = _NLMSG.size + _ANSWER_SIZE
         while at + _ATTRIBUTE.size <= len(answer):
             size, what = _ATTRIBUTE.unpack_from(answer, at)
             if what == _INET_DIAG_INFO and size >= _ATTRIBUTE.size + _BYTES_AT + _BYTES.size:
                 acknowledged, got = _BYTES.unpack_from(answer, at + _ATTRIBUTE.size + _BYTES_AT)
-                return got, acknowledged + waiting
+                return got, acknowledged + waiting, unread
             at += max(4, (size + 3) & ~3)
         return None
 

@@ -21,7 +21,7 @@ from typing import Any
 import pytest
 
 from igtl_gateway.addon import ConfigError, SessionFile
-from igtl_gateway.addons.resim import engine, frames
+from igtl_gateway.addons.resim import coordinator, engine, frames
 from igtl_gateway.addons.resim.coordinator import ProgramFault
 from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, run, run_file
 from igtl_gateway.addons.resim.verdict import compare
@@ -94,6 +94,14 @@ def test_a_fault_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wh
         with SessionFile.open(recording) as file:
             times = [entry.stamp_ns for entry in file.entries() if entry.channel == "/in"]
         assert result.runs[0].end_ns == times[19]
+
+
+def test_a_flood_at_one_time_ends_early(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(coordinator, "_MOST_AT_ONCE", 1000)
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(40))
+    _, verdict = judged(recording, tmp_path, "faulty floods", runs=1)
+    flood = "faulty: flooded the session with messages, the last one of /out; expected at most 1,000 at one time"
+    assert verdict.fault == flood
 
 
 def test_a_library_of_another_version_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -189,6 +189,9 @@ def test_the_link_is_chosen(tmp_path: Path) -> None:
     for link, text in ((0, "found no choice of a link"), (3, "found link 3")):
         with pytest.raises(ConfigError, match=f"{text}, expected one of the links with messages: 1, 2"):
             judged(path, tmp_path, python("igtl_answer", role=IgtlRole(link=link)), runs=1)
+    first, second = (Program(("true",), name, igtl=IgtlRole(link=1)) for name in "ab")
+    with pytest.raises(ConfigError, match="b: found link 1, which a has, expected another link"):
+        run(path, [first, second], ResimOptions(), tmp_path)
 
 
 def test_programs_in_cpp_with_debians_library(tmp_path: Path) -> None:
@@ -215,6 +218,11 @@ def test_programs_in_cpp_with_debians_library(tmp_path: Path) -> None:
         ("garbage", "igtl_answer: sent what is no OpenIGTLink message at 0.000000 s of the session: header"),
         ("flood", "igtl_answer: flooded the session with messages"),
         ("hang", "igtl_answer: did not come to rest within 2 s of CPU time (the CPU limit)"),
+        ("sleep", "igtl_answer: did not come to rest within 2 s (the wall limit)"),
+        (
+            "crc",
+            "igtl_answer: sent what is no OpenIGTLink message at 0.000000 s of the session: STRING: found CRC 0000",
+        ),
     ],
 )
 @needs_pyigtl

@@ -5,6 +5,7 @@ Other arguments: ``faulty`` programs, see `main`.
 
 import os
 import random
+import signal
 import socket
 import sys
 import time
@@ -17,7 +18,7 @@ def main(kind: str) -> None:
     address = os.environ["IGTL_HOST"], int(os.environ["IGTL_PORT"])
     if kind == "never":
         time.sleep(3600)
-    if kind in ("close", "garbage", "flood", "hang", "elsewhere"):
+    if kind in ("close", "garbage", "flood", "hang", "sleep", "crc", "elsewhere"):
         made = socket.socket()
         if kind == "elsewhere":
             time.sleep(3600)
@@ -30,6 +31,10 @@ def main(kind: str) -> None:
             made.sendall(b"GET / HTTP/1.1\r\nHost: here\r\n\r\n" * 10)
             time.sleep(3600)
         data = pyigtl.StringMessage("much", device_name="Flood").pack()
+        if kind == "crc":
+            made.sendall(data[:50] + bytes(8) + data[58:])
+        if kind in ("sleep", "crc"):
+            signal.pause()
         while True:
             if kind == "flood":
                 made.sendall(100 * data)
