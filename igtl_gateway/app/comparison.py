@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.compare import LeafDecoder, Tolerance
 from igtl_gateway.replay.diff import DiffInput, StreamDiff, diff
@@ -63,7 +64,7 @@ def compare_recordings(one: Path, other: Path, streams: Sequence[str], tolerance
         streams: globs of the streams to compare; empty = all, with notes.
         tolerance: differences that count as equal.
 
-    Raises UnsupportedRecording or DamagedRecording.
+    Raises UnsupportedRecording, DamagedRecording, and ConfigError if no stream matches.
     """
     with SessionFile.open(one) as first, SessionFile.open(other) as second:
         return compare_sessions(first, second, streams, tolerance)
@@ -75,6 +76,8 @@ def compare_sessions(
     """Compare two open recordings; see `compare_recordings`."""
     foreign = one.foreign is not other.foreign
     report = diff(_side(one), _side(other), globs=streams, tolerance=tolerance, foreign=foreign)
+    if streams and not report.streams:  # nothing compared is not equal
+        raise ConfigError(f"streams: found {', '.join(map(repr, streams))}, expected a stream of one of the recordings")
     return RecordingDiff(one.path, other.path, tuple(report.streams), report.stamp_offset_ns, report.offset_ns)
 
 

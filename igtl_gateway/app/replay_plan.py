@@ -10,6 +10,7 @@ from itertools import chain, groupby
 from operator import itemgetter
 
 from igtl_gateway.app.replay_listeners import Listeners
+from igtl_gateway.app.rows import send_row
 from igtl_gateway.base.errors import ConfigError, RosError
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.config.configuration import Config
@@ -83,22 +84,40 @@ def plan_replay(file: SessionFile, side: str, recompute: bool) -> ReplayPlan:
     return ReplayPlan(frozenset({own}), False, "the recorded messages from peers (none were sent to peers)")
 
 
-def check_streams(file: SessionFile, how: ReplayPlan, streams: Sequence[str]) -> list[str]:
-    """Return the globs that match no recorded stream of the plan.
+def check_streams(file: SessionFile, config: Config, how: ReplayPlan, streams: Sequence[str]) -> list[str]:
+    """Return the globs that match no stream of the plan.
 
     Raises ConfigError if none of them matches one: a replay of nothing should not wait for peers.  If outputs are
-    computed again, or streams share a channel of the file, their names are known too late.
+    computed again, or streams share a channel of the file, the entries are read until one matches.
     """
     found = {(channel.stream, channel.kind) for channel in file.channels if channel.count and channel.kind in how.kinds}
-    names = sorted({name for name, _ in found})
-    if how.recompute or "" in names:
-        return []
     without = [glob for glob in streams if not any(is_stream_of(kind, name, (glob,)) for name, kind in found)]
-    if streams and len(without) == len(streams):
-        few = ", ".join(names[:_NAMED_STREAMS]) + (" …" if len(names) > _NAMED_STREAMS else "")
-        expected = f"one of these streams: {few}" if names else "a recording with messages for this side"
-        raise ConfigError(f"--streams: found {', '.join(map(repr, without))}, expected {expected}")
-    return without
+    is_known = not how.recompute and all(name for name, _ in found)
+    if len(without) < len(streams) or not streams:
+        return without if is_known else []
+    if not is_known:
+        found = set()
+        for entry in planned_entries(file, config, how, ()):
+            if is_stream_of(entry.kind, entry.channel, streams):
+                return []
+            found.add((entry.channel, entry.kind))
+    names = sorted({name for name, _ in found})
+    few = ", ".join(names[:_NAMED_STREAMS]) + (" …" if len(names) > _NAMED_STREAMS else "")
+    expected = f"one of these streams: {few}" if names else "a recording with messages for this side"
+    raise ConfigError(f"--streams: found {', '.join(map(repr, without))}, expected {expected}")
+
+
+def check_sends(file: SessionFile, how: ReplayPlan, sends: Sequence[str]) -> None:
+    """Raise ConfigError for a row of ``--send`` without effect: nothing is computed, or no ROS node sent the topic."""
+    topics = {channel.topic for channel in file.channels if channel.count and channel.kind is Kind.ROS_IN}
+    for text in sends:
+        if not how.recompute:
+            raise ConfigError(
+                "--send: found recorded outputs, expected --through-gateway: the option has no effect here"
+            )
+        if send_row(text)["topic"] not in topics:
+            few = ", ".join(sorted(topics)[:_NAMED_STREAMS]) or "a recording of ROS topics"
+            raise ConfigError(f"--send: found {text!r}, expected a topic that ROS nodes sent: {few}")
 
 
 def planned_entries(

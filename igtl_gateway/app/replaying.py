@@ -14,7 +14,7 @@ from igtl_gateway.app.faulty import FaultyFeed
 from igtl_gateway.app.player import Jump, Player
 from igtl_gateway.app.replay_account import ReplayAccount
 from igtl_gateway.app.replay_options import ReplayOptions
-from igtl_gateway.app.replay_plan import check_streams, plan_replay, planned_entries
+from igtl_gateway.app.replay_plan import check_sends, check_streams, plan_replay, planned_entries
 from igtl_gateway.app.replay_sides import ReplaySides, open_sides
 from igtl_gateway.app.rows import with_sends
 from igtl_gateway.base.clock import SystemClock
@@ -137,7 +137,8 @@ def run_replay(path: Path, options: ReplayOptions, stop: Event, events: ReplayEv
         start_ns, end_ns = _part(options, file)
         config = with_sends(config_to_run(file.session, options.config), options.send)
         how = plan_replay(file, options.to, options.through_gateway)
-        for glob in check_streams(file, how, options.streams):
+        check_sends(file, how, options.send)
+        for glob in check_streams(file, config, how, options.streams):
             events.on_line(f"! --streams {glob}: matches no recorded stream")
         events.on_line(f"{path}: {how.why}")
         pace = SessionTimeline(clock_steps_of(file))

@@ -31,11 +31,12 @@ from igtl_gateway.cli.settings import add_absent, add_settings, common_options, 
 from igtl_gateway.cli.terminal import is_terminal, print_line
 from igtl_gateway.cli.type_tables import types
 from igtl_gateway.config.configuration import Config
-from igtl_gateway.config.notations import DDS, address
+from igtl_gateway.config.notations import DDS, DEFAULT_HOST, address
 from igtl_gateway.config.setting import Setting, grouped
 from igtl_gateway.config.settings import all_settings
 from igtl_gateway.edges.ros.env import prepare_environment, tune_malloc
 from igtl_gateway.edges.ros.host import NodeHost
+from igtl_gateway.edges.tcp.sockets import AllowList, check_listening
 from igtl_gateway.gateway.log.marks import MarkNote
 
 #: Switch interval of the interpreter.  With Python's default of 5 ms, a pose waits that long for an image.
@@ -270,6 +271,9 @@ class _Plan:
         )
         self._values = values
         self.metrics_at = address(values["metrics"]) if values["metrics"] else None
+        self._page_at = address(values["page_address"]) if values.get("page_address") else (DEFAULT_HOST, 0)
+        if values.get("page"):  # its process would report it after the start
+            check_listening(*self._page_at, AllowList(self.how.allow))
 
     def prepare(self, host: NodeHost) -> None:
         """Take the parameters that the node was started with, and declare all."""
@@ -292,10 +296,9 @@ class _Plan:
         """Open the page of ``--page``, in a thread that lasts as long: the process ends with it."""
         values = self._values
         if values.get("page"):
-            place = address(values["page_address"]) if values["page_address"] else ("127.0.0.1", 0)
             tls = (values["tls_cert"], values["tls_key"]) if values["tls_cert"] else None
             made = part_of("page", "live:BridgePage")
-            self.page = made(place, self.how.allow, tls, self.how.record, on_stop, on_links)
+            self.page = made(self._page_at, self.how.allow, tls, self.how.record, on_stop, on_links)
 
 
 #: rerun's window has no access control for streams.

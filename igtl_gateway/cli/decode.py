@@ -62,6 +62,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
+    if options.overwrite and not options.output:
+        raise ConfigError("--overwrite: found no -o OUT, expected it: the option has no effect here")
     with ExitStack() as stack:
         source = stack.enter_context(_source(options.file))
         target = stack.enter_context(_target(options, source)) if options.output else None
@@ -89,7 +91,7 @@ def _target(options: argparse.Namespace, source: BufferedReader[FileIO]) -> Iter
 
 
 def _decode(options: argparse.Namespace, source: BufferedReader[FileIO], target: BufferedWriter | None) -> int:
-    _check_format(options.file, source)
+    start = _check_format(options.file, source)
     damaged = foreign = 0
     framer = Framer(options.max_body)
     offset = 0
@@ -108,6 +110,9 @@ def _decode(options: argparse.Namespace, source: BufferedReader[FileIO], target:
                 target.writelines(_encoded(data))
             offset += len(data)
     except MessageTooLarge as error:
+        if not offset and int.from_bytes(start[:2], "big") not in HEADER_VERSIONS:
+            found = start[:8].hex(" ")
+            raise ConfigError(f"{options.file}: found {found} at its start, expected OpenIGTLink bytes") from None
         raise GatewayError(f"offset {offset}: {error}") from None
     if framer.pending:
         found = f"found {framer.pending} bytes of a message, expected a complete message: the stream ends inside it"
@@ -115,8 +120,8 @@ def _decode(options: argparse.Namespace, source: BufferedReader[FileIO], target:
     return 1 if damaged or framer.pending else 0
 
 
-def _check_format(name: str, source: BufferedReader[FileIO]) -> None:
-    """Raise ConfigError for a file of another format that `import` reads, or that is a recording."""
+def _check_format(name: str, source: BufferedReader[FileIO]) -> bytes:
+    """Return the first bytes.  Raises ConfigError for a recording, or another format that `import` reads."""
     try:
         start = source.peek(_START)[:_START]
     except OSError as error:
@@ -127,6 +132,7 @@ def _check_format(name: str, source: BufferedReader[FileIO]) -> None:
             f"{name}: found a file of the format {kind.name} ({' '.join(kind.suffixes)}), expected OpenIGTLink bytes; "
             "`igtl-gateway info` shows a recording, `igtl-gateway import` reads other formats"
         )
+    return start
 
 
 def _messages(name: str, source: BufferedReader[FileIO], framer: Framer) -> Iterator[Buffer]:

@@ -115,6 +115,8 @@ def run(options: argparse.Namespace) -> int:
         return lint.run(argparse.Namespace(file=options.peer, config=config, json=values["json"]))
     if options.host:
         return _printed(examine_host(SystemClock()), values["json"])
+    if values["allow"] and not values["listen"]:
+        raise ConfigError("--allow: found no --listen, expected it: the option has no effect here")
     if not options.peer and not values["listen"]:
         raise ConfigError("found no peer, expected its HOST:PORT, a recording, --listen or --host")
     listen = notations.peer_address(values["listen"]) if values["listen"] else None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from collections.abc import Sequence
 from functools import partial
 from itertools import chain
 from pathlib import Path
@@ -25,6 +26,7 @@ from igtl_gateway.cli.options import (
     new_recording,
 )
 from igtl_gateway.cli.terminal import print_json, print_line
+from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.marks import Mark
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.added_marks import added_marks
@@ -34,6 +36,7 @@ from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.replay.recorded_marks import carry_marks, marked_moment, marks_of
 from igtl_gateway.replay.slice import Slice, SliceReport, SliceWindow
+from igtl_gateway.replay.source import is_stream_of
 
 EXAMPLES = """\
   # seconds 12 to 15
@@ -86,6 +89,7 @@ def run(options: argparse.Namespace) -> int:
         )
         if window.start_ns >= window.end_ns:
             raise ConfigError(f"--start, --end: found an end {_apart(window)} the start, expected one after it")
+        _check_streams(file, options.streams)
         # what a part of a split recording brings along of the time before it is older than its first entry
         part = Slice(
             lambda: chain(file.prologue(), file.entries()),
@@ -102,6 +106,15 @@ def run(options: argparse.Namespace) -> int:
         else:
             _print(options.output, part.report)
     return 0
+
+
+def _check_streams(file: SessionFile, streams: Sequence[str]) -> None:
+    """Raise ConfigError if no recorded stream matches: the part would have the state of the gateway only."""
+    kinds = (Kind.IGTL_IN, Kind.IGTL_OUT, Kind.ROS_IN, Kind.ROS_OUT)
+    found = {(each.stream, each.kind) for each in file.channels if each.count and each.kind in kinds}
+    if streams and all(name and not is_stream_of(kind, name, streams) for name, kind in found):
+        globs = ", ".join(map(repr, streams))
+        raise ConfigError(f"--streams: found {globs}, expected a recorded stream: `igtl-gateway info` lists them")
 
 
 def _is_in(mark: Mark, window: SliceWindow) -> bool:

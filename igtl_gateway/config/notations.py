@@ -101,14 +101,15 @@ def recording_name(text: str) -> str:
 def named(text: str, *suffixes: str) -> str:
     """Return the name of a file to write, unless its suffix is that of another format: a reader would be misled.
 
-    Any other suffix is part of a name (``day.2``).  ``suffixes`` are those of the format that is written.
+    Any other suffix is part of a name (``day.2``).  ``suffixes`` are those of the format that is written; a directory
+    has none.
     """
     _, dot, end = text.rpartition("/")[2].rpartition(".")
     found = f".{end.lower()}" if dot else ""
     if found in suffixes or found not in _FORMATS:
         return text
-    expected = " or ".join(suffixes)
-    raise ConfigError(f"found {text!r}, the name of {_FORMATS[found]}, expected {_FORMATS[suffixes[0]]}: *{expected}")
+    expected = f"{_FORMATS[suffixes[0]]}: *{' or '.join(suffixes)}" if suffixes else "a directory"
+    raise ConfigError(f"found {text!r}, the name of {_FORMATS[found]}, expected {expected}")
 
 
 def network(text: str) -> str:

@@ -12,11 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from functools import cache
+from typing import Any
 
 from igtl_gateway.base.addons import ADDON_SETTINGS, check_setting, is_present, part_of
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.config import notations, triggers
 from igtl_gateway.config.setting import (
+    ARMS,
     CLIENTS,
     GATEWAY,
     HOST,
@@ -40,6 +42,7 @@ from igtl_gateway.convert.units import UNITS
 _ABSENT = {
     ROS_GRAPH: "found --no-ros or --relay, expected neither",
     CLIENTS: "found --connect without --listen, expected --listen",
+    ARMS: "found no --profile crtk, expected it",
 }
 
 #: Settings of TLS.
@@ -76,7 +79,7 @@ def check_values(place: str, table: str, values: Mapping[str, object]) -> dict[s
     return checked
 
 
-def check_needs(values: Mapping[str, object], names: Iterable[str], *, ros: bool) -> None:
+def check_needs(values: Mapping[str, Any], names: Iterable[str], *, ros: bool) -> None:
     """Raise ConfigError for settings that have no effect, because what they need is not there.
 
     Args:
@@ -84,7 +87,11 @@ def check_needs(values: Mapping[str, object], names: Iterable[str], *, ros: bool
         names: settings that were given: each is expected to have an effect.
         ros: whether there is a ROS graph.
     """
-    met = {ROS_GRAPH: ros, CLIENTS: bool(values["listen"] or values["relay"]) or not values["connect"]}
+    met = {
+        ROS_GRAPH: ros,
+        CLIENTS: bool(values["listen"] or values["relay"]) or not values["connect"],
+        ARMS: bool(values["crtk"] or arms_of_profile(values["profile"])),
+    }
     check_effect(by_name(all_settings()), values, names, met, _ABSENT)
 
 
@@ -217,6 +224,7 @@ _SECURITY = (
             metavar="DEVICE",
             reads=notations.device_glob,
             adds=True,
+            needs=(ROS_GRAPH, ARMS),
         )
         for way, text, example in (
             (
@@ -396,7 +404,7 @@ _PEERS_AND_MESSAGES = (
     ),
 )
 _ROS = (
-    Setting("publish_tf", True, "publish poses on /tf", GATEWAY, "--no-tf"),
+    Setting("publish_tf", True, "publish poses on /tf", GATEWAY, "--no-tf", needs=(ROS_GRAPH,)),
     Setting("base_frame", "igtl", "frame of messages that do not name a frame", GATEWAY, ""),
     Setting("ros_unit", "m", "length unit of ROS messages", GATEWAY, "", choices=_UNITS),
     Setting("igtl_unit", "mm", "length unit of OpenIGTLink messages", GATEWAY, "", choices=_UNITS),
@@ -644,7 +652,7 @@ _SCHEDULING = (
     ),
 )
 _DIAGNOSTICS = (
-    Setting("diagnostics", True, "publish on /diagnostics", option="--no-diagnostics"),
+    Setting("diagnostics", True, "publish on /diagnostics", option="--no-diagnostics", needs=(ROS_GRAPH,)),
     Setting("watch", True, "report jumps and implausible stamps", GATEWAY, "--no-watch"),
     Setting(
         "metrics",

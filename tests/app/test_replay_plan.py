@@ -12,12 +12,14 @@ import pytest
 from igtl_gateway.app.replay_listeners import Listeners
 from igtl_gateway.app.replay_plan import (
     both_sender,
+    check_sends,
     check_streams,
     igtl_sender,
     plan_replay,
     planned_entries,
     ros_sender,
 )
+from igtl_gateway.app.rows import with_sends
 from igtl_gateway.base.clock import ManualClock
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.qos import Qos
@@ -31,6 +33,7 @@ from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import StateInputRule
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
+from igtl_gateway.replay.recorded_config import config_to_run
 from tests.files import BytesRead
 from tests.places import ROOT
 from tests.record import samples
@@ -69,11 +72,32 @@ def test_streams_that_are_not_there_are_refused_before_anybody_waits(side: str, 
     with SessionFile.open(TYPES) as file:
         how = plan_replay(file, side, recompute=False)
         with pytest.raises(ConfigError, match=re.escape(f"--streams: found '{glob}', expected one of these streams: ")):
-            check_streams(file, how, [glob])
-        assert check_streams(file, how, []) == []
-        assert check_streams(file, how, ["**"]) == []
-        assert check_streams(file, how, ["**", glob]) == [glob]
-        assert check_streams(file, plan_replay(file, side, recompute=True), [glob]) == []  # known too late
+            check_streams(file, Config(), how, [glob])
+        assert check_streams(file, Config(), how, []) == []
+        assert check_streams(file, Config(), how, ["**"]) == []
+        assert check_streams(file, Config(), how, ["**", glob]) == [glob]
+        computed = plan_replay(file, side, recompute=True)
+        with pytest.raises(ConfigError, match=re.escape(f"--streams: found '{glob}', expected one of these streams: ")):
+            check_streams(file, config_to_run(file.session), computed, [glob])
+        assert check_streams(file, config_to_run(file.session), computed, ["**", glob]) == []  # known too late
+
+
+def test_a_stream_that_only_this_version_computes_is_there() -> None:
+    with SessionFile.open(TYPES) as file:
+        config = with_sends(config_to_run(file.session), ["/igtl/out/Greeting=New"])
+        assert check_streams(file, config, plan_replay(file, "igtl", recompute=True), ["*/New"]) == []
+
+
+@table(
+    "sends, recompute, error",
+    [
+        (["/igtl/out/Plan"], False, "--send: found recorded outputs, expected --through-gateway"),
+        (["/nothing=A"], True, "--send: found '/nothing=A', expected a topic that ROS nodes sent: /igtl/out/"),
+    ],
+)
+def test_a_row_to_send_without_effect_is_refused(sends: list[str], recompute: bool, error: str) -> None:
+    with SessionFile.open(TYPES) as file, pytest.raises(ConfigError, match=re.escape(error)):
+        check_sends(file, plan_replay(file, "igtl", recompute), sends)
 
 
 def test_both_sides_are_the_two_sides() -> None:

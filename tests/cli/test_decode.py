@@ -208,3 +208,11 @@ def test_a_file_of_another_format_is_named(
     code, told, err = decoded(capsys, str(path))
     assert (code, told) == (2, [])
     assert f"found a file of the format {name} (" in err and "expected OpenIGTLink bytes" in err
+
+
+def test_a_text_is_no_stream(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "x"
+    path.write_bytes(b"root:x:0:0:root:/root:/bin/sh\n" * 9)
+    code, told, err = decoded(capsys, str(path))
+    assert (code, told) == (2, [])
+    assert "found 72 6f 6f 74 3a 78 3a 30 at its start, expected OpenIGTLink bytes" in err

@@ -139,3 +139,35 @@ def test_a_slice_needs_one_output(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["slice", str(STAR)]) == 2
     assert main(["slice", str(STAR), "a.mcap", "-o", "b.mcap"]) == 2
     assert "expected -o OUT" in capsys.readouterr().err
+
+
+@table(
+    "words, error",
+    [
+        ("diff STAR STAR --streams Foo", "streams: found 'Foo', expected a stream of one of the recordings"),
+        ("slice STAR -o OUT.mcap --streams Foo", "--streams: found 'Foo', expected a recorded stream"),
+        (
+            "replay STAR --to igtl --through-gateway --streams Foo",
+            "--streams: found 'Foo', expected one of these streams",
+        ),
+        ("replay STAR --to igtl --send /star/tool", "--send: found recorded outputs, expected --through-gateway"),
+        ("doctor 127.0.0.1:1 --allow any", "--allow: found no --listen, expected it"),
+        ("decode STAR --overwrite", "--overwrite: found no -o OUT, expected it"),
+        ("sync STAR --overwrite", "--overwrite: found neither -o nor --plot, expected one"),
+        ("view STAR -o OUT.rrd --at 3", "--at: found no -o OUT.png, expected it"),
+        ("bridge --no-ros --listen 127.0.0.1:0 --page --page-address 0.0.0.0:0", "expected --allow NETWORK"),
+        ("export STAR --to csv -o OUT.mcap", "-o: found '"),
+        (
+            "export STAR --to igs.mha -o OUT.nrrd",
+            "the name of an image or a volume, expected an image or a volume: *.mha",
+        ),
+    ],
+)
+def test_what_has_no_effect_or_selects_nothing_is_refused(
+    words: str, error: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = [word.replace("STAR", str(STAR)).replace("OUT", str(tmp_path / "out")) for word in words.split()]
+    assert main(found) == 2
+    told = capsys.readouterr().err
+    assert error in told and told.count("\n") == 1
+    assert not list(tmp_path.iterdir())

@@ -17,6 +17,7 @@ from igtl_gateway.addon import (
     cell,
     count_text,
     definitions,
+    file_name,
     is_present,
     part_of,
     print_json,
@@ -77,6 +78,10 @@ def run(options: argparse.Namespace) -> int:
         part_of(LEROBOT, "verb:refuse_lerobot_options")(options)
     if options.output is None:
         raise ConfigError("-o: found none, expected the file or directory to write")
+    try:
+        file_name(*TARGETS[options.to].suffixes)(str(options.output))
+    except ConfigError as error:
+        raise ConfigError(f"-o: {error}") from None
     with SessionFile.open(options.file) as file:
         try:
             account = export_to(options.to, file, options.output, options.streams)

@@ -23,11 +23,13 @@ class ExportFormat:
         text: the exported content, for the help text.
         next_step: what a user can do with the result ``{out}``.
         export: writes the files and returns the account.
+        suffixes: of the file; none: a directory.
     """
 
     text: str
     next_step: str
     export: Callable[[Recording, Path, Sequence[str]], ExportAccount]
+    suffixes: tuple[str, ...] = ()
 
 
 def export_to(name: str, recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
@@ -58,6 +60,7 @@ TARGETS = {
         "an IMAGE and its TRANSFORMs, as one tracked sequence",
         "open {out} in 3D Slicer (module Sequences) or PLUS",
         export_sequence,
+        (".mha",),
     ),
     "csv": ExportFormat(
         "poses, strings, numbers: a directory with one table per stream",

@@ -13,6 +13,7 @@ from igtl_gateway.addon import (
     check_target,
     count_text,
     extras,
+    output_file,
     print_json,
     print_line,
     write_error,
@@ -34,7 +35,10 @@ def add_lerobot(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("options of --to lerobot")
     group.add_argument("--recipe", metavar="FILE", type=Path, help="TOML file: rate, features, episodes")
     group.add_argument(
-        "--write-recipe", metavar="FILE", type=Path, help="write a starting recipe, made of the recording's streams"
+        "--write-recipe",
+        metavar="FILE",
+        type=output_file(".toml"),
+        help="write a starting recipe, made of the recording's streams",
     )
     group.add_argument(
         "--check", metavar="DIR", type=Path, help="check a data set against the format and against the recording"

@@ -149,6 +149,8 @@ def _check(options: argparse.Namespace) -> None:
         raise ConfigError("--apply: found it or -o OUT alone, expected both")
     if options.apply and (len(options.streams) != 2 or options.other):
         raise ConfigError(f"--apply: found {len(options.streams)} streams, expected two of one file")
+    if options.overwrite and not (options.output or options.plot):
+        raise ConfigError("--overwrite: found neither -o nor --plot, expected one: the option has no effect here")
     for target in (options.output, options.plot):
         if target:
             check_target(target, overwrite=options.overwrite)

@@ -212,6 +212,9 @@ def _draw(options: argparse.Namespace, out: Path, stopped: Any) -> tuple[Session
     if options.blueprint and options.blueprint not in NAMES:
         raise ConfigError(f"--blueprint: found {options.blueprint!r}, expected {', '.join(NAMES)}")
     with SessionFile.open(options.file) as file:
+        seconds = (file.end_ns - file.start_ns) / NS_PER_S
+        if options.at is not None and options.at > seconds:
+            raise ConfigError(f"--at: found {options.at:g}, expected at most {seconds:.3f}, the end of the recording")
         config = config_to_run(file.session)
         recording = stream.to_file(out, valid(f"{options.file.stem}-{file.start_ns}"))
         view = SessionView(

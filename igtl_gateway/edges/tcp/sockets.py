@@ -114,6 +114,20 @@ def listening_socket(host: str, port: int, allow: AllowList, reserved: ReservedP
     Raises ConfigError for an invalid address, Unavailable if the system refuses it now.
     """
     place = f"listen {address_text((host, port))}"
+    family, address = check_listening(host, port, allow)
+    try:
+        return (reserved and reserved.take(host, port)) or listener(family, address)
+    except OSError as exc:
+        if exc.errno == errno.EADDRINUSE:
+            raise Unavailable(f"{place}: the port is in use by another program; stop it or choose another") from None
+        if exc.errno == errno.EADDRNOTAVAIL:
+            raise ConfigError(f"{place}: found {address[0]}, expected an address of this machine") from None
+        raise Unavailable(f"{place}: {exc.strerror or exc}") from None
+
+
+def check_listening(host: str, port: int, allow: AllowList) -> tuple[int, Any]:
+    """Return family and address to listen on.  Raises ConfigError if it is invalid, or if no peer may connect."""
+    place = f"listen {address_text((host, port))}"
     if not 0 <= port <= PORT_MAX:
         raise ConfigError(f"{place}: found port {port}, expected 0 (any) to {PORT_MAX}")
     try:
@@ -125,14 +139,7 @@ def listening_socket(host: str, port: int, allow: AllowList, reserved: ReservedP
             f"{place}: open to other hosts, but none may connect; "
             "expected --allow NETWORK, such as --allow 192.168.1.0/24, or --allow any for all"
         )
-    try:
-        return (reserved and reserved.take(host, port)) or listener(family, address)
-    except OSError as exc:
-        if exc.errno == errno.EADDRINUSE:
-            raise Unavailable(f"{place}: the port is in use by another program; stop it or choose another") from None
-        if exc.errno == errno.EADDRNOTAVAIL:
-            raise ConfigError(f"{place}: found {address[0]}, expected an address of this machine") from None
-        raise Unavailable(f"{place}: {exc.strerror or exc}") from None
+    return family, address
 
 
 def _ip(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:

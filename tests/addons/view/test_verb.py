@@ -86,6 +86,7 @@ def test_a_recording_that_became_no_ros_messages_is_drawn_by_what_they_would_be(
         (["--at", "3"], 2, "--at: found no -o OUT.png, expected it"),
         (["-o", "{folder}/x.png", "--at", "nan"], 2, "--at: found nan, expected seconds from the start"),
         (["-o", "{folder}/x.png", "--at", "-1"], 2, "--at: found -1, expected seconds from the start"),
+        (["-o", "{folder}/x.png", "--at", "9999"], 2, "--at: found 9999, expected at most "),
         (["-o", "{folder}/none/x.png"], 1, "none/x.png: there is no folder {folder}/none"),
         (["--port", "80"], 2, "--port: found no --web, expected it"),
         (["--web", "--port", "70000"], 2, "--port: found 70000, expected 0 to 65535"),
