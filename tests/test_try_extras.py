@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from igtl_gateway.base.extras import PURPOSES, missing
+from igtl_gateway.cli.verbs import LABORATORY, available
 from tests.test_workflows import PYTHONS
 from tools import core, try_extras
 from tools.try_extras import CALLS, Call, fault
@@ -13,6 +14,16 @@ from tools.try_extras import CALLS, Call, fault
 def test_each_extra_has_a_call() -> None:
     beside = {"video", "pandas"}  # no verb that needs nothing else; tables in Python
     assert {call.extra for call in CALLS} == {"", *PURPOSES} - beside
+
+
+def test_each_verb_has_a_call_that_does_something() -> None:
+    done = {call.words.split()[0] for call in CALLS if not call.words.endswith("--help")}
+    assert {*available()} - {*LABORATORY} - done == set()
+
+
+def test_a_call_without_an_extra_ends_with_its_code() -> None:
+    assert fault(Call("verify", code=1), "", 1, "") == fault(Call("info"), "", 0, "") == ""
+    assert fault(Call("info"), "", 2, "unknown option") == "found code 2 (unknown option), expected 0"
 
 
 @pytest.mark.parametrize(

@@ -19,11 +19,19 @@ def add_ros_arguments(group: Options, what: str) -> None:
     """
     group.add_argument(
         BEGIN,
+        action=_Shortened,
         nargs=argparse.REMAINDER,
         default=[],
         metavar="…",
         help=f"arguments of ROS 2, to the end or to --: {what}",
     )
+
+
+class _Shortened(argparse.Action):
+    """What is left of `without_ros_arguments`: a beginning of ``--ros-args``, which would take all words behind it."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *given: object) -> None:
+        parser.error(f"found the beginning of {BEGIN}, expected all of it, or another option")
 
 
 def without_ros_arguments(words: Sequence[str]) -> tuple[list[str], list[str]]:

@@ -273,6 +273,8 @@ class Arm(Program):
     """The program, whose lines are commands that it received."""
 
     def __init__(self, program: Path, port: int) -> None:
+        unknown = [one.name for one in COMMANDED if one.name.encode() not in program.read_bytes()]
+        assert not unknown, f"{program}: found no {', '.join(unknown)}; build it again from programs/cisst"
         super().__init__([str(program), str(port)], stdin=subprocess.PIPE)
 
     def commanded(self, name: str) -> list[Any]:

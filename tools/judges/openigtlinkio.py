@@ -360,7 +360,7 @@ def main() -> int:
     parser.add_argument("--version", default="d7f6aef", help="of OpenIGTLinkIO (default: %(default)s)")
     parser.add_argument("--replay", type=Path, nargs="*", default=[], help="further recordings that are replayed to it")
     options = parser.parse_args()
-    recordings = [*sorted(FIXTURES.glob("*.mcap")), *options.replay]
+    recordings = [*sorted(FIXTURES.glob("*.mcap")), *map(Path.resolve, options.replay)]
     rows = [*judge(options.program), *replays(options.program, recordings)]
     role = "client and server, as 3D Slicer's connector"
     return results.write("openigtlinkio", "OpenIGTLinkIO", options.version, role, rows)
