@@ -27,7 +27,7 @@ from igtl_gateway.addons.page.trouble import (
 from igtl_gateway.gateway.diagnostics import HARMLESS
 
 _ORDER = {state: number for number, state in enumerate((ERROR, SILENT, WARNING, WAITING, OK))}
-#: Peers from which on one of them can be the slowest.
+#: Streams from which on one of them can be the slowest.
 _SEVERAL = 2
 #: Rows that a page shows; a peer that invents names must not fill it.
 MAX_ROWS = 300
@@ -143,7 +143,7 @@ class Now:
         key = f"{peer['link']} {peer['peer']}"
         rhythm, losses = self._links.setdefault(f"{key} {peer['connected']}", (Rhythm(), Losses(utc_ns)))
         rhythm.take(now_ns, peer["messages"])
-        losses.take(now_ns, peer["dropped"])
+        losses.take(now_ns, peer["dropped"], peer["unconfirmed_bytes"])
         rows = [one.row for one in ones]
         trouble = link_trouble(peer, losses, ones, now_ns)
         return {
@@ -161,6 +161,7 @@ class Now:
             "ahead_ms": ahead_ms(rows, 0),
             "jitter_ms": milliseconds(row["jitter_ns"] for row in rows),
             "queue": peer["queued"],
+            "stuck_bytes": losses.stuck_bytes,
             "dropped": peer["dropped"],
             "text": trouble.text,
             "advice": trouble.advice,
@@ -181,15 +182,15 @@ def headline(rows: Mapping[str, Any]) -> str:
 
 
 def slowest(rows: Mapping[str, Any]) -> list[str]:
-    """Return which of several peers that send is slowest, in words."""
-    links = [row for row in rows["links"] if row["state"] != WAITING and row["rate_hz"]]
-    if len(links) < _SEVERAL:
+    """Return which of several inputs that come regularly is slowest, in words."""
+    streams = [row for row in rows["streams"] if row["gap_s"] is not None and row["rate_hz"]]
+    if len(streams) < _SEVERAL:
         return []
-    least = min(links, key=lambda row: float(row["rate_hz"]))
-    found = [f"lowest rate: {least['name'] or least['peer']}, {short(least['rate_hz'])} a second"]
-    if late := [row for row in links if row["latency_ms"] is not None]:
+    least = min(streams, key=lambda row: float(row["rate_hz"]))
+    found = [f"lowest rate: {least['name']}, {short(least['rate_hz'])} Hz"]
+    if late := [row for row in streams if row["latency_ms"] is not None]:
         most = max(late, key=lambda row: float(row["latency_ms"]))
-        found.append(f"highest latency: {most['name'] or most['peer']}, {short(most['latency_ms'])} ms")
+        found.append(f"highest latency: {most['name']}, {short(most['latency_ms'])} ms")
     return found
 
 

@@ -85,6 +85,7 @@ def _peers(bridge: Bridge) -> list[dict[str, Any]]:
                 "dropped": sum(counts.dropped.values()) if counts else 0,
                 "queued": counts.queued_messages if counts else 0,
                 "queued_bytes": counts.queued_bytes if counts else 0,
+                "unconfirmed_bytes": counts.unconfirmed_bytes if counts else 0,
             }
         )
     return found

@@ -22,8 +22,10 @@ _RECENT_NS = 10_000_000_000
 LATE_NS, _EPOCH_NS, _AGES = 250_000_000, 86_400_000_000_000, 10
 #: A clock is ahead by more than this, as for rule W303.
 AHEAD_NS = 100_000_000
-#: A send queue with more is of a peer that reads slowly.
+#: A send queue with more is of a peer that reads slowly; so are bytes for which its system has no room in all of the
+#: last samples: the kernel keeps minutes of small messages before the queue fills.
 _QUEUED, _QUEUED_BYTES = 50, 1 << 20
+_SAMPLES, _STUCK_BYTES = 8, 16 << 10
 
 _ADVICE = {rule.id[5:]: rule.advice for rule in RULES}
 #: Reason of a loss, or oddity that the guard reports → rule of `doctor` whose advice applies.
@@ -81,12 +83,20 @@ class Losses:
     since_ns: int
     lost: int = 0
     lost_ns: int = 0
+    unconfirmed: deque[int] = field(default_factory=lambda: deque(maxlen=_SAMPLES))
 
-    def take(self, now_ns: int, lost: int) -> None:
-        """Take the count of a sample."""
+    def take(self, now_ns: int, lost: int, unconfirmed_bytes: int = 0) -> None:
+        """Take the counts of a sample."""
+        self.unconfirmed.append(unconfirmed_bytes)
         if lost > self.lost:
             self.lost_ns = now_ns
         self.lost = lost
+
+    @property
+    def stuck_bytes(self) -> int:
+        """What a peer has had no room for since some samples; 0 if it has some now and then."""
+        least = min(self.unconfirmed) if len(self.unconfirmed) == _SAMPLES else 0
+        return least if least > _STUCK_BYTES else 0
 
     def is_recent(self, now_ns: int) -> bool:
         """Whether something was lost just now."""
@@ -160,7 +170,7 @@ def link_trouble(peer: Mapping[str, Any], losses: Losses, ones: Sequence[Watched
     regular = [one.rhythm for one in ones if one.rhythm.is_regular]
     best = min(regular, key=lambda one: _order(one, now_ns), default=None)
     return (
-        _reading(peer, losses.is_recent(now_ns))
+        _reading(peer, losses, now_ns)
         or _silent(best, now_ns)
         or _late(ones, "is late: its messages are")
         or _ahead([one.row for one in ones])
@@ -225,11 +235,14 @@ def _odd(rows: Sequence[Mapping[str, Any]]) -> Trouble | None:
     return Trouble(WARNING, "; ".join(said.get(code, code) for code in codes), codes[0]) if codes else None
 
 
-def _reading(peer: Mapping[str, Any], has_lost: bool) -> Trouble | None:
-    if has_lost:
+def _reading(peer: Mapping[str, Any], losses: Losses, now_ns: int) -> Trouble | None:
+    if losses.is_recent(now_ns):
         return Trouble(ERROR, f"reads too slowly: {peer['dropped']:,} messages dropped", "queue")
-    waits = peer["queued"] > _QUEUED or (peer["queued"] > 1 and peer["queued_bytes"] > _QUEUED_BYTES)
-    return Trouble(WARNING, f"reads slowly: {peer['queued']:,} messages wait", "queue") if waits else None
+    if peer["queued"] > _QUEUED or (peer["queued"] > 1 and peer["queued_bytes"] > _QUEUED_BYTES):
+        return Trouble(WARNING, f"reads slowly: {peer['queued']:,} messages wait", "queue")
+    if kilobytes := losses.stuck_bytes // 1_000:
+        return Trouble(WARNING, f"reads slowly: {kilobytes:,} kB wait", "queue")
+    return None
 
 
 def _times(rhythm: Rhythm) -> str:

@@ -109,6 +109,7 @@ class Link:
                 box.messages,
                 box.bytes,
                 dict(box.dropped),
+                unconfirmed_bytes=unconfirmed_bytes(self._sock) if self.is_open else 0,
             )
 
     def watch(self) -> None:

@@ -94,7 +94,8 @@ class LinkCounters:
 
     ``sent`` means handed to the kernel.  ``dropped`` counts per stream the messages that were accepted and not
     sent: pushed out of the full queue, or left in it when the link closed.  ``ignored`` counts per stream the messages
-    that were not accepted: for links that had closed already, or that this message made close.
+    that were not accepted: for links that had closed already, or that this message made close.  ``unconfirmed_bytes``
+    were sent, and the peer's system has not confirmed them: it has no room for more, if they stay.
     """
 
     sent_messages: int = 0
@@ -105,6 +106,7 @@ class LinkCounters:
     queued_bytes: int = 0
     dropped: dict[str, int] = field(default_factory=dict)
     ignored: dict[str, int] = field(default_factory=dict)
+    unconfirmed_bytes: int = 0
 
     def __add__(self, other: LinkCounters) -> LinkCounters:
         """The sum of both, stream by stream."""
@@ -117,4 +119,5 @@ class LinkCounters:
             self.queued_bytes + other.queued_bytes,
             dict(Counter(self.dropped) + Counter(other.dropped)),
             dict(Counter(self.ignored) + Counter(other.ignored)),
+            self.unconfirmed_bytes + other.unconfirmed_bytes,
         )

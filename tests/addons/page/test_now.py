@@ -34,7 +34,7 @@ def watched(stream: str, **changes: Any) -> list[Any]:
 
 def peer(number: int, name: str, **changes: Any) -> dict[str, Any]:
     usual = {"link": number, "peer": name, "role": "server", "connected": True, "profile": "", "messages": 0}
-    return usual | {"dropped": 0, "queued": 0, "queued_bytes": 0} | changes
+    return usual | {"dropped": 0, "queued": 0, "queued_bytes": 0, "unconfirmed_bytes": 0} | changes
 
 
 def regular(now: Now, names: list[str], until_s: int = 10) -> dict[str, int]:
@@ -105,14 +105,14 @@ def test_the_headline_names_the_worst_first() -> None:
     assert headline(rows) == "c:3: not connected; the bridge tries again"
 
 
-def test_the_slowest_of_several_peers() -> None:
+def test_the_slowest_of_several_streams() -> None:
     now, names = Now(), {1: "Arm", 2: "Tracker"}
-    for half in range(20):
-        peers = [peer(number, f"{number}", messages=half * 20 // number**2) for number in names]
+    for half in range(2, 20):
+        counts = {f"TRANSFORM/{name}": half * 20 // number**2 for number, name in names.items()} | {"STRING/Rare": 1}
         ones = [watched(f"TRANSFORM/{name}", link=link, age_ns=link**8 * 7_000_000) for link, name in names.items()]
-        rows = now.rows(facts({}, peers=peers, watched=ones), (half + 1) * _S // 2, 0)
-    assert slowest(rows) == ["lowest rate: Tracker, 10 a second", "highest latency: Tracker, 1,792 ms"]
-    assert slowest(Now().rows(facts({}, peers=[peer(1, "a:1")]), _S, 0)) == []
+        rows = now.rows(facts(counts, watched=ones), half * _S // 2, 0)
+    assert slowest(rows) == ["lowest rate: Tracker, 10 Hz", "highest latency: Tracker, 1,792 ms"]
+    assert slowest(Now().rows(facts(counts), _S, 0)) == []
 
 
 def test_a_stream_that_has_become_slower_is_named() -> None:
@@ -208,6 +208,11 @@ def test_one_late_message_makes_no_peer_late() -> None:
 def test_a_peer_that_reads_slowly() -> None:
     sample = facts({}, peers=[peer(1, "a:1", queued=51, queued_bytes=5_406)])
     assert Now().rows(sample, _S, _S)["links"][0]["text"] == "reads slowly: 51 messages wait"
+    now, texts = Now(), []
+    for half, waits in enumerate((20_000, 0, *[70_000] * 7, 60_500, 0), start=2):
+        found = now.rows(facts({}, peers=[peer(1, "a:1", unconfirmed_bytes=waits)]), half * _S // 2, 0)
+        texts.append(found["links"][0]["text"])
+    assert texts == [*[""] * 9, "reads slowly: 60 kB wait", ""]
 
 
 def test_a_late_peer_and_its_stream_are_one_thing() -> None:

@@ -312,7 +312,7 @@ function drawNow() {
       stateColumn(), twoLines((row) => row.name || row.peer, (row) => [`${row.role}${row.name ? ` ${row.peer}` : ""}`, row.profile !== "unrecognised" && row.profile].filter(Boolean).join(" · ")),
       textCell("n wide", (row) => (row.since_ns ? time(row.since_ns) : [NONE, true])), textCell("n", (row) => `${number(row.rate_hz)} /s`), sparkColumn(),
       latencyCell(), textCell("n wide", (row) => (row.jitter_ms == null ? [NONE, true] : `${number(row.jitter_ms, 2)} ms`)),
-      textCell("n", (row) => [number(row.queue), !row.queue]), textCell("n", (row) => [number(row.dropped), !row.dropped])], "Links");
+      textCell("n", (row) => (row.queue || !row.stuck_bytes ? [number(row.queue), !row.queue] : bytes(row.stuck_bytes))), textCell("n", (row) => [number(row.dropped), !row.dropped])], "Links");
     const nothing = h("p.empty", null, "No peer is connected.");
     at.links._nothing = nothing;
     html(at.links, card("Links", null, links.element, nothing));
