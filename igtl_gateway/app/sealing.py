@@ -14,6 +14,7 @@ from igtl_gateway.base.errors import ConfigError, UnsupportedRecording
 from igtl_gateway.base.untrusted.files import is_same
 from igtl_gateway.record.seal.keys import SigningKey, load_trusted
 from igtl_gateway.record.seal.time_stamps import load_authorities
+from igtl_gateway.record.sessionfile.added_marks import marks_files
 from igtl_gateway.record.sessionfile.beside import written
 from igtl_gateway.record.sessionfile.seal_check import CHANGED, CUT, SEALED, UNSEALED, UNTRUSTED, SealReport, check_seal
 from igtl_gateway.record.sessionfile.seal_copy import seal_copy
@@ -38,6 +39,7 @@ class SealVerification:
             "" if nothing is.
         parts: the result for each file, in order.
         side_file: what is known of ``metadata.yaml`` of a split recording; "" otherwise.
+        added: files with marks that were added later, which no seal covers.
     """
 
     file: Path
@@ -45,6 +47,7 @@ class SealVerification:
     problem: str
     parts: tuple[SealReport, ...]
     side_file: str = ""
+    added: tuple[Path, ...] = ()
 
     @property
     def good(self) -> bool:
@@ -61,6 +64,7 @@ class SealVerification:
             "problem": self.problem,
             "parts": parts,
             "side_file": self.side_file,
+            "not_sealed": [str(path) for path in self.added],
         }
 
 
@@ -95,7 +99,7 @@ def verify_seal(path: Path, trusted: Sequence[Path] = (), tsa: Sequence[Path] = 
             state, problem = CHANGED, f"{SIDE_FILE}: {wrong}"
     if tsa and state == SEALED and (problem := _time_problem(reports)):
         state = UNTIMED
-    return SealVerification(path, state, problem, tuple(reports), side_file)
+    return SealVerification(path, state, problem, tuple(reports), side_file, tuple(marks_files(path)))
 
 
 def stamp_recording(source: Path, reply: Path, output: Path, *, overwrite: bool = False) -> tuple[str, int]:

@@ -118,6 +118,8 @@ def _print_seal(result: SealVerification) -> None:
             print_line(f"  {result.problem}")
         if result.side_file:
             print_line(f"  {SIDE_FILE}: {result.side_file}")
+    for path in result.added:
+        print_line(f"{path}: NOT SEALED: no seal covers marks that were added later")
 
 
 def _seal_lines(report: SealReport) -> Iterator[str]:

@@ -49,6 +49,19 @@ def test_from_a_new_key_to_a_changed_recording(tmp_path: Path, capsys: pytest.Ca
     assert "NOT SEALED" in capsys.readouterr().out
 
 
+def test_marks_added_later_are_named_as_not_sealed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    key, sealed = tmp_path / "key", tmp_path / "sealed.mcap"
+    assert _run("seal", "keys", "new", key) == 0
+    assert _run("seal", SOURCE, "--key", key, "-o", sealed) == 0
+    assert _run("mark", sealed, "--at", 0, "--label", "later") == 0
+    capsys.readouterr()
+    assert _run("verify", sealed, "--seal") == 0
+    line = f"{sealed}.marks.jsonl: NOT SEALED: no seal covers marks that were added later"
+    assert line in capsys.readouterr().out.splitlines()
+    assert _run("verify", sealed, "--seal", "--json") == 0
+    assert json.loads(capsys.readouterr().out)["not_sealed"] == [f"{sealed}.marks.jsonl"]
+
+
 def test_a_rotated_key_is_trusted_by_those_who_trust_the_old_one(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
