@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from igtl_gateway.addons.exchange.targets import TARGETS
 from igtl_gateway.cli import main
 from igtl_gateway.cli.next_steps import command, info_steps, print_next
 from tests.places import FIXTURES
+from tests.tables import table
 
 
 def test_a_command_is_quoted_for_a_shell() -> None:
@@ -51,7 +53,18 @@ def test_the_proposed_commands_run(
 
 
 def test_each_format_says_what_to_do_with_the_result() -> None:
-    assert all("{out}" in target.next_step for target in TARGETS.values())
+    assert all("{out}" in target.next_step or "{count}" in target.next_step for target in TARGETS.values())
+
+
+@table("name", ["tables", "two words", "it's", 'a"b', "$HOME"])
+def test_the_query_of_tables_is_one_for_any_name(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / name
+    words = ["export", str(FIXTURES / "paper-types.mcap"), "--to", "parquet", "-o", str(out), "--streams", "STRING/*"]
+    assert main(words) == 0
+    step = capsys.readouterr().out.splitlines()[-1].removeprefix("next: ")
+    found = subprocess.run(["sh", "-c", step.replace("duckdb -c", "printf %s")], capture_output=True, check=True)
+    tables = str(out).replace("'", "''")
+    assert found.stdout.decode() == f"SELECT count(*) FROM '{tables}/*.parquet'"
 
 
 def test_json_has_no_such_lines(capsys: pytest.CaptureFixture[str]) -> None:

@@ -108,8 +108,15 @@ def run(options: argparse.Namespace) -> int:
     else:
         _print(account, options)
         print_line(f"{options.output}: {count_text(written, 'message')} in {count_text(account.files, 'file')}")
-        print_line(f"next: {TARGETS[options.to].next_step.format(out=shlex.quote(str(options.output)))}")
+        print_line(f"next: {_next_step(options)}")
     return 0 if good else 1
+
+
+def _next_step(options: argparse.Namespace) -> str:
+    tables = str(options.output / "*.parquet").replace("'", "''")
+    query = f"SELECT count(*) FROM '{tables}'"
+    count = shlex.quote(query) if any(sign in query for sign in '"$`\\!') else f'"{query}"'
+    return TARGETS[options.to].next_step.format(out=shlex.quote(str(options.output)), count=count)
 
 
 def _print(account: ExportAccount, options: argparse.Namespace) -> None:

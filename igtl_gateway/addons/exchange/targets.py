@@ -21,7 +21,7 @@ class ExportFormat:
 
     Attributes:
         text: the exported content, for the help text.
-        next_step: what a user can do with the result ``{out}``.
+        next_step: what a user can do with the result ``{out}``; ``{count}`` is a query of its tables.
         export: writes the files and returns the account.
         suffixes: of the file; none: a directory.
     """
@@ -69,7 +69,7 @@ TARGETS = {
     ),
     "parquet": ExportFormat(
         "all messages, units in the schema: a directory with one table per stream",
-        "duckdb -c \"SELECT count(*) FROM '{out}/*.parquet'\"",
+        "duckdb -c {count}",
         _export_parquet,
     ),
     "arrow": ExportFormat(
