@@ -4,6 +4,7 @@
     python tools/fair_shares.py --ros --record          the same with a ROS stream of 1 kHz, recorded
     python tools/fair_shares.py --ros --record --elsewhere      what of it the attackers' own programs cost
     python tools/fair_shares.py --ros --record --control        the attackers also at a program that only reads
+    python tools/fair_shares.py --ros --record --control --table        the table of docs/evidence/hostile.md
     python tools/fair_shares.py --attack GET_STATUS --attack COMMAND --rate 12500
 
 Every program is a process of its own (``attacks`` for the attackers).  The good peer sends a GET_STATUS, waits for the
@@ -254,6 +255,28 @@ def _row(name: str, links: int, phases: Sequence[Figures], sent: float, log_mb: 
     return " ".join(cells), held[0]
 
 
+_TABLE_TITLES = (
+    "| Attacker | good peer beside one | beside 20 | ROS beside one | beside 20 | a new peer | bound |",
+    "| --- | --- | --- | --- | --- | --- | --- |",
+)
+
+
+def _table_row(name: str, of_links: Sequence[Sequence[Figures]]) -> str:
+    """One row of the page: for each number of attackers p99 idle, with the control → beside, and the verdict."""
+
+    def cell(phases: Sequence[Figures], what: str) -> str:
+        *before, beside = (f"{_p(figures.get(what, []), 0.99):.1f}" for figures in phases)
+        return f"{', '.join(before)} → {beside}"
+
+    def verdict(phases: Sequence[Figures]) -> str:
+        held = [_is_held(before, phases[-1]) for before in phases[:-1]]
+        return "yes" if held[0] else "control" if held[-1] else "**no**"
+
+    new = (f"{max(phases[-1]['new'], default=float('nan')):.0f}" for phases in of_links)
+    cells = [cell(phases, what) for what in ("trip", "ros") for phases in of_links]
+    return f"| {' | '.join([name, *cells, ', '.join(new), ', '.join(map(verdict, of_links))])} |"
+
+
 def _is_held(before: Figures, beside: Figures) -> bool:
     """Whether the bound holds, compared with another phase."""
 
@@ -299,8 +322,9 @@ def measure(options: argparse.Namespace, folder: Path) -> bool:
     words += ["--record", str(folder / "fair.mcap")] if options.record else []
     words += options.bridge
     log, held = folder / "bridge.log", []
-    print(_titles(options.ros, options.control), flush=True)
+    print(*(_TABLE_TITLES if options.table else [_titles(options.ros, options.control)]), sep="\n", flush=True)
     for name in options.attack or attacks.names():
+        of_links: list[list[Figures]] = []
         for links in options.links:
             with _bridge(words, log) as (port, _), ExitStack() as stack:
                 mirror = stack.enter_context(_Role("echo"))
@@ -319,9 +343,13 @@ def measure(options: argparse.Namespace, folder: Path) -> bool:
                 beside, sent = _attacked(roles, options, name, port, links)
                 row, fine = _row(name, links, [*phases, beside], sent, (log.stat().st_size - before) / 1e6)
                 held.append(fine)
-                print(row, flush=True)
+                of_links.append([*phases, beside])
+                if not options.table:
+                    print(row, flush=True)
             for path in folder.glob("fair*.mcap*"):
                 path.unlink()
+        if options.table:
+            print(_table_row(name, of_links), flush=True)
     print(f"the bound held in {sum(held)} of {len(held)} rows")
     return all(held)
 
@@ -338,6 +366,7 @@ def main() -> int:
     parser.add_argument("--record", action="store_true")
     parser.add_argument("--elsewhere", action="store_true", help="attackers take only CPU time that nothing else wants")
     parser.add_argument("--control", action="store_true", help="the attackers at a sink as well, beside an idle bridge")
+    parser.add_argument("--table", action="store_true", help="with --ros: print the table of docs/evidence/hostile.md")
     parser.add_argument("--bridge", action="append", default=[], help="a further word for the bridge")
     options = parser.parse_args()
     if options.role:
@@ -353,6 +382,8 @@ def main() -> int:
         roles[name](*map(int, arguments))
         return 0
     options.links = options.links or [1, _MANY]
+    if options.table and not options.ros:
+        parser.error("--table: found no --ros, expected it: the table has columns for ROS")
     os.environ["ROS_DOMAIN_ID"] = str(domains.reserve())
     with tempfile.TemporaryDirectory() as folder:
         return 0 if measure(options, Path(folder)) else 1

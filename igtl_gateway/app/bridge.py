@@ -329,10 +329,12 @@ class Bridge:
             self._reports.extend(Event(now_ns, Kind.EDGE_NOTE, note, ()) for note in self._passage.look())
         if self._traffic:
             self._traffic.each_second()
-        if self._diagnostics:
-            self._diagnostics.publish(self.collect)
-        if self.gateway.guard.watch:
+        diagnostics = self._diagnostics if self._diagnostics and self._diagnostics.is_due else None
+        if diagnostics or self.gateway.guard.watch:
             self.collect()
+        if diagnostics:
+            diagnostics.publish()
+        if self.gateway.guard.watch:
             for note in self._silences.look(self.hub.now_ns(), self.gateway.guard.items()):
                 self.hub.note(note)
 

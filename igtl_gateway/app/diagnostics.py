@@ -59,17 +59,16 @@ class DiagnosticsTopic:
         """Publish no more."""
         self._stopped = True
 
-    def publish(self, collect: Callable[[], None]) -> None:
-        """Publish the diagnostics, which are not part of the log, if they have a subscriber.
+    @property
+    def is_due(self) -> bool:
+        """Whether the topic has a subscriber, and has not stopped."""
+        return not self._stopped and self._side.has_subscriber(DIAGNOSTICS_TOPIC)
+
+    def publish(self) -> None:
+        """Publish the diagnostics, which are not part of the log.
 
         Runs in the timer's thread, without a lock that delays messages.
-
-        Args:
-            collect: takes over what was counted natively.
         """
-        if self._stopped or not self._side.has_subscriber(DIAGNOSTICS_TOPIC):
-            return
-        collect()
         try:
             self._side.publish(DIAGNOSTICS_TOPIC, DiagnosticArray.TYPE, self._array().pack(), _QOS)
         except Exception as error:  # a defect here must not stop the ticks of this thread

@@ -141,15 +141,11 @@ class Child:
         self._threads[0].join(_LAST_LINE_S)
         return list(self._error_lines)
 
-    def last_error_lines(self, count: int = 1) -> list[str]:
-        """The last lines of its standard error that are not empty."""
-        return [line for line in list(self._error_lines) if line.strip()][-count:]
-
     def exit_reason(self) -> str:
-        """The last line of its standard error, ``""`` for none, and waits until it has ended."""
+        """The last line of its standard error that is not empty, ``""`` for none; waits until it has ended."""
         self._threads[0].join()
         self._process.wait()
-        return "".join(self.last_error_lines())
+        return next((line for line in reversed(self._error_lines) if line.strip()), "")
 
 
 def _read(stream: IO[str], on_line: OnLine, on_end: Callable[[], None]) -> None:

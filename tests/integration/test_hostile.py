@@ -67,7 +67,8 @@ class Scene:
 
     Attributes:
         silent, loris: peers that are inside a header from the beginning on.
-        played: cases by name → their peer's address.
+        played: cases by name → the number of their peer's link.
+        numbers: of the links of peers; an address may come again, when the peer that had it has left.
         rounds: messages that the good ones exchanged.
     """
 
@@ -78,7 +79,8 @@ class Scene:
     loris: RawPeer
     recording: Path
     rounds: int = 0
-    played: dict[str, str] = field(default_factory=dict)
+    played: dict[str, int] = field(default_factory=dict)
+    numbers: dict[RawPeer, int] = field(default_factory=dict)
     answers: dict[str, tuple[str, ...]] = field(default_factory=dict)
 
     def good_goes_on(self) -> None:
@@ -94,23 +96,33 @@ class Scene:
         while self.ros.receive(AFTER_IN) != {"data": text}:
             pass
 
-    def peer(self) -> RawPeer:
-        return RawPeer(self.bridge.port)
+    def peer(self, receive_buffer: int | None = None) -> RawPeer:
+        """A peer that is connected, and has a link."""
+        peer = RawPeer(self.bridge.port, receive_buffer)
+        self.link_of(peer)
+        return peer
 
-    def link_of(self, name: str) -> list[int]:
-        """The number of a peer's link, as events have it."""
-        return list(self.link_event("link_up", name)["links"])
+    def link_of(self, peer: RawPeer) -> list[int]:
+        """The number of a peer's link, as events have it; for the first time while the link is up."""
+        if peer not in self.numbers:
+            self.bridge.wait_until(lambda: len(self.links_up(peer.name)) == 1, f"link_up of {peer.name}")
+            (self.numbers[peer],) = self.links_up(peer.name)
+        return [self.numbers[peer]]
 
-    def link_event(self, code: str, name: str) -> Event:
-        def wanted(event: Event) -> bool:
-            return event.get("code") == code and event["data"].get("peer") == name
+    def links_up(self, name: str) -> set[int]:
+        """The numbers of the links to an address that have not ended."""
+        events = list(self.bridge.events)
+        ups = [event for event in events if event.get("code") == "link_up" and event["data"].get("peer") == name]
+        down = {event["links"][0] for event in events if event.get("code") == "link_down"}
+        return {event["links"][0] for event in ups} - down
 
-        return self.bridge.wait_events(wanted, f"{code} of {name}")[0]
+    def wait_down(self, number: int) -> None:
+        self.bridge.wait_code("link_down", links=[number])
 
     def play(self, case: Case) -> None:
         """A hostile peer comes, and the good ones go on; what it is answered is looked at here, the rest at the end."""
         with self.peer() as peer:
-            self.played[case.name] = peer.name
+            (self.played[case.name],) = self.link_of(peer)
             self._send(peer, case)
             if case.manner is not Manner.RESETS:
                 self.good_goes_on()
@@ -166,7 +178,10 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Scene]:
                 dribble = threading.Thread(target=dribbles, args=(loris, over))
                 dribble.start()
                 ros.wait_readers(GOOD_OUT, LONG_OUT, CAMERA)
-                yield Scene(bridge, ros, good, silent, loris, recording)
+                scene = Scene(bridge, ros, good, silent, loris, recording)
+                for slow in (silent, loris):
+                    scene.link_of(slow)
+                yield scene
                 over.set()
                 dribble.join()
         finally:
@@ -193,7 +208,7 @@ def test_what_is_answered_while_the_good_ones_go_on(scene: Scene, case: Case) ->
 def test_no_body_for_every_type(scene: Scene) -> None:
     with scene.peer() as peer:
         peer.send(b"".join(message(kind, b"", device="no-body") for kind in BODIES) + string("no body", "After"))
-        scene.played["no-body"] = peer.name
+        (scene.played["no-body"],) = scene.link_of(peer)
         scene.hears_after("no body")
     scene.good_goes_on()
 
@@ -201,7 +216,7 @@ def test_no_body_for_every_type(scene: Scene) -> None:
 def test_tiny_messages(scene: Scene) -> None:
     """The good ones are served in between, not behind them."""
     with scene.peer() as peer:
-        scene.played["tiny"] = peer.name
+        (scene.played["tiny"],) = scene.link_of(peer)
         flood = threading.Thread(target=peer.send, args=(message("TINY", b"", device="tiny") * TINY,))
         flood.start()
         scene.good_goes_on()
@@ -215,12 +230,12 @@ def test_a_peer_that_asks_and_never_listens(scene: Scene) -> None:
     """A query of 58 bytes has an answer of 60,000.  Strings are not dropped: the link ends."""
     scene.ros.publish(LONG_OUT, {"data": "x" * 60_000})
     scene.good.receive("STRING", "Long")
-    with RawPeer(scene.bridge.port, receive_buffer=1 << 14) as peer:
-        scene.played["asks"] = peer.name
+    with scene.peer(receive_buffer=1 << 14) as peer:
+        (scene.played["asks"],) = scene.link_of(peer)
         with suppress(ConnectionError):
             peer.send(message("GET_STRING", b"", device="Long") * 1000)
         scene.good_goes_on()
-        scene.bridge.wait_code("queue_full", links=scene.link_of(peer.name))
+        scene.bridge.wait_code("queue_full", links=scene.link_of(peer))
     scene.good_goes_on()
 
 
@@ -228,11 +243,16 @@ def test_200_at_once(scene: Scene) -> None:
     """As many as may stay do, the others are sent away, and there is room when some have left."""
     number = 200
     with ExitStack() as stack:
-        crowd = {peer.name: peer for peer in (stack.enter_context(scene.peer()) for _ in range(number))}
+        before = len(scene.bridge.events)
+        crowd = {peer.name: peer for peer in (stack.enter_context(RawPeer(scene.bridge.port)) for _ in range(number))}
+
+        def ups() -> dict[str, int]:
+            """Address → link, of the crowd."""
+            events = (event for event in scene.bridge.events[before:] if event.get("code") == "link_up")
+            return {event["data"]["peer"]: event["links"][0] for event in events if event["data"]["peer"] in crowd}
 
         def admitted() -> set[str]:
-            ups = (event["data"]["peer"] for event in scene.bridge.events if event.get("code") == "link_up")
-            return set(ups) & crowd.keys()
+            return set(ups())
 
         def refused() -> int:
             told = [event["data"] for event in scene.bridge.events if event.get("code") == "refused"]
@@ -244,8 +264,8 @@ def test_200_at_once(scene: Scene) -> None:
         assert 0 < len(admitted()) < MAX_CLIENTS
         assert all(peer.closed_by_peer() for name, peer in crowd.items() if name not in admitted())
         scene.good_goes_on()
-    for name in admitted():
-        scene.link_event("link_down", name)
+    for link in ups().values():
+        scene.wait_down(link)
     with scene.peer() as peer:
         peer.send(string("there is room again", device="After"))
         scene.hears_after("there is room again")
@@ -262,10 +282,8 @@ def test_a_peer_that_never_reads(scene: Scene) -> None:
         "data": {"hex": random.Random(1).randbytes(IMAGE_BYTES).hex()},
     }
     every = IMAGES // 20
-    with RawPeer(scene.bridge.port, receive_buffer=1 << 16) as lazy, scene.peer() as eager:
-        scene.played["lazy"] = lazy.name
-        scene.link_of(lazy.name)
-        scene.link_of(eager.name)
+    with scene.peer(receive_buffer=1 << 16) as lazy, scene.peer() as eager:
+        (scene.played["lazy"],) = scene.link_of(lazy)
         scene.ros.publish(CAMERA, fields)
         picture = eager.receive("Camera")
         before = scene.bridge.resident_bytes()
@@ -277,7 +295,7 @@ def test_a_peer_that_never_reads(scene: Scene) -> None:
                 assert eager.receive("Answer").body.endswith(f"text {number}".encode())
         growth = scene.bridge.resident_bytes() - before
         assert growth < IMAGES * IMAGE_BYTES // 2, growth
-        scene.bridge.wait_code("queue_drop", links=scene.link_of(lazy.name))
+        scene.bridge.wait_code("queue_drop", links=scene.link_of(lazy))
         # now it reads: fewer images, all strings
         pictures, texts = 0, []
         while f"text {IMAGES - every}" not in texts:
@@ -306,7 +324,7 @@ def test_promises_reserve_nothing(scene: Scene) -> None:
         growth = scene.bridge.resident_bytes() - before
         assert growth < 16 << 20, growth
     for peer in peers:
-        note = scene.bridge.wait_code("truncated", links=scene.link_of(peer.name))
+        note = scene.bridge.wait_code("truncated", links=scene.link_of(peer))
         assert note["data"]["expected"] == HEADER_SIZE + size
     scene.good_goes_on()
 
@@ -321,7 +339,7 @@ def test_a_text_of_70000_bytes_from_ros(scene: Scene) -> None:
 def test_slow_peers_are_given_up(scene: Scene, who: str) -> None:
     """They came before all other tests; the others were served meanwhile."""
     peer, words = (scene.silent, "and stopped") if who == "header" else (scene.loris, "too slow")
-    note = scene.bridge.wait_code("stalled", links=scene.link_of(peer.name))
+    note = scene.bridge.wait_code("stalled", links=scene.link_of(peer))
     assert note["text"].endswith(words)
     assert peer.closed_by_peer()
     scene.good_goes_on()
@@ -349,9 +367,9 @@ def told(scene: Scene) -> Told:
     for case in CASES:
         if case.name not in scene.played:
             scene.play(case)
-    for name in scene.played.values():
-        scene.link_event("link_down", name)
-    links = {case: scene.link_of(name)[0] for case, name in scene.played.items()}
+    for number in scene.played.values():
+        scene.wait_down(number)
+    links = dict(scene.played)
     result = scene.bridge.end()
     assert (result.code, result.err) == (0, "")
     last = scene.bridge.events[-1]

@@ -70,8 +70,8 @@ class JobProgram:
         self._child.kill()
 
     def last_words(self) -> str:
-        """Return the last line that it wrote to its standard error."""
-        return "".join(self._child.last_error_lines())
+        """Return the last line that it wrote to its standard error, after it has ended."""
+        return next((line for line in reversed(self._child.error_lines()) if line.strip()), "")
 
 
 class Programs:

@@ -110,13 +110,16 @@ class Fit:
         ends = np.linspace(self.start_s, self.end_s, _COMPARED + 1)[1:-1]
         sums, likelihood = np.zeros(_COMPARED), 0.0
         for probe in self.probes:
-            first, second = probe.residual(lag_s) ** 2, probe.residual(other_s) ** 2
-            both = np.isfinite(first) & np.isfinite(second)
-            noise, other_noise = (float(np.mean(each[both])) if both.any() else 0.0 for each in (first, second))
+            both = probe.covered(lag_s) & probe.covered(other_s)
+            if not both.any():
+                continue
+            # gains and drift of the same samples: those of fewer samples fit them better
+            first, second = probe.residual(lag_s, both) ** 2, probe.residual(other_s, both) ** 2
+            noise, other_noise = float(np.mean(first)), float(np.mean(second))
             if noise > 0 and other_noise > 0:
-                gains = (second[both] - first[both]) / noise / np.count_nonzero(both)
+                gains = (second - first) / noise / len(first)
                 sums += np.bincount(np.searchsorted(ends, probe.some[both]), gains, _COMPARED)
-                likelihood += probe.freedom(lag_s) * math.log(other_noise / noise)
+                likelihood += probe.freedom(lag_s, both) * math.log(other_noise / noise)
         spread = float(np.std(sums, ddof=1))
         return float(sums.mean()) / spread * math.sqrt(len(sums)) if spread > 0 else math.inf, likelihood
 

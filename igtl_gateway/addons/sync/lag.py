@@ -276,18 +276,28 @@ def _searched(found: Lag, fit: Fit, curve: Curve, *, is_known: bool) -> tuple[La
         return replace(found, verdict=Verdict.UNRELATED), periods
     if not any(deciders) and not (is_known and max_lag_s <= longest_s / _PART_OF_PERIOD):
         return replace(found, verdict=Verdict.PERIODIC), periods
-    best = chosen_peak(curve, probes, deciders)
+    best = chosen_peak(curve, probes, deciders, is_known=is_known)
     if best is None:
         return replace(found, verdict=Verdict.AT_EDGE), periods
     lag_s = float(curve.lags[best])
-    by_chance = [probe.is_chance(lag_s) for probe in probes]
-    if all(chance for chance, decides in zip(by_chance, deciders, strict=True) if decides or not any(deciders)):
+    if _is_chance(probes, deciders, lag_s):
         return replace(found, verdict=Verdict.BY_CHANCE), periods
     if any(deciders):
         other_s = rival(curve, best, probes, deciders, beyond=not is_known)
         if not math.isnan(other_s):
             return replace(found, verdict=Verdict.AMBIGUOUS, lag_s=lag_s, other_s=other_s), periods
     return _refined(found, fit, lag_s, max_lag_s), periods
+
+
+def _is_chance(probes: Sequence[Probe], deciders: Sequence[bool], lag_s: float) -> bool:
+    """Whether the movements that choose a lag, or all that repeat themselves, are alike by chance."""
+    repeating = [probe for probe, decides in zip(probes, deciders, strict=True) if not decides]
+    is_shown = any(not probe.is_chance(lag_s) for probe in repeating)
+    if not any(deciders):
+        return not is_shown
+    # the lags between the peaks of a movement that repeats itself are excluded
+    choosing = [probe for probe, decides in zip(probes, deciders, strict=True) if decides]
+    return all(probe.is_chance(lag_s, of_few=is_shown) for probe in choosing)
 
 
 def _period(probe: Probe, r2: Floats, lags: Floats) -> float:

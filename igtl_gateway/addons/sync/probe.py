@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.addons.sync.signal import Filtered, Floats
-from igtl_gateway.addons.sync.statistics import chi_squared, half_waves
+from igtl_gateway.addons.sync.statistics import chi_squared, half_waves, occupancy
 
 #: Samples below which nothing is estimated.
 LEAST_SAMPLES = 30
@@ -19,7 +19,8 @@ _DRIFT_S = 20.0  # shortest period of what counts as drift
 _MOST_DRIFT = 60  # cosines: those of 10 minutes
 _SEARCH_HZ = 4.0  # samples for the search, relative to the cut-off: more of them contain nothing further
 _RIDGE = 1e-9  # of columns of size 1, for those that depend on each other
-_CHANCE = 3.1  # quantile of the normal distribution, of what chance explains at the best of some lags
+_CHANCE = 4.5  # quantile of the normal distribution, of what chance explains at the best of some lags ...
+_CHANCE_OF_FEW = 2.0  # ... and of the few that another movement leaves
 
 Mask = npt.NDArray[np.bool_]
 
@@ -80,52 +81,58 @@ class Probe:
         left = size - float(score @ np.linalg.solve(normal, score))
         return 1 - max(left, 0.0) / total if total > 1e-12 * size else math.nan
 
-    def _beside_drift(self, lag_s: float) -> tuple[Mask, Floats, Floats]:
-        """Which of some samples are covered (S), and of these (M) the target and what the faster signal explains."""
-        at = self.some + self.direction * lag_s
-        inside = self.faster.covers_well(at)
-        drift = self._drift[inside]
-        values = without(drift, self.faster.at(at[inside]) @ self.axes)
-        target = without(drift, self._target[inside])
-        return inside, target, values @ gains_of(values, target)
+    def covered(self, lag_s: float) -> Mask:
+        """Return of which of some samples (S) the faster signal is known at a lag."""
+        return self.faster.covers_well(self.some + self.direction * lag_s)
 
-    def residual(self, lag_s: float) -> Floats:
-        """Return the residuals (S) at a lag; NaN where the faster signal is not known."""
-        inside, target, predicted = self._beside_drift(lag_s)
-        found = np.full(len(self.some), math.nan)
-        found[inside] = target - predicted
-        return found
+    def _beside_drift(self, lag_s: float, inside: Mask) -> tuple[Floats, Floats]:
+        """The target at these of some samples (M), and what the other signal explains of it (M), without drift."""
+        drift = self._drift[inside]
+        values = without(drift, self.faster.at(self.some[inside] + self.direction * lag_s) @ self.axes)
+        target = without(drift, self._target[inside])
+        return target, values @ gains_of(values, target)
+
+    def residual(self, lag_s: float, inside: Mask) -> Floats:
+        """Return the residuals at a lag of the samples that are inside (M)."""
+        target, predicted = self._beside_drift(lag_s, inside)
+        return target - predicted
 
     def prediction(self, lag_s: float) -> tuple[Floats, Floats]:
         """Return times (M) and what the faster signal shows of the target at a lag (M), without the drift."""
-        inside, _, predicted = self._beside_drift(lag_s)
-        return self.some[inside], predicted
+        inside = self.covered(lag_s)
+        return self.some[inside], self._beside_drift(lag_s, inside)[1]
 
-    def freedom(self, lag_s: float) -> float:
-        """Return the number of independent values of the movement that both signals show."""
-        inside, target, predicted = self._beside_drift(lag_s)
-        return min(half_waves(self.some[inside], each) for each in (target, predicted))
+    def freedom(self, lag_s: float, inside: Mask) -> float:
+        """Return the number of independent values of the movement that both signals show in the samples inside."""
+        return min(half_waves(self.some[inside], each) for each in self._beside_drift(lag_s, inside))
 
-    def is_chance(self, lag_s: float) -> bool:
+    def is_chance(self, lag_s: float, *, of_few: bool = False) -> bool:
         """Return whether signals that are not related are as alike at some lag, in what they show and in its speed.
 
         Slow signals have few independent values, and any two of them are alike at some lag.  Where something moves from
         place to place and seldom back, its speed has many.
+
+        Args:
+            lag_s: the lag.
+            of_few: whether another movement leaves few lags to choose from.
         """
-        inside, target, predicted = self._beside_drift(lag_s)
+        quantile = _CHANCE_OF_FEW if of_few else _CHANCE
+        inside = self.covered(lag_s)
+        target, predicted = self._beside_drift(lag_s, inside)
         times, components = self.some[inside], self.axes.shape[1]
-        if not _is_chance(times, target, predicted, components, self.drift.shape[1]):
+        if not _is_chance(times, target, predicted, components, self.drift.shape[1], quantile):
             return False
         speed = np.gradient(target, times)
         speeds = self.faster.slope_at(times + self.direction * lag_s) @ self.axes
-        return _is_chance(times, speed, speeds @ gains_of(speeds, speed), components, 1)
+        return _is_chance(times, speed, speeds @ gains_of(speeds, speed), components, 1, quantile)
 
 
-def _is_chance(times: Floats, target: Floats, predicted: Floats, components: int, drift: int) -> bool:
+def _is_chance(times: Floats, target: Floats, predicted: Floats, components: int, drift: int, quantile: float) -> bool:
     """Whether a target (N) could be explained so well by chance."""
-    freedom = min(half_waves(times, target), half_waves(times, predicted)) - drift - (components + 1) / 2
+    lost = drift + (components + 1) / 2
+    freedom = min((half_waves(times, each) - lost) * occupancy(each) for each in (target, predicted))
     left = float(np.sum((target - predicted) ** 2)) / max(float(np.sum(target**2)), 1e-300)
-    return bool(freedom <= 0 or -freedom * math.log(max(left, 1e-9)) < chi_squared(components, _CHANCE))
+    return bool(freedom <= 0 or -freedom * math.log(max(left, 1e-9)) < chi_squared(components, quantile))
 
 
 def without(drift: Floats, values: Floats) -> Floats:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 
 import numpy as np
 
@@ -13,13 +14,14 @@ from igtl_gateway.addons.sync.probe import Probe
 from igtl_gateway.addons.sync.signal import Floats
 
 _STEP_S, _STEP_PERIODS = 0.04, 0.1  # the step is at most this, and this part of the shortest period
-_HALVINGS = 5  # of the two steps around a peak, until its top is found: a lag of 2 ms at most
+_HALVINGS = 4  # of the two steps around a peak, before a parabola finds its top
 _BEYOND = 1.5  # a lag beyond the search range shows itself in a search of this times the range ...
 _BEYOND_S = 2.5  # ... and up to this at least
 _SIMILAR_R2, _EQUAL_R2 = 0.9, 0.98  # R² of another peak, relative to the best, that may be, or is, as good
 _SIMILAR_OF_SEVERAL = 0.5  # likewise for the R² of several probes, of which some cannot choose
 _CLEAR_T = 3.0  # Student's t of their difference from which on one lag is better
-_CLEAR_LIKELIHOOD = 12.0  # likewise twice the logarithm of the ratio of their likelihoods: 400 to 1
+_CLEAR_LIKELIHOOD = 12.0  # likewise twice the logarithm of the ratio of their likelihoods: 400 to 1 ...
+_CLEAR_OF_FEW = 9.0  # ... and 90 to 1 among the few lags that a movement that repeats itself leaves
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,17 +54,28 @@ class Curve:
         The peaks of a fast movement are so narrow that the next lag of the search decides which of them is higher.
         """
         lags, each = self.lags.copy(), self.each.copy()
+
+        def at(tried: Floats) -> Floats:
+            return np.array([[probe.r2(lag) for lag in tried.tolist()] for probe in probes])
+
+        def moved(place: int, tried: Floats) -> Floats:
+            """The R² of some lags and of the peak, which becomes the best of them."""
+            values = np.column_stack([at(tried), each[:, place]])
+            together = _together(values)
+            best = int(np.argmax(np.where(np.isfinite(together), together, -np.inf)))
+            if best < len(tried):
+                lags[place], each[:, place] = tried[best], values[:, best]
+            return together
+
         for place in peaks_of(self.of_probes([True] * len(probes))):
-            low, high = self.lags[place - 1], self.lags[place + 1]
+            step = (self.lags[place + 1] - self.lags[place - 1]) / 4
             for _ in range(_HALVINGS):
-                step = (high - low) / 4
-                tried = np.array([lags[place] - step, lags[place] + step])
-                values = np.array([[probe.r2(lag) for lag in tried.tolist()] for probe in probes])
-                left = _together(np.column_stack([values, each[:, place]]))
-                best = int(np.argmax(np.where(np.isfinite(left), left, -np.inf)))
-                if best < 2:
-                    lags[place], each[:, place] = tried[best], values[:, best]
-                low, high = lags[place] - step, lags[place] + step
+                moved(place, np.array([lags[place] - step, lags[place] + step]))
+                step /= 2
+            left, right, top = moved(place, around := np.array([lags[place] - step, lags[place] + step]))
+            bend = left + right - 2 * top
+            if bend < 0:
+                moved(place, np.array([around.mean() + np.clip((left - right) / bend / 2, -1, 1) * step]))
         return replace(self, lags=lags, each=each)
 
     def of_probes(self, chosen: Sequence[bool]) -> Floats:
@@ -89,13 +102,14 @@ def peaks_of(values: Floats) -> list[int]:
     return [i for i in range(1, len(values) - 1) if values[i] >= values[i - 1] and values[i] > values[i + 1]]
 
 
-def chosen_peak(curve: Curve, probes: Sequence[Probe], deciders: Sequence[bool]) -> int | None:
+def chosen_peak(curve: Curve, probes: Sequence[Probe], deciders: Sequence[bool], *, is_known: bool) -> int | None:
     """Return the index of the lag among the peaks of all probes; None if it is at the edge of the range or beyond it.
 
     Args:
         curve: R² of the probes.
         probes: the probes.
         deciders: which of them do not repeat themselves, and choose; without one, only the search range counts.
+        is_known: whether the range is a given one, which has the lag: one beyond it has to be clearly better.
     """
     every = curve.of_probes([True] * len(probes))
     if not any(deciders):
@@ -109,11 +123,21 @@ def chosen_peak(curve: Curve, probes: Sequence[Probe], deciders: Sequence[bool])
     votes, fit = curve.of_probes(deciders), Fit(probes)
     least = _SIMILAR_OF_SEVERAL * max(float(every[i]) for i in peaks)
     likely = sorted((i for i in peaks if every[i] >= least), key=lambda i: -float(votes[i]))
-    best = likely[0]
-    for other in likely[1:]:
-        if fit.advantage(float(curve.lags[best]), float(curve.lags[other]))[1] < 0:
-            best = other
-    return best if curve.inside[best] else None
+
+    def better(best: int, other: int, *, by: float = 0.0) -> bool:
+        return fit.advantage(float(curve.lags[best]), float(curve.lags[other]))[1] < -by
+
+    def best_of(among: list[int]) -> int:
+        return reduce(lambda best, other: other if better(best, other) else best, among)
+
+    inside = [i for i in likely if curve.inside[i]]
+    if not is_known or not inside:
+        best = best_of(likely)
+        return best if curve.inside[best] else None
+    # few samples have a lag beyond the range, and some of those lags are alike by chance
+    best = best_of(inside)
+    beyond = [i for i in likely if not curve.inside[i]]
+    return None if any(better(best, other, by=_CLEAR_LIKELIHOOD) for other in beyond) else best
 
 
 def rival(curve: Curve, best: int, probes: Sequence[Probe], deciders: Sequence[bool], *, beyond: bool) -> float:
@@ -126,14 +150,14 @@ def rival(curve: Curve, best: int, probes: Sequence[Probe], deciders: Sequence[b
     """
     every = curve.of_probes([True] * len(probes))
     fit, chooses = Fit(probes), Fit([probe for probe, decides in zip(probes, deciders, strict=True) if decides])
-    is_one = len(probes) == 1
+    is_one, least = len(probes) == 1, _CLEAR_LIKELIHOOD if all(deciders) else _CLEAR_OF_FEW
     for other in peaks_of(every if beyond else np.where(curve.inside, every, np.nan)):
         ratio = float(every[other] / every[best])
         if other == best or ratio < (_SIMILAR_R2 if is_one else _SIMILAR_OF_SEVERAL):
             continue
         lags = float(curve.lags[best]), float(curve.lags[other])
         t, votes = chooses.advantage(*lags)
-        is_clear = t >= _CLEAR_T or (votes >= 0 and fit.advantage(*lags)[1] >= _CLEAR_LIKELIHOOD)
+        is_clear = t >= _CLEAR_T or (votes >= 0 and fit.advantage(*lags)[1] >= least)
         if not is_clear or (is_one and ratio > _EQUAL_R2):
             return lags[1]
     return math.nan

@@ -53,3 +53,13 @@ def half_waves(times: Floats, values: Floats) -> float:
     slope = float(np.sum((np.diff(values)[near] / steps[near]) ** 2)) / max(int(np.count_nonzero(near)), 1)
     size = float(np.mean(values**2))
     return math.sqrt(slope / size) / math.pi * float(times[-1] - times[0]) if size > 0 else 0.0
+
+
+def occupancy(values: Floats) -> float:
+    """Return how much of the time something moves (N), 1 up to the kurtosis of noise, 3.
+
+    What moves now and then has few independent values: two movements of one stroke each are alike at some lag.
+    """
+    squares = values**2
+    size = float(np.mean(squares**2))
+    return min(1.0, 3 * float(np.mean(squares)) ** 2 / size) if size > 0 else 0.0

@@ -95,6 +95,14 @@ def staircase(number: int, *, is_related: bool = True) -> tuple[list[tuple[Signa
     return pairs, lag_s, 1 / 30
 
 
+def strokes(random: Random, time: Floats) -> Floats:
+    """Two insertions within 40 s: in, a pause, and out."""
+    at = np.zeros(len(time))
+    for begin in random.uniform(0, 36, 2):
+        at += np.interp(time, begin + np.cumsum([0, *random.uniform(0.5, 2, 3)]), [0, 1, 1, 0])
+    return np.asarray(at + random.normal(0, 0.02, len(time)))
+
+
 def _steps(random: Random, seconds: float, *, one_way: bool) -> Movement:
     """Movements from place to place, with pauses."""
     begins = np.cumsum(random.uniform(0.5, 3, 200)) - 6
