@@ -19,7 +19,11 @@ _END_S = 5.0
 #: Longest recording: 30 years.
 MAX_S = 1e9
 _TARGETS = ("igtl", "ros", "both")
-_STEERS = ("play", "pause", "step", "rate", "seek", "stop")
+#: What can be done to a replay → the least value and the bound of it; None: it has no value.
+_STEERS: dict[str, tuple[float, float] | None] = dict.fromkeys(("play", "pause", "step", "stop")) | {
+    "rate": (1e-3, 1e3),
+    "seek": (0.0, MAX_S),
+}
 
 
 class Replay:
@@ -51,8 +55,8 @@ class Replay:
             place = str(how.get("address") or "127.0.0.1:18944")
             address(place)
             rate, from_s = float(how.get("rate") or 1), float(how.get("from_s") or 0)
-            if not 0 <= from_s < MAX_S:
-                raise ConfigError(f"from_s: found {from_s:g}, expected 0 or more")
+            _check("from_s", from_s, _STEERS["seek"])
+            _check("rate", rate, _STEERS["rate"])
         except (ConfigError, ValueError, TypeError) as error:
             return False, f"replay: {error}"
         settings = {
@@ -80,8 +84,12 @@ class Replay:
     def steer(self, what: str, value: object) -> tuple[bool, str]:
         """Have the replay do something."""
         child = self._child
-        if what not in _STEERS or not (value is None or isinstance(value, int | float)):
+        if what not in _STEERS:
             return False, f"found {what[:20]!r}, expected one of {', '.join(_STEERS)}"
+        try:
+            _check(what, value, _STEERS[what])
+        except ConfigError as error:
+            return False, f"replay: {error}"
         if child is None or not child.is_running:
             return False, "no replay runs"
         child.write(json.dumps({"do": what, "value": value}) + "\n")
@@ -138,3 +146,12 @@ class Replay:
         if "line" in found:
             self._lines.append(str(found["line"]))
         self._failed = self._failed or bool(found.get("failed"))
+
+
+def _check(what: str, value: object, bounds: tuple[float, float] | None) -> None:
+    """Raise ConfigError for a value that is not within its bounds; NaN is within none."""
+    if bounds is None:
+        return
+    least, most = bounds
+    if isinstance(value, bool) or not isinstance(value, int | float) or not least <= value <= most:
+        raise ConfigError(f"{what}: found {str(value)[:20]}, expected {least:g} to {most:g}")

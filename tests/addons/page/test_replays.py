@@ -34,6 +34,8 @@ def test_a_replay_is_steered() -> None:
         replay.steer("play", None)
         assert peer.receive(type_name="TRANSFORM").device
         wait(lambda: state("position_s") > 20 and state("rate") == 5)
+        for value in (float("nan"), float("inf"), -5, 10**30, True, None, "1", [1]):
+            assert not replay.steer("seek", value)[0] and not replay.steer("rate", value)[0]
         facts = replay.facts()
         assert facts and facts["to"] == "igtl" and facts["place"] == f"127.0.0.1:{port}"
         (client,) = facts["state"]["peers"]
@@ -46,7 +48,14 @@ def test_a_replay_is_steered() -> None:
 
 def test_what_cannot_be_replayed() -> None:
     replay = Replay()
-    for how in ({"to": "x"}, {"role": "x"}, {"address": "h:99999"}, {"rate": "fast"}, {"rate": [1]}):
+    for how in (
+        {"to": "x"},
+        {"role": "x"},
+        {"address": "h:99999"},
+        {"rate": "fast"},
+        {"rate": [1]},
+        {"rate": float("nan")},
+    ):
         assert not replay.start("lego.mcap", FIXTURES / "lego.mcap", how)[0]
     assert replay.start("none.mcap", FIXTURES / "none.mcap", {})[0]
     wait(lambda: (replay.facts() or {})["failed"])
