@@ -157,6 +157,8 @@ class Recording(Mapping[str, Stream]):
         return streams
 
     def __getitem__(self, key: str) -> Stream:
+        if not isinstance(key, str):
+            raise TypeError(f"found {key!r}, expected the name of a stream, such as 'TRANSFORM/Probe'")
         streams = self.streams
         if key in streams:
             return streams[key]

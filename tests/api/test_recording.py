@@ -164,6 +164,8 @@ def test_messages_are_decoded() -> None:
 
 def test_a_wrong_name_has_a_proposal() -> None:
     with igtl_gateway.open(STAR) as recording:
+        with pytest.raises(TypeError, match="found 3, expected the name of a stream"):
+            recording[3]  # type: ignore[index]
         with pytest.raises(KeyError, match="did you mean 'TRANSFORM/ToolToBase'"):
             recording["TRANSFORM/TolToBase"]
         with pytest.raises(KeyError, match="'out:POINT/PlanPoints', 'in:POINT/PlanPoints'"):
