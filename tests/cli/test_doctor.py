@@ -62,6 +62,15 @@ def says(data: bytes) -> Act:
     return act
 
 
+def tracks(*x: float) -> Act:
+    """A peer that sends poses of the moment at which it is connected: a doctor may take long to begin."""
+
+    def act(sock: socket.socket) -> None:
+        says(wire(*(pose(x=each) for each in x)))(sock)
+
+    return act
+
+
 def leaves_at(version: int) -> Act:
     """A peer that goes at the first message of a header version."""
 
@@ -145,14 +154,14 @@ Doctor = Callable[..., Verdict]
 
 
 def test_a_healthy_peer(doctor: Doctor, capsys: pytest.CaptureFixture[str]) -> None:
-    with serving(says(wire(pose(), pose(x=130.0)))) as place:
+    with serving(tracks(120.0, 130.0)) as place:
         verdict = doctor(place, *AWAIT, "2")
     assert (verdict.code, verdict.ids, verdict.told["nothing_arrives"]) == (0, [], False)
     (stream,) = verdict.told["streams"]
     assert (stream["stream"], stream["messages"], stream["header_versions"]) == ("TRANSFORM/ProbeToTracker", 2, [1])
     (peer,) = verdict.told["peers"]
     assert (peer["peer"], peer["role"], peer["messages"]) == (place, "client", 2)
-    with serving(says(wire(pose()))) as place:
+    with serving(tracks(120.0)) as place:
         assert main(["doctor", place, *AWAIT, "1"]) == 0
     out = capsys.readouterr().out
     assert "TRANSFORM/ProbeToTracker" in out and "no problems found" in out
@@ -161,7 +170,7 @@ def test_a_healthy_peer(doctor: Doctor, capsys: pytest.CaptureFixture[str]) -> N
 def test_a_server_with_tls(doctor: Doctor) -> None:
     def shaken(sock: socket.socket) -> None:
         with suppress(OSError):  # who is not trusted is not spoken to
-            says(wire(pose()))(serves.wrap_socket(sock, server_side=True))
+            tracks(120.0)(serves.wrap_socket(sock, server_side=True))
 
     serves = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     serves.load_cert_chain(PEMS / "server.pem")
@@ -183,13 +192,13 @@ def test_a_client_with_tls(doctor: Doctor) -> None:
     def shakes(sock: socket.socket) -> None:
         using = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         using.load_verify_locations(PEMS / "ca.pem")
-        says(wire(pose()))(using.wrap_socket(sock, server_hostname=HERE))
+        tracks(120.0)(using.wrap_socket(sock, server_hostname=HERE))
 
     place = free_place()
     with calling(place, shakes):
         verdict = doctor("--listen", f"tls://{place}", "--tls-cert", str(PEMS / "server.pem"), *AWAIT, "1")
     assert (verdict.code, verdict.ids) == (0, [])
-    with calling(place, says(wire(pose()))):  # in the clear
+    with calling(place, tracks(120.0)):  # in the clear
         verdict = doctor("--listen", place, "--tls-cert", str(PEMS / "server.pem"))
     assert verdict.cause == "IGTL-E108" and "plain text" in verdict.text
 
@@ -212,7 +221,7 @@ def test_both_are_servers(doctor: Doctor) -> None:
     with serving(says(b"")) as place:
         verdict = doctor("--listen", free_place(), place)
         assert (verdict.cause, place in verdict.text) == ("IGTL-E103", True)
-    with serving(says(wire(pose()))) as place:
+    with serving(tracks(120.0)) as place:
         verdict = doctor("--listen", place)
         assert (verdict.cause, "IGTL-E104" in verdict.ids) == ("IGTL-E103", False)
     with serving(says(b"")) as place:
