@@ -81,7 +81,7 @@ CALLS = (
     Call("upload . --upload s3://bucket --patience 0.1", code=1),
     Call("completion bash"),
     Call("bridge --no-ros --duration 0.1 --listen :0 --record bridge.mcap"),
-    Call("page recordings", code=1),
+    Call("page recordings", code=2),
     *(Call(f"export small.mcap --to {target} -o {target}") for target in ("csv", "ply", "vtk", "nrrd", "rosbag2")),
     Call("import rosbag2 -o imported.mcap"),
     *(Call(f"export small.mcap --to {target} -o {target}", "arrow") for target in ("parquet", "arrow")),
