@@ -22,7 +22,6 @@ _BLIND_NS = 250_000_000
 #: Between two notes of lost messages, which no event reports.
 _LOSSES_NS = 1_000_000_000
 _RELEASE_NS = 20_000_000  # between two checks of held messages; a match also wakes the thread at once
-_BURST_NS = 2_000_000  # between two bursts of held messages, so that a subscription of the same depth can take them
 
 
 class Keeper:
@@ -61,11 +60,11 @@ class Keeper:
                     self._publishing.poll_events()
                     self._subscribing.note_losses()
                 self._publishing.notify_first_subscribers()
-                bursting = self._publishing.send_held()
+                self._publishing.send_held()
                 node.notify()
                 left_ns = max(0, min(times.look_ns, times.losses_ns) - now_ns())
-                if bursting or self._publishing.is_holding():
-                    left_ns = min(left_ns, _BURST_NS if bursting else _RELEASE_NS)
+                if self._publishing.is_holding():
+                    left_ns = min(left_ns, _RELEASE_NS)
                 if watch.wait(left_ns):
                     times.changed(now_ns())
         finally:

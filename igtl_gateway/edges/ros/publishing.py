@@ -34,6 +34,7 @@ HOLD_NS = 2_000_000_000
 
 #: A reader of another vendor's DDS ignores what it receives before it has matched our writer, which it does not report.
 FOREIGN_NS = 250_000_000
+_BURST_NS = 50_000_000  # between two bursts of held messages: a reader takes the first one meanwhile
 _LINGER_NS = 500_000_000  # for acknowledgements at the end; a subscriber that hangs must not delay us
 #: Publishers that are made as soon as they are needed; the making of further ones gets a tenth of the time.
 _USUAL, _REST, _REST_S = 64, 9, 0.1
@@ -191,17 +192,14 @@ class Publishing(Publishers[TopicPublisher]):
 
     # ── for the keeper's thread ───────────────────────────────────────────────────────────────────────────────
 
-    def send_held(self) -> bool:
-        """Send a burst of the held messages whose subscribers are matched; returns whether there were any."""
-        bursting = False
+    def send_held(self) -> None:
+        """Send a burst of the held messages whose subscribers are matched, unless the last one was just now."""
         for publisher in self.all():
-            if publisher.ready or not self._can_send(publisher):
+            now_ns = self._clock.monotonic_ns()
+            if publisher.ready or now_ns < publisher.burst_ns or not self._can_send(publisher):
                 continue
-            # Each burst is longer than the last, so that we catch up with any publisher in the end.
-            self._reports.publish_failed(publisher.topic, publisher.release(self._clock, publisher.burst + 1))
-            publisher.burst *= 2
-            bursting = True
-        return bursting
+            publisher.burst_ns = now_ns + _BURST_NS
+            self._reports.publish_failed(publisher.topic, publisher.release(self._clock, publisher.next_burst()))
 
     def poll_matches(self) -> None:
         """Look for new subscribers."""

@@ -185,7 +185,9 @@ class TopicPublisher:
         self.deadline_ns = _NEVER_NS
         self.matched_ns = 0  # when all known subscriptions were matched; 0: not yet
         self.ready = False
-        self.burst = qos.depth
+        self.burst = max(1, qos.depth // 2)  # a reader keeps it beside what it has not taken yet
+        self.held_before = HOLD_MESSAGES + 2  # at the last burst; at first, more than there may be
+        self.burst_ns = 0  # not before this time
 
     def made(self, publisher: RclPublisher, *, deadline_ns: int, ready: bool) -> None:
         """The middleware's publisher is there; what was held is sent first."""
@@ -252,6 +254,13 @@ class TopicPublisher:
         self.held_bytes -= len(cdr)
         self.counts.held = len(self.held)
         return self.send(cdr, clock)
+
+    def next_burst(self) -> int:
+        """How many held messages to send now; more than the last time if as many have come meanwhile."""
+        if len(self.held) >= self.held_before:
+            self.burst += max(1, self.burst // 4)
+        self.held_before = len(self.held)
+        return self.burst + 1  # which finds that none is left
 
     def release(self, clock: Clock, at_most: int) -> str:
         """Send held messages in order; ready when none is left.  Returns the cause of the last failure, or ``""``.

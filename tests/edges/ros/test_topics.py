@@ -60,6 +60,15 @@ def test_held_messages_go_in_order_and_then_the_writer_is_ready() -> None:
     assert (writer.counts, writer.held_bytes) == (TopicCounts(published=5), 0)
 
 
+def test_bursts_are_half_of_the_depth_and_longer_while_as_many_come() -> None:
+    writer, _, _ = writer_and_publisher()
+    half = max(1, writer.qos.depth // 2)
+    writer.hold(b"first")
+    assert writer.next_burst() == half + 1
+    writer.hold(b"second")
+    assert writer.next_burst() == half + max(1, half // 4) + 1
+
+
 def test_refused_message_is_counted_and_told_in_one_line() -> None:
     writer, publisher, clock = writer_and_publisher()
     for cdr in (b"refused", b"good"):
