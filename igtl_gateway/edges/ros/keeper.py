@@ -21,7 +21,7 @@ _SAFETY_NS = 5_000_000_000
 _BLIND_NS = 250_000_000
 #: Between two notes of lost messages, which no event reports.
 _LOSSES_NS = 1_000_000_000
-_RELEASE_NS = 20_000_000  # between two checks of held messages; a match also wakes the thread at once
+_RELEASE_NS = 10_000_000  # between two checks of held messages; a match also wakes the thread at once
 
 
 class Keeper:

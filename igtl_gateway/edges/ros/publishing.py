@@ -34,7 +34,7 @@ HOLD_NS = 2_000_000_000
 
 #: A reader of another vendor's DDS ignores what it receives before it has matched our writer, which it does not report.
 FOREIGN_NS = 250_000_000
-_BURST_NS = 50_000_000  # between two bursts of held messages: a reader takes the first one meanwhile
+_BURST_NS = 10_000_000  # between two bursts of held messages: a reader takes the first one meanwhile
 _LINGER_NS = 500_000_000  # for acknowledgements at the end; a subscriber that hangs must not delay us
 #: Publishers that are made as soon as they are needed; the making of further ones gets a tenth of the time.
 _USUAL, _REST, _REST_S = 64, 9, 0.1
@@ -199,7 +199,7 @@ class Publishing(Publishers[TopicPublisher]):
             if publisher.ready or now_ns < publisher.burst_ns or not self._can_send(publisher):
                 continue
             publisher.burst_ns = now_ns + _BURST_NS
-            self._reports.publish_failed(publisher.topic, publisher.release(self._clock, publisher.next_burst()))
+            self._reports.publish_failed(publisher.topic, publisher.release_burst(self._clock))
 
     def poll_matches(self) -> None:
         """Look for new subscribers."""

@@ -24,6 +24,8 @@ from igtl_gateway.native.passage import Subscription as NativeSubscription
 HOLD_MESSAGES = 2000
 #: Bytes held for one topic: ten Full HD RGB images.
 HOLD_BYTES = 64 << 20
+#: Held messages that are sent at once, beside those that come meanwhile: half of the depth that readers usually have.
+BURST_MESSAGES = 5
 
 _NEVER_NS = 1 << 63  # a monotonic time that does not come
 _ECHO_MEMORY = 4096  # own messages remembered per topic: more than a reader has in its queue
@@ -185,8 +187,7 @@ class TopicPublisher:
         self.deadline_ns = _NEVER_NS
         self.matched_ns = 0  # when all known subscriptions were matched; 0: not yet
         self.ready = False
-        self.burst = max(1, qos.depth // 2)  # a reader keeps it beside what it has not taken yet
-        self.held_before = HOLD_MESSAGES + 2  # at the last burst; at first, more than there may be
+        self.left = HOLD_MESSAGES  # of what is held, after the last burst; at first, as many as there may be
         self.burst_ns = 0  # not before this time
 
     def made(self, publisher: RclPublisher, *, deadline_ns: int, ready: bool) -> None:
@@ -255,12 +256,11 @@ class TopicPublisher:
         self.counts.held = len(self.held)
         return self.send(cdr, clock)
 
-    def next_burst(self) -> int:
-        """How many held messages to send now; more than the last time if as many have come meanwhile."""
-        if len(self.held) >= self.held_before:
-            self.burst += max(1, self.burst // 4)
-        self.held_before = len(self.held)
-        return self.burst + 1  # which finds that none is left
+    def release_burst(self, clock: Clock) -> str:
+        """Send a few of the held messages, and twice as many as have come since the last burst."""
+        failure = self.release(clock, BURST_MESSAGES + 2 * max(0, len(self.held) - self.left))
+        self.left = len(self.held)
+        return failure
 
     def release(self, clock: Clock, at_most: int) -> str:
         """Send held messages in order; ready when none is left.  Returns the cause of the last failure, or ``""``.

@@ -11,7 +11,7 @@ from igtl_gateway.base.clock import ManualClock
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.edges.interface import TopicCounts
 from igtl_gateway.edges.ros import topics
-from igtl_gateway.edges.ros.topics import EchoFilter, TopicPublisher, TopicSubscription
+from igtl_gateway.edges.ros.topics import BURST_MESSAGES, EchoFilter, TopicPublisher, TopicSubscription
 
 QUICK_NS = 1000  # what a call of publish takes here
 
@@ -60,13 +60,16 @@ def test_held_messages_go_in_order_and_then_the_writer_is_ready() -> None:
     assert (writer.counts, writer.held_bytes) == (TopicCounts(published=5), 0)
 
 
-def test_bursts_are_half_of_the_depth_and_longer_while_as_many_come() -> None:
-    writer, _, _ = writer_and_publisher()
-    half = max(1, writer.qos.depth // 2)
-    writer.hold(b"first")
-    assert writer.next_burst() == half + 1
-    writer.hold(b"second")
-    assert writer.next_burst() == half + max(1, half // 4) + 1
+def test_bursts_are_short_and_twice_what_has_come() -> None:
+    writer, publisher, clock = writer_and_publisher()
+    for _ in range(20):
+        writer.hold(b"")
+    writer.release_burst(clock)
+    assert len(publisher.sent) == BURST_MESSAGES
+    for _ in range(3):
+        writer.hold(b"")
+    writer.release_burst(clock)
+    assert len(publisher.sent) == 2 * BURST_MESSAGES + 6
 
 
 def test_refused_message_is_counted_and_told_in_one_line() -> None:
