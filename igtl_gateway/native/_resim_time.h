@@ -68,7 +68,7 @@ static struct {
         clockid_t clock;
         int64_t cpu_ns;
         int64_t looked_ns; /* CPU time when its system call was read; -1 = never */
-        bool is_locking;   /* the call waits for a lock that another process holds */
+        bool is_held;      /* it waits for another process: for a lock, or a reader of what it prints; or it has just gone on */
         bool is_told;      /* its wait in real time has been reported */
         bool is_other; /* no thread of the program */
         bool skip;
@@ -307,6 +307,14 @@ static bool parse_call(const char *text, long *call, uint64_t *arguments)
                   &arguments[1], &arguments[2], &arguments[3], &arguments[4], &arguments[5]) == 7;
 }
 
+/* Whether a call writes to a pipe or a terminal, which is full: the program goes on as soon as it is read. */
+static bool prints(long call, const uint64_t *arguments)
+{
+    struct stat file;
+    return (call == SYS_write || call == SYS_writev) && !fstat((int)arguments[0], &file) &&
+           (S_ISFIFO(file.st_mode) || S_ISCHR(file.st_mode));
+}
+
 /* Look which system call a thread sleeps in, if it has run since the last look. */
 static void look_at_call(struct task *task)
 {
@@ -314,7 +322,7 @@ static void look_at_call(struct task *task)
     if (task->looked_ns == task->cpu_ns)
         return;
     task->looked_ns = task->cpu_ns;
-    task->is_locking = false;
+    task->is_held = false;
     snprintf(path, sizeof path, "/proc/self/task/%d/syscall", task->tid);
     int file = open(path, O_RDONLY | O_CLOEXEC);
     ssize_t size = file < 0 ? 0 : read(file, text, sizeof text - 1);
@@ -323,9 +331,15 @@ static void look_at_call(struct task *task)
     text[size > 0 ? size : 0] = 0;
     long call;
     uint64_t arguments[6];
-    if (!parse_call(text, &call, arguments))
+    if (!parse_call(text, &call, arguments)) {
+        if (!strncmp(text, "running", 7)) { /* since its state was read */
+            task->is_held = true;
+            task->looked_ns = -1;
+        }
         return;
-    task->is_locking = call == SYS_flock || (call == SYS_fcntl && (arguments[1] == F_SETLKW || arguments[1] == F_OFD_SETLKW));
+    }
+    task->is_held = call == SYS_flock || prints(call, arguments) ||
+                    (call == SYS_fcntl && (arguments[1] == F_SETLKW || arguments[1] == F_OFD_SETLKW));
     const char *name = task->is_told || T.clocks == CLOCKS_REAL || atomic_load(&T.own_timed[task->tid % OWN_TIMED]) == task->tid
                            ? NULL
                            : timed_call(call, arguments);
@@ -383,7 +397,7 @@ static bool is_quiet(int entering)
     for (size_t i = 0; i < T.task_count; i++) {
         if (!T.tasks[i].skip)
             look_at_call(&T.tasks[i]);
-        if (!T.tasks[i].skip && T.tasks[i].is_locking)
+        if (!T.tasks[i].skip && T.tasks[i].is_held)
             return false;
     }
     if (!others_rest())

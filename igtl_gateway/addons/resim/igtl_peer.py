@@ -290,9 +290,10 @@ class IgtlLink:
             if isinstance(frame, Idle):
                 self._idle = frame
                 return
-            if not isinstance(frame, frames.Remark):
+            if isinstance(frame, frames.Remark):
+                self._ready.append(frame)
+            elif not isinstance(frame, frames.Progress):
                 raise ProgramFault(f"{self._name}: takes part in ROS 2, too, expected an OpenIGTLink program")
-            self._ready.append(frame)
 
     def _settle(self, time_ns: int, *, has_looked: bool = False) -> None:
         """Go on until nothing is under way in either direction and all threads wait; outputs get this time."""
@@ -371,10 +372,10 @@ class IgtlLink:
             self._connection.received += len(data)
             try:
                 messages = self._framer.feed(data)
-                if self._framer.pending >= HEADER_SIZE:
-                    self._check(self._framer.pending_head())
             except GatewayError as error:
                 raise self._garbage(str(error), time_ns) from None
+            if self._framer.pending >= HEADER_SIZE:
+                self._check(self._framer.pending_head())
             for message in messages:
                 self._output(bytes(message), time_ns)
             count += len(messages)

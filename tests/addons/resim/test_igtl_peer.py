@@ -101,6 +101,14 @@ def test_a_client_with_pyigtl(tmp_path: Path) -> None:
 
 
 @needs_pyigtl
+@pytest.mark.parametrize("kind", ["talks", "apart"])
+def test_what_it_does_beside_its_answers_does_not_count(kind: str, tmp_path: Path) -> None:
+    """It prints more than a pipe holds; a thread of its own computes in real time."""
+    _, verdict = judged(recording(tmp_path / "in.mcap"), tmp_path, python("igtl_answer", kind), runs=2)
+    assert verdict.line() == "deterministic: 2 of 2 runs equal; equal to in.mcap"
+
+
+@needs_pyigtl
 def test_what_differs_from_the_recording_is_measured(tmp_path: Path) -> None:
     path = recording(tmp_path / "in.mcap", x_mm=1.5)
     _, verdict = judged(path, tmp_path, python("igtl_answer"), runs=1)

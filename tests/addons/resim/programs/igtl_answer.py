@@ -3,14 +3,28 @@
 Other arguments: ``faulty`` programs, see `main`.
 """
 
+import ctypes
 import os
+import platform
 import random
 import signal
 import socket
 import sys
+import threading
 import time
 
 import pyigtl
+
+#: Called as it is, so that nothing replaces it.
+NANOSLEEP = 35 if platform.machine() == "x86_64" else 101
+
+
+def turn() -> None:
+    """Compute now and then, in real time."""
+    libc = ctypes.CDLL(None)
+    for _ in range(100):
+        sum(range(300_000))
+        libc.syscall(NANOSLEEP, (ctypes.c_long * 2)(0, 3_000_000), None)
 
 
 def main(kind: str) -> None:
@@ -39,8 +53,12 @@ def main(kind: str) -> None:
             if kind == "flood":
                 made.sendall(100 * data)
     client = pyigtl.OpenIGTLinkClient(*address)
+    if kind == "apart":
+        threading.Thread(target=turn, daemon=True).start()
     while True:
         message = client.wait_for_message("Tool")
+        if kind == "talks":
+            os.write(1, bytes(300_000))
         matrix = message.matrix.copy()
         matrix[0, 3] += random.random() if kind == "random" else 1.0
         client.send_message(pyigtl.TransformMessage(matrix, device_name="Answer"))
