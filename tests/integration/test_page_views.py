@@ -93,7 +93,7 @@ def test_a_replay_that_opens_its_file_shows_it_and_one_that_runs_is_on_every_vie
         "failed": False,
     }
     with shown("127.0.0.1", replay=replay | {"lines": [], "state": {}, "opening_s": 7}) as page:
-        page.wait("!document.querySelector('#playing').hidden")
+        page.wait("document.querySelector('#playing').textContent === 'Replay opens'")
         page.click("#playing")
         page.wait("document.querySelector('#replay .bar')")
         assert "Old.mcap is opened for the replay (7 s so far)." in page.text()

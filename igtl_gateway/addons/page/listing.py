@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+from collections.abc import Set
 from pathlib import Path
 from typing import Any
 
@@ -23,16 +24,20 @@ from igtl_gateway.addon import (
     Note,
     SessionFile,
     failure_text,
+    marks_of,
 )
+from igtl_gateway.app.replay_plan import plan_replay
 from igtl_gateway.base.systems.processes import lower_priority
 from igtl_gateway.base.systems.signals import ignore_endings
 from igtl_gateway.record.sessionfile.seals import stated_seals
 from igtl_gateway.record.triggers import LOSSES
 from igtl_gateway.record.worker import PAUSED, RESUMED
-from igtl_gateway.replay.recorded_marks import marks_of
 
 #: Most places on a time line.
 MAX_PLACES = 500
+#: Sides of a replay → what a bridge computes their messages from, and the streams that are named of each.
+_SIDES = {"igtl": {Kind.ROS_IN}, "ros": {Kind.IGTL_IN}, "both": {Kind.ROS_IN, Kind.IGTL_IN}}
+_NAMED = 6
 #: Code of a note → what it is on the time line.
 _KINDS = dict.fromkeys(LOSSES, "loss") | {PAUSED: "pause", RESUMED: "resume", LINK_UP: "link", LINK_DOWN: "link"}
 
@@ -50,6 +55,7 @@ def facts_of(path: Path) -> dict[str, Any]:
                 "foreign": file.foreign,
                 "closed": True,
                 "marks": marks,
+                "sends": {side: _sends(file, side) for side in _SIDES},
             }
     except BeingRecorded:
         return {"closed": False, "recording": True, "problem": "is being recorded"}
@@ -62,6 +68,19 @@ def facts_of(path: Path) -> dict[str, Any]:
     except (GatewayError, OSError) as error:
         found["problem"] = failure_text(error)
     return found
+
+
+def _sends(file: SessionFile, side: str) -> dict[str, Any]:
+    """Return what a replay sends to a side: names and number of streams, and why; and of those that it does not."""
+    how = plan_replay(file, side, recompute=False)
+    kinds = how.kinds | (_SIDES[side] if how.recompute else set())
+    sent = _names(file, kinds)
+    stay = [name for name in _names(file, {Kind.IGTL_IN}) if name not in sent] if side == "igtl" else []
+    return {"names": sent[:_NAMED], "number": len(sent), "why": how.why, "stay": stay[:_NAMED], "staying": len(stay)}
+
+
+def _names(file: SessionFile, kinds: Set[Kind]) -> list[str]:
+    return sorted({one.stream or one.topic for one in file.channels if one.count and one.kind in kinds})
 
 
 def places_of(path: Path) -> dict[str, Any]:

@@ -261,10 +261,11 @@ class BridgePage:
             if bridge.recorder and bridge.recorder.rests:
                 return False, "nothing is recorded; start the recording first"
             try:
-                bridge.mark(MarkNote.parse(line, _WHO))
+                mark = MarkNote.parse(line, _WHO)
+                bridge.mark(mark)
             except GatewayError as error:
                 return False, str(error)
-            return True, "the mark is set"
+            return True, f"the phase {mark.label} {mark.phase}s" if mark.phase else "the mark is set"
         if what == "end":
             bridge.hub.note(Note(Level.INFO, PAGE, "the end of the bridge was pressed on the page"))
             self._on_stop()

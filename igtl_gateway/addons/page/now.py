@@ -7,11 +7,13 @@ from types import MappingProxyType
 from typing import Any
 
 from igtl_gateway.addon import NS_PER_S
+from igtl_gateway.addons.page.left import Left
 from igtl_gateway.addons.page.rhythm import Rhythm
 from igtl_gateway.addons.page.sample import rows_of
 from igtl_gateway.addons.page.trouble import (
     ERROR,
     OK,
+    PEER_HAS_LEFT,
     SILENT,
     WAITING,
     WARNING,
@@ -27,7 +29,7 @@ from igtl_gateway.addons.page.trouble import (
 from igtl_gateway.gateway.diagnostics import HARMLESS
 
 _ORDER = {state: number for number, state in enumerate((ERROR, SILENT, WARNING, WAITING, OK))}
-#: Streams from which on one of them can be the slowest.
+#: Streams from which on one of them can be the slowest, and peers from which on their counts are a sum.
 _SEVERAL = 2
 #: Rows that a page shows; a peer that invents names must not fill it.
 MAX_ROWS = 300
@@ -40,6 +42,13 @@ _ROLES = {"server": "client", "client": "server"}
 _NO_PROGRAM = frozenset({"", "default", "unrecognised"})
 #: Devices in the name of a peer, and letters of each.
 _NAMED, _LETTERS = 2, 40
+#: Two peers get the same if their rates differ by less than this share.
+_SAME = 0.1
+#: Others that the line below the headline names.
+_OTHERS = 3
+#: What a row of a link has for the time after it.
+_INNER = frozenset({"number", "passed", "is_regular", "streams"})
+_GONE = ", which has left"
 _STAMPS = {"stamp_backwards": "decrease", "stamp_still": "unchanged", "stamp_future": "in the future"}
 
 
@@ -49,7 +58,9 @@ class Now:
     def __init__(self) -> None:
         self._streams: dict[tuple[str, str], tuple[Rhythm, Losses]] = {}
         self._watched: dict[tuple[int, str], Watched] = {}
-        self._links: dict[str, tuple[Rhythm, Losses]] = {}
+        self._links: dict[str, tuple[Rhythm, Rhythm, Losses]] = {}  # from the peer, to it
+        self._left = Left()
+        self._senders: dict[tuple[str, str], list[str]] = {}  # the last peers of each stream
 
     def rows(
         self, facts: Mapping[str, Any], now_ns: int, utc_ns: int, types: Mapping[str, str] = MappingProxyType({})
@@ -65,18 +76,26 @@ class Now:
         by_stream, by_link = self._take_watched(facts, now_ns, utc_ns)
         peers = {peer["link"]: peer["peer"] for peer in facts["peers"] if peer["link"]}
         ros = facts.get("ros", True)
+        links = [self._link_row(peer, by_link.get(peer["link"], []), now_ns, utc_ns) for peer in facts["peers"]]
+        to_peers, receivers = _to_peers(links, is_relay=facts.get("relay", False))
         streams = []
         for side in _SIDES if ros else [side for side in _SIDES if side != "ros_out"]:
             totals, drops = facts["totals"].get(side, {}), facts["drops"].get(side, {})
             for stream in sorted({*totals, *drops}):
-                counts, ones = (totals.get(stream, 0), drops.get(stream, {})), by_stream.get((side, stream), [])
-                streams.append(self._stream_row((side, stream), counts, ones, now_ns, utc_ns) | _way(side, ones, peers))
+                key, ones = (side, stream), by_stream.get((side, stream), [])
+                way, is_gone = self._way(key, ones, peers)
+                counts = totals.get(stream, 0), drops.get(stream, {})
+                row = self._stream_row(key, counts, ones, now_ns, utc_ns, is_gone=is_gone) | {"way": way}
+                if side == "igtl_out":
+                    row |= to_peers | {"rate_hz": row["rate_hz"] / receivers}
+                streams.append(row)
                 if not side.startswith("igtl"):
                     streams[-1] |= {"type": types.get(stream, ""), "name": stream}
-        links = [self._link_row(peer, by_link.get(peer["link"], []), now_ns, utc_ns) for peer in facts["peers"]]
+        links += self._left.rows(links, now_ns, utc_ns)
+        shown = [{name: value for name, value in row.items() if name not in _INNER} for row in links]
         return {
             "streams": _sorted(streams),
-            "links": _sorted(links),
+            "links": _sorted(shown),
             "more": max(0, len(streams) - MAX_ROWS),
             "unsent": 0 if ros else len(facts["totals"].get("ros_out", {})),
             "inputs": sum(row["side"] in _INPUTS for row in streams),
@@ -98,6 +117,16 @@ class Now:
                 by_link.setdefault(link, []).append(one)
         return by_stream, by_link
 
+    def _way(self, key: tuple[str, str], ones: Sequence[Watched], peers: Mapping[int, str]) -> tuple[str, bool]:
+        """Return where a stream comes from or goes to, in words, and whether all that sent it have left."""
+        froms = sorted({peers[one.row["link"]] for one in ones if one.row["link"] in peers})
+        is_gone = not froms and key in self._senders
+        if froms:
+            self._senders[key] = froms
+        froms = froms or self._senders.get(key, [])
+        one = f"from {froms[0]}{_GONE * is_gone}" if len(froms) == 1 else f"from {len(froms)} peers"
+        return (one if froms else _SIDES[key[0]]), is_gone
+
     def _stream_row(
         self,
         key: tuple[str, str],
@@ -105,6 +134,8 @@ class Now:
         ones: Sequence[Watched],
         now_ns: int,
         utc_ns: int,
+        *,
+        is_gone: bool,
     ) -> dict[str, Any]:
         rhythm, losses = self._streams.setdefault(key, (Rhythm(), Losses(now_ns)))
         received, dropped = counts
@@ -118,6 +149,8 @@ class Now:
             longest = rhythm
         rows = [one.row for one in ones]
         trouble = stream_trouble(rhythms, losses, dropped, ones, now_ns)
+        if is_gone and rhythm.is_regular and trouble.state in (OK, SILENT, WARNING):
+            trouble = PEER_HAS_LEFT
         kind, _, name = key[1].partition("/")
         return {
             "key": " ".join(key),
@@ -141,8 +174,11 @@ class Now:
 
     def _link_row(self, peer: Mapping[str, Any], ones: Sequence[Watched], now_ns: int, utc_ns: int) -> dict[str, Any]:
         key = f"{peer['link']} {peer['peer']}"
-        rhythm, losses = self._links.setdefault(f"{key} {peer['connected']}", (Rhythm(), Losses(utc_ns)))
-        rhythm.take(now_ns, peer["messages"])
+        taken, given, losses = self._links.setdefault(
+            f"{key} {peer['connected']}", (Rhythm(), Rhythm(), Losses(utc_ns))
+        )
+        taken.take(now_ns, peer["received"])
+        given.take(now_ns, peer["sent"])
         losses.take(now_ns, peer["dropped"], peer["unconfirmed_bytes"])
         rows = [one.row for one in ones]
         trouble = link_trouble(peer, losses, ones, now_ns)
@@ -155,8 +191,9 @@ class Now:
             "role": _ROLES[peer["role"]],
             "profile": peer["profile"],
             "since_ns": losses.since_ns if peer["connected"] else None,
-            "rate_hz": rhythm.rate_hz,
-            "spark": list(rhythm.spark),
+            "from_hz": taken.rate_hz,
+            "to_hz": given.rate_hz,
+            "spark": list((taken if taken.is_regular or peer["received"] >= peer["sent"] else given).spark),
             "latency_ms": latency_ms(rows),
             "ahead_ms": ahead_ms(rows, 0),
             "jitter_ms": milliseconds(row["jitter_ns"] for row in rows),
@@ -165,20 +202,41 @@ class Now:
             "dropped": peer["dropped"],
             "text": trouble.text,
             "advice": trouble.advice,
+            "number": peer["link"],
+            "passed": peer["received"] + peer["sent"],
+            "is_regular": any(one.rhythm.is_regular for one in ones),
+            "streams": {row["stream"] for row in rows},
         }
 
 
-def wrong_things(rows: Mapping[str, Any]) -> int:
-    """Return how many links and streams are not good; what a stream has of its peer is one thing."""
-    links = [(row["peer"], row["advice"]) for row in rows["links"] if row["state"] != OK]
-    streams = [(row["way"].removeprefix("from "), row["advice"]) for row in rows["streams"] if row["state"] != OK]
-    return len(links) + sum(each not in links for each in streams)
+def wrong_things(rows: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Return the links and streams that are not good, the worst first; what a stream has of its peer is one thing."""
+    found = [row for row in rows["links"] if row["state"] != OK]
+    known = {(row["peer"], row["advice"]) for row in found}
+    for row in rows["streams"]:
+        sender = row["way"].removeprefix("from ").removesuffix(_GONE), row["advice"]
+        if row["state"] != OK and sender not in known:
+            found.append(row)
+            if row["way"].endswith(_GONE):
+                known.add(sender)
+    return sorted(found, key=lambda row: _ORDER[row["state"]])
 
 
 def headline(rows: Mapping[str, Any]) -> str:
     """Return who is worst and why, in words; "" if all is good."""
-    worst = min([*rows["links"], *rows["streams"]], key=lambda row: _ORDER[row["state"]], default=None)
-    return f"{worst['name'] or worst['peer']}: {worst['text']}" if worst and worst["state"] != OK else ""
+    worst = next(iter(wrong_things(rows)), None)
+    return f"{_called(worst)}: {worst['text']}" if worst else ""
+
+
+def others(rows: Mapping[str, Any]) -> str:
+    """Return who else is not good, in words; "" if all others are."""
+    names = list(dict.fromkeys(map(_called, wrong_things(rows)[1:])))
+    more = f" and {len(names) - _OTHERS:,} more" if len(names) > _OTHERS else ""
+    return f"also {', '.join(names[:_OTHERS])}{more}" if names else ""
+
+
+def _called(row: Mapping[str, Any]) -> str:
+    return str(row["name"] or row["peer"])
 
 
 def slowest(rows: Mapping[str, Any]) -> list[str]:
@@ -194,10 +252,17 @@ def slowest(rows: Mapping[str, Any]) -> list[str]:
     return found
 
 
-def _way(side: str, ones: Sequence[Watched], peers: Mapping[int, str]) -> dict[str, str]:
-    froms = sorted({peers[one.row["link"]] for one in ones if one.row["link"] in peers})
-    several = f"from {len(froms)} peers" if froms else _SIDES[side]
-    return {"way": f"from {froms[0]}" if len(froms) == 1 else several}
+def _to_peers(links: Sequence[Mapping[str, Any]], *, is_relay: bool) -> tuple[dict[str, str], int]:
+    """Return where outputs go, in words, and by how many peers their counts are to be divided.
+
+    The ledger counts a message once for each peer; where all peers get as much, each gets all.
+    """
+    rates = [row["to_hz"] for row in links if row["link"]]
+    if len(rates) < _SEVERAL or is_relay:
+        return {}, 1
+    is_same = min(rates) > (1 - _SAME) * max(rates)
+    words = f"to {len(rates)} peers"
+    return ({"way": words}, len(rates)) if is_same else ({"way": f"{words}, all together"}, 1)
 
 
 def _name_of(peer: Mapping[str, Any], watched: Iterable[Mapping[str, Any]]) -> str:

@@ -17,7 +17,7 @@ from typing import Any
 from igtl_gateway.addon import NS_PER_S, GatewayError, SystemClock, __version__, failure_text
 from igtl_gateway.addons.page.disk import DiskLook
 from igtl_gateway.addons.page.jobs import CANCELLED, RUNNING, Job, Jobs
-from igtl_gateway.addons.page.now import Now, headline, slowest, wrong_things
+from igtl_gateway.addons.page.now import Now, headline, others, slowest, wrong_things
 from igtl_gateway.addons.page.recordings import MAX_LISTED, Recordings
 from igtl_gateway.addons.page.replays import Replay
 from igtl_gateway.addons.page.results import Results
@@ -65,6 +65,7 @@ class Page:
         self._path: Path | None = None  # of the last file
         self._dropped = 0  # entries since the file began, at the last sample
         self._lost_ns = 0  # when the last one was, monotonic
+        self._is_paused = False
         self._written = ""  # name in the list of what is being recorded
         self._poller = Poller(source, self._take) if source else None
 
@@ -100,7 +101,7 @@ class Page:
             if begun_ns := self._begun.get(row["name"]):
                 row.setdefault("start_ns", begun_ns)
         known = [self._results.of(row["name"], (row["bytes"], row["modified_ns"])) for row in rows]
-        now = {"recording": True, "read": True}
+        now = {"recording": True, "read": True, "paused": self._is_paused}
         return [
             row | (now if row["name"] == self._written else {}) | {"results": found | running.get(row["name"], {})}
             for row, found in zip(rows, known, strict=True)
@@ -167,10 +168,11 @@ class Page:
                 "done": found.get("done", []),
                 "pictures": found.get("pictures", []),
                 "headline": headline(rows),
-                "slowest": slowest(rows),
+                "others": others(rows),
+                "slowest": [] if wrong_things(rows) else slowest(rows),
             }
         shown = _json(rows)
-        wrong = wrong_things(rows) if rows else 0
+        wrong = len(wrong_things(rows)) if rows else 0
         with self._lock:
             self._answers, self._shown, self._wrong = found is not None, shown, wrong
 
@@ -180,7 +182,7 @@ class Page:
             return None
         whole, file = Path(how["path"]), counters["file"]
         path = self._path if self._path and not file else Path(file).absolute() if file and not how["split"] else whole
-        self._path = path
+        self._path, self._is_paused = path, counters["paused"]
         disk = self._disk.look(path, whole.with_suffix(""))
         size, files = (
             (counters["saved_bytes"], counters["saved_files"]) if how["snapshot_s"] else (disk.size, disk.files)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from statistics import median_low
 from typing import Any
 
+from igtl_gateway.addon import NS_PER_S
 from igtl_gateway.addons.page.rhythm import Rhythm
 from igtl_gateway.doctor.rules import RULES
 from igtl_gateway.gateway.diagnostics import HARMLESS
@@ -28,6 +29,8 @@ _QUEUED, _QUEUED_BYTES = 50, 1 << 20
 _SAMPLES, _STUCK_BYTES = 8, 16 << 10
 
 _ADVICE = {rule.id[5:]: rule.advice for rule in RULES}
+#: What no rule of `doctor` is about → its advice.
+_OWN = {"left": "start its program again, or look at its network"}
 #: Reason of a loss, or oddity that the guard reports → rule of `doctor` whose advice applies.
 _RULE_OF = {
     "bad_crc": "E207",
@@ -68,8 +71,8 @@ class Trouble:
 
     @property
     def advice(self) -> str:
-        """That of `doctor`; "" if it has none."""
-        advice = _ADVICE.get(_RULE_OF.get(self.rule, ""), "")
+        """That of `doctor`, or our own; "" if there is none."""
+        advice = _OWN.get(self.rule) or _ADVICE.get(_RULE_OF.get(self.rule, ""), "")
         return advice[:1].upper() + advice[1:]
 
 
@@ -172,12 +175,21 @@ def link_trouble(peer: Mapping[str, Any], losses: Losses, ones: Sequence[Watched
     return (
         _reading(peer, losses, now_ns)
         or _silent(best, now_ns)
-        or _late(ones, "is late: its messages are")
+        or _late(ones, "its messages are")
         or _ahead([one.row for one in ones])
         or _paused(best)
         or _slower(regular, now_ns)
         or _GOOD
     )
+
+
+def departed(since_ns: int, *, was_regular: bool) -> Trouble:
+    """Return that a peer has left: as bad as silence if it sent regularly."""
+    return Trouble(SILENT if was_regular else WAITING, f"left {since_ns // NS_PER_S} s ago", "left")
+
+
+#: What is wrong with a regular stream whose peer has left.
+PEER_HAS_LEFT = Trouble(SILENT, "its peer has left", "left")
 
 
 def _order(rhythm: Rhythm, now_ns: int) -> tuple[int, int]:

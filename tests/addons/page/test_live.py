@@ -61,6 +61,8 @@ def test_each_button(tmp_path: Path) -> None:
             wait(lambda: not recorder.rests)
             assert source.press("mark", f"slip: {long}") == (True, "the mark is set")
             assert not source.press("mark", "\ud800")[0]
+            assert source.press("mark", "+cut") == (True, "the phase cut begins")
+            assert source.press("mark", "-cut") == (True, "the phase cut ends")
             assert source.press("pause", "")[0] and source.press("resume", "")[0]
             assert source.press("split", "")[1].startswith("the recording has one file")
             assert source.press("snapshot", "")[1].startswith("no snapshots")
@@ -70,7 +72,7 @@ def test_each_button(tmp_path: Path) -> None:
             assert source.press("end", "")[0] and stopped == [True]
             assert BridgeSource(source._url, "another token").press("end", "") == (False, "the bridge does not answer")
     with igtl_gateway.open(recording) as found:
-        assert [(mark.label, mark.text) for mark in found.marks] == [("slip", long)]
+        assert [(mark.label, mark.text) for mark in found.marks] == [("slip", long), ("cut", "")]
         presses = [note.text.partition(" was")[0] for note in found.notes if note.code == "page"]
     assert presses == ["pause", "resume", "split", "snapshot", "stop"]
 

@@ -1,8 +1,9 @@
 from __future__ import annotations
 
+import json
 from typing import Any
 
-from igtl_gateway.addons.page.now import MAX_ROWS, Now, headline, slowest, wrong_things
+from igtl_gateway.addons.page.now import MAX_ROWS, Now, headline, others, slowest, wrong_things
 from igtl_gateway.addons.page.sample import WATCHED
 from igtl_gateway.addons.page.trouble import AHEAD_NS, ERROR, OK, SILENT, WAITING, WARNING
 from igtl_gateway.gateway.log.timing import FUTURE_NS
@@ -33,7 +34,7 @@ def watched(stream: str, **changes: Any) -> list[Any]:
 
 
 def peer(number: int, name: str, **changes: Any) -> dict[str, Any]:
-    usual = {"link": number, "peer": name, "role": "server", "connected": True, "profile": "", "messages": 0}
+    usual = {"link": number, "peer": name, "role": "server", "connected": True, "profile": "", "received": 0, "sent": 0}
     return usual | {"dropped": 0, "queued": 0, "queued_bytes": 0, "unconfirmed_bytes": 0} | changes
 
 
@@ -80,11 +81,11 @@ def test_a_peer_that_is_silent_again_and_again_is_named() -> None:
             looks, arrived = looks + 1, at_ns
         if step % 5 == 0:
             row = watched("TRANSFORM/Tracker", looks=looks, silent_ns=at_ns - arrived, pause=pause)
-            sample = facts({"TRANSFORM/Tracker": looks}, peers=[peer(1, "a:1", messages=looks)], watched=[row])
+            sample = facts({"TRANSFORM/Tracker": looks}, peers=[peer(1, "a:1", received=looks)], watched=[row])
             rows = now.rows(sample, at_ns, at_ns)
             (link,), (stream,) = rows["links"], rows["streams"]
             states.append((at_ns / _S, link["state"], stream["state"], headline(rows)))
-            assert wrong_things(rows) == int(link["state"] != OK)
+            assert len(wrong_things(rows)) == int(link["state"] != OK)
     by_time = {at_s: tuple(found) for at_s, *found in states}
     assert by_time[10.0] == (OK, OK, "")
     assert by_time[11.0] == (SILENT, SILENT, "Tracker: silent for 1.0 s")
@@ -98,7 +99,7 @@ def test_the_headline_names_the_worst_first() -> None:
     now = Now()
     counts = regular(now, ["TRANSFORM/a", "TRANSFORM/b"])
     found = now.rows(facts(counts | {"TRANSFORM/a": 150}, peers=[peer(0, "c:3", connected=False)]), 13 * _S, 0)
-    assert (headline(found), wrong_things(found)) == ("b: silent for 3.0 s", 2)
+    assert (headline(found), others(found)) == ("b: silent for 3.0 s", "also c:3")
     found = now.rows(facts({}, peers=[peer(0, "c:3", connected=False)]), 13 * _S, 0)
     assert headline(Now().rows(facts({"TRANSFORM/a": 1}), _S, 0)) == ""
     rows = Now().rows(facts({}, peers=[peer(0, "c:3", connected=False)]), _S, 0)
@@ -142,8 +143,8 @@ def test_messages_without_a_reader_are_no_loss() -> None:
 def test_links() -> None:
     now = Now()
     peers = [
-        peer(1, "a:1", messages=5),
-        peer(2, "b:2", messages=100, dropped=4, queued=9, queued_bytes=99),
+        peer(1, "a:1", received=5),
+        peer(2, "b:2", received=100, dropped=4, queued=9, queued_bytes=99),
         peer(0, "c:3", role="client", connected=False),
     ]
     sample = facts({}, peers=peers)
@@ -190,7 +191,7 @@ def test_late_messages_and_the_peer_that_sends_them() -> None:
     found = Now().rows(sample, _S, _S)
     (stream,), (link,) = found["streams"], found["links"]
     assert (stream["state"], stream["text"]) == (WARNING, "messages are 1.4 s old on arrival")
-    assert (link["state"], link["text"]) == (WARNING, "is late: its messages are 1.4 s old on arrival")
+    assert (link["state"], link["text"]) == (WARNING, "its messages are 1.4 s old on arrival")
     assert stream["way"] == "from a:1" and stream["advice"] == link["advice"] != ""
     sample["watched"] = [watched("TRANSFORM/a", link=3, age_ns=400 * 86_400 * _S)]  # a replay
     assert Now().rows(sample, _S, _S)["links"][0]["state"] == OK
@@ -216,12 +217,69 @@ def test_a_peer_that_reads_slowly() -> None:
 
 
 def test_a_late_peer_and_its_stream_are_one_thing() -> None:
-    links = [{"peer": "a:1", "state": WARNING, "advice": "clocks"}, {"peer": "b:2", "state": OK, "advice": ""}]
+    links = [{"name": "", "peer": "a:1", "state": WARNING, "advice": "clocks"}, {"peer": "b:2", "state": OK}]
     streams = [
-        {"way": way, "state": WARNING, "advice": advice}
-        for way, advice in (("from a:1", "clocks"), ("from a:1", "crc"), ("from b:2", "crc"), ("from ROS", "crc"))
+        {"name": f"n{number}", "way": way, "state": WARNING, "advice": advice}
+        for number, (way, advice) in enumerate(
+            (("from a:1", "clocks"), ("from a:1", "crc"), ("from b:2", "crc"), ("from ROS", "crc"), ("from ROS", "x"))
+        )
     ]
-    assert wrong_things({"links": links, "streams": streams}) == 4
+    rows = {"links": links, "streams": streams}
+    assert len(wrong_things(rows)) == 5 and others(rows) == "also n1, n2, n3 and 1 more"
+
+
+def test_a_peer_that_has_left_keeps_its_row_and_its_streams_say_it() -> None:
+    now, utc_ns = Now(), 1_000 * _S
+
+    def rows(half: int, links: dict[int, str]) -> dict[str, Any]:
+        received = 5 * min(half, 20)
+        peers = [peer(link, address, received=10, sent=5 * half) for link, address in links.items()]
+        looks = [watched("TRANSFORM/Tracker", link=link, looks=received, silent_ns=0) for link in links if link != 2]
+        sample = facts({"TRANSFORM/Tracker": received}, peers=peers, watched=looks)
+        return now.rows(sample, half * _S // 2, utc_ns + half * _S // 2)
+
+    for half in range(2, 21):
+        rows(half, {1: "a:1", 2: "b:2"})
+    for half in range(21, 32):
+        found = rows(half, {2: "b:2"})
+    link, stream = found["links"][0], found["streams"][0]
+    assert (link["name"], link["text"], link["left_ns"]) == ("Tracker", "left 5 s ago", utc_ns + 21 * _S // 2)
+    assert (stream["text"], stream["way"]) == ("its peer has left", "from a:1, which has left")
+    assert link["advice"] == stream["advice"] == "Start its program again, or look at its network"
+    assert headline(found) == "Tracker: left 5 s ago" and len(wrong_things(found)) == 1
+    assert json.dumps(found)
+    back = rows(32, {2: "b:2", 3: "a:7"})
+    assert [row["peer"] for row in back["links"]] == ["b:2", "a:7"]
+    assert "left" not in headline(back) and back["streams"][0]["way"] == "from a:7"
+    for half in range(33, 250):
+        found = rows(half, {2: "b:2"})
+    assert [row["peer"] for row in found["links"]] == ["b:2"] and headline(found) == "Tracker: its peer has left"
+
+
+def test_those_who_have_left_are_bounded_and_a_port_scan_leaves_none() -> None:
+    now = Now()
+    now.rows(facts({}, peers=[peer(link, f"a:{link}", received=link % 2) for link in range(1, 100)]), _S, 0)
+    found = now.rows(facts({}), 2 * _S, 0)
+    assert len(found["links"]) == 12 and {row["state"] for row in found["links"]} == {WAITING}
+    assert all(int(row["peer"][2:]) % 2 for row in found["links"])
+
+
+def test_rates_are_per_direction_and_per_message() -> None:
+    now = Now()
+    for half in range(2, 20):
+        peers = [peer(link, f"a:{link}", received=15 * half * (link == 1), sent=40 * half) for link in range(1, 6)]
+        sample = facts({"TRANSFORM/a": 15 * half}, peers=peers)
+        sample["totals"]["igtl_out"] = {"TRANSFORM/b": 200 * half}
+        found = now.rows(sample, half * _S // 2, 0)
+    assert [(row["from_hz"], row["to_hz"]) for row in found["links"]] == [(30, 80), *[(0, 80)] * 4]
+    out = found["streams"][1]
+    assert (out["name"], out["rate_hz"], out["way"]) == ("b", 80, "to 5 peers")
+    for half in range(20, 40):
+        peers = [peer(link, f"a:{link}", sent=(40 * link * half)) for link in range(1, 3)]
+        sample["totals"]["igtl_out"] = {"TRANSFORM/b": 120 * half}
+        found = now.rows(sample | {"peers": peers}, half * _S // 2, 0)
+    out = next(row for row in found["streams"] if row["name"] == "b")
+    assert (out["rate_hz"], out["way"]) == (240, "to 2 peers, all together")
 
 
 def test_without_ros_nothing_goes_to_it() -> None:

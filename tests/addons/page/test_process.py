@@ -51,20 +51,33 @@ def test_a_session_is_run_from_the_page(tmp_path: Path) -> None:
             page.wait("[...document.querySelectorAll('#mark-actions .btn')].every((each) => each.disabled)")
             assert "Nothing is recorded: press Start first" in page.text()
             page.click("button", "Start recording")
+            # a second click at once does nothing more
+            page.run("document.querySelector('[data-key=start]').click()")
             page.wait("document.querySelector('#recording h1').textContent === 'Recording'")
+            assert page.run("document.querySelector('[data-key=start]').innerText") == "Start recording"
             page.press("m")
             page.wait("document.activeElement.id === 'mark-label'")
             page.type("suture-1")
             page.press("Enter")
             page.wait("document.querySelector('#recording .notes').textContent.includes('mark suture-1')")
+            page.wait("document.activeElement === document.body")  # the next M is a key again
+            page.press("m")
+            page.wait("document.activeElement.id === 'mark-label'")
             page.type("approach")
             page.click("button", "Begin a phase")
             page.click("button", "End “approach”")
             page.click("button", "Pause")
-            page.wait("document.querySelector('#recording h1').textContent === 'Paused'")
+            page.wait("document.querySelector('#recording h1').textContent === 'Paused: nothing is recorded'")
+            assert "every message is kept" not in page.text()
+            page.press("1")
+            page.wait("document.querySelector('#trouble').textContent.includes('The recording is paused')")
+            page.press("3")
+            page.wait("document.querySelector('#sessions table').textContent.includes('paused')")
+            page.press("2")
             page.click("button", "Resume")
             page.wait("document.querySelector('#recording h1').textContent === 'Recording'")
             # Stop: open phases end, the file is closed, and the bridge goes on
+            page.click("#mark-label")
             page.type("closing")
             page.click("button", "Begin a phase")
             page.wait("document.querySelector('#phases').textContent.includes('closing')")
@@ -142,7 +155,7 @@ def read_until(browser: OpenerDirector, link: str, wanted: Callable[[dict[str, A
 
 
 def test_a_port_in_use_is_a_note(tmp_path: Path) -> None:
-    bridge = Bridge("--no-ros", "--page", "--page-address", "203.0.113.1:80")
+    bridge = Bridge("--no-ros", "--page", "--page-address", "203.0.113.1:80", "--allow", "203.0.113.0/24")
     try:
         assert "203.0.113.1" in bridge.wait_code("page", level="WARN")["text"]
         assert bridge.end().code == 0

@@ -38,6 +38,7 @@ def test_a_folder(tmp_path: Path) -> None:
     assert found.keys() == {"lego.mcap", "cut.mcap", "noise.mcap"}
     lego = found["lego.mcap"]
     assert (lego["closed"], lego["sealed"], lego["streams"], lego["marks"]) == (True, False, 33, [])
+    assert lego["sends"]["igtl"]["number"] == 5
     assert not found["cut.mcap"]["closed"] and found["noise.mcap"]["problem"]
     assert recordings.path("lego.mcap") == tmp_path / "lego.mcap"
     for name in ("../lego.mcap", "notes.txt", "", "/etc/passwd", ".hidden.mcap"):

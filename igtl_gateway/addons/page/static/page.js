@@ -163,6 +163,7 @@ function show(name, focus) {
     tab.tabIndex = each === view ? 0 : -1;
     if (each === view && focus) tab.focus();
   }
+  if (location.hash !== "#" + view) scrollTo(0, 0);
   history.replaceState(null, "", "/#" + view);
   document.title = `${$("tab-" + view).firstChild.textContent.trim()} – igtl-gateway`;
   if (view === "sessions" || view === "replay") loadSessions();
@@ -201,7 +202,8 @@ function draw() {
   part(pill, [dot, word, lasted], () => [h("span.dot." + dot), h("span", null, word), lasted && h("span.sub", null, lasted)]);
   const playing = state.replay?.running && !isLost ? state.replay : null;
   $("playing").hidden = !playing;
-  part($("playing"), playing && [playing.state.paused, moment(Math.floor(playing.state.position_s || 0)).slice(0, -3)], () => (playing ? [h("span", { "aria-hidden": "true" }, playing.state.paused ? "❚❚" : "▶"), h("span", null, "Replay"), h("span.sub", null, moment(Math.floor(playing.state.position_s || 0)).slice(0, -3))] : []));
+  const opens = playing && playing.state.duration_s == null, at = playing && moment(Math.floor(playing.state.position_s || 0)).slice(0, -3);
+  part($("playing"), playing && [playing.state.paused, opens, at], () => (!playing ? [] : opens ? [h("span", null, "Replay opens")] : [h("span", { "aria-hidden": "true" }, playing.state.paused ? "❚❚" : "▶"), h("span", null, "Replay"), h("span.sub", null, at)]));
   put($("foot"), state.has_bridge ? (now ? `igtl-gateway ${now.version} · runs for ${span(now.uptime_s)}` : `igtl-gateway ${state.version}`) : `igtl-gateway ${state.version} · ${state.folder}`);
   ({ now: drawNow, recording: drawRecording, sessions: drawSessions, replay: drawReplay })[view]();
 }
@@ -211,7 +213,8 @@ function trouble(rec) {
   if (rec.failure) return ["error", `${sentence(rec.failure)} ${rec.snapshot_s ? "It is tried again when a file is due." : rec.rests ? "Messages go on passing, but nothing is recorded. Start begins the next file." : "Nothing more is recorded."}`];
   if (rec.stands) return ["error", "The disk does not answer. Messages go on passing and wait in memory; what it has no room for is not recorded."];
   if (rec.losing) return ["error", "The disk is too slow: messages are missing in the recording, and more are being lost."];
-  return rec.taken_away ? ["warning", sentence(rec.taken_away)] : [];
+  if (rec.taken_away) return ["warning", sentence(rec.taken_away)];
+  return rec.paused && !rec.rests && view !== "recording" ? ["warning", "The recording is paused: nothing is recorded but marks, until Resume is pressed."] : [];
 }
 function drawTrouble(rec) {
   const [kind, text] = trouble(rec), at = $("trouble");
@@ -279,7 +282,7 @@ function advise(place, text) {
 }
 function sentence(text) { return text.charAt(0).toUpperCase() + text.slice(1) + (/[.!?]$/.test(text) ? "" : "."); }
 function textCell(kind, shown) { const td = h("td", { class: kind }); return { td, draw: (row) => { const [text, zero] = [shown(row)].flat(); put(td, text); td.classList.toggle("zero", Boolean(zero)); } }; }
-function stateColumn() { const td = h("td"); let last = ""; return { td, draw: (row) => { if (row.state !== last) html(td, stateCell(last = row.state)); } }; }
+function stateColumn() { const td = h("td"); let last = ""; return { td, draw: (row) => { const word = row.left_ns ? "left" : WORDS[row.state]; if (row.state + word !== last) { last = row.state + word; html(td, stateCell(row.state, word)); } } }; }
 function sparkColumn() {
   const path = svg("path", {}), td = h("td.wide", null, svg("svg", { class: "spark", viewBox: "0 0 100 22", preserveAspectRatio: "none", "aria-hidden": "true" }, path));
   let last = "";
@@ -301,7 +304,7 @@ function drawNow() {
   const wrong = state.wrong, total = now.inputs;
   const worst = [...now.streams, ...now.links].map((row) => row.state).sort((a, b) => "error silent warning waiting ok".indexOf(a) - "error silent warning waiting ok".indexOf(b))[0] || "waiting";
   const title = now.headline ? sentence(now.headline).replace(/\.$/, "") : !total ? "No messages yet" : total === 1 ? "The stream arrives" : `All ${number(total)} streams arrive`;
-  const more = wrong > 1 && `${count(wrong - 1, "more thing needs", "more things need")} attention`;
+  const more = now.others && sentence(now.others).replace(/\.$/, "");
   const playing = state.replay?.running ? `A replay runs: ${state.replay.name}${TO[state.replay.to](state.replay.place)}` : "";
   part(at.lead, [title, more, worst, total, now.links.length, now.ros, now.relay, now.refused, now.slowest, playing], () => h("div.lead", null, icon(total || wrong ? worst : "waiting"), h("div", null, h("h1", null, title),
     h("p", null, [more, count(now.links.filter((link) => link.link).length, "peer"), count(total, "stream"), now.relay ? "relay" : now.ros ? "with ROS 2" : "without ROS", now.refused ? `${number(now.refused)} messages refused` : "nothing refused"].filter(Boolean).join(" · ")),
@@ -310,7 +313,7 @@ function drawNow() {
   if (!links) {
     links = new Rows([["State"], ["Peer"], ["Since", "n wide"], ["Rate", "n"], ["Last minute", "wide"], ["Latency", "n"], ["Jitter", "n wide"], ["Queue", "n"], ["Dropped", "n"]], () => [
       stateColumn(), twoLines((row) => row.name || row.peer, (row) => [`${row.role}${row.name ? ` ${row.peer}` : ""}`, row.profile !== "unrecognised" && row.profile].filter(Boolean).join(" · ")),
-      textCell("n wide", (row) => (row.since_ns ? time(row.since_ns) : [NONE, true])), textCell("n", (row) => `${number(row.rate_hz)} /s`), sparkColumn(),
+      textCell("n wide", (row) => (row.left_ns ? `left ${time(row.left_ns)}` : row.since_ns ? time(row.since_ns) : [NONE, true])), ratesCell(), sparkColumn(),
       latencyCell(), textCell("n wide", (row) => (row.jitter_ms == null ? [NONE, true] : `${number(row.jitter_ms, 2)} ms`)),
       textCell("n", (row) => (row.queue || !row.stuck_bytes ? [number(row.queue), !row.queue] : bytes(row.stuck_bytes))), textCell("n", (row) => [number(row.dropped), !row.dropped])], "Links");
     const nothing = h("p.empty", null, "No peer is connected.");
@@ -337,6 +340,15 @@ function note(each) {
 function twoLines(first, second, whole = second) {
   const name = h("span.name.clip"), more = h("span.sub.clip"), td = h("td", null, name, h("br"), more);
   return { td, draw: (row) => { put(name, first(row)); put(more, second(row)); name.title = first(row); more.title = whole(row); } };
+}
+/* Messages from a peer, and to it. */
+function ratesCell() {
+  const lines = [h("div"), h("div")], td = h("td.n", null, lines);
+  const shown = (word, value) => (value ? `${word} ${number(value, value < 9.95 ? 1 : 0)} /s` : "");
+  return { td, draw: (row) => {
+    put(lines[0], shown("from", row.from_hz)); put(lines[1], shown("to", row.to_hz) || (row.from_hz ? "" : "0 /s"));
+    lines[1].className = row.to_hz ? "" : "zero";
+  } };
 }
 function latencyCell() {
   return textCell("n", (row) => (row.latency_ms != null ? `${number(row.latency_ms, 1)} ms` : row.ahead_ms ? `clock +${milliseconds(row.ahead_ms)}` : [NONE, true]));
@@ -373,25 +385,35 @@ function drawRecording() {
   const [dot, word] = recState();
   if (at.state._kind !== "recording") { at.state._kind = "recording"; html(at.state, h("div.card", null, h("div.body"), h("dl.facts", { class: "facts" }), h("div.body"))); }
   const [hero, facts, buttons] = at.state.firstChild.children;
-  part(hero, [dot, word, rec.name, rec.folder, rec.failure, rec.rests, clock(rec.lasted_s)], () => h("div.hero", null, h("span.dot." + dot), h("div", null, h("h1", null, word), h("p.sub", null, rec.rests ? `Messages pass. Start writes them to a file in ${rec.folder}` : `${rec.name} in ${rec.folder}`)), !rec.rests && !rec.failure && h("span.clock", { "aria-label": "duration" }, clock(rec.lasted_s))));
+  const paused = dot === "paused";
+  part(hero, [dot, word, rec.name, rec.folder, rec.failure, rec.rests, clock(rec.lasted_s)], () => h(paused ? "div.hero.loud" : "div.hero", null, h("span.dot." + dot), h("div", null, h("h1", null, paused ? "Paused: nothing is recorded" : word), h("p.sub", null, rec.rests ? `Messages pass. Start writes them to a file in ${rec.folder}` : `${rec.name} in ${rec.folder}`)), !rec.rests && !rec.failure && h("span.clock", { "aria-label": "duration" }, clock(rec.lasted_s))));
   const short = rec.lasts_s != null && rec.lasts_s < 3600;
-  part(facts, [rec.bytes, rec.files, rec.per_s, rec.free, rec.lasts_s, rec.dropped, rec.entries, rec.left_out, rec.rests, rec.sealed, rec.triggers], () => [
+  part(facts, [rec.bytes, rec.files, rec.per_s, rec.free, rec.lasts_s, rec.dropped, rec.entries, rec.left_out, rec.rests, paused, rec.sealed, rec.triggers], () => [
     fact(rec.snapshot_s ? "Saved" : "Size", rec.snapshot_s ? count(rec.files, "file") : bytes(rec.bytes), rec.snapshot_s ? bytes(rec.bytes) : rec.per_s ? `${bytes(rec.per_s)} per second` : rec.files ? count(rec.files, "file") : "nothing is written"),
-    rec.free == null ? fact("Disk", "not found", "the folder is gone", "error") : rec.free < 10e6 ? fact("Disk", bytes(rec.free), "the disk is full", "error") : fact("Disk", rec.lasts_s == null ? bytes(rec.free) : `lasts ${span(rec.lasts_s)}`, rec.lasts_s == null ? "free" : `${bytes(rec.free)} free`, short && "warning"),
-    fact("Losses", rec.dropped ? number(rec.dropped) : "none", rec.dropped ? "messages are missing" : rec.rests ? "no file is open" : "every message is kept", rec.dropped && "error"),
+    rec.free == null ? fact("Disk", "not found", "the folder is gone", "error") : rec.free < 10e6 ? fact("Disk", bytes(rec.free), "the disk is full", "error") : fact("Disk", paused || rec.lasts_s == null ? bytes(rec.free) : `lasts ${rec.lasts_s > 365 * 86400 ? "more than a year" : span(rec.lasts_s)}`, paused || rec.lasts_s == null ? "free" : `${bytes(rec.free)} free`, short && "warning"),
+    fact("Losses", rec.dropped ? number(rec.dropped) : "none", rec.dropped ? "messages are missing" : rec.rests ? "no file is open" : paused ? "before the pause" : "every message is kept", rec.dropped && "error"),
     fact("Messages", number(rec.entries), rec.rests ? (rec.entries ? "in the last file" : "nothing is written yet") : rec.left_out ? `in this file; ${number(rec.left_out)} more in pauses or not chosen` : rec.split ? "in the files of this recording" : "in this file"),
     fact("Seal", rec.sealed ? "on" : "off", rec.sealed ? "each change will show" : "--seal KEY signs it"),
     ...(rec.triggers.length ? [fact("Black box", count(rec.triggers.length, "rule"), rec.triggers.join(", "))] : [])]);
   const takes = !rec.snapshot_s && (!rec.failure || rec.rests);
+  /* Each button keeps its place: a second click on it does nothing else. */
+  const rests = rec.rests && "Nothing is recorded", resumes = rec.paused && !rec.rests;
   part(buttons, [rec.paused, rec.rests, rec.snapshot_s, rec.split, takes, locked()], () => h("div.actions", null,
-    takes && rec.rests && button("Start recording", () => act({ do: "start" }), { kind: ".big.primary", key: "start" }),
-    takes && !rec.rests && (rec.paused ? button("Resume", () => act({ do: "resume" }), { kind: ".big.primary", key: "pause" }) : button("Pause", () => act({ do: "pause" }), { kind: ".big", key: "pause" })),
+    takes && (resumes ? button("Resume", () => press("resume"), { kind: ".big.primary.first", key: "start" }) : button("Start recording", () => press("start"), { kind: rests ? ".big.primary.first" : ".big.first", key: "start", off: !rests && "It is recorded already" })),
+    takes && button("Pause", () => press("pause"), { kind: ".big", key: "pause", off: rests || (resumes && "It is paused already") }),
     Boolean(rec.snapshot_s) && button(`Save the last ${number(rec.snapshot_s)} s`, () => act({ do: "snapshot" }), { kind: ".big.primary" }),
-    takes && !rec.rests && rec.split && button("New file", () => act({ do: "split" }), { kind: ".big" }),
-    takes && !rec.rests && button("Stop recording …", async () => { stopRecording(); }, { kind: ".big", key: "start" }),
+    takes && rec.split && button("New file", () => press("split"), { kind: ".big", off: rests }),
+    takes && button("Stop recording …", async () => { stopRecording(); }, { kind: ".big", key: "stop", off: rests }),
     h("span.gap"),
     button("Shut down the bridge …", async () => { if (await ask("Shut down the bridge?", "The recording is closed, all peers are disconnected, and this page ends.", "Shut down")) act({ do: "end" }); }, { kind: ".danger" })));
   drawMarks(at.work, rec, now);
+}
+/* A double click is one press. */
+const pressedAt = {};
+function press(what) {
+  const before = pressedAt[what] || 0;
+  pressedAt[what] = Date.now();
+  if (pressedAt[what] - before > 1000) act({ do: what });
 }
 async function stopRecording() {
   const open = bridge().recording.phases, ends = open.length ? ` The open ${open.length > 1 ? "phases end" : "phase ends"} here: ${open.join(", ")}.` : "";
@@ -411,11 +433,11 @@ async function mark(sign) {
   const label = $("mark-label").value.trim(), text = $("mark-text").value.trim(), why = lostMark(bridge()?.recording);
   if (why) { toast(why, true); return; }
   if (!label) { $("mark-label").focus(); toast("write a label first, such as suture-1", true); return; }
-  if (await act({ do: "mark", line: `${sign}${label}${text ? ": " + text : ""}` })) { $("mark-label").value = $("mark-text").value = ""; $("mark-label").focus(); }
+  if (await act({ do: "mark", line: `${sign}${label}${text ? ": " + text : ""}` })) { $("mark-label").value = $("mark-text").value = ""; document.activeElement.blur(); }
 }
 function drawMarkButtons(rec) {
   const off = lostMark(rec), more = $("mark-more");
-  put(more, off || "recorded also while the recording is paused"); more.classList.toggle("s-warning", Boolean(off));
+  put(more, off || "its time is that of Enter or the button; recorded also in a pause"); more.classList.toggle("s-warning", Boolean(off));
   part($("mark-actions"), [off, locked()], () => [button("Mark this moment", () => mark(""), { kind: ".primary", off }), button("Begin a phase", () => mark("+"), { off })]);
 }
 function markCard() {
@@ -436,7 +458,7 @@ function drawMarks(at, rec, now) {
   const phases = $("phases");
   part(phases, [rec.phases, locked()], () => (rec.phases.length ? h("div.phases", null, "Open phases:", rec.phases.map((label) => button(`End “${label}”`, () => act({ do: "mark", line: `-${label}` }), { kind: ".small" }))) : []));
   const marks = now.done;
-  part(right, marks, () => card("What was done", null, marks.length ? h("ul.notes", { tabindex: 0, "aria-label": "What was done" }, [...marks].reverse().map(note)) : h("p.empty", null, "No marks yet. Press M anywhere on this page.")));
+  part(right, [marks, lostMark(rec)], () => card("What was done", null, marks.length ? h("ul.notes", { tabindex: 0, "aria-label": "What was done" }, [...marks].reverse().map(note)) : h("p.empty", null, lostMark(rec) ? "No marks yet." : "No marks yet. Press M anywhere on this page.")));
 }
 
 // ── sessions ──────────────────────────────────────────────────────────────────────────────────────────────────
@@ -461,7 +483,7 @@ function result(row, action, none) {
   return h("span.result.s-" + kind, null, icon(kind), word);
 }
 function sessionState(row) {
-  if (row.recording) return ["waiting", "recording"];
+  if (row.recording) return row.paused ? ["warning", "paused"] : ["waiting", "recording"];
   if (!row.read) return ["waiting", row.reading_s == null ? "to be read" : row.reading_s < 3 ? "reading" : `reading, ${span(row.reading_s).replace(/\.0 s$/, " s")}`];
   if (row.unread) return ["warning", "not read"];
   return row.problem ? ["error", "not closed"] : ["ok", "closed"];
@@ -558,18 +580,18 @@ function drawReplay() {
   if (running && chosen !== replay.name) choose(replay.name);
   if (running) follows = true;
   else if (follows) { follows = false; if (chosen === replay?.name) from = replay.state.position_s ?? from; }
-  part(at.head, [running, replay?.name], () => h("div.lead", null, h("div", null, h("h1", null, running ? `Replay of ${replay.name}` : "Replay"), h("p", null, "Sends a recording to OpenIGTLink peers, to ROS, or to both, as it was."))));
+  part(at.head, [running, replay?.name], () => h("div.lead", null, h("div", null, h("h1", null, running ? `Replay of ${replay.name}` : "Replay"), h("p", null, "Sends again what the bridge sent: to OpenIGTLink peers, to ROS, or to both."))));
   const row = (sessions || []).find((each) => each.name === chosen);
   const ready = (sessions || []).filter((each) => each.closed || each.name === chosen || (each.closed == null && !each.recording));
   if (!chosen && ready.length) choose(ready[0].name);
   const title = (each) => (each.closed ? each.name : `${each.name} (${sessionState(each)[1]})`);
-  part(at.choice, [ready.map(title), chosen, running, locked(), target], () => h("div.card", null, h("div.body", null, h("div.form.four", null,
+  part(at.choice, [ready.map(title), chosen, running, locked(), target, row?.sends], () => h("div.card", null, h("div.body", null, h("div.form.four", null,
     h("label.field", null, h("span", null, "Recording"), h("select", { "data-key": "choose", disabled: running, onchange: (event) => { choose(event.target.value); draw(); } }, ready.map((each) => h("option", { value: each.name, selected: each.name === chosen }, title(each))))),
     h("label.field", null, h("span", null, "Send to"), h("select", { "data-key": "target", disabled: running, onchange: (event) => { target = event.target.value; draw(); } },
       [["igtl listen", "OpenIGTLink clients"], ["igtl connect", "an OpenIGTLink server"], ["ros", "ROS 2"], ["both listen", "OpenIGTLink clients and ROS 2"]].map(([value, title]) => h("option", { value, selected: value === target }, title)))),
-    target !== "ros" && h("label.field", null, h("span", null, target.includes("connect") ? "Its address" : "At address"), h("input", { type: "text", "data-key": "place", disabled: running, value: place || usualPlace(), onfocus: (event) => setTimeout(() => event.target.select()), oninput: (event) => { place = event.target.value.trim(); drawHint(); } })),
+    target !== "ros" && h("label.field", null, h("span", null, target.includes("connect") ? "Its address" : "At address"), h("input", { type: "text", "data-key": "place", disabled: running, value: place || usualPlace(), onpointerdown: (event) => { event.target._fresh = document.activeElement !== event.target; }, onclick: (event) => { if (event.target._fresh) event.target.select(); }, oninput: (event) => { place = event.target.value.trim(); drawHint(); } })),
     h("label.field", null, h("span", null, "Rate"), h("select", { "data-key": "speed", disabled: running, onchange: (event) => { speed = event.target.value; } }, ["0.1", "0.25", "0.5", "1", "2", "5", "10"].map((value) => h("option", { value, selected: value === speed }, `${value} ×`))))),
-    running ? null : h("p.hint", { id: "hint" }, hint()))));
+    running ? null : h("p.hint", { id: "hint" }, hint()), running ? null : sends(row)?.map(([kind, text]) => h("p.sends", { class: kind }, text)))));
   const playing = running ? replay.state : null, length = row?.duration_s ?? playing?.duration_s;
   if (!row) {
     at.player._track = null;
@@ -585,6 +607,14 @@ function drawReplay() {
   }
   readPlaces(row.name);
   drawBelow(at.below, row, replay, running);
+}
+/* Which streams go out to the chosen target, which do not, and why. */
+function sends(row) {
+  const found = row?.sends?.[target.split(" ")[0]];
+  if (!found) return null;
+  const some = (names, all) => names.map((name) => name.replace(/\/$/, "")).join(", ") + (all > names.length ? ` and ${number(all - names.length)} more` : "");
+  const sent = found.number ? ["", `Sent: ${count(found.number, "stream")}: ${some(found.names, found.number)} (${found.why}).`] : ["s-warning", "Nothing is sent: the recording has no messages for this target."];
+  return [sent, found.staying && ["s-warning", `Not sent: ${count(found.staying, "stream")} that peers sent to the bridge: ${some(found.stay, found.staying)}. They go to ROS.`]].filter(Boolean);
 }
 function hint() { return HINTS[target](place || usualPlace()); }
 function drawHint() { if ($("hint")) put($("hint"), hint()); }
@@ -676,9 +706,9 @@ function drawBelow(place, row, replay, running) {
   const found = [...marksOf(row), ...(placesOf[row.name] || [])].filter((each) => each.kind !== "resume").sort((a, b) => a.at_s - b.at_s).slice(0, 200);
   const mine = replay?.name === row.name ? replay : null, peers = running && mine ? mine.state.peers || [] : [];
   const names = { mark: "Mark", phase: "Phase", finding: "Finding", loss: "Loss", pause: "Pause", link: "Link" };
-  part(place, [found, !placesOf[row.name], mine?.lines, peers, running, mine?.state?.sent, mine?.state?.without_peer, locked()], () => h("div.split", null,
+  part(place, [found, !placesOf[row.name], mine?.lines, peers, running, mine?.state?.duration_s, mine?.state?.sent, mine?.state?.without_peer, locked()], () => h("div.split", null,
     card("On the time line", placesOf[row.name] ? null : "findings, losses and pauses are being read", found.length ? h("ul.list", { tabindex: 0, "aria-label": "On the time line" }, found.map((each, number) => h("li", null, h("button", { type: "button", disabled: locked() && running, "data-key": `at ${number}`, onclick: () => jump(each.at_s) }, h("span.at", null, moment(each.at_s)), h("span.sub", null, names[each.kind]), h("span", null, each.text))))) : h("p.empty", null, placesOf[row.name] ? "Nothing but messages." : "Reading …")),
-    card("Peers", running && mine ? [`${number(mine.state.sent || 0)} messages sent`, mine.state.without_peer ? `${number(mine.state.without_peer)} played while no peer was connected` : ""].filter(Boolean).join(" · ") : null, peers.length ? h("ul.list", null, peers.map((each) => h("li", null, icon(each.queued > 50 ? "warning" : "ok"), h("b", null, each.peer), h("span.sub", null, [each.profile !== "unrecognised" && each.profile, `${rate(each.rate_hz)} messages a second`, `${number(each.sent)} sent`, each.queued ? `${number(each.queued)} wait: it reads slowly` : "queue 0"].filter(Boolean).join(" · "))))) : h("p.empty", null, running ? (mine?.to === "ros" ? "Nodes of ROS receive the messages; the page does not count them." : "No OpenIGTLink peer is connected: what plays now reaches nobody.") : "Peers appear when the replay runs."),
+    card("Peers", running && mine ? [`${count(mine.state.sent || 0, "message")} sent`, mine.state.without_peer ? `${number(mine.state.without_peer)} played while no peer was connected` : ""].filter(Boolean).join(" · ") : null, peers.length ? h("ul.list", null, peers.map((each) => h("li", null, icon(each.queued > 50 ? "warning" : "ok"), h("b", null, each.peer), h("span.sub", null, [each.profile !== "unrecognised" && each.profile, `${rate(each.rate_hz)} messages a second`, `${number(each.sent)} sent`, each.queued ? `${number(each.queued)} wait: it reads slowly` : "queue 0"].filter(Boolean).join(" · "))))) : h("p.empty", null, running ? (mine?.to === "ros" ? "Nodes of ROS receive the messages; the page does not count them." : mine && mine.state.duration_s == null ? "Nothing plays yet." : "No OpenIGTLink peer is connected: what plays now reaches nobody.") : "Peers appear when the replay runs."),
       mine?.lines.length ? h("ul.notes", null, mine.lines.map((line) => h("li", null, h("span", null, line.replace(/^[=!] /, ""))))) : null)));
 }
 
