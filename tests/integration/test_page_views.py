@@ -16,6 +16,8 @@ pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="needs a Chromium: apt-
 _LINK = "http://127.0.0.1:9876/?url=rerun"
 _OLD = {"name": "old.mcap", "bytes": 1_000, "modified_ns": 1, "read": True, "closed": True, "start_ns": 1, "streams": 3}
 
+_SENDS = {"names": ["TRANSFORM/b"], "number": 1, "why": "the recorded bytes", "stay": ["TRANSFORM/a"], "staying": 1}
+
 
 class Facts:
     """A page of a folder with a recording that was read, one that was not, and a viewer that runs."""
@@ -35,12 +37,13 @@ class Facts:
 
     def sessions(self) -> list[dict[str, Any]]:
         late = {"name": "late.mcap", "bytes": 9, "modified_ns": 2, "read": True, "unread": 1, "results": {}}
-        read = {"duration_s": 4.0, "marks": [], "sealed": False, "results": {}}
+        read = {"duration_s": 4.0, "marks": [], "sealed": False, "results": {}, "sends": {"igtl": _SENDS}}
         busy = {"name": "busy.mcap", "bytes": 9, "modified_ns": 2, "read": False, "reading_s": 12, "results": {}}
         return [_OLD | read, late | {"problem": "not read within 30 s: this machine is busy"}, busy]
 
     def places(self, name: str) -> dict[str, Any] | None:
-        return {"places": []}
+        slow = {"kind": "slow", "at_s": 1.0, "end_s": 3.0, "text": "a:1 read too slowly: 9 messages did not reach it"}
+        return {"places": [slow]}
 
     def lines(self, job: int) -> list[str]:
         return []
@@ -116,6 +119,10 @@ def test_a_replay_has_one_button_to_start_and_shows_what_it_needs_before() -> No
         page.click("button.link", "old.mcap")
         page.click("button", "Replay …")
         page.wait("document.querySelector('#replay .track')")
+        page.wait("document.querySelectorAll('#replay .track rect.slow').length === 1")
+        assert "9 messages did not reach it" in page.text()
+        assert "Sent: 1 stream: TRANSFORM/b (the recorded bytes)." in page.text()
+        assert "Not sent: 1 stream that peers sent to the bridge: TRANSFORM/a. They go to ROS." in page.text()
         starts = (
             "[...document.querySelectorAll('#replay button')].filter((each) => /Start|Play/.test(each.textContent))"
         )

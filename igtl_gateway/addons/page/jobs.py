@@ -15,6 +15,9 @@ from igtl_gateway.cli.next_steps import PROGRAM
 #: Jobs at a time, jobs that are remembered, and lines of each.
 MAX_RUNNING, _MAX_KEPT, _LINES = 3, 40, 400
 RUNNING, DONE, FAILED, CANCELLED = "running", "done", "failed", "cancelled"
+#: State of work that a recording has nothing for, and what its output has then.
+NOTHING = "nothing"
+_HAS_NOTHING = {"review": ("found no point cloud", "found no suture plan")}
 #: Time between two looks at a process, and for its end after Ctrl-C, seconds.
 _LOOK_S, _END_S = 0.1, 3.0
 
@@ -74,6 +77,7 @@ class Job:
     ) -> None:
         self.mark = mark
         self.number, self.action, self.name = number, action, name
+        self._error, self._path = f"{PROGRAM} {command[0]}: ", f"{command[1]}: "  # begin of the line of an error
         self.state = RUNNING
         self.lines: deque[str] = deque(maxlen=_LINES)
         self.link = ""
@@ -103,8 +107,12 @@ class Job:
 
     def _last(self) -> str:
         """Return the last line but those of what to do next."""
-        lines = [line.strip() for line in self.lines]
+        lines = [line.strip().removeprefix(self._error).removeprefix(self._path) for line in self.lines]
         return next((each for each in reversed(lines) if each and each != "next" and not each.startswith(PROGRAM)), "")
+
+    def _failure(self) -> str:
+        words = _HAS_NOTHING.get(self.action, ())
+        return NOTHING if any(word in line for word in words for line in self.lines) else FAILED
 
     def _take(self, line: str) -> None:
         self.lines.append(line)
@@ -132,7 +140,7 @@ class Job:
                 child.interrupt()
                 child.wait(_END_S)
             child.kill()  # its output is read now
-            state = CANCELLED if code is None else DONE if code == 0 else FAILED
+            state = CANCELLED if code is None else DONE if code == 0 else self._failure()
         self._ended_ns = self._clock.monotonic_ns()
         self.state = state
         self._on_end(self)

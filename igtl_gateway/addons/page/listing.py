@@ -33,6 +33,9 @@ from igtl_gateway.record.sessionfile.seals import stated_seals
 from igtl_gateway.record.triggers import LOSSES
 from igtl_gateway.record.worker import PAUSED, RESUMED
 
+#: Code of the note of messages that a slow peer did not get; those of an episode are no further apart than this, in
+#: seconds; streams that are named.
+_SLOW, _EPISODE_S, _SLOW_NAMED = "queue_drop", 5.0, 3
 #: Most places on a time line.
 MAX_PLACES = 500
 #: Sides of a replay → what a bridge computes their messages from, and the streams that are named of each.
@@ -88,15 +91,55 @@ def places_of(path: Path) -> dict[str, Any]:
     found: list[dict[str, Any]] = []
     try:
         with SessionFile.open(path) as file:
+            slow: dict[str, _SlowPeer] = {}
             if not file.foreign:
                 for entry in file.entries_of_kinds({Kind.EDGE_NOTE, Kind.NOTE, Kind.LINK}):
                     note = Note.of(entry.data()) if entry.seq else None  # 0: an entry of another kind, not decoded
-                    if note and len(found) < MAX_PLACES and (kind := _kind_of(note)):
-                        at_s = (entry.stamp_ns - file.start_ns) / NS_PER_S
-                        found.append({"kind": kind, "at_s": at_s, "text": note.text})
+                    at_s = (entry.stamp_ns - file.start_ns) / NS_PER_S
+                    if len(slow) >= MAX_PLACES:  # a file that invents peers
+                        slow.clear()
+                    if note and note.code == _SLOW:
+                        place = slow.setdefault(str(note.data.get("peer", "")), _SlowPeer()).take(at_s, note)
+                    elif note and (kind := _kind_of(note)):
+                        place = {"kind": kind, "at_s": at_s, "text": note.text}
+                    else:
+                        continue
+                    if place and len(found) < MAX_PLACES:
+                        found.append(place)
     except (GatewayError, OSError) as error:
         return {"places": found, "problem": failure_text(error)}
     return {"places": found}
+
+
+class _SlowPeer:
+    """The episodes in which a peer read too slowly: one place each, which grows with each further note."""
+
+    def __init__(self) -> None:
+        self._place: dict[str, Any] = {}
+        self._dropped = self._before = 0  # so far, and before the episode
+
+    def take(self, at_s: float, note: Note) -> dict[str, Any] | None:
+        """Take a note; return the place of a new episode."""
+        is_new = not self._place or at_s - self._place["end_s"] > _EPISODE_S
+        by_stream = note.data.get("dropped")
+        counts = {name: number for name, number in _items(by_stream) if isinstance(number, int)}
+        dropped = sum(counts.values())
+        if is_new:
+            self._before = self._dropped if dropped >= self._dropped else 0
+            self._place = {"kind": "slow", "at_s": at_s}
+        self._dropped = dropped
+        streams = sorted(counts)
+        more = " …" if len(streams) > _SLOW_NAMED else ""
+        of = f" of {', '.join(streams[:_SLOW_NAMED])}{more}" if streams else ""
+        peer = str(note.data.get("peer", "a peer"))[:80]
+        missing = f"{dropped - self._before:,} messages{of} did not reach it"
+        text = f"{peer} read too slowly: {missing}; the recording lost none by this"
+        self._place |= {"end_s": at_s, "text": text}
+        return self._place if is_new else None
+
+
+def _items(found: object) -> list[tuple[str, object]]:
+    return [(str(name), value) for name, value in found.items()] if isinstance(found, dict) else []
 
 
 def _kind_of(note: Note) -> str:

@@ -66,6 +66,7 @@ class Page:
         self._dropped = 0  # entries since the file began, at the last sample
         self._lost_ns = 0  # when the last one was, monotonic
         self._is_paused = False
+        self._last = ""  # the same of the last recording
         self._written = ""  # name in the list of what is being recorded
         self._poller = Poller(source, self._take) if source else None
 
@@ -194,6 +195,7 @@ class Page:
             growth.clear()
             recorded = whole.with_suffix("") if how["split"] else path
             self._written = recorded.name if known and not how["snapshot_s"] else ""
+            self._last = self._written or self._last
             if known:
                 self._begun[self._written] = self._clock.utc_ns()
                 while len(self._begun) > MAX_LISTED:
@@ -215,6 +217,7 @@ class Page:
             "per_s": per_s,
             "free": free,
             "lasts_s": free / per_s if free is not None and per_s > 0 else None,
+            "last": self._last,
             "paused": counters["paused"],
             "rests": counters["rests"],
             "lasted_s": (now_ns - self._begun_ns) / NS_PER_S if known else 0,

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from igtl_gateway.addons.page.jobs import ACTIONS, CANCELLED, DONE, FAILED, MAX_RUNNING, RUNNING, Jobs
+from igtl_gateway.addons.page.jobs import ACTIONS, CANCELLED, DONE, FAILED, MAX_RUNNING, NOTHING, RUNNING, Jobs
 from tests.places import FIXTURES
 
 
@@ -34,6 +34,16 @@ def test_work_is_done_fails_and_is_cancelled(tmp_path: Path) -> None:
     ]
     assert any("none.mcap" in line for line in jobs.lines(2)) and jobs.lines(99) == []
     assert jobs.start("remove", "a.mcap", path)[1].startswith("found 'remove', expected one of")
+
+
+def test_a_review_without_a_cloud_is_not_applicable(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    shutil.copy(FIXTURES / "lego.mcap", path)
+    jobs = Jobs()
+    assert jobs.start("review", "a.mcap", path)[0]
+    wait(lambda: jobs.rows()[0]["state"] != RUNNING)
+    (job,) = jobs.rows()
+    assert job["state"] == NOTHING and job["last"].startswith("found no point cloud")
 
 
 def test_each_action_is_a_verb() -> None:

@@ -86,6 +86,9 @@ def test_a_session_is_run_from_the_page(tmp_path: Path) -> None:
             page.click("dialog button", "Stop")
             page.wait("document.querySelector('#recording h1').textContent === 'Not recording'")
             assert not recording_is_open(recording)
+            page.click("button", "Show now.mcap in Sessions")
+            page.wait("document.querySelector('#sessions tr.opened').textContent.includes('now.mcap')")
+            page.press("2")
             # End, and the page reports that its program has ended
             page.click("button", "Shut down the bridge …")
             page.click("dialog button", "Shut down")

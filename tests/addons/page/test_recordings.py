@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 import igtl_gateway
+from igtl_gateway.addon import Level, Note
 from igtl_gateway.addons.page.listing import places_of
 from igtl_gateway.addons.page.recordings import Recordings, _Reader
 from tests.places import FIXTURES
@@ -59,6 +60,22 @@ def test_the_time_line(tmp_path: Path) -> None:
     assert [place["kind"] for place in found] == ["pause", "resume"]
     assert 0 <= found[0]["at_s"] <= found[1]["at_s"]
     assert places_of(tmp_path / "absent.mcap")["places"] == []
+
+
+def test_a_slow_peer_is_one_span_with_its_count(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with igtl_gateway.Bridge(listen=["127.0.0.1:0"], ros=False, record=str(path)) as bridge:
+        for peer, dropped in (("a:1", 5), ("b:2", 1), ("a:1", 9), ("a:1", 1_400)):
+            data = {"peer": peer, "dropped": {"IMAGE/Probe": dropped}}
+            bridge._bridge.hub.note(Note(Level.WARN, "queue_drop", f"{peer} reads too slowly", data=data))
+    line = places_of(path)
+    first, second = (place for place in line["places"] if place["kind"] == "slow")
+    assert (
+        first["text"]
+        == "a:1 read too slowly: 1,400 messages of IMAGE/Probe did not reach it; the recording lost none by this"
+    )
+    assert first["at_s"] <= second["at_s"] <= first["end_s"] and second["text"].startswith("b:2 ")
+    assert not [place for place in line["places"] if place["kind"] == "loss"]
 
 
 def test_a_time_line_that_was_not_read_in_time_is_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

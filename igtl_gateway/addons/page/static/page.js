@@ -386,7 +386,7 @@ function drawRecording() {
   if (at.state._kind !== "recording") { at.state._kind = "recording"; html(at.state, h("div.card", null, h("div.body"), h("dl.facts", { class: "facts" }), h("div.body"))); }
   const [hero, facts, buttons] = at.state.firstChild.children;
   const paused = dot === "paused";
-  part(hero, [dot, word, rec.name, rec.folder, rec.failure, rec.rests, clock(rec.lasted_s)], () => h(paused ? "div.hero.loud" : "div.hero", null, h("span.dot." + dot), h("div", null, h("h1", null, paused ? "Paused: nothing is recorded" : word), h("p.sub", null, rec.rests ? `Messages pass. Start writes them to a file in ${rec.folder}` : `${rec.name} in ${rec.folder}`)), !rec.rests && !rec.failure && h("span.clock", { "aria-label": "duration" }, clock(rec.lasted_s))));
+  part(hero, [dot, word, rec.name, rec.folder, rec.failure, rec.rests, rec.last, clock(rec.lasted_s)], () => h(paused ? "div.hero.loud" : "div.hero", null, h("span.dot." + dot), h("div", null, h("h1", null, paused ? "Paused: nothing is recorded" : word), h("p.sub", null, rec.rests ? `Messages pass. Start writes them to a file in ${rec.folder}` : `${rec.name} in ${rec.folder}`)), rec.rests && rec.last && h("button.btn.link", { type: "button", "data-key": "last", onclick: () => { opened = rec.last; filter = ""; if ($("filter")) $("filter").value = ""; show("sessions", true); } }, `Show ${rec.last} in Sessions`), !rec.rests && !rec.failure && h("span.clock", { "aria-label": "duration" }, clock(rec.lasted_s))));
   const short = rec.lasts_s != null && rec.lasts_s < 3600;
   part(facts, [rec.bytes, rec.files, rec.per_s, rec.free, rec.lasts_s, rec.dropped, rec.entries, rec.left_out, rec.rests, paused, rec.sealed, rec.triggers], () => [
     fact(rec.snapshot_s ? "Saved" : "Size", rec.snapshot_s ? count(rec.files, "file") : bytes(rec.bytes), rec.snapshot_s ? bytes(rec.bytes) : rec.per_s ? `${bytes(rec.per_s)} per second` : rec.files ? count(rec.files, "file") : "nothing is written"),
@@ -474,13 +474,13 @@ async function loadSessions() {
 const ACTIONS = [["verify", "Verify"], ["lint", "Find problems"], ["review", "Review"], ["view", "Open in rerun"], ["export", "Export as CSV"], ["seal", "Check the seal"]];
 /* Names of the machine of the program, where the viewer's link leads somewhere. */
 const HERE = new Set(["127.0.0.1", "localhost", "[::1]"]);
-const RESULTS = { running: ["waiting", "runs"], done: ["ok", "good"], failed: ["error", "not good"], cancelled: ["off", "cancelled"] };
+const RESULTS = { running: ["waiting", "runs"], done: ["ok", "good"], failed: ["error", "not good"], cancelled: ["off", "cancelled"], nothing: ["off", "not applicable"] };
 const RESULTS_OF = { lint: { done: ["ok", "no errors"], failed: ["warning", "problems found"] } };
 function result(row, action, none) {
   const found = row.results[action];
   if (!found) return h("span.result.zero", null, none);
   const [kind, word] = RESULTS[found];
-  return h("span.result.s-" + kind, null, icon(kind), word);
+  return h("span.result.s-" + kind, { title: found === "nothing" ? "It has no point cloud or no plan" : null }, icon(kind), word);
 }
 function sessionState(row) {
   if (row.recording) return row.paused ? ["warning", "paused"] : ["waiting", "recording"];
@@ -501,7 +501,7 @@ function sessionRow(row) {
   const open = opened === row.name, [kind, word] = sessionState(row);
   const toggle = () => { opened = open ? "" : row.name; drawSessions(); };
   const tr = h(open ? "tr.pick.opened" : "tr.pick", { onclick: toggle },
-    h("td", null, h("button.link", { "data-key": row.name, "aria-expanded": open }, h("span.clip", { title: row.name }, row.name))),
+    h("td", null, h("button.link", { "data-key": row.name, "aria-expanded": open }, h("span.middle", { title: row.name }, h("span.head", null, row.name.slice(0, -12)), h("span", null, row.name.slice(-12))))),
     h("td", null, row.start_ns ? day(row.start_ns) : h("span.zero", { title: "Its begin is not known; this is its last change" }, `until ${day(row.modified_ns)}`)), h("td.n", null, row.duration_s == null ? NONE : span(row.duration_s)), h("td.n", null, bytes(row.bytes)),
     h("td.n.wide", null, row.streams == null ? NONE : number(row.streams)), h("td.n", { class: row.marks?.length ? "n" : "n zero" }, row.marks ? number(row.marks.length) : NONE),
     h("td", null, stateCell(kind, word)), h("td", null, result(row, "verify", "not yet")),
@@ -682,6 +682,9 @@ function track(found, duration) {
       made.append(svg("rect", { class: "phase", x: at(each.at_s, duration), y: 26, width: at(each.end_s - each.at_s, duration), height: 16, rx: 3 }));
       if ((each.end_s - each.at_s) / duration > .06) made.append(svg("svg", { x: at(each.at_s, duration), width: at(each.end_s - each.at_s, duration), y: 26, height: 16 }, words(each, 8, 12)));
     }
+    else if (each.kind === "slow") {
+      made.append(svg("rect", { class: "slow", x: at(each.at_s, duration), y: 66, width: at(Math.max(each.end_s - each.at_s, duration / 200), duration), height: 12, rx: 3 }, svg("title", {}, each.text)));
+    }
     else if (each.kind !== "resume") {
       const low = each.kind !== "mark", place = svg("svg", { x: at(each.at_s, duration), y: low ? 72 : 17, overflow: "visible" }, shape(each.kind));
       place.firstChild.append(svg("title", {}, each.text)); made.append(place);
@@ -700,12 +703,13 @@ function words(each, x, y) {
 function legend() {
   return h("div.legend", null, [["mark", "a mark"], ["finding", "a finding: stamps, units, ages"], ["loss", "messages lost"], ["link", "a peer comes or goes"]].map(([kind, word]) => h("span", null, svg("svg", { viewBox: "-8 -8 16 16", class: "track-key", "aria-hidden": "true" }, shape(kind)), word)),
     h("span", null, svg("svg", { viewBox: "0 0 14 14", "aria-hidden": "true" }, svg("rect", { y: 3, width: 14, height: 8, fill: "url(#hatch)" })), "a pause"),
+    h("span", null, svg("svg", { viewBox: "0 0 14 14", "aria-hidden": "true" }, svg("rect", { class: "slow", x: 0.5, y: 3, width: 13, height: 8, rx: 2 })), "a peer read too slowly"),
     h("span", null, svg("svg", { viewBox: "0 0 14 14", "aria-hidden": "true" }, svg("rect", { class: "phase", x: 0.5, y: 3, width: 13, height: 8, rx: 2 })), "a phase"));
 }
 function drawBelow(place, row, replay, running) {
   const found = [...marksOf(row), ...(placesOf[row.name] || [])].filter((each) => each.kind !== "resume").sort((a, b) => a.at_s - b.at_s).slice(0, 200);
   const mine = replay?.name === row.name ? replay : null, peers = running && mine ? mine.state.peers || [] : [];
-  const names = { mark: "Mark", phase: "Phase", finding: "Finding", loss: "Loss", pause: "Pause", link: "Link" };
+  const names = { mark: "Mark", phase: "Phase", finding: "Finding", loss: "Loss", slow: "Slow", pause: "Pause", link: "Link" };
   part(place, [found, !placesOf[row.name], mine?.lines, peers, running, mine?.state?.duration_s, mine?.state?.sent, mine?.state?.without_peer, locked()], () => h("div.split", null,
     card("On the time line", placesOf[row.name] ? null : "findings, losses and pauses are being read", found.length ? h("ul.list", { tabindex: 0, "aria-label": "On the time line" }, found.map((each, number) => h("li", null, h("button", { type: "button", disabled: locked() && running, "data-key": `at ${number}`, onclick: () => jump(each.at_s) }, h("span.at", null, moment(each.at_s)), h("span.sub", null, names[each.kind]), h("span", null, each.text))))) : h("p.empty", null, placesOf[row.name] ? "Nothing but messages." : "Reading …")),
     card("Peers", running && mine ? [`${count(mine.state.sent || 0, "message")} sent`, mine.state.without_peer ? `${number(mine.state.without_peer)} played while no peer was connected` : ""].filter(Boolean).join(" · ") : null, peers.length ? h("ul.list", null, peers.map((each) => h("li", null, icon(each.queued > 50 ? "warning" : "ok"), h("b", null, each.peer), h("span.sub", null, [each.profile !== "unrecognised" && each.profile, `${rate(each.rate_hz)} messages a second`, `${number(each.sent)} sent`, each.queued ? `${number(each.queued)} wait: it reads slowly` : "queue 0"].filter(Boolean).join(" · "))))) : h("p.empty", null, running ? (mine?.to === "ros" ? "Nodes of ROS receive the messages; the page does not count them." : mine && mine.state.duration_s == null ? "Nothing plays yet." : "No OpenIGTLink peer is connected: what plays now reaches nobody.") : "Peers appear when the replay runs."),
