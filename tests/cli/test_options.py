@@ -14,6 +14,7 @@ import pytest
 from igtl_gateway.base.version import __version__
 from igtl_gateway.cli import complete, main, versions
 from igtl_gateway.cli.options import HelpFormatter
+from igtl_gateway.cli.ros_arguments import without_ros_arguments
 from igtl_gateway.cli.verbs import available
 from igtl_gateway.record.sessionfile.layout import FORMAT_VERSION
 from igtl_gateway.wire.header import HEADER_VERSIONS
@@ -51,7 +52,7 @@ def test_examples_are_valid(parser: argparse.ArgumentParser) -> None:
     for words in examples:
         name = parser.prog.split()
         assert words[: len(name)] == name
-        parser.parse_args(words[len(name) :])
+        parser.parse_args(without_ros_arguments(words[len(name) :])[0])
 
 
 def test_every_option_has_help_and_one_form_of_default(parser: argparse.ArgumentParser) -> None:
