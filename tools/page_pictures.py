@@ -70,20 +70,24 @@ def _shoot(page: Browser, out: Path) -> None:
         time.sleep(1.0)
         page.picture(out / f"page-{name}.png")
 
+    def begin_mark() -> None:
+        page.press("m")
+        page.wait("document.activeElement.id === 'mark-label'")
+
     shot("now")
     page.look(_DESK, dark=True)
     shot("now-dark")
     page.look(_TABLET)
     shot("now-tablet")
     page.look(_DESK)
-    page.press("m")
-    page.wait("document.activeElement.id === 'mark-label'")
     for label, text in (("incision", "left port"), ("suture-1", ""), ("slip", "the needle slipped")):
+        begin_mark()
         page.type(label)
         page.run("document.getElementById('mark-text').focus()")
         page.type(text)
         page.press("Enter")
         page.wait("document.getElementById('mark-label').value === ''")
+    begin_mark()
     page.type("anastomosis")
     page.click("button", "Begin a phase")
     page.wait("document.querySelector('.phases')")
