@@ -63,7 +63,7 @@ enum { SUBSCRIPTION = 's', PUBLISHER = 'p', SERVICE = 'v', CLIENT = 'c' };
 enum { FLUSH_BYTES = 1 << 20, PROGRESS_BYTES = 64 };
 /* Real time after which the watching thread sends what the program has published, though it has not come to rest. */
 #define LATE_NS 100000000LL
-/* Real time for which the end of a process waits for what is not sent yet. */
+/* The end of a process waits this long, in real time, to send its last messages. */
 #define REST_NS 500000000LL
 /* Polls of a thread in a row that found nothing before the next one waits, and how long: a loop without a sleep. */
 enum { POLLS = 20, POLL_NS = 1000000 };
@@ -830,7 +830,7 @@ static void send_late(void)
     flush();
 }
 
-/* Send what is not sent yet, at the end of the process: another thread holds the lock for a short time, a crash perhaps
+/* Send the last messages at the end of the process.  Another thread may hold the lock for a short time, one that has crashed
  * until the end. */
 __attribute__((destructor)) static void send_rest(void)
 {

@@ -46,11 +46,7 @@ static void read_line(pid_t process, pid_t thread, const char *name, char *text,
         snprintf(path, sizeof path, "/proc/%d/task/%d/%s", process, thread, name);
     else
         snprintf(path, sizeof path, "/proc/%d/%s", process, name);
-    int file = open(path, O_RDONLY | O_CLOEXEC);
-    ssize_t size = file < 0 ? 0 : read(file, text, room - 1);
-    if (file >= 0)
-        close(file);
-    text[size > 0 ? size : 0] = 0;
+    read_path(path, text, room);
 }
 
 /* A field of /proc/PID/stat by its number (from 1, at least 3); 0 if the process has ended. */
@@ -101,24 +97,14 @@ static bool add_process(pid_t pid, pid_t top)
     for (size_t i = 0; i < O.count; i++)
         if (O.processes[i].pid == pid)
             return true;
-    if (O.count == O.room) {
-        size_t room = O.room ? 2 * O.room : 16;
-        struct process *more = realloc(O.processes, room * sizeof *more);
-        if (!more)
-            return false;
-        O.processes = more;
-        O.room = room;
-    }
+    struct process *processes = with_room(O.processes, O.count, &O.room, sizeof *processes);
+    if (!processes)
+        return false;
+    O.processes = processes;
     /* the clock of a process's CPU time, as glibc's clock_getcpuclockid makes it */
     clockid_t clock = (clockid_t)((~(unsigned)pid << 3) | 2U);
     O.processes[O.count++] = (struct process){pid, top, is_launcher(pid), clock, -1};
     return true;
-}
-
-static int64_t cpu_ns_of_process(const struct process *process)
-{
-    struct timespec time;
-    return syscall(SYS_clock_gettime, process->clock, &time) ? -1 : ns_of(&time);
 }
 
 /* Call a function with each number in a folder of /proc. */
@@ -162,16 +148,12 @@ static bool add_task(pid_t tid, pid_t pid, int process)
     int stat = open(path, O_RDONLY | O_CLOEXEC);
     if (stat < 0)
         return errno == ENOENT; /* it has ended */
-    if (O.task_count == O.task_room) {
-        size_t room = O.task_room ? 2 * O.task_room : 32;
-        struct other_task *more = realloc(O.tasks, room * sizeof *more);
-        if (!more) {
-            close(stat);
-            return false;
-        }
-        O.tasks = more;
-        O.task_room = room;
+    struct other_task *tasks = with_room(O.tasks, O.task_count, &O.task_room, sizeof *tasks);
+    if (!tasks) {
+        close(stat);
+        return false;
     }
+    O.tasks = tasks;
     O.tasks[O.task_count++] = (struct other_task){.process = process, .tid = tid, .stat = stat};
     return true;
 }
@@ -191,7 +173,7 @@ static bool list_others(void)
     if (!each_number("/proc/self/task", add_children, getpid(), 0))
         return false;
     for (size_t i = 0; i < O.count; i++) { /* the list grows meanwhile */
-        O.processes[i].cpu_ns = cpu_ns_of_process(&O.processes[i]);
+        O.processes[i].cpu_ns = cpu_ns_at(O.processes[i].clock);
         snprintf(path, sizeof path, "/proc/%d/task", O.processes[i].pid);
         if (!each_number(path, add_children, O.processes[i].pid, 0) ||
             !each_number(path, add_task, O.processes[i].pid, (int)i))
@@ -207,7 +189,7 @@ static bool begin_others(void)
         return true;
     bool is_listed = O.count && O.listed == atomic_load(&O.started);
     for (size_t i = 0; i < O.count && is_listed; i++)
-        is_listed = cpu_ns_of_process(&O.processes[i]) == O.processes[i].cpu_ns;
+        is_listed = cpu_ns_at(O.processes[i].clock) == O.processes[i].cpu_ns;
     return is_listed || list_others();
 }
 
@@ -242,7 +224,7 @@ static bool others_sleep(void)
 static bool others_rest(void)
 {
     for (size_t i = 0; i < O.count; i++)
-        if (cpu_ns_of_process(&O.processes[i]) != O.processes[i].cpu_ns)
+        if (cpu_ns_at(O.processes[i].clock) != O.processes[i].cpu_ns)
             return false;
     for (size_t i = 0; i < O.task_count; i++) {
         struct other_task *task = &O.tasks[i];

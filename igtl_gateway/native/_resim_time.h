@@ -162,10 +162,33 @@ static void leave(void)
 
 /* -- quiet ------------------------------------------------------------------------------------------------------- */
 
-static int64_t cpu_ns_of(const struct task *task)
+/* CPU time of a thread or a process, by its clock; -1 if it has ended. */
+static int64_t cpu_ns_at(clockid_t clock)
 {
     struct timespec time;
-    return syscall(SYS_clock_gettime, task->clock, &time) ? -1 : ns_of(&time);
+    return syscall(SYS_clock_gettime, clock, &time) ? -1 : ns_of(&time);
+}
+
+/* The line of a file of /proc; "" if it cannot be read. */
+static void read_path(const char *path, char *text, size_t room)
+{
+    int file = open(path, O_RDONLY | O_CLOEXEC);
+    ssize_t size = file < 0 ? 0 : read(file, text, room - 1);
+    if (file >= 0)
+        close(file);
+    text[size > 0 ? size : 0] = 0;
+}
+
+/* A list with room for one more item; NULL if there is no memory. */
+static void *with_room(void *items, size_t count, size_t *room, size_t size)
+{
+    size_t more = *room ? 2 * *room : 32;
+    if (count < *room)
+        return items;
+    void *grown = realloc(items, more * size);
+    if (grown)
+        *room = more;
+    return grown;
 }
 
 /* State of a thread, whose `stat` is open: a letter of the kernel, 0 if it has ended. */
@@ -210,14 +233,10 @@ static bool list_tasks(void)
                 T.tasks[i].seen = true;
                 continue;
             }
-            if (T.task_count == T.task_room) {
-                size_t room = T.task_room ? 2 * T.task_room : 32;
-                struct task *more = realloc(T.tasks, room * sizeof *more);
-                if (!more)
-                    return false;
-                T.tasks = more;
-                T.task_room = room;
-            }
+            struct task *tasks = with_room(T.tasks, T.task_count, &T.task_room, sizeof *tasks);
+            if (!tasks)
+                return false;
+            T.tasks = tasks;
             char path[64];
             snprintf(path, sizeof path, "/proc/self/task/%d/stat", tid);
             int stat = open(path, O_RDONLY | O_CLOEXEC);
@@ -324,11 +343,7 @@ static void look_at_call(struct task *task)
     task->looked_ns = task->cpu_ns;
     task->is_held = false;
     snprintf(path, sizeof path, "/proc/self/task/%d/syscall", task->tid);
-    int file = open(path, O_RDONLY | O_CLOEXEC);
-    ssize_t size = file < 0 ? 0 : read(file, text, sizeof text - 1);
-    if (file >= 0)
-        close(file);
-    text[size > 0 ? size : 0] = 0;
+    read_path(path, text, sizeof text);
     long call;
     uint64_t arguments[6];
     if (!parse_call(text, &call, arguments)) {
@@ -376,7 +391,7 @@ static bool is_quiet(int entering)
         if (task->skip)
             continue;
         all_skipped = false;
-        task->cpu_ns = cpu_ns_of(task);
+        task->cpu_ns = cpu_ns_at(task->clock);
     }
     if (all_skipped)
         return true;
@@ -392,7 +407,7 @@ static bool is_quiet(int entering)
     if (!others_sleep())
         return false;
     for (size_t i = 0; i < T.task_count; i++)
-        if (!T.tasks[i].skip && cpu_ns_of(&T.tasks[i]) != T.tasks[i].cpu_ns)
+        if (!T.tasks[i].skip && cpu_ns_at(T.tasks[i].clock) != T.tasks[i].cpu_ns)
             return false;
     for (size_t i = 0; i < T.task_count; i++) {
         if (!T.tasks[i].skip)
