@@ -26,7 +26,7 @@ from igtl_gateway.base.untrusted import files
 from igtl_gateway.base.untrusted import limits as file_limits
 from igtl_gateway.base.untrusted.limits import FileLimits
 from igtl_gateway.config.configuration import Config
-from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.log.entry import MESSAGES, Kind
 from igtl_gateway.gateway.log.marks import Mark
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.sessionfile.added_marks import marks_files
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
     import pandas
     import pyarrow
 
-_MESSAGES = (Kind.IGTL_IN, Kind.IGTL_OUT, Kind.ROS_IN, Kind.ROS_OUT)
 _NOTES = frozenset({Kind.NOTE, Kind.EDGE_NOTE, Kind.LINK})
 _ALWAYS = (0, (1 << 63) - 1)
 
@@ -145,7 +144,7 @@ class Recording(Mapping[str, Stream]):
     @cached_property
     def streams(self) -> Mapping[str, Stream]:
         """All streams by key, in the order of the file; see ``Recording`` for the keys."""
-        channels = [channel for channel in self._source.file.channels if channel.kind in _MESSAGES and channel.count]
+        channels = [channel for channel in self._source.file.channels if channel.kind in MESSAGES and channel.count]
         names = Counter(channel.stream or channel.topic for channel in channels)
         streams: dict[str, Stream] = {}
         for channel in channels:

@@ -9,11 +9,10 @@ from typing import Any
 
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.clocksteps import ClockStep, without_jump
-from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.entry import MESSAGES, Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.log.timing import StampTiming, best
 
-_MESSAGES = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT, Kind.ROS_IN, Kind.ROS_OUT})
 #: A gap is a pause of more than this number of mean intervals, and of more than a second.
 _GAP_FACTOR = 10
 _GAP_MIN_NS = NS_PER_S
@@ -130,7 +129,7 @@ class ContentSummary:
     def add(self, entry: Entry) -> None:
         """Add the next entry."""
         self.entries += 1
-        if entry.kind in _MESSAGES:
+        if entry.kind in MESSAGES:
             key = (entry.kind, entry.channel, entry.type)
             stream = self.streams.get(key)
             if stream is None:

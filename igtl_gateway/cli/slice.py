@@ -26,7 +26,7 @@ from igtl_gateway.cli.options import (
     new_recording,
 )
 from igtl_gateway.cli.terminal import print_json, print_line
-from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.log.entry import MESSAGES
 from igtl_gateway.gateway.log.marks import Mark
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.added_marks import added_marks
@@ -110,8 +110,7 @@ def run(options: argparse.Namespace) -> int:
 
 def _check_streams(file: SessionFile, streams: Sequence[str]) -> None:
     """Raise ConfigError if no recorded stream matches: the part would have the state of the gateway only."""
-    kinds = (Kind.IGTL_IN, Kind.IGTL_OUT, Kind.ROS_IN, Kind.ROS_OUT)
-    found = {(each.stream, each.kind) for each in file.channels if each.count and each.kind in kinds}
+    found = {(each.stream, each.kind) for each in file.channels if each.count and each.kind in MESSAGES}
     if streams and all(name and not is_stream_of(kind, name, streams) for name, kind in found):
         globs = ", ".join(map(repr, streams))
         raise ConfigError(f"--streams: found {globs}, expected a recorded stream: `igtl-gateway info` lists them")

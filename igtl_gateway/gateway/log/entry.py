@@ -34,6 +34,8 @@ class Kind(Enum):
         return self in _INPUTS
 
 
+#: What is a message of a peer or of ROS, in either direction.
+MESSAGES = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT, Kind.ROS_IN, Kind.ROS_OUT})
 _INPUTS = frozenset({Kind.IGTL_IN, Kind.ROS_IN, Kind.LINK, Kind.EDGE_NOTE})
 
 

@@ -25,7 +25,7 @@ import numpy.typing as npt
 
 from igtl_gateway.base.errors import LimitExceeded
 from igtl_gateway.base.untrusted import limits
-from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.log.entry import MESSAGES, Kind
 from igtl_gateway.record.sessionfile.chunks import Row, packed_chunk
 from igtl_gateway.record.sessionfile.contents import ChunkEntry, Index, check_work, work_of
 from igtl_gateway.record.sessionfile.records import (
@@ -39,7 +39,6 @@ from igtl_gateway.record.sessionfile.records import (
 
 #: Looking up more messages than this is more work than reading the file.
 _MAX_PLACES = 1_000_000
-_MESSAGES = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT, Kind.ROS_IN, Kind.ROS_OUT})
 
 Flags = npt.NDArray[np.bool_]
 Numbers = npt.NDArray[Any]
@@ -158,7 +157,7 @@ class _Search:
         for number, (kind, channel, type_name) in streams.items():
             self._known[number] = True
             self._inputs[number] = kind.is_input
-            self._messages[number] = kind in _MESSAGES
+            self._messages[number] = kind in MESSAGES
             self._state[number] = rule.is_state(kind, channel, type_name)
             self._by_content[number] = rule.by_content(channel)
         self._kept: set[_MessagePlace] = set()
