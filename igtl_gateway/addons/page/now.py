@@ -76,7 +76,8 @@ class Now:
         by_stream, by_link = self._take_watched(facts, now_ns, utc_ns)
         peers = {peer["link"]: peer["peer"] for peer in facts["peers"] if peer["link"]}
         ros = facts.get("ros", True)
-        links = [self._link_row(peer, by_link.get(peer["link"], []), now_ns, utc_ns) for peer in facts["peers"]]
+        known, self._links = self._links, {}
+        links = [self._link_row(peer, known, by_link.get(peer["link"], []), now_ns, utc_ns) for peer in facts["peers"]]
         to_peers, receivers = _to_peers(links, is_relay=facts.get("relay", False))
         streams = []
         for side in _SIDES if ros else [side for side in _SIDES if side != "ros_out"]:
@@ -172,11 +173,17 @@ class Now:
             "advice": trouble.advice,
         }
 
-    def _link_row(self, peer: Mapping[str, Any], ones: Sequence[Watched], now_ns: int, utc_ns: int) -> dict[str, Any]:
+    def _link_row(
+        self,
+        peer: Mapping[str, Any],
+        known: Mapping[str, tuple[Rhythm, Rhythm, Losses]],
+        ones: Sequence[Watched],
+        now_ns: int,
+        utc_ns: int,
+    ) -> dict[str, Any]:
         key = f"{peer['link']} {peer['peer']}"
-        taken, given, losses = self._links.setdefault(
-            f"{key} {peer['connected']}", (Rhythm(), Rhythm(), Losses(utc_ns))
-        )
+        state = f"{key} {peer['connected']}"
+        taken, given, losses = self._links[state] = known.get(state) or (Rhythm(), Rhythm(), Losses(utc_ns))
         taken.take(now_ns, peer["received"])
         given.take(now_ns, peer["sent"])
         losses.take(now_ns, peer["dropped"], peer["unconfirmed_bytes"])

@@ -125,6 +125,8 @@ class _Replay:
 def _peers(side: ReplaySides, rhythms: dict[int, Rhythm], now_ns: int) -> list[dict[str, Any]]:
     """Return what the page shows of each listener."""
     found, traffic = [], side.traffic()
+    for gone in rhythms.keys() - traffic.keys():
+        del rhythms[gone]
     for link, (address, profile) in side.listeners.present().items() if side.listeners else ():
         counts = traffic.get(link)
         if counts is None:  # it has left meanwhile

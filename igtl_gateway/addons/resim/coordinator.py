@@ -390,11 +390,7 @@ class Coordinator:
         self._at_once = self._at_once + 1 if frame.time_ns == self._last_ns else 1
         self._last_ns = frame.time_ns
         if self._left == 0 or self._at_once > _MOST_AT_ONCE:
-            most = (
-                f"{self._outputs.count:,} (the limit of outputs)"
-                if not self._left
-                else f"{_MOST_AT_ONCE:,} at one time"
-            )
+            most = f"{_MOST_AT_ONCE:,} at one time" if self._left else f"{self._outputs.count:,} (the limit of outputs)"
             raise ProgramFault(
                 f"{peer.name}: flooded the session with messages, the last one of {publisher.frame.name}; "
                 f"expected at most {most}"
