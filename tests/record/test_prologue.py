@@ -99,7 +99,7 @@ def test_the_bound_in_bytes() -> None:
 
 
 def test_one_picture_does_not_push_out_the_rest(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The last of each stream is kept beside it, within its own bounds, and what is not is named."""
+    """The last input of each stream is kept beside it, within bounds of its own; one that is not kept is named."""
     monkeypatch.setattr(prologue, "LARGEST_BYTES", 20_000)
     monkeypatch.setattr(prologue, "MAX_LARGE_BYTES", 30_000)
     entries = [samples.note(1, Kind.LINK), samples.igtl(2, device="a")]
