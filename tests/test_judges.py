@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
-from tools.judges import cisst, plus
+from tests.integration.bridge import RosClient
+from tools.judges import cisst, plus, rclcpp
 from tools.judges.page import page
 from tools.judges.results import DIFFERS, EXACT, FAILS, TO_IGTL, TO_ROS, Row, summed, write
 
@@ -60,3 +62,24 @@ def test_what_the_judge_of_cisst_sends_is_what_it_expects_back() -> None:
         assert not cisst.is_pose(cisst.pose_command(number), number + 1)
         assert cisst.six(cisst.force_command(number)["wrench"], "force", "torque") == cisst.force(number)
     assert cisst.by_stamp({"header": {"stamp": {"sec": cisst.BEGIN_S + 1, "nanosec": 750_000_000}}}) == 7
+
+
+class Reports(RosClient):
+    """Components that report as long as the judge waits, the last image last."""
+
+    def __init__(self) -> None:
+        numbers = range(1, rclcpp.MESSAGES + 1)
+        self.coming = [f"{kind} {number}" for kind in ("pose", "text") for number in numbers]
+        self.coming += [f"image {number} same" for number in numbers]
+        self.there: list[str] = []
+
+    def received(self, topic: str) -> list[dict[str, str]]:
+        return [{"data": each} for each in self.there]
+
+    def wait_until(self, done: Callable[[], bool], what: str, *_: float) -> None:
+        while not done():
+            self.there.append(self.coming.pop(0))
+
+
+def test_the_judge_of_rclcpp_waits_for_the_last_image() -> None:
+    assert [row.result for row in rclcpp._between(Reports())] == [EXACT]

@@ -45,6 +45,12 @@ def test_faults(extra: str, code: int, errors: str, wrong: str) -> None:
     assert wrong in found and bool(wrong) == bool(found)
 
 
+def test_a_call_that_needs_what_no_other_extra_has() -> None:
+    query = Call("cohort query", "cohort", alone=True)
+    assert not fault(query, "arrow", 1, missing("duckdb")) and not fault(query, "cohort", 2, "no such file")
+    assert "expected code 1 and one line with cohort" in fault(query, "arrow", 0, "")
+
+
 def test_the_oldest_and_the_newest_python() -> None:
     present = [path for version in (PYTHONS[0], PYTHONS[-1]) if (path := core.present(f"python{version}"))]
     if not present:

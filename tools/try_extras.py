@@ -49,12 +49,18 @@ class Call:
         extra: the extra that it needs; "": none.
         ends: False if it would run on with the extra.
         code: what a call without an extra ends with: 1 is also a verdict.
+        alone: True if it needs what no other extra has.
     """
 
     words: str
     extra: str = ""
     ends: bool = True
     code: int = 0
+    alone: bool = False
+
+    def has_all(self, installed: str) -> bool:
+        """Whether it needs nothing beside an extra."""
+        return self.extra in ("", installed) or (not self.alone and installed in _ALSO.get(self.extra, ()))
 
 
 CALLS = (
@@ -100,7 +106,10 @@ CALLS = (
     Call("seal small.mcap --key recorder.key -o sealed.mcap", "seal"),
     Call("verify --seal small.mcap --trusted recorder.pub", "seal"),
     Call("bridge --no-ros --duration 0.1 --listen :0 --record own.mcap --seal recorder.key", "seal"),
-    *(Call(f"cohort {what} . -o cohort", "cohort") for what in ("info", "lint", "verify", "query")),
+    *(
+        Call(f"cohort {what} . -o cohort", "cohort", alone=what == "query")
+        for what in ("info", "lint", "verify", "query")
+    ),
     Call("sync star.mcap --plot sync.svg", "plot"),
     *(Call(f"{verb} --help", "lab") for verb in LABORATORY),
 )
@@ -111,7 +120,7 @@ def fault(call: Call, installed: str, code: int, errors: str) -> str:
     named = _NAMED.findall(errors)
     if "Traceback" in errors:
         return f"found a traceback ({errors.strip().splitlines()[-1]}), expected one line"
-    if call.extra in ("", installed) or installed in _ALSO.get(call.extra, ()):
+    if call.has_all(installed):
         if named:
             return f"found that {named[0]} is absent, expected nothing absent"
         return "" if call.extra or code == call.code else f"found code {code} ({errors.strip()}), expected {call.code}"

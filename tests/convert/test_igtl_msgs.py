@@ -16,7 +16,7 @@ from igtl_gateway.convert.interfaces import definition_folder
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.structs import Struct
 from igtl_gateway.record.sessionfile.layout import OWN_TYPES
-from tests.places import ROOT
+from tests.places import ROOT, needs_sources
 from tests.tables import table
 from tools import messages
 
@@ -55,6 +55,7 @@ def test_every_definition_has_its_class() -> None:
     assert {f"igtl_msgs/msg/{path.stem}" for path in DEFINITIONS.glob("*.msg")} == ours | BY_HAND
 
 
+@needs_sources
 def test_the_classes_are_what_the_definitions_give() -> None:
     assert messages.stale() == [], "python tools/messages.py"
 

@@ -12,7 +12,7 @@ from igtl_gateway.base.version import __version__
 from igtl_gateway.base.versions import tomllib
 from igtl_gateway.convert.interfaces import PACKAGES, SHARES, definition_folder, interface_files
 from igtl_gateway.record.sessionfile.schemas import RosTypes
-from tests.places import ROOT
+from tests.places import ROOT, needs_sources
 from tests.tables import table
 
 IGTL_MSGS = ROOT / "ros2" / "igtl_msgs"
@@ -20,6 +20,7 @@ IGTL_MSGS = ROOT / "ros2" / "igtl_msgs"
 STANDARD = {"builtin_interfaces", "geometry_msgs", "std_msgs"}
 
 
+@needs_sources
 def test_every_package_has_a_stand_in_and_definitions() -> None:
     stand_ins = ROOT / "igtl_gateway" / "edges" / "ros_interfaces" / "python"
     assert sorted(path.parent.name for path in stand_ins.glob("*/__init__.py")) == sorted(PACKAGES)
@@ -28,6 +29,7 @@ def test_every_package_has_a_stand_in_and_definitions() -> None:
     assert definition_folder("igtl_msgs") == IGTL_MSGS
 
 
+@needs_sources
 def test_the_wheel_contains_the_definitions_and_the_search_path() -> None:
     """The wheel installs the files of ros2/ in a folder of :data:`SHARES` and of Python's search path."""
     wheel = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["hatch"]["build"]["targets"]["wheel"]
@@ -75,6 +77,7 @@ def test_compressed_video_is_that_of_foxglove() -> None:
     ]
 
 
+@needs_sources
 def test_cmake_lists_every_interface_once() -> None:
     listed = re.findall(r'^  "(.+)"$', (IGTL_MSGS / "CMakeLists.txt").read_text(), re.MULTILINE)
     assert listed == [path.relative_to(IGTL_MSGS).as_posix() for path in interface_files("igtl_msgs")]

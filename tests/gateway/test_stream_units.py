@@ -9,7 +9,7 @@ from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.stream_units import StreamUnits
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.recorded_config import recorded_units
-from tests.places import FIXTURES, ROOT
+from tests.places import FIXTURES, PACKAGE
 
 POSE = "geometry_msgs/msg/PoseStamped"
 
@@ -44,7 +44,7 @@ def test_robots_of_crtk_have_metres() -> None:
 
 
 def test_only_the_table_of_units_knows_how_long_they_are() -> None:
-    code = {path: path.read_text("utf-8") for path in (ROOT / "igtl_gateway").rglob("*.py")}
+    code = {path: path.read_text("utf-8") for path in PACKAGE.rglob("*.py")}
     pattern = re.compile(r"\bUNITS\[|\bUNITS\.(get|items|values)\(")
     found = {path.name for path, text in code.items() if pattern.search(text) and "convert.units" in text}
     assert found == set()

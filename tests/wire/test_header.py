@@ -8,9 +8,9 @@ import sys
 
 from igtl_gateway.wire import header, message
 from igtl_gateway.wire.header import Header
-from tests.places import ROOT
+from tests.places import PACKAGE
 
-_C_SOURCE = ROOT / "igtl_gateway" / "native" / "_bytes.h"
+_C_SOURCE = PACKAGE / "native" / "_bytes.h"
 #: What the recorder's process must not wait for.
 _HEAVY = ("numpy", "igtl_gateway.wire.message", "igtl_gateway.wire.registry")
 

@@ -14,7 +14,7 @@ from igtl_gateway.convert.profiles import PROFILES
 from igtl_gateway.gateway.log.fates import DROPPED, KEPT, NOT_FOR
 from igtl_gateway.gateway.log.ledger import Ledger, gaps
 from igtl_gateway.gateway.robot_command import CODES
-from tests.places import ROOT
+from tests.places import PACKAGE
 
 REASONS = {*DROPPED, *CODES}
 
@@ -37,8 +37,8 @@ def fates_in(tree: ast.Module) -> Iterator[ast.expr]:
 
 def test_every_fate_of_the_code_is_in_the_list() -> None:
     found = set()
-    for path in (ROOT / "igtl_gateway/gateway").rglob("*.py"):
-        names = vars(import_module(".".join(path.relative_to(ROOT).with_suffix("").parts)))
+    for path in (PACKAGE / "gateway").rglob("*.py"):
+        names = vars(import_module(".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts)))
         for expression in fates_in(ast.parse(path.read_text("utf-8"))):
             parts = (expression.body, expression.orelse) if isinstance(expression, ast.IfExp) else (expression,)
             found |= {part.value for part in parts if isinstance(part, ast.Constant)}
