@@ -137,9 +137,12 @@ def main() -> None:
     _import(sys.argv[1:])
     while line := os.read(0, 1 << 20):
         command, env = json.loads(line)
-        if not (pid := os.fork()):
-            _become(command, env)
-        os.write(1, b"%d\n" % pid)
+        if os.fork():
+            continue
+        if pid := os.fork():  # nor is this interpreter its launcher, whose other children would belong to it
+            os.write(1, b"%d\n" % pid)
+            os._exit(0)
+        _become(command, env)
 
 
 if __name__ == "__main__":

@@ -29,6 +29,7 @@
 #include <inttypes.h>
 #include <limits.h>
 #include <linux/futex.h>
+#include <netinet/in.h>
 #include <poll.h>
 #include <pthread.h>
 #include <semaphore.h>
@@ -983,17 +984,29 @@ int getentropy(void *buffer, size_t size) { return fill_fixed(buffer, size) ? 0 
 int socket(int domain, int type, int protocol)
 {
     bool is_network = domain == AF_INET || domain == AF_INET6;
-    if (is_network && (type & 15) == SOCK_STREAM && getenv("IGTL_GATEWAY_RESIM_SOCKETS")) {
+    if (is_network && getenv("IGTL_GATEWAY_RESIM_SOCKETS")) {
         atomic_store(&S.by_sockets, true);
         join_session();
     }
     int file = NEXT(socket)(domain, type, protocol);
-    if (file >= 0 && is_network && !atomic_load(&S.by_sockets)) {
+    if (file >= 0 && is_network && (!atomic_load(&S.by_sockets) || (type & 15) == SOCK_DGRAM)) {
         notice('s', "");
         if (S.socket < 0)
             note('s', getpid(), "");
     }
     return file;
+}
+
+/* Where an OpenIGTLink program connects to, if not to the gateway's port. */
+int connect(int file, const struct sockaddr *address, socklen_t size)
+{
+    const char *port = getenv("IGTL_PORT");
+    bool is_network = address && size >= (socklen_t)sizeof(struct sockaddr_in) &&
+                      (address->sa_family == AF_INET || address->sa_family == AF_INET6);
+    if (is_network && atomic_load(&S.by_sockets) && port &&
+        ntohs(((const struct sockaddr_in *)(const void *)address)->sin_port) != atoi(port)) /* at one place in both */
+        notice('s', "");
+    return NEXT(connect)(file, address, size);
 }
 
 /* Connect with the coordinator at the first context of the process; blocks until it has answered. */

@@ -150,7 +150,7 @@ class Coordinator:
             follows from the programs (None).
         on_start: called when all programs wait for the first time, with the roles of the topics.
         on_event: called before a program goes on.
-        on_remark: called with what a program does beside ROS.
+        on_remark: called with the name of a program, and what it does beside ROS.
         most_outputs: messages that the programs may publish.
         input_class: class of recorded inputs: `INPUT`, or `DEADLINE` with swapped ties.
     """
@@ -169,7 +169,7 @@ class Coordinator:
         is_input: Callable[[str], bool | None],
         on_start: Callable[[Roles], None],
         on_event: Callable[[], None],
-        on_remark: Callable[[Peer, frames.Remark], None],
+        on_remark: Callable[[str, frames.Remark], None],
         most_outputs: int,
         input_class: int,
     ) -> None:
@@ -365,7 +365,7 @@ class Coordinator:
                             frame.time_ns,
                         )
                     case frames.Remark():
-                        self._on_remark(peer, frame)
+                        self._on_remark(peer.name, frame)
                     case _:
                         raise ProgramFault(f"{peer.name}: found an unexpected frame {frame!r}")
         except Gone:

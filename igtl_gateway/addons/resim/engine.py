@@ -67,7 +67,8 @@ _MOST_LIMITS = 10
 #: At most this counts of the real time between two looks: this process might have had no processor itself.
 _MOST_BETWEEN_LOOKS_NS = 500_000_000
 _NO_NODE = "made no ROS 2 node, or is linked statically"
-_NO_SOCKET = "made no TCP socket, or is linked statically"
+_NO_LIBRARY = "uses ROS 2 without session time, as LD_PRELOAD did not reach it"
+_NO_SOCKET = "made no socket, or is linked statically"
 _OTHER_MIDDLEWARE = re.compile(r"librmw_(?!fastrtps|implementation|dds_common)\w+\.so")
 _APART = "run each as a program of its own (--recipe)"
 _OWN_SOCKET = "has a socket of its own: what it receives there comes in real time"
@@ -286,12 +287,15 @@ def run(
 
 def _check_links(programs: Sequence[Program], replaced: Mapping[int, RecordedLink]) -> None:
     """Raise ConfigError if two programs replace the peer of one link: each would get its messages."""
-    first: dict[int, str] = {}
+    first: dict[int, int] = {}
     for index, link in replaced.items():
-        title = programs[index].title
-        other = first.setdefault(link.number, title)
-        if other != title:
-            raise ConfigError(f"{title}: found link {link.number}, which {other} has, expected another link")
+        other = first.setdefault(link.number, index)
+        if other != index:
+            whose = f"{programs[other].title} (program {other + 1})"
+            raise ConfigError(
+                f"{programs[index].title} (program {index + 1}): found link {link.number}, which {whose} has, "
+                "expected another link"
+            )
 
 
 def run_file(folder: Path, number: int) -> Path:
@@ -330,7 +334,7 @@ def _run_once(
         stack.callback(listener.close)
         processes: list[Process] = []
         stack.callback(end_all, processes, listener.path)
-        watch = _Watch(processes, listener, clock, options, look_for_signals)
+        watch = _Watch(processes, listener, clock, options, library, look_for_signals)
         coordinator: Coordinator | None = None
         try:
             peers = []
@@ -372,7 +376,7 @@ def _run_once(
                 )
                 if side:
                     watch.remarks.add(f"{program.title}: {WEAKER}")
-                    igtl = IgtlLink(program.title, side, link, replaced[index], begin_ns)
+                    igtl = IgtlLink(program.title, side, link, replaced[index], begin_ns, watch.take)
                     stack.callback(igtl.close)
                 peers.append(Peer(index, program.title, igtl if side else link))
             coordinator = Coordinator(
@@ -454,9 +458,11 @@ class _Watch:
         listener: Listener,
         clock: SystemClock,
         options: ResimOptions,
+        library: Path,
         look_for_signals: Callable[[], None],
     ) -> None:
         self._processes, self._listener, self._clock, self._options = processes, listener, clock, options
+        self._library = library.name
         self._look_for_signals = look_for_signals
         self._looked_ns = self._waited_ns = self._idle_ns = 0
         self._cpu_s: dict[int, float] = {}
@@ -475,19 +481,19 @@ class _Watch:
         self._looked_ns = self._helped_ns = self._asleep_ns = 0
         self._look_for_signals()
 
-    def take(self, peer: Peer, remark: Remark) -> None:
-        """Take a remark of a program."""
+    def take(self, name: str, remark: Remark) -> None:
+        """Take a remark of a program with this name."""
         if remark.code in "cz":
-            self._wait_for(peer.name, int(remark.text), is_asleep=remark.code == "z")
+            self._wait_for(name, int(remark.text), is_asleep=remark.code == "z")
         elif remark.code == "s":
-            self.remarks.add(f"{peer.name}: {_OWN_SOCKET}")
+            self.remarks.add(f"{name}: {_OWN_SOCKET}")
         elif remark.code == "h":
             pid, _, call = remark.text.partition(" ")
             if command := command_of(int(pid)):
-                self.remarks.add(f"{peer.name}: process {command!r} waits by {call}, whose timeout passes in real time")
+                self.remarks.add(f"{name}: process {command!r} waits by {call}, whose timeout passes in real time")
         elif remark.code == "w":
             call, _, thread = remark.text.partition(" ")
-            self.remarks.add(f"{peer.name}: thread {thread!r} waits by {call}, whose timeout passes in real time")
+            self.remarks.add(f"{name}: thread {thread!r} waits by {call}, whose timeout passes in real time")
 
     def look_at_libraries(self) -> None:
         """Note what programs have loaded.  Raises ProgramFault for another middleware."""
@@ -575,6 +581,8 @@ class _Watch:
             raise ProgramFault(f"{ended}; {absent}" if is_absent else ended)
         if self.is_joining and self.side:
             self.side.look()
+        elif self.is_joining and (alone := self._processes[-1].without(self._library)):
+            raise ProgramFault(f"{self._processes[-1].name}: {_NO_LIBRARY}: {command_of(alone)}")
         if not self.is_joining:
             self._look_for_strangers()
         passed_ns = min(now_ns - self._looked_ns, _MOST_BETWEEN_LOOKS_NS)

@@ -14,7 +14,7 @@ from __future__ import annotations
 import errno
 import socket
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -34,6 +34,7 @@ HOST_VARIABLE, PORT_VARIABLE = "IGTL_HOST", "IGTL_PORT"
 _JOIN_VARIABLE = "IGTL_GATEWAY_RESIM_SOCKETS"
 WEAKER = "OpenIGTLink in lock-step by quiet sockets and threads, a weaker guarantee than that of ROS 2 programs"
 
+_NO_LIBRARY = "it is linked statically, or LD_PRELOAD did not reach it"
 #: Session time that a program has to connect, or to listen.
 _CONNECT_NS = 1_000_000_000
 #: Real time in which a client without the library may turn out to be one that has it.
@@ -143,13 +144,16 @@ class IgtlSide:
         return {_JOIN_VARIABLE: "1", HOST_VARIABLE: HOST, PORT_VARIABLE: str(self.port)}
 
     def look(self) -> None:
-        """Raise ProgramFault if the program has connected, but the library in it has not."""
-        if self._role.is_server or not self._accept():
+        """Raise ProgramFault if the program has connected or listens, but the library in it has not connected."""
+        if not (made := self.connect()):
             return
+        if self._role.is_server:
+            made.close()
         now_ns = self._clock.monotonic_ns()
         self._seen_ns = self._seen_ns or now_ns
-        if now_ns - self._seen_ns > _JOIN_NS:
-            raise ProgramFault(f"{self._name}: connected without session time: it is linked statically")
+        if now_ns - self._seen_ns > _JOIN_NS or self._role.is_server:
+            what = "listens" if self._role.is_server else "connected"
+            raise ProgramFault(f"{self._name}: {what} without session time: {_NO_LIBRARY}")
 
     def connect(self) -> socket.socket | None:
         """The connection; None if there is none yet."""
@@ -162,6 +166,15 @@ class IgtlSide:
             made.close()
             return None
         return made
+
+    def has_second(self) -> bool:
+        """Whether a client has connected once more."""
+        if self._role.is_server:
+            return False
+        with suppress(BlockingIOError):
+            self._listener.accept()[0].close()
+            return True
+        return False
 
     def _accept(self) -> socket.socket | None:
         if not self._accepted:
@@ -190,11 +203,20 @@ class IgtlLink:
         library: the connection of the library in it.
         recorded: whose peer it replaces.
         start_ns: session time.
+        on_remark: called with the name, and what the program does beside its messages.
     """
 
-    def __init__(self, name: str, side: IgtlSide, library: Link, recorded: RecordedLink, start_ns: int) -> None:
+    def __init__(
+        self,
+        name: str,
+        side: IgtlSide,
+        library: Link,
+        recorded: RecordedLink,
+        start_ns: int,
+        on_remark: Callable[[str, frames.Remark], None],
+    ) -> None:
         self._name, self._side, self._library, self._recorded = name, side, library, recorded
-        self._start_ns = start_ns
+        self._start_ns, self._on_remark = start_ns, on_remark
         self._socket: socket.socket | None = None
         self._connection: Connection | None = None
         self._idle = Idle(start_ns, NEVER, DEADLINE, 0)
@@ -291,7 +313,7 @@ class IgtlLink:
                 self._idle = frame
                 return
             if isinstance(frame, frames.Remark):
-                self._ready.append(frame)
+                self._on_remark(self._name, frame)
             elif not isinstance(frame, frames.Progress):
                 raise ProgramFault(f"{self._name}: takes part in ROS 2, too, expected an OpenIGTLink program")
 
@@ -315,9 +337,13 @@ class IgtlLink:
                     break
                 self._library.look()
             has_looked = False
+        at = f"at {(time_ns - self._start_ns) / 1e9:.6f} s of the session"
         if self._has_closed:
-            at_s = (time_ns - self._start_ns) / 1e9
-            raise ProgramFault(f"{self._name}: closed its connection at {at_s:.6f} s of the session", is_end=True)
+            raise ProgramFault(f"{self._name}: closed its connection {at}", is_end=True)
+        if self._side.has_second():
+            raise ProgramFault(
+                f"{self._name}: opened a second connection {at}, expected one: a program stands for one link (--link)"
+            )
 
     def _hangs(self) -> bool:
         """Whether the program has read, waits for nothing that comes, and leaves what has arrived."""

@@ -26,6 +26,8 @@ _OF_OTHERS = ("/site-packages/", "/dist-packages/", f"/python3.{sys.version_info
 _END_S = 2.0
 #: The thread of the library that looks whether all others wait (`_resim_time.h`).
 _WATCHER = "igtl-resim"
+#: A library that each program of ROS 2 loads, and no launcher without it.
+_MIDDLEWARE = re.compile(r"librmw_\w+\.so")
 #: The variable with the place of the session's socket.
 _PLACE = "IGTL_GATEWAY_RESIM"
 #: Letters of a command in a message.
@@ -131,11 +133,13 @@ class Process:
 
     def libraries(self) -> set[str]:
         """Names of the libraries that it has loaded."""
-        try:
-            text = Path(f"/proc/{self.pid}/maps").read_text("utf-8", "replace")
-        except OSError:
-            return set()
-        return {Path(line.split(None, 5)[5]).name for line in text.splitlines() if ".so" in line}
+        return _libraries(self.pid)
+
+    def without(self, library: str) -> int:
+        """The process of it or its launcher that has loaded a middleware of ROS, but not this library; 0 for none."""
+        loaded = {pid: _libraries(pid) for pid in self.family()}
+        found = (pid for pid, names in loaded.items() if library not in names and any(map(_MIDDLEWARE.match, names)))
+        return next(found, 0)
 
     def family(self) -> set[int]:
         """It, the launcher that may have started it, and the processes that these have started."""
@@ -151,6 +155,15 @@ class Process:
     def close(self) -> None:
         """Wait for its last line."""
         self._child.kill()
+
+
+def _libraries(pid: int) -> set[str]:
+    """Names of the libraries that a process has loaded."""
+    try:
+        text = Path(f"/proc/{pid}/maps").read_text("utf-8", "replace")
+    except OSError:
+        return set()
+    return {Path(line.split(None, 5)[5]).name for line in text.splitlines() if ".so" in line}
 
 
 def end_all(processes: Sequence[Process], place: Path) -> None:

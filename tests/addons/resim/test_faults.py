@@ -121,7 +121,7 @@ def test_a_program_that_waits_for_a_processor_does_not_hang(is_computing: bool, 
     """Beside a load of 50, a program gets 1 % of a processor: it computes, as its states show."""
     clock, program = ManualClock(), Waiting(is_computing)
     nobody = Nobody()
-    watch = engine._Watch([program], nobody, clock, ResimOptions(wall_s=1.0), lambda: None)  # type: ignore[list-item, arg-type]
+    watch = engine._Watch([program], nobody, clock, ResimOptions(wall_s=1.0), Path(), lambda: None)  # type: ignore[list-item, arg-type]
     how = r"10 s \(10 wall limits, as it computes\)" if is_computing else r"1 s \(the wall limit\)"
     with pytest.raises(ProgramFault, match=f"did not come to rest within {how}"):
         while True:
@@ -282,6 +282,16 @@ def test_a_program_without_ros(tmp_path: Path) -> None:
     assert compare(result).fault == "true: ended with exit code 0; made no ROS 2 node, or is linked statically"
     result = run(recording, [Program(("sleep", "100"))], ResimOptions(wall_s=0.3), tmp_path)
     assert compare(result).fault == "sleep: made no ROS 2 node, or is linked statically within 0.3 s (the wall limit)"
+
+
+def test_a_program_that_the_library_does_not_reach(tmp_path: Path) -> None:
+    """Such as behind sudo, which takes variables away."""
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(4))
+    alone = Program(("env", "-u", "LD_PRELOAD", sys.executable, str(PROGRAMS / "single.py")), "alone")
+    begin_s = time.monotonic()
+    fault = compare(run(recording, [alone], ResimOptions(wall_s=300.0), tmp_path)).fault
+    assert fault.startswith("alone: uses ROS 2 without session time, as LD_PRELOAD did not reach it: ")
+    assert time.monotonic() - begin_s < 100
 
 
 def test_another_middleware_is_refused_by_name(tmp_path: Path) -> None:

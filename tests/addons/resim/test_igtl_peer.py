@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterable
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -197,9 +198,10 @@ def test_the_link_is_chosen(tmp_path: Path) -> None:
     for link, text in ((0, "found no choice of a link"), (3, "found link 3")):
         with pytest.raises(ConfigError, match=f"{text}, expected one of the links with messages: 1, 2"):
             judged(path, tmp_path, python("igtl_answer", role=IgtlRole(link=link)), runs=1)
-    first, second = (Program(("true",), name, igtl=IgtlRole(link=1)) for name in "ab")
-    with pytest.raises(ConfigError, match="b: found link 1, which a has, expected another link"):
-        run(path, [first, second], ResimOptions(), tmp_path)
+    both = [Program(("true",), igtl=IgtlRole(link=1))] * 2
+    text = r"true \(program 2\): found link 1, which true \(program 1\) has, expected another link"
+    with pytest.raises(ConfigError, match=text):
+        run(path, both, ResimOptions(), tmp_path)
 
 
 def test_programs_in_cpp_with_debians_library(tmp_path: Path) -> None:
@@ -220,8 +222,10 @@ def test_programs_in_cpp_with_debians_library(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("kind", "text"),
     [
-        ("never", "igtl_answer: made no TCP socket, or is linked statically within 2 s (the wall limit)"),
+        ("never", "igtl_answer: made no socket, or is linked statically within 2 s (the wall limit)"),
         ("elsewhere", "igtl_answer: did not connect to 127.0.0.1:"),
+        ("twice", "igtl_answer: opened a second connection at 0.010000 s of the session, expected one"),
+        ("spawns", "igtl_answer: started another process, which still runs: sleep 1000"),
         ("close", "igtl_answer: closed its connection at 0.000000 s of the session"),
         ("garbage", "igtl_answer: sent what is no OpenIGTLink message at 0.000000 s of the session: header"),
         ("flood", "igtl_answer: flooded the session with messages"),
@@ -246,6 +250,33 @@ def test_bad_programs(kind: str, text: str, tmp_path: Path) -> None:
     assert str(marker) not in found
 
 
+@needs_pyigtl
+def test_other_sockets_of_a_program_are_named(tmp_path: Path) -> None:
+    path = recording(tmp_path / "in.mcap")
+    for kind in ("datagrams", "elsewhere too"):
+        result, verdict = judged(path, tmp_path, python("igtl_answer", kind), runs=1)
+        assert verdict.exit_code == 0
+        assert (
+            "igtl_answer: has a socket of its own: what it receives there comes in real time" in result.runs[0].remarks
+        )
+
+
+@needs_pyigtl
+def test_programs_that_the_library_does_not_reach(tmp_path: Path) -> None:
+    path = recording(tmp_path / "in.mcap")
+    for name, words, role, what in (
+        ("igtl_answer", (), IgtlRole(), "connected"),
+        ("igtl_serve", ("{port}",), IgtlRole(is_server=True), "listens"),
+    ):
+        program = python(name, *words, role=role)
+        alone = replace(program, command=("env", "-u", "LD_PRELOAD", *program.command))
+        _, verdict = judged(path, tmp_path, alone, wall_s=300.0)
+        assert (
+            verdict.fault
+            == f"{name}: {what} without session time: it is linked statically, or LD_PRELOAD did not reach it"
+        )
+
+
 def test_a_statically_linked_client_is_refused(tmp_path: Path) -> None:
     if not shutil.which("gcc"):
         pytest.skip("needs gcc")
@@ -260,7 +291,10 @@ def test_a_statically_linked_client_is_refused(tmp_path: Path) -> None:
     if subprocess.run(["gcc", "-static", "-o", program, source], capture_output=True, check=False).returncode:
         pytest.skip("needs the static libc")
     _, verdict = judged(recording(tmp_path / "in.mcap"), tmp_path, Program((str(program), "{port}"), igtl=IgtlRole()))
-    assert verdict.fault == "static: connected without session time: it is linked statically"
+    assert (
+        verdict.fault
+        == "static: connected without session time: it is linked statically, or LD_PRELOAD did not reach it"
+    )
 
 
 def test_a_port_in_use(tmp_path: Path) -> None:

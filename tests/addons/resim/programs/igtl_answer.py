@@ -9,6 +9,7 @@ import platform
 import random
 import signal
 import socket
+import subprocess
 import sys
 import threading
 import time
@@ -53,6 +54,16 @@ def main(kind: str) -> None:
             if kind == "flood":
                 made.sendall(100 * data)
     client = pyigtl.OpenIGTLinkClient(*address)
+    if kind == "datagrams":
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM).close()
+    if kind == "elsewhere too":
+        socket.socket().connect_ex((address[0], 9))
+    if kind == "twice":
+        client.wait_for_message("Tool")
+        client = pyigtl.OpenIGTLinkClient(*address)
+    if kind == "spawns":
+        client.wait_for_message("Tool")
+        subprocess.run(["sleep", "1000"], check=False)
     if kind == "apart":
         threading.Thread(target=turn, daemon=True).start()
     while True:
