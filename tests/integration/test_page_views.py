@@ -26,14 +26,11 @@ class Facts:
         self._asked = 0
         self.more = more
 
-    def state(self) -> bytes:
+    def state(self) -> tuple[int, bytes]:
+        self._asked += 1
         job = {"number": 1, "action": "view", "name": "old.mcap", "state": "running", "seconds": 1.0, "last": ""}
         facts = {"has_bridge": False, "answers": False, "bridge": None, "wrong": 0, "folder": "/data", "version": "0"}
-        return json.dumps(facts | {"jobs": [job | {"link": _LINK}], "replay": None} | self.more).encode()
-
-    def version(self) -> int:
-        self._asked += 1
-        return self._asked
+        return self._asked, json.dumps(facts | {"jobs": [job | {"link": _LINK}], "replay": None} | self.more).encode()
 
     def sessions(self) -> list[dict[str, Any]]:
         late = {"name": "late.mcap", "bytes": 9, "modified_ns": 2, "read": True, "unread": 1, "results": {}}

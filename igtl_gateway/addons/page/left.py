@@ -30,7 +30,7 @@ class Left:
         there = {row["key"]: row for row in links if row["link"]}
         for key, row in self._there.items():
             if key not in there and row["role"] == "client" and row["passed"]:
-                self._left[key] = now_ns, row | {"link": 0, "spark": [], "left_ns": utc_ns, "queue": 0}
+                self._left[key] = now_ns, row | {"link": 0, "spark": "", "left_ns": utc_ns, "queue": 0}
         self._there = there
         self._left = {
             key: one

@@ -1,8 +1,8 @@
 """The page beside a bridge: the interface that its process reads, and that process.
 
-The interface is a server on loopback with a token that only the process knows.  It sends a sample of the bridge twice
-a second, as a line each, and takes what a person has pressed.  Browsers never reach it, so whatever they do, the bridge
-has one reader.
+The interface is a server on loopback with a token that only the process knows.  It sends a sample of the bridge each
+second and after each note, as a line each, and takes what a person has pressed.  Browsers never reach it, so whatever
+they do, the bridge has one reader.
 """
 
 from __future__ import annotations
@@ -56,6 +56,10 @@ _MAX_TYPES = 4_000
 _DEADLINE_S = 90.0
 #: Longest time between two samples, also if the bridge has none: the page waits no longer.
 _STILL_S = 2.0
+#: Least time between two samples without a note, ns: of the calls of `update` each second one.
+_SAMPLE_NS = 3 * NS_PER_S // 4
+#: Counts that the bridge has collected this long ago are collected again, ns: its terminal may hold it up.
+_COLLECTED_NS = NS_PER_S
 #: Pictures are copied for this time after the page has asked for them, and at most once in the second time.
 _LOOKED_NS, _PICTURE_NS = 3 * NS_PER_S, NS_PER_S
 _MAX_PICTURES, _MAX_PICTURE = 16, 32 << 20
@@ -146,7 +150,8 @@ class BridgePage:
         self.pictures = Pictures()
         self._clock = SystemClock()
         self._session: RunningSession | None = None
-        self._begun_ns = 0  # of the session, monotonic
+        self._begun_ns = self._at_ns = 0  # of the session, and of its last `collect`; monotonic
+        self._sampled_ns = 0  # when the last sample was due
         self._on_stop = on_stop
         self._on_links = on_links
         self._notes: deque[dict[str, Any]] = deque(maxlen=_NOTES)
@@ -181,8 +186,10 @@ class BridgePage:
 
     def update(self, session: RunningSession | None, events: Sequence[Event] = ()) -> None:
         """Take the session that runs now, and its notes since the last call.  Twice a second, after its ``collect``."""
+        self._at_ns = now_ns = self._clock.monotonic_ns()
+        is_due = bool(events) or now_ns - self._sampled_ns >= _SAMPLE_NS
         if session is not self._session:
-            self._session, self._begun_ns = session, self._clock.monotonic_ns()
+            self._session, self._begun_ns, is_due = session, now_ns, True
         for event in events:
             note = event.note
             self._number += 1
@@ -205,7 +212,9 @@ class BridgePage:
             why = self._why or self._child.exit_reason() or "its process was ended"
             session.bridge.hub.note(Note(Level.WARN, PAGE, f"the page has ended: {why}; the bridge goes on"))
             self._server.close()
-        self._change()
+        if is_due:
+            self._sampled_ns = now_ns
+            self._change()
 
     def close(self) -> None:
         """End the process."""
@@ -240,8 +249,10 @@ class BridgePage:
         }
 
     def _facts_of(self, session: RunningSession) -> dict[str, Any]:
-        session.bridge.collect()
-        at_ns = self._clock.monotonic_ns()
+        if self._clock.monotonic_ns() - self._at_ns > _COLLECTED_NS:
+            session.bridge.collect()
+            self._at_ns = self._clock.monotonic_ns()
+        at_ns = self._at_ns
         more = {"at_ns": at_ns, "uptime_s": (at_ns - self._begun_ns) / NS_PER_S, "refused": session.watch.refused}
         return sample_of(session.bridge) | more
 

@@ -138,7 +138,7 @@ class Now:
         *,
         is_gone: bool,
     ) -> dict[str, Any]:
-        rhythm, losses = self._streams.setdefault(key, (Rhythm(), Losses(now_ns)))
+        rhythm, losses = self._streams[key] = self._streams.get(key) or (Rhythm(), Losses(now_ns))
         received, dropped = counts
         lost = sum(number for reason, number in dropped.items() if reason not in HARMLESS)
         rhythm.take(now_ns, received, utc_ns)
@@ -160,7 +160,7 @@ class Now:
             "type": kind,
             "side": key[0],
             "rate_hz": rhythm.rate_hz,
-            "spark": list(rhythm.spark),
+            "spark": rhythm.spark_text,
             "age_s": (now_ns - max(one.moved_ns for one in seen or [rhythm])) / 1e9,
             "gap_s": longest.gap_ns / 1e9 if any(one.is_regular for one in rhythms) else None,
             "gap_utc_ns": longest.gap_utc_ns,
@@ -200,7 +200,7 @@ class Now:
             "since_ns": losses.since_ns if peer["connected"] else None,
             "from_hz": taken.rate_hz,
             "to_hz": given.rate_hz,
-            "spark": list((taken if taken.is_regular or peer["received"] >= peer["sent"] else given).spark),
+            "spark": (taken if taken.is_regular or peer["received"] >= peer["sent"] else given).spark_text,
             "latency_ms": latency_ms(rows),
             "ahead_ms": ahead_ms(rows, 0),
             "jitter_ms": milliseconds(row["jitter_ns"] for row in rows),

@@ -31,6 +31,8 @@ from igtl_gateway.edges.tcp.tls import TlsFiles
 _BRIDGE = ("start", "stop", "pause", "resume", "mark", "snapshot", "split", "end")
 #: Time over which the growth of a recording is measured, ns.
 _GROWTH_NS = 30 * NS_PER_S
+#: The state of jobs and replay is looked at again after this time, ns, or a press.
+_FRESH_NS = NS_PER_S // 5
 #: Messages are being lost for this time after the last one, ns.
 _LOSING_NS = 5 * NS_PER_S
 
@@ -56,8 +58,8 @@ class Page:
         self._answers = False
         self._shown = _json(None)  # of the bridge
         self._wrong = 0
-        self._version = 0
-        self._state = b""
+        self._state = 0, b""  # with its version
+        self._made_ns = 0  # when it was looked at last, monotonic; 0: it has changed since
         self._growth: deque[tuple[int, int]] = deque()
         self._session = self._file = ""
         self._begun_ns = 0  # of the file
@@ -77,18 +79,18 @@ class Page:
         self.jobs.close()
         self.replay.close()
 
-    def version(self) -> int:
-        """Return a number that changes with the state."""
-        self.state()
-        return self._version
+    def state(self) -> tuple[int, bytes]:
+        """Return a number that changes with the state, and the state as JSON: the same bytes for all browsers.
 
-    def state(self) -> bytes:
-        """Return the state as JSON: the same bytes for all browsers, whose large part is made once for each sample."""
+        It is made a few times a second at most, however many ask; its large part once for each sample.
+        """
         with self._lock:
-            made = _json(self._facts())[:-1] + b',"bridge":' + self._shown + b"}"
-            if made != self._state:
-                self._state = made
-                self._version += 1
+            now_ns = self._clock.monotonic_ns()
+            if not self._made_ns or now_ns - self._made_ns >= _FRESH_NS:
+                version, before = self._state
+                made = _json(self._facts())[:-1] + b',"bridge":' + self._shown + b"}"
+                self._state = version + (made != before), made
+                self._made_ns = now_ns
             return self._state
 
     def sessions(self) -> list[dict[str, Any]]:
@@ -128,6 +130,13 @@ class Page:
 
     def act(self, what: str, words: dict[str, Any]) -> tuple[bool, str]:
         """Do what was pressed; return whether it was possible, and a sentence for people."""
+        try:
+            return self._act(what, words)
+        finally:
+            with self._lock:
+                self._made_ns = 0
+
+    def _act(self, what: str, words: dict[str, Any]) -> tuple[bool, str]:
         if what in _BRIDGE:
             if self._source is None:
                 return False, "there is no bridge: this page shows a folder"
@@ -175,7 +184,7 @@ class Page:
         shown = _json(rows)
         wrong = len(wrong_things(rows)) if rows else 0
         with self._lock:
-            self._answers, self._shown, self._wrong = found is not None, shown, wrong
+            self._answers, self._shown, self._wrong, self._made_ns = found is not None, shown, wrong, 0
 
     def _recording(self, counters: dict[str, Any] | None, how: dict[str, Any] | None) -> dict[str, Any] | None:
         """Return what the view *Recording* shows; None without a recording."""

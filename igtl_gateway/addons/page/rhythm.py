@@ -28,6 +28,8 @@ _BLOCK_S, _STEADY, _FACTOR, _BLOCKS, _ENOUGH = 10, 2 / 3, 1.5, 60, 3
 #: A stream is slower than before below this share of the rate; the least rate that is judged, and the time after a
 #: pause in which it is not, ns.
 _SHARE, _LEAST_HZ, _AFTER_NS = 0.5, 2.0, 10 * NS_PER_S
+#: Values below this keep a decimal in the text of a sparkline.
+_EXACT = 1_000
 
 
 class Rhythm:
@@ -40,6 +42,7 @@ class Rhythm:
         is_regular: whether it has ever come with a rhythm.
         rate_hz: messages per second.
         spark: messages of each of the last seconds.
+        spark_text: the same, as the page gets it.
         pauses: end and length of each pause of the last minute.
     """
 
@@ -48,12 +51,14 @@ class Rhythm:
         self.is_regular = False
         self.rate_hz = 0.0
         self.spark: deque[float] = deque(maxlen=SPARK_S)
+        self.spark_text = ""
+        self._texts: deque[str] = deque(maxlen=SPARK_S)
         self.pauses: deque[tuple[int, int]] = deque(maxlen=SPARK_S)
         self._samples: deque[tuple[int, int]] = deque()
         self._second, self._at_second, self._usual_hz = 0, 0.0, 0.0
         self._paused_until_ns = 0  # of the last pause that the guard has seen
         self._blocks: deque[float] = deque(maxlen=_BLOCKS)
-        self._seconds = 0
+        self._seconds, self._has_rhythm = 0, False
 
     def take(
         self, now_ns: int, received: int, utc_ns: int = 0, arrived_ns: int = 0, pause: tuple[int, int] = (0, 0)
@@ -114,10 +119,12 @@ class Rhythm:
         then_ns, before = samples[-1] if samples else (now_ns, received)
         if not samples:
             self._second, self._at_second = now_ns // NS_PER_S, received
-        for second in range(max(self._second + 1, now_ns // NS_PER_S - SPARK_S), now_ns // NS_PER_S + 1):
+        seconds = range(max(self._second + 1, now_ns // NS_PER_S - SPARK_S), now_ns // NS_PER_S + 1)
+        for second in seconds:
             share = (second * NS_PER_S - then_ns) / (now_ns - then_ns)
             at_second = before + (received - before) * min(max(share, 0.0), 1.0)
-            self.spark.append(round(at_second - self._at_second, 1))
+            self.spark.append(value := round(at_second - self._at_second, 1))
+            self._texts.append(f"{value:g}" if value < _EXACT else f"{value:.0f}")
             self._second, self._at_second = second, at_second
             self._seconds += 1
             if self._seconds % _BLOCK_S == 0:
@@ -127,10 +134,17 @@ class Rhythm:
             samples.popleft()
         since_ns, first = samples[0]
         self.rate_hz = round((received - first) / (now_ns - since_ns) * NS_PER_S, 3) if now_ns > since_ns else 0.0
-        came = [value for value in self.spark if value > 0]
+        if seconds:
+            self._look_back()
+        self.is_regular |= self._has_rhythm and self.rate_hz >= RHYTHM_HZ
+
+    def _look_back(self) -> None:
+        """Judge the last minute: once a second, because the page has hundreds of these."""
+        values = list(self.spark)
+        came = [value for value in values if value > 0]
         self._usual_hz = median(came) if came else 0.0
-        last = list(self.spark)[-_SECONDS:]
-        self.is_regular |= self.rate_hz >= RHYTHM_HZ and sum(value > 0 for value in last) >= _WITH
+        self._has_rhythm = sum(value > 0 for value in values[-_SECONDS:]) >= _WITH
+        self.spark_text = " ".join(self._texts)
 
     def _keep_block(self) -> None:
         block = list(self.spark)[-_BLOCK_S:]

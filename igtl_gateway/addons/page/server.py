@@ -47,8 +47,7 @@ TEXT, JSON = "text/plain; charset=utf-8", "application/json"
 class Shown(Protocol):
     """What the server shows; see ``process.Page``."""
 
-    def state(self) -> bytes: ...
-    def version(self) -> int: ...
+    def state(self) -> tuple[int, bytes]: ...
     def sessions(self) -> list[dict[str, Any]]: ...
     def places(self, name: str) -> dict[str, Any] | None: ...
     def lines(self, job: int) -> list[str]: ...
@@ -112,9 +111,9 @@ class _Handler(Handler):
             name, kind = _STATIC[path]
             self._send(kind, _file(name))
         elif path == "/api/state":
-            known = words.get("known", "")
-            version = str(self.page.version())
-            self._send(JSON, b"" if known == version else self.page.state(), Page_Version=version, Page_Role=role)
+            version, state = self.page.state()
+            is_known = words.get("known") == str(version)
+            self._send(JSON, b"" if is_known else state, Page_Version=str(version), Page_Role=role)
         elif path == "/api/sessions":
             self._json(self.page.sessions())
         elif path == "/api/places":

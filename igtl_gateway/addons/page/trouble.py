@@ -24,9 +24,9 @@ LATE_NS, _EPOCH_NS, _AGES = 250_000_000, 86_400_000_000_000, 10
 #: A clock is ahead by more than this, as for rule W303.
 AHEAD_NS = 100_000_000
 #: A send queue with more is of a peer that reads slowly; so are bytes for which its system has no room in all of the
-#: last samples: the kernel keeps minutes of small messages before the queue fills.
+#: last samples, which are of this time, ns: the kernel keeps minutes of small messages before the queue fills.
 _QUEUED, _QUEUED_BYTES = 50, 1 << 20
-_SAMPLES, _STUCK_BYTES = 8, 16 << 10
+_STUCK_NS, _STUCK_BYTES = 7 * NS_PER_S // 2, 16 << 10
 
 _ADVICE = {rule.id[5:]: rule.advice for rule in RULES}
 #: What no rule of `doctor` is about → its advice.
@@ -81,25 +81,29 @@ _GOOD = Trouble(OK)
 
 @dataclass(slots=True)
 class Losses:
-    """What a stream or a link has lost, over the samples; times in ns."""
+    """What a stream or a link has lost, over the samples; times in ns.
+
+    Attributes:
+        stuck_bytes: what a peer has had no room for since some samples; 0 if it has some now and then.
+    """
 
     since_ns: int
     lost: int = 0
     lost_ns: int = 0
-    unconfirmed: deque[int] = field(default_factory=lambda: deque(maxlen=_SAMPLES))
+    stuck_bytes: int = 0
+    _unconfirmed: deque[tuple[int, int]] = field(default_factory=deque)
 
     def take(self, now_ns: int, lost: int, unconfirmed_bytes: int = 0) -> None:
         """Take the counts of a sample."""
-        self.unconfirmed.append(unconfirmed_bytes)
+        found = self._unconfirmed
+        found.append((now_ns, unconfirmed_bytes))
+        while len(found) > 1 and now_ns - found[1][0] >= _STUCK_NS:
+            found.popleft()
+        least = min(size for _, size in found) if now_ns - found[0][0] >= _STUCK_NS else 0
+        self.stuck_bytes = least if least > _STUCK_BYTES else 0
         if lost > self.lost:
             self.lost_ns = now_ns
         self.lost = lost
-
-    @property
-    def stuck_bytes(self) -> int:
-        """What a peer has had no room for since some samples; 0 if it has some now and then."""
-        least = min(self.unconfirmed) if len(self.unconfirmed) == _SAMPLES else 0
-        return least if least > _STUCK_BYTES else 0
 
     def is_recent(self, now_ns: int) -> bool:
         """Whether something was lost just now."""

@@ -92,18 +92,32 @@ def test_a_sample_is_made_for_a_reader_only_and_once_for_each_change(monkeypatch
         page_of(bridge._bridge, []) as (page, source),
     ):
         session = Session(bridge._bridge)
+        event = Event(1, Kind.EDGE_NOTE, Note(Level.INFO, "x", "x"), ())
         for _ in range(20):
-            page.update(session)
+            page.update(session, [event])
         assert made == []
         samples = source.samples()
         next(samples)
         for _ in range(3):
-            page.update(session)
+            for _ in range(20):  # without a note, at most one each second
+                page.update(session)
+            page.update(session, [event])
             assert "uptime_s" in next(samples)["facts"]
         assert len(made) == 4
         assert source.press("format", "")[0] is False and next(samples)  # a press shows at once
         page.close()
         assert list(samples) == []
+
+
+def test_a_sample_is_of_the_bridges_own_collection(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(live, "Child", MagicMock())
+    monkeypatch.setattr(live, "sample_of", lambda _: {})
+    bridge = MagicMock()
+    with page_of(bridge, []) as (page, _):
+        first, again = page.facts()["facts"], page.facts()["facts"]
+        assert first["at_ns"] == again["at_ns"] and not bridge.collect.called
+        page._at_ns -= 2 * 10**9  # a terminal holds the bridge up
+        assert page.facts()["facts"]["at_ns"] > first["at_ns"] and bridge.collect.call_count == 1
 
 
 def test_a_bridge_that_does_not_answer_is_none_and_is_asked_again() -> None:

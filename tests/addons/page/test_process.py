@@ -20,7 +20,7 @@ import pytest
 
 import igtl_gateway
 from igtl_gateway.addon import GatewayError
-from igtl_gateway.addons.page import disk
+from igtl_gateway.addons.page import disk, process
 from igtl_gateway.addons.page.process import Page
 from igtl_gateway.addons.page.source import BridgeSource
 from tests.addons.page.browser import CHROMIUM, Browser
@@ -259,8 +259,26 @@ def source(tmp_path: Path) -> Iterator[Source]:
 
 
 def recording_of(page: Page) -> dict[str, Any]:
-    found: dict[str, Any] = json.loads(page.state())["bridge"]["recording"]
+    found: dict[str, Any] = json.loads(page.state()[1])["bridge"]["recording"]
     return found
+
+
+def test_many_browsers_cost_what_one_costs(source: Source, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(process, "_FRESH_NS", 3_600 * 10**9)
+    with closing(Page(None, source)) as page:
+        looks: list[int] = []
+
+        def rows() -> list[int]:
+            looks.append(1)
+            return looks.copy()
+
+        monkeypatch.setattr(page.jobs, "rows", rows)
+        source.report("today.mcap", 0, dropped=0)
+        first = page.state()
+        assert all(page.state() is first for _ in range(100)) and looks == [1]
+        assert not page.act("cancel", {"number": 1})[0] and page.state()[0] == first[0] + 1
+        source.report("today.mcap", 1, dropped=0)
+        assert page.state()[0] == first[0] + 2 and looks == [1, 1, 1]
 
 
 def test_size_and_counts_are_of_the_file_that_is_written(source: Source, tmp_path: Path) -> None:

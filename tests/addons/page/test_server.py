@@ -23,11 +23,8 @@ class Fake:
     def __init__(self) -> None:
         self.pressed: list[str] = []
 
-    def state(self) -> bytes:
-        return b'{"a":1}'
-
-    def version(self) -> int:
-        return 7
+    def state(self) -> tuple[int, bytes]:
+        return 7, b'{"a":1}'
 
     def sessions(self) -> list[dict[str, Any]]:
         return []

@@ -83,7 +83,8 @@ function day(ns) { return new Date(ns / 1e6).toLocaleString("sv-SE", { dateStyle
 function time(ns) { return new Date(ns / 1e6).toLocaleTimeString("en-GB"); }
 function count(value, thing, things) { return `${number(value)} ${value === 1 ? thing : things || thing + "s"}`; }
 
-function sparkline(values) {
+function sparkline(text) {
+  const values = text ? text.split(" ").map(Number) : [];
   const most = Math.max(...values, 1), n = Math.max(values.length - 1, 1);
   const points = values.map((value, at) => `${((at + 60 - values.length) / 59 * 100).toFixed(1)} ${(20 - value / most * 17).toFixed(1)}`);
   return points.length > 1 && n ? "M" + points.join("L") : "";
@@ -286,7 +287,7 @@ function stateColumn() { const td = h("td"); let last = ""; return { td, draw: (
 function sparkColumn() {
   const path = svg("path", {}), td = h("td.wide", null, svg("svg", { class: "spark", viewBox: "0 0 100 22", preserveAspectRatio: "none", "aria-hidden": "true" }, path));
   let last = "";
-  return { td, draw: (row) => { const d = sparkline(row.spark); if (d !== last) path.setAttribute("d", last = d); } };
+  return { td, draw: (row) => { if (row.spark !== last) path.setAttribute("d", sparkline(last = row.spark)); } };
 }
 
 const TO = { igtl: (place) => `, at ${place}`, ros: () => ", to ROS 2", both: (place) => `, at ${place} and to ROS 2` };
