@@ -30,6 +30,7 @@ from igtl_gateway.wire.registry import BODIES
 if TYPE_CHECKING:
     from igtl_gateway.app.metrics import MetricsServer
     from igtl_gateway.record.recorder import Recorder
+    from igtl_gateway.record.worker import RecordingSummary
 
 #: Level of a note → priority in the journal.
 _PRIORITIES = {Level.INFO: service.INFO, Level.WARN: service.WARNING, Level.ERROR: service.ERROR}
@@ -60,6 +61,16 @@ def _state_of(recorder: Recorder) -> str:
     if recorder.failure:
         return "(FAILED) "
     return "(stopped) " if recorder.rests else "(paused) " if recorder.paused else ""
+
+
+def _where(bridge: Bridge, summary: RecordingSummary) -> str:
+    """Return the file of a recording, or how many files it has."""
+    if bridge.options.recording.snapshot_s:
+        return f"{count_text(len(summary.files), 'snapshot')} of {summary.path}"
+    beside = [path for path in summary.files if path.parent == summary.path.parent]  # parts are inside of the path
+    if len(beside) > 1:
+        return f"{len(beside)} files, the last one {beside[-1]}"
+    return str(beside[0] if beside else summary.path)  # the next name if another program took the first file away
 
 
 class StatusLine:
@@ -194,9 +205,8 @@ class TextOutput:
         if bridge.summary:
             summary = bridge.summary
             lost, left_out = sum(summary.dropped.values()), sum(summary.left_out.values())
-            files = f"{count_text(len(summary.files), 'snapshot')} of " if bridge.options.recording.snapshot_s else ""
             print_line(
-                f"recorded {count_text(summary.entries, 'entry', 'entries')} to {files}{summary.path} "
+                f"recorded {count_text(summary.entries, 'entry', 'entries')} to {_where(bridge, summary)} "
                 f"({size_text(summary.size)})"
                 + (f", {left_out:,} not selected" if left_out else "")
                 + (f", LOST {lost:,}" if lost else "")

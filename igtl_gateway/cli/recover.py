@@ -41,7 +41,9 @@ _SHOWN = 20
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_file(parser, "recording, directory of a split recording, or another MCAP file")
-    add_output(parser, "file to write " + default("FILE with .recovered.mcap"), new_recording, old=())
+    add_output(
+        parser, "file to write, or directory for parts " + default("FILE with .recovered.mcap"), new_recording, old=()
+    )
     add_overwrite(parser, "OUT")
     add_json(parser)
 
@@ -70,6 +72,8 @@ def _run_parts(options: argparse.Namespace) -> int:
     output: Path = options.output or source.with_name(f"{source.name}.recovered")
     if is_same(output, source):
         raise ConfigError(f"{output}: found the damaged recording, expected another name for the recovered one")
+    if output.suffix == ".mcap" and not output.is_dir():
+        raise ConfigError(f"{output}: found the name of a file, expected a directory for the parts of {source}")
     paths = sorted(source.glob("*.mcap"))
     if not paths:
         raise UnsupportedRecording(f"{source}: found a directory without .mcap files, expected a split recording")

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+from collections import Counter
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -15,6 +17,7 @@ from igtl_gateway.cli.settings import settled
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.notations import peer_address
 from igtl_gateway.edges.tcp import PeerLimits, TlsFiles
+from igtl_gateway.record.worker import RecordingSummary
 
 
 def parsed(*words: str) -> dict[str, Any]:
@@ -57,3 +60,31 @@ def test_what_is_denied_is_said_and_slips_are_seen() -> None:
     assert bridge_output.denied_lines(Config()) == []
     lines = bridge_output.denied_lines(Config(deny_in=("command", "TRANFORM"), deny_out=("*",)))
     assert lines == ["denied       from peers: command, TRANFORM (matches no known type)", "denied       to peers: *"]
+
+
+@pytest.mark.parametrize(
+    ("files", "where"),
+    [
+        (["out.mcap"], "out.mcap"),
+        (["out_1.mcap"], "out_1.mcap"),  # the first one was taken away
+        (["out.mcap", "out_1.mcap"], "2 files, the last one out_1.mcap"),
+        ([], "out.mcap"),
+        (["out.mcap/out_0.mcap", "out.mcap/out_1.mcap", "out.mcap/metadata.yaml"], "out.mcap"),
+    ],
+)
+def test_the_last_line_names_the_files_that_are_there(
+    files: list[str], where: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    summary = RecordingSummary(Path("out.mcap"), 2_000, 7, {}, {}, tuple(map(Path, files)))
+    recording = SimpleNamespace(snapshot_s=0)
+    bridge = SimpleNamespace(
+        tcp=SimpleNamespace(refused=dict),
+        summary=summary,
+        options=SimpleNamespace(recording=recording),
+        uploads=None,
+        losses={},
+    )
+    watch: Any = SimpleNamespace(counts=Counter(), refused=0)
+    output: Any = bridge_output.TextOutput(terminal=False)
+    output.stopped(bridge, watch)
+    assert f"recorded 7 entries to {where} (2.0 kB)\n" in capsys.readouterr().out

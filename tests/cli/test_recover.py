@@ -307,6 +307,24 @@ def test_the_parts_of_a_split_recording_are_recovered_together(
     assert side_file(tmp_path / "more") == counts(ENTRIES)
     (tmp_path / "none").mkdir()
     assert main(["recover", str(tmp_path / "none")]) == 2
+    capsys.readouterr()
+    assert main(["recover", str(folder), "-o", str(tmp_path / "one.mcap")]) == 2
+    words = f"one.mcap: found the name of a file, expected a directory for the parts of {folder}"
+    assert words in capsys.readouterr().err and not (tmp_path / "one.mcap").exists()
+
+
+def test_session_metadata_that_are_lost_are_named_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, first, second = (tmp_path / name for name in ("out.mcap", "first.mcap", "second.mcap"))
+    writer = SessionWriter(path, SESSION)
+    for entry in ENTRIES:
+        writer.write(entry)
+    writer.close({})
+    path.write_bytes(path.read_bytes().replace(b"igtl_gateway.session", b"igtl_gateway.nothing"))
+    (loss,) = told(capsys, "recover", path, "-o", first, code=1)["lost"]
+    assert loss["text"] == "the session metadata, such as the configuration"
+    assert told(capsys, "recover", first, "-o", second, code=0)["lost"] == []
+    again = told(capsys, "recover", second, code=0)
+    assert again["lost"] == [] and entries(second) == entries(first)
 
 
 def test_a_split_recording_whose_last_part_is_not_there_has_no_end(

@@ -27,7 +27,7 @@ from igtl_gateway.record.sessionfile.compression import Compression
 from igtl_gateway.record.sessionfile.copying import CopyWriter
 from igtl_gateway.record.sessionfile.merged import MERGE_METADATA, parse_merge
 from igtl_gateway.record.sessionfile.reader import SessionFile, prologue_of
-from igtl_gateway.record.sessionfile.salvage import Salvage, Salvaged
+from igtl_gateway.record.sessionfile.salvage import HAS_SESSION, Salvage, Salvaged
 from igtl_gateway.record.sessionfile.salvage_report import ATTACHMENT, LEDGER, METADATA, NUMBER, Loss, SalvageReport
 from igtl_gateway.record.sessionfile.side_file import RecordingPart
 
@@ -247,6 +247,7 @@ def _origin(file: Salvage) -> dict[str, Any]:
         "from_bytes": report.size,
         "whole": report.whole,
         "closed": report.closed,
+        HAS_SESSION: bool(file.recorded_session),
         "messages": report.messages,
         "missing": report.missing,
         "missing_numbers": report.missing_numbers,

@@ -47,6 +47,8 @@ from igtl_gateway.record.sessionfile.salvage_report import (
 )
 
 _Value = TypeVar("_Value")
+#: Key of what a ledger states of a recovery: the file had session metadata.
+HAS_SESSION = "has_session"
 #: Characters of the text of a loss that quotes the file.
 _MAX_TEXT = 300
 
@@ -432,7 +434,9 @@ class _SalvagePass:
             why = "is not there yet: it is being recorded" if self._salvage.growing else "was not yet on the disk"
             self._lose(CUT_OFF, torn or end, f"the file ends here{rest}: what came after it {why}")
         ours = not self._salvage.foreign
-        if ours and not self._salvage.session:
+        # a recovery that found none has named it
+        was_lost = (self._salvage.ledger or {}).get("recovered", {}).get(HAS_SESSION) is False
+        if ours and not self._salvage.session and not was_lost:
             self._lose(METADATA, nowhere, "the session metadata, such as the configuration")
         for key, why in self._salvage.unusable.items():
             self._lose(METADATA, nowhere, f"the item {key!r} of the session metadata: {why}"[:_MAX_TEXT])
