@@ -18,7 +18,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
+from hypothesis import HealthCheck, settings
 
 from tests import domains
 
@@ -48,9 +48,10 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 gc.set_threshold(20_000, 20, 50)
 
 # "fast" is the same on every run, so a red test is red for everybody; "deep" looks for new examples.
-# No deadline: the time of an example depends more on the machine than on the code.
-settings.register_profile("fast", max_examples=20, derandomize=True, deadline=None)
-settings.register_profile("deep", max_examples=2000, deadline=None)
+# No deadline, and none for making examples: the time depends more on the machine than on the code.
+_UNTIMED = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("fast", _UNTIMED, max_examples=20, derandomize=True)
+settings.register_profile("deep", _UNTIMED, max_examples=2000)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "fast"))
 
 

@@ -22,8 +22,8 @@ def test_each_verb_has_a_call_that_does_something() -> None:
 
 
 def test_a_call_without_an_extra_ends_with_its_code() -> None:
-    assert fault(Call("verify", code=1), "", 1, "") == fault(Call("info"), "", 0, "") == ""
-    assert fault(Call("info"), "", 2, "unknown option") == "found code 2 (unknown option), expected 0"
+    assert fault(Call("verify", code=1), {""}, 1, "") == fault(Call("info"), {""}, 0, "") == ""
+    assert fault(Call("info"), {""}, 2, "unknown option") == "found code 2 (unknown option), expected 0"
 
 
 @pytest.mark.parametrize(
@@ -41,14 +41,19 @@ def test_a_call_without_an_extra_ends_with_its_code() -> None:
     ],
 )
 def test_faults(extra: str, code: int, errors: str, wrong: str) -> None:
-    found = fault(Call("export", "arrow"), extra, code, errors)
+    found = fault(Call("export", "arrow"), {extra}, code, errors)
     assert wrong in found and bool(wrong) == bool(found)
 
 
 def test_a_call_that_needs_what_no_other_extra_has() -> None:
     query = Call("cohort query", "cohort", alone=True)
-    assert not fault(query, "arrow", 1, missing("duckdb")) and not fault(query, "cohort", 2, "no such file")
-    assert "expected code 1 and one line with cohort" in fault(query, "arrow", 0, "")
+    assert not fault(query, {"arrow"}, 1, missing("duckdb")) and not fault(query, {"cohort"}, 2, "no such file")
+    assert "expected code 1 and one line with cohort" in fault(query, {"arrow"}, 0, "")
+
+
+def test_an_extra_that_brings_pyarrow() -> None:
+    assert fault(Call("cohort info", "cohort"), {"view"}, 0, "")
+    assert not fault(Call("cohort info", "cohort"), {"view", "arrow"}, 0, "")
 
 
 def test_the_oldest_and_the_newest_python() -> None:

@@ -537,7 +537,7 @@ STEPS = st.lists(
 )
 
 
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow], deadline=None)
 @given(steps=STEPS, compiled=st.booleans())
 def test_both_writers_alternate(library: ctypes.CDLL, steps: list[tuple[str, int, int]], compiled: bool) -> None:
     with pytest.MonkeyPatch.context() as patch:

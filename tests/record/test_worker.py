@@ -163,7 +163,9 @@ def repeated(entries: list[Entry], times: int) -> list[Entry]:
 
 
 @pytest.mark.slow
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None, max_examples=40)
+@settings(
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow], deadline=None, max_examples=40
+)
 @given(entries=samples.sessions())
 def test_files_with_rows_are_equal(tmp_path: Path, entries: list[Entry]) -> None:
     entries = repeated(entries, 4)

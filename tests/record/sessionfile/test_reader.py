@@ -40,7 +40,7 @@ def read(path: Path) -> list[Entry]:
 
 
 @given(samples.sessions(), st.sampled_from([200, 1 << 20]))
-@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 def test_any_session_comes_back(tmp_path: Path, entries: list[Entry], chunk_bytes: int) -> None:
     path = tmp_path / "session.mcap"
     path.unlink(missing_ok=True)
