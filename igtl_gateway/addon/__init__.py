@@ -180,6 +180,7 @@ if TYPE_CHECKING:
     from igtl_gateway.gateway.log.entry import Kind as Kind
     from igtl_gateway.gateway.log.marks import Mark as Mark
     from igtl_gateway.gateway.log.marks import MarkNote as MarkNote
+    from igtl_gateway.gateway.log.marks import ago_ns as ago_ns
     from igtl_gateway.gateway.log.note import Level as Level
     from igtl_gateway.gateway.log.note import Note as Note
     from igtl_gateway.record.sessionfile import layout as layout
@@ -242,7 +243,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("gateway", "LINK_DOWN LINK_UP LISTENED PARTNER TICK Session header_names make_core"),
     ("gateway.log.changes", "SETTING SETTINGS"),
     ("gateway.log.clocksteps", "CLOCK_STEP"),
-    ("gateway.log.marks", "Mark MarkNote"),
+    ("gateway.log.marks", "Mark MarkNote ago_ns"),
     ("record.sessionfile.added_marks", "added_marks marks_files"),
     ("replay.recorded_marks", "carry_marks marks_of"),
     # Conversions of pictures and geometry, one message at a time

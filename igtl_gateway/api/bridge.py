@@ -25,7 +25,7 @@ from igtl_gateway.edges.ros.env import prepare_environment
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.tcp import LinkInfo
 from igtl_gateway.gateway.log.entry import Entry, Kind
-from igtl_gateway.gateway.log.marks import BEGIN, END, MarkNote
+from igtl_gateway.gateway.log.marks import BEGIN, END, MarkNote, ago_ns
 from igtl_gateway.gateway.log.note import Level, Note
 
 _NOTES = 100
@@ -212,7 +212,7 @@ class Bridge:
         """
         self._bridge.change(changes)
 
-    def mark(self, label: str, text: str = "", *, who: str = "", phase: str = "") -> None:
+    def mark(self, label: str, text: str = "", *, who: str = "", phase: str = "", ago_s: float = 0) -> None:
         """Mark this moment of the session; see docs/how-to/marks.md.
 
         Args:
@@ -220,12 +220,13 @@ class Bridge:
             text: more words, up to 1,000 characters.
             who: who made it, up to 64 characters.
             phase: ``"begin"`` or ``"end"`` of the phase of this label; "": a moment.
+            ago_s: how long ago the moment was, at most since the session began.
 
         Raises:
             ConfigError: a field has another value, the phase is open already, or it is not open.
             Unavailable: the bridge does not run.
         """
-        self._bridge.mark(MarkNote(label, text, who, phase))
+        self._bridge.mark(MarkNote(label, text, who, phase, ago_ns(ago_s)))
 
     @contextmanager
     def phase(self, label: str, text: str = "", *, who: str = "") -> Iterator[None]:

@@ -23,9 +23,9 @@ from igtl_gateway.app.ros_traffic import RosTraffic
 from igtl_gateway.app.subscriptions import Subscriptions
 from igtl_gateway.app.timer import Timer
 from igtl_gateway.base.clock import Clock
-from igtl_gateway.base.errors import Unavailable
+from igtl_gateway.base.errors import ConfigError, Unavailable
 from igtl_gateway.base.qos import Qos
-from igtl_gateway.base.stamp import NS_PER_MS
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.base.systems.memory import IdleMemory
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.edges.interface import RosSide
@@ -160,7 +160,7 @@ class Bridge:
         timer = Timer(self.hub.tick, lambda: self.gateway.due_ns, self.hub.now_ns, self._each_second, tick_ns, clock)
         self.gateway.deadline_set = timer.deadline_set
         self._starts_active = True
-        self._runs = False
+        self._runs, self._begun_ns, self._clock = False, 0, clock
         traffic = self._traffic
         self._parts = Parts(
             Step(self._open_ports, self.tcp.stop),  # first: a port in use must not cost an existing recording
@@ -219,7 +219,7 @@ class Bridge:
 
     def _begin(self) -> None:
         """Make the first entry the note that no messages pass, if so."""
-        self._runs = True
+        self._runs, self._begun_ns = True, self._clock.monotonic_ns()
         if not self._starts_active:
             self.change({"active": False})
 
@@ -248,11 +248,14 @@ class Bridge:
         """Make a mark: an input of the session, which a recording has also while it is paused.  Any thread may call it.
 
         Raises:
-            ConfigError: the begin of a phase that is open, or the end of one that is not.
+            ConfigError: the begin of a phase that is open, or the end of one that is not; a time before the session.
             Unavailable: the bridge does not run.
         """
         if not self._runs:
             raise Unavailable("mark: found a bridge that does not run, expected one that was started")
+        if mark.ago_ns > (lasts_ns := self._clock.monotonic_ns() - self._begun_ns):
+            ago_s, since_s = mark.ago_ns / NS_PER_S, lasts_ns / NS_PER_S
+            raise ConfigError(f"mark: found {ago_s:.1f} s ago, expected at most the {since_s:.1f} s of the session")
         self.gateway.phases.check(mark)
         self.hub.note(mark.note())
 

@@ -16,7 +16,7 @@ from igtl_gateway.base.errors import GatewayError
 from igtl_gateway.base.untrusted.shape import fields, text, unexpected
 from igtl_gateway.base.untrusted.text import parse_json
 from igtl_gateway.edges.tcp.http_server import DEADLINE_S, Handler, LocalServer
-from igtl_gateway.gateway.log.marks import MarkNote
+from igtl_gateway.gateway.log.marks import MarkNote, ago_ns
 
 Facts = Mapping[str, Any]
 #: Labels and value of one line of the text format.
@@ -180,7 +180,11 @@ METRICS = (
 
 PREFIX = "igtl_gateway_"
 
-_MARK = fields(dict.fromkeys(("label", "text", "who", "phase"), text), needed=("label",), other=unexpected)
+_MARK = fields(
+    {**dict.fromkeys(("label", "text", "who", "phase"), text), "ago_s": lambda value, _: _check_ago(value)},
+    needed=("label",),
+    other=unexpected,
+)
 
 
 def prometheus(facts: Facts) -> str:
@@ -267,10 +271,14 @@ class _Handler(Handler):
 
 
 def _mark_of(body: bytes) -> MarkNote:
-    """Return the mark in a request: an object with ``label`` and, as they are wanted, ``text``, ``who``, ``phase``.
+    """Return the mark in a request: an object with ``label`` and, if wanted, ``text``, ``who``, ``phase``, ``ago_s``.
 
     Raises GatewayError.
     """
     found = parse_json(body.decode("utf-8", "replace"), "body")
     _MARK(found, "body")
-    return MarkNote(**{"who": "http", **found})
+    return MarkNote(ago_ns=ago_ns(found.pop("ago_s", 0)), **{"who": "http", **found})
+
+
+def _check_ago(value: Any) -> None:
+    ago_ns(value)

@@ -360,7 +360,9 @@ class _Show:
         self._started_ns = self._clock.monotonic_ns()
         bridge = session.bridge
         keys = self._controls.enter_context(
-            recording_keys.recording_controls(bridge.recorder, lambda line: bridge.mark(MarkNote.parse(line, _WHO)))
+            recording_keys.recording_controls(
+                bridge.recorder, lambda line, ago_ns: bridge.mark(MarkNote.parse(line, _WHO, ago_ns))
+            )
         )
         shared = _SHARED_TF if bridge.gateway.config.publish_tf and self._host and self._host.shares_tf else ""
         notes = [note for note in (*self._notes, shared, bridge.realtime, keys) if note]

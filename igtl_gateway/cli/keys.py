@@ -12,6 +12,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import IO, Any
 
+from igtl_gateway.base.clock import SystemClock
+
 if sys.platform == "win32":
     import _thread
     import msvcrt
@@ -63,15 +65,17 @@ class LineInput:
 
     Args:
         key: what opens it.
-        on_line: called with the text of each line that is not empty.
+        on_line: called with the text of each line that is not empty, and the time since the key, ns.
         show: called with the text so far, while it is typed, and with None at the end.
     """
 
-    def __init__(self, key: bytes, on_line: Callable[[str], None], show: Callable[[str | None], None]) -> None:
+    def __init__(self, key: bytes, on_line: Callable[[str, int], None], show: Callable[[str | None], None]) -> None:
         self.key = key
         self._on_line = on_line
         self._show = show
         self._typed: bytes | None = None
+        self._clock = SystemClock()
+        self._opened_ns = 0  # monotonic
 
     def take(self, typed: bytes) -> tuple[bytes, bytes, bool]:
         """Return the bytes before a line, those after it, and whether a line took the bytes in between."""
@@ -80,7 +84,7 @@ class LineInput:
         before, key, after = typed.partition(self.key)
         if not key:
             return before, b"", False
-        self._typed = b""
+        self._typed, self._opened_ns = b"", self._clock.monotonic_ns()
         self._show("")
         return before, self._feed(after), True
 
@@ -93,7 +97,7 @@ class LineInput:
                 text, self._typed = self._text(), None
                 self._show(None)
                 if text.strip() and key != b"\x1b":
-                    self._on_line(text)
+                    self._on_line(text, self._clock.monotonic_ns() - self._opened_ns)
                 return typed[place:]
             if key in b"\x7f\b":
                 self._typed = self._text()[:-1].encode()

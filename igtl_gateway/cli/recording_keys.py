@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 
 @contextmanager
-def recording_controls(recorder: Recorder | None, mark: Callable[[str], None]) -> Iterator[str]:
+def recording_controls(recorder: Recorder | None, mark: Callable[[str, int], None]) -> Iterator[str]:
     """Context manager: keys and signals control the recorder.  Yields a line that names them, or "".
 
     Args:
         recorder: None: there is no recording, and no keys.
-        mark: called with the line that the user types after the key ``m``; raises GatewayError.
+        mark: called with the line that the user types after the key ``m``, and the ns since then; raises GatewayError.
     """
     with ExitStack() as stack:
         if recorder is None:
@@ -46,7 +46,7 @@ def recording_controls(recorder: Recorder | None, mark: Callable[[str], None]) -
         if keys:
             # key s means "next message" in a replay
             bound = {NEXT: save} if snapshots else {PAUSE: toggle, RECORD: begin_or_end}
-            line = LineInput(b"m", lambda text: _mark(text, mark), _show_line)
+            line = LineInput(b"m", lambda text, ago_ns: _mark(text, ago_ns, mark), _show_line)
             stack.enter_context(keyboard(lambda command: bound.get(command, _nothing)(), line=line))
         ways = (["key s" if snapshots else "space"] if keys else []) + ([number.name] if number else [])
         if snapshots:
@@ -57,10 +57,10 @@ def recording_controls(recorder: Recorder | None, mark: Callable[[str], None]) -
         yield "; ".join([*words, "m and a line of text makes a mark"] if keys else words)
 
 
-def _mark(text: str, mark: Callable[[str], None]) -> None:
+def _mark(text: str, ago_ns: int, mark: Callable[[str, int], None]) -> None:
     """Make a mark, or print why it cannot be made."""
     try:
-        mark(text)
+        mark(text, ago_ns)
     except GatewayError as error:
         if is_terminal():
             clear_live_line()

@@ -29,7 +29,6 @@ from igtl_gateway.cli.terminal import print_json, print_line
 from igtl_gateway.gateway.log.entry import MESSAGES
 from igtl_gateway.gateway.log.marks import Mark
 from igtl_gateway.record.sessionfile import layout
-from igtl_gateway.record.sessionfile.added_marks import added_marks
 from igtl_gateway.record.sessionfile.beside import written
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
@@ -97,10 +96,10 @@ def run(options: argparse.Namespace) -> int:
             window,
             file.entries_starting_at,
         )
-        added = added_marks(file.path, file.start_ns, file.end_ns)
+        wanted = [mark for mark in marks() if _is_in(mark, window)]
         _write(file, part, window, options)
         # the window may begin before the first message in it, and end behind the last one
-        carry_marks(options.output, [mark for mark in added if _is_in(mark, window)], only_within=False)
+        carry_marks(options.output, _unlogged(wanted, options.output, window.start_ns), only_within=False)
         if options.json:
             print_json({"file": str(options.output), "bytes": options.output.stat().st_size, **_facts(part.report)})
         else:
@@ -118,6 +117,17 @@ def _check_streams(file: SessionFile, streams: Sequence[str]) -> None:
 
 def _is_in(mark: Mark, window: SliceWindow) -> bool:
     return mark.time_ns < window.end_ns and window.start_ns <= mark.last_ns
+
+
+def _unlogged(marks: Sequence[Mark], part: Path, start_ns: int) -> list[Mark]:
+    """Return the marks that the log of a part lacks: added ones, and those of its time that were noted later."""
+    with SessionFile.open(part) as file:
+        known = {(mark.label, mark.time_ns) for mark in marks_of(file, added=False)}
+    return [
+        mark
+        for mark in marks
+        if mark.is_added or (mark.time_ns >= start_ns and (mark.label, mark.time_ns) not in known)
+    ]
 
 
 def _apart(window: SliceWindow) -> str:

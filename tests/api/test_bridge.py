@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any
 
@@ -96,6 +97,19 @@ def test_marks_are_recorded_also_while_the_recording_is_paused(tmp_path: Path) -
         ]
         assert not recording.marks[1].is_open
     assert igtl_gateway.verify(out).good
+
+
+def test_a_mark_may_be_of_an_earlier_moment_of_the_session(tmp_path: Path) -> None:
+    before_ns = time.time_ns()
+    with Bridge(listen=LOCAL, ros=False, record=tmp_path / "a.mcap") as bridge:
+        time.sleep(0.2)
+        bridge.mark("early", ago_s=0.15)
+        with pytest.raises(ConfigError, match=r"found 60\.0 s ago, expected at most the 0"):
+            bridge.mark("before", ago_s=60)
+        now_ns = time.time_ns()
+    with igtl_gateway.open(tmp_path / "a.mcap") as found:
+        (mark,) = found.marks
+    assert before_ns < mark.time_ns <= now_ns - 150_000_000
 
 
 def test_marks_of_peers(tmp_path: Path) -> None:

@@ -159,17 +159,23 @@ def test_a_mark_by_http() -> None:
         assert _post(server, b'{"label": "slip"}') == (200, '{"label": "slip"}')
         whole = json.dumps({"label": "suture", "text": "first", "who": "Kim", "phase": "begin"})
         assert _post(server, whole.encode(), Origin=own)[0] == 200
-        assert made == [MarkNote("slip", "", "http"), MarkNote("suture", "first", "Kim", "begin")]
+        assert _post(server, b'{"label": "late", "ago_s": 1.5}')[0] == 200
+        assert made == [
+            MarkNote("slip", "", "http"),
+            MarkNote("suture", "first", "Kim", "begin"),
+            MarkNote("late", "", "http", "", 1_500_000_000),
+        ]
         for body, why in (
             (b'{"label": "a:b"}', "mark: found label 'a:b'"),
             (b'{"text": "a"}', "body"),
             (b'{"label": "a", "x": 1}', "body"),
+            (b'{"label": "a", "ago_s": -1}', "mark: found ago_s -1, expected the seconds since then"),
             (b"[", "body: found invalid JSON"),
             (b"\xff", "body"),
         ):
             code, text = _post(server, body)
             assert code == 400 and why in json.loads(text)["error"]
-        assert len(made) == 2
+        assert len(made) == 3
         assert "405" in str(_post(server, b"{}", "/metrics"))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import termios
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -113,17 +114,22 @@ def test_lines_are_counted_up_to_their_end(tmp_path: Path, typed: bytes) -> None
     ],
 )
 def test_a_key_opens_a_line_of_text(typed: str, lines: list[str], commands: list[str]) -> None:
-    found: list[str] = []
+    found: list[tuple[str, int]] = []
     shown: list[str | None] = []
+    begun_ns = time.monotonic_ns()
     keys: list[str] = []
     enough = threading.Event()
 
     def on_command(command: str) -> None:
         enough.set() if command == QUIT else keys.append(command)
 
-    with terminal() as (user, stream), keyboard(on_command, stream, LineInput(b"m", found.append, shown.append)):
+    with (
+        terminal() as (user, stream),
+        keyboard(on_command, stream, LineInput(b"m", lambda *line: found.append(line), shown.append)),
+    ):
         for byte in f"{typed}q".encode():  # as a person types; characters arrive in part
             os.write(user, bytes((byte,)))
         assert enough.wait(PATIENCE_S)
-    assert (found, keys) == (lines, commands)
+    assert ([text for text, _ in found], keys) == (lines, commands)
+    assert all(0 < ago_ns < time.monotonic_ns() - begun_ns for _, ago_ns in found)  # since the key, not since Enter
     assert shown[0] == "" and shown[-1] is None

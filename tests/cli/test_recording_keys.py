@@ -143,8 +143,8 @@ def test_what_the_user_says_is_in_the_recording(tmp_path: Path) -> None:
 
 
 def test_a_line_is_a_mark_or_the_reason_why_not(capsys: pytest.CaptureFixture[str]) -> None:
-    found: list[str] = []
-    recording_keys._mark("suture: first", found.append)
-    assert found == ["suture: first"]
-    recording_keys._mark(": first", lambda line: found.append(MarkNote.parse(line, "keyboard").label))
+    found: list[tuple[str, int]] = []
+    recording_keys._mark("suture: first", 7, lambda *line: found.append(line))
+    assert found == [("suture: first", 7)]
+    recording_keys._mark(": first", 7, lambda line, _: found.append((MarkNote.parse(line, "keyboard").label, 0)))
     assert capsys.readouterr().err.startswith("! mark: found label ''")

@@ -18,7 +18,9 @@ from igtl_gateway.addons.merge.merging import Source, merge
 from igtl_gateway.addons.merge.offsets import ClockOffset, Piece
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.cli import main
+from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.marks import BEGIN, END, Mark, MarkNote, OpenPhases
+from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.selection import StateInputRule
 from igtl_gateway.record.sessionfile.added_marks import write_marks
@@ -36,7 +38,8 @@ NAMES = ("star", "paper-types", "every-type", "acquisition", "lego", "ultrasound
 AHEAD_NS = 1_700_000_000
 
 _times = st.integers(0, 11_900).map(lambda ms: ms / 1000)
-_made = st.lists(st.tuples(_times, st.sampled_from("abc"), st.sampled_from(("", BEGIN, END))), max_size=12)
+_ago_ms = st.just(0) | st.integers(0, 4_000)
+_made = st.lists(st.tuples(_times, st.sampled_from("abc"), st.sampled_from(("", BEGIN, END)), _ago_ms), max_size=12)
 _added = st.lists(st.tuples(_times, st.none() | _times, st.sampled_from(("late", "a"))), max_size=4)
 
 
@@ -70,10 +73,12 @@ def _reader() -> Iterator[int]:
         thread.join(20)
 
 
-def _recording(path: Path, made: list[tuple[float, str, str]], added: list[tuple[float, float | None, str]]) -> Path:
+def _recording(
+    path: Path, made: list[tuple[float, str, str, int]], added: list[tuple[float, float | None, str]]
+) -> Path:
     notes, phases = [], OpenPhases()
-    for at, label, phase in sorted(made):
-        noted = MarkNote(label, f"{at}", phase=phase)
+    for at, label, phase, ago_ms in sorted(made):
+        noted = MarkNote(label, f"{at}", phase=phase, ago_ns=min(ago_ms * 1_000_000, round(at * S)))
         with suppress(ConfigError):  # as an edge refuses it
             phases.check(noted)
             notes.append((at, noted))
@@ -94,7 +99,7 @@ def _recording(path: Path, made: list[tuple[float, str, str]], added: list[tuple
 @settings(max_examples=5)
 def test_marks_survive(
     tmp_path_factory: pytest.TempPathFactory,
-    made: list[tuple[float, str, str]],
+    made: list[tuple[float, str, str, int]],
     added: list[tuple[float, float | None, str]],
     window_ms: tuple[int, int],
     left: float,
@@ -129,7 +134,9 @@ def test_marks_survive(
     with SessionFile.open(folder / "again.mcap") as file:
         last_ns = file.end_ns
     again = {(mark.label, mark.time_ns) for mark in _marks(folder / "again.mcap")}
-    assert again == {(mark.label, mark.time_ns) for mark in marks if mark.time_ns <= last_ns}
+    noted = [(entry.stamp_ns, MarkNote.of(Note.of(entry.data()))) for entry in entries if entry.kind is Kind.EDGE_NOTE]
+    lost = {(mark.label, at_ns - mark.ago_ns) for at_ns, mark in noted if mark and at_ns > last_ns}
+    assert again == {(mark.label, mark.time_ns) for mark in marks if mark.time_ns <= last_ns} - lost
 
     split = folder / "split"
     split.mkdir()

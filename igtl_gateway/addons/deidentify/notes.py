@@ -62,7 +62,7 @@ def _clean_mark(mark: MarkNote, context: Context) -> MarkNote:
     """Return a mark with pseudonyms of label and maker, and the text that the profile leaves of ``mark/LABEL``."""
     label, who = (context.names.name(name)[:_LONGEST] if name else "" for name in (mark.label, mark.who))
     text = context.text(mark.text, f"mark/{mark.label}")
-    return MarkNote(label, text if text.isprintable() else "", who, mark.phase)
+    return MarkNote(label, text if text.isprintable() else "", who, mark.phase, mark.ago_ns)
 
 
 def _data(data: dict[str, Any], context: Context) -> dict[str, Any]:

@@ -256,14 +256,18 @@ class BridgePage:
         more = {"at_ns": at_ns, "uptime_s": (at_ns - self._begun_ns) / NS_PER_S, "refused": session.watch.refused}
         return sample_of(session.bridge) | more
 
-    def act(self, what: str, line: str) -> tuple[bool, str]:
-        """Do what was pressed; return whether it was possible, and a sentence for people."""
+    def act(self, what: str, line: str, since_ns: int = 0) -> tuple[bool, str]:
+        """Do what was pressed; return whether it was possible, and a sentence for people.
+
+        Args:
+            since_ns: the moment that is marked, monotonic; 0: now.
+        """
         try:
-            return self._act(what, line)
+            return self._act(what, line, since_ns)
         finally:
             self._change()
 
-    def _act(self, what: str, line: str) -> tuple[bool, str]:
+    def _act(self, what: str, line: str, since_ns: int) -> tuple[bool, str]:
         session = self._session
         if session is None:
             return False, "no session runs"
@@ -272,11 +276,13 @@ class BridgePage:
             if bridge.recorder and bridge.recorder.rests:
                 return False, "nothing is recorded; start the recording first"
             try:
-                mark = MarkNote.parse(line, _WHO)
+                ago_ns = max(0, self._clock.monotonic_ns() - since_ns) if since_ns else 0
+                mark = MarkNote.parse(line, _WHO, ago_ns)
                 bridge.mark(mark)
             except GatewayError as error:
                 return False, str(error)
-            return True, f"the phase {mark.label} {mark.phase}s" if mark.phase else "the mark is set"
+            ago = f", {mark.ago_ns / NS_PER_S:.1f} s ago" if mark.ago_ns > NS_PER_S else ""
+            return True, (f"the phase {mark.label} {mark.phase}s" if mark.phase else "the mark is set") + ago
         if what == "end":
             bridge.hub.note(Note(Level.INFO, PAGE, "the end of the bridge was pressed on the page"))
             self._on_stop()
@@ -338,7 +344,7 @@ class _Handler(Handler):
         if not self._is_the_page():
             return
         found = json.loads(body)
-        done, text = self.page.act(str(found.get("do")), str(found.get("line", "")))
+        done, text = self.page.act(str(found.get("do")), str(found.get("line", "")), int(found.get("since_ns", 0)))
         self.answer(200, "application/json", json.dumps({"done": done, "text": text}))
 
     def _follow(self) -> None:

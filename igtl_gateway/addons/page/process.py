@@ -14,7 +14,7 @@ from collections import deque
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import NS_PER_S, GatewayError, SystemClock, __version__, failure_text
+from igtl_gateway.addon import NS_PER_S, GatewayError, SystemClock, __version__, ago_ns, failure_text
 from igtl_gateway.addons.page.disk import DiskLook
 from igtl_gateway.addons.page.jobs import CANCELLED, RUNNING, Job, Jobs
 from igtl_gateway.addons.page.now import Now, headline, others, slowest, wrong_things
@@ -140,7 +140,11 @@ class Page:
         if what in _BRIDGE:
             if self._source is None:
                 return False, "there is no bridge: this page shows a folder"
-            return self._source.press(what, str(words.get("line", "")))
+            try:
+                since_ns = self._clock.monotonic_ns() - ago_ns(words.get("ago_s", 0))
+            except GatewayError as error:
+                return False, str(error)
+            return self._source.press(what, str(words.get("line", "")), since_ns)
         if what == "cancel":
             number = words.get("number")
             return self.jobs.cancel(number if isinstance(number, int) else 0)

@@ -45,10 +45,14 @@ class BridgeSource:
         except (OSError, URLError):
             return b""
 
-    def press(self, what: str, line: str) -> tuple[bool, str]:
-        """Have the bridge do something; return whether it did, and a sentence for people."""
+    def press(self, what: str, line: str, since_ns: int = 0) -> tuple[bool, str]:
+        """Have the bridge do something; return whether it did, and a sentence for people.
+
+        Args:
+            since_ns: the moment that is marked, on the monotonic clock of this host; 0: now.
+        """
         try:
-            found = json.loads(self._read("/", _json({"do": what, "line": line}), _PRESS_S))
+            found = json.loads(self._read("/", _json({"do": what, "line": line, "since_ns": since_ns}), _PRESS_S))
             return bool(found["done"]), str(found["text"])
         except (OSError, URLError, ValueError, KeyError):
             return False, "the bridge does not answer"
@@ -60,7 +64,7 @@ class BridgeSource:
         return data
 
 
-def _json(words: dict[str, str]) -> bytes:
+def _json(words: dict[str, str | int]) -> bytes:
     """Return JSON as short as the browser's: other letters must not take more than a request may have."""
     return json.dumps(words, ensure_ascii=False).encode("utf-8", "surrogatepass")
 

@@ -278,8 +278,10 @@ class SessionView:
         stream = f"{note.stream}: " if note.stream and note.stream not in note.text else ""
         text = f"{stream}{note.text}{links}"
         self._pen.text(LOG, text, note.level.name, _COLOURS[note.level])
-        if MarkNote.of(note):
+        if mark := MarkNote.of(note):
+            self._pen.moment(entry.stamp_ns - mark.ago_ns)
             self._pen.text(MARKS, text, note.level.name, _COLOURS[note.level])
+            self._pen.at(entry)
         if entry.kind is Kind.LINK:
             self._pen.text(LINKS, text, note.level.name, _COLOURS[note.level])
         if any(word in note.code for word in _DROP_WORDS):

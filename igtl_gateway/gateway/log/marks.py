@@ -11,6 +11,7 @@ from typing import Any
 
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.near import did_you_mean, near_names
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
 
@@ -20,6 +21,12 @@ BEGIN, END = "begin", "end"
 BOUNDS = {"label": 64, "text": 1000, "who": 64}
 #: Phases that may be open at a time.
 MAX_OPEN = 100
+#: Longest time from a mark to its note, seconds; the begin of the session is the other bound.
+MAX_AGO_S = 86_400
+#: An earlier time is in the words of a note from this on, ns.
+_SAID_NS = NS_PER_S // 10
+#: Facts of a note → what stands for one that is not there.
+_FIELDS: tuple[tuple[str, Any], ...] = (("label", ""), ("text", ""), ("who", ""), ("phase", ""), ("ago_ns", 0))
 _SIGNS = {"+": BEGIN, "-": END}
 _CODE = MARK.encode()
 
@@ -33,15 +40,17 @@ class MarkNote:
         text: more words, or "".
         who: who made it, or "".
         phase: ``BEGIN`` or ``END`` of a phase; "" for a moment.
+        ago_ns: time from the moment that is marked to this note: a person writes for some seconds.
 
     Raises:
-        ConfigError: a field that is too long, has line ends or control characters, or is no string.
+        ConfigError: a field that is too long, has line ends or control characters, or is no string; another time.
     """
 
     label: str
     text: str = ""
     who: str = ""
     phase: str = ""
+    ago_ns: int = 0
 
     def __post_init__(self) -> None:
         for name, most in BOUNDS.items():
@@ -55,9 +64,11 @@ class MarkNote:
             )
         if self.phase not in ("", BEGIN, END):
             raise ConfigError(f"mark: found phase {_shown(self.phase)}, expected {BEGIN!r}, {END!r} or none")
+        if type(self.ago_ns) is not int or not 0 <= self.ago_ns < 1 << 63:
+            raise ConfigError(f"mark: found a time {_shown(self.ago_ns)} ns before, expected 0 or more")
 
     @classmethod
-    def parse(cls, line: str, who: str) -> MarkNote:
+    def parse(cls, line: str, who: str, ago_ns: int = 0) -> MarkNote:
         """Return the mark in a line: ``LABEL``, ``LABEL: text``; ``+LABEL`` begins a phase, ``-LABEL`` ends it.
 
         Raises ConfigError.
@@ -65,7 +76,7 @@ class MarkNote:
         line = line.strip()
         phase = _SIGNS.get(line[:1], "")
         label, _, text = line[1 if phase else 0 :].partition(":")
-        return cls(label.strip(), text.strip(), who, phase)
+        return cls(label.strip(), text.strip(), who, phase, ago_ns)
 
     @classmethod
     def of(cls, note: Note) -> MarkNote | None:
@@ -73,16 +84,25 @@ class MarkNote:
         if note.code != MARK:
             return None
         try:
-            return cls(*(note.data.get(name, "") for name in ("label", "text", "who", "phase")))
+            return cls(*(note.data.get(name, empty) for name, empty in _FIELDS))
         except ConfigError:
             return None
 
     def note(self) -> Note:
         """Return the note."""
         verb = {"": "", BEGIN: " begins", END: " ends"}[self.phase]
-        words = f"mark {self.label}{verb}" + (f": {self.text}" if self.text else "")
-        data = {"label": self.label, "text": self.text, "who": self.who}
-        return Note(Level.INFO, MARK, words, data=data | ({"phase": self.phase} if self.phase else {}))
+        ago = f" ({self.ago_ns / NS_PER_S:.1f} s ago)" if self.ago_ns >= _SAID_NS else ""
+        words = f"mark {self.label}{verb}{ago}" + (f": {self.text}" if self.text else "")
+        data: dict[str, Any] = {"label": self.label, "text": self.text, "who": self.who}
+        data |= {"phase": self.phase} if self.phase else {}
+        return Note(Level.INFO, MARK, words, data=data | ({"ago_ns": self.ago_ns} if self.ago_ns else {}))
+
+
+def ago_ns(seconds: object) -> int:
+    """Return the time of a mark before now, given in seconds.  Raises ConfigError for what is no time of the past."""
+    if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not 0 <= seconds < MAX_AGO_S:
+        raise ConfigError(f"mark: found ago_s {_shown(seconds)}, expected the seconds since then, 0 to {MAX_AGO_S:,}")
+    return round(seconds * NS_PER_S)
 
 
 class OpenPhases:
@@ -169,7 +189,8 @@ def is_phase(entry: Entry) -> bool:
 def joined(notes: Iterable[tuple[int, Note]], start_ns: int, end_ns: int) -> tuple[Mark, ...]:
     """Return the marks in notes, in the order of their times.
 
-    A phase whose begin is not there began at ``start_ns`` or before; one that ended before is left out.
+    A phase whose begin is not there began at ``start_ns`` or before; one that ended before is left out.  A moment is
+    kept, also if it was noted in these seconds only.
 
     Args:
         notes: UTC ns and note, in order; other notes are ignored.
@@ -177,10 +198,11 @@ def joined(notes: Iterable[tuple[int, Note]], start_ns: int, end_ns: int) -> tup
     """
     found: list[Mark] = []
     begun: dict[str, tuple[int, MarkNote]] = {}
-    for time_ns, note in notes:
+    for noted_ns, note in notes:
         mark = MarkNote.of(note)
         if mark is None:
             continue
+        time_ns = noted_ns - mark.ago_ns
         if mark.phase == BEGIN:
             if mark.label in begun:  # two programs at once: the first phase ends where the second begins
                 found.append(_phase(*begun[mark.label], time_ns))
@@ -189,10 +211,10 @@ def joined(notes: Iterable[tuple[int, Note]], start_ns: int, end_ns: int) -> tup
             since_ns, first = begun.pop(mark.label, (start_ns, replace(mark, text="")))
             texts = [each for each in dict.fromkeys((first.text, mark.text)) if each]
             found.append(_phase(since_ns, replace(first, text=""), time_ns, "; ".join(texts)))
-        else:
+        elif noted_ns >= start_ns:
             found.append(Mark(mark.label, mark.text, mark.who, time_ns))
     found += [_phase(since_ns, mark, end_ns, is_open=True) for since_ns, mark in begun.values()]
-    kept = [mark for mark in found if mark.last_ns >= start_ns]
+    kept = [mark for mark in found if mark.end_ns is None or mark.end_ns >= start_ns]
     return tuple(sorted(kept, key=lambda mark: mark.time_ns))
 
 

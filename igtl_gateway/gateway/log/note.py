@@ -96,7 +96,9 @@ _HEX = frozenset("0123456789abcdefABCDEF")
 #: Facts that programs act on, and what they have to be.
 _FACTS: Mapping[str, Callable[[Any], bool]] = {
     **dict.fromkeys(("peer", "local", "role", "reason"), _is_text),
-    **dict.fromkeys(("sent_messages", "received_bytes", "count", "step_ns", "jump_ns", "ahead_ns"), _is_number),
+    **dict.fromkeys(
+        ("sent_messages", "received_bytes", "count", "step_ns", "jump_ns", "ahead_ns", "ago_ns"), _is_number
+    ),
     "dropped": _is_count,
     "head": _is_hex,
 }

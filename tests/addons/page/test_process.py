@@ -58,8 +58,10 @@ def test_a_session_is_run_from_the_page(tmp_path: Path) -> None:
             page.press("m")
             page.wait("document.activeElement.id === 'mark-label'")
             page.type("suture-1")
+            page.wait("document.querySelector('#mark-more').textContent.includes('when M was pressed')")
+            page.run("pressedM -= 1500")  # a person has written
             page.press("Enter")
-            page.wait("document.querySelector('#recording .notes').textContent.includes('mark suture-1')")
+            page.wait("document.querySelector('#recording .notes').textContent.includes('mark suture-1 (1.')")
             page.wait("document.activeElement === document.body")  # the next M is a key again
             page.press("m")
             page.wait("document.activeElement.id === 'mark-label'")

@@ -11,14 +11,21 @@ from hypothesis import strategies as st
 
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.gateway.log.entry import Entry, Kind
-from igtl_gateway.gateway.log.marks import BEGIN, END, MAX_OPEN, Mark, MarkNote, OpenPhases, is_phase, joined
+from igtl_gateway.gateway.log.marks import BEGIN, END, MAX_OPEN, Mark, MarkNote, OpenPhases, ago_ns, is_phase, joined
 from igtl_gateway.gateway.log.note import Level, Note
 from tests.tables import table
 
 _SHOWN = st.characters(exclude_categories=("C", "Z"), exclude_characters=":")
 LABELS = st.text(_SHOWN, min_size=1, max_size=64).map(lambda text: text.lstrip("+-") or "label")
 TEXTS = st.text(_SHOWN | st.sampled_from(" :"), max_size=100)
-MARKS = st.builds(MarkNote, LABELS, TEXTS, TEXTS.map(lambda text: text[:64]), st.sampled_from(("", BEGIN, END)))
+MARKS = st.builds(
+    MarkNote,
+    LABELS,
+    TEXTS,
+    TEXTS.map(lambda text: text[:64]),
+    st.sampled_from(("", BEGIN, END)),
+    st.integers(0, 1 << 50),
+)
 
 
 @given(MARKS)
@@ -42,6 +49,8 @@ def test_a_mark_is_its_note_and_its_line(mark: MarkNote) -> None:
         (("a", "x" * 1001), "found text 'xxxx"),
         (("a", "", "\udc80"), "found who"),
         ((7,), "found label 7"),
+        (("a", "", "", "", -1), "found a time -1 ns before, expected 0 or more"),
+        (("a", "", "", "", True), "found a time True ns before"),
         (("a", "", "", "middle"), "found phase 'middle', expected 'begin', 'end' or none"),
     ],
 )
@@ -72,6 +81,21 @@ def test_phases_open_once_and_end_once() -> None:
 
 def _joined(*marks: tuple[int, MarkNote]) -> tuple[Mark, ...]:
     return joined(((time_ns, mark.note()) for time_ns, mark in marks), 100, 200)
+
+
+def test_a_mark_is_of_the_moment_at_which_a_person_began_to_write() -> None:
+    early = MarkNote("early", ago_ns=30)
+    assert _joined(
+        (110, early), (150, MarkNote("a", "", "me", BEGIN, 20)), (180, MarkNote("a", phase=END, ago_ns=15))
+    ) == (
+        Mark("early", "", "", 80),
+        Mark("a", "", "me", 130, 165),
+    )
+    assert MarkNote("slip", "deep", ago_ns=2_540_000_000).note().text == "mark slip (2.5 s ago): deep"
+    assert [ago_ns(2.5), ago_ns(0)] == [2_500_000_000, 0]
+    for wrong in (-0.1, float("nan"), float("inf"), True, "2", None, 86_400):
+        with pytest.raises(ConfigError, match="expected the seconds since then, 0 to 86,400"):
+            ago_ns(wrong)
 
 
 def test_two_notes_are_one_phase() -> None:

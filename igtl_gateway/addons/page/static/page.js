@@ -181,7 +181,7 @@ document.querySelector(".brand").addEventListener("click", (event) => { event.pr
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey || /INPUT|SELECT|TEXTAREA/.test(document.activeElement.tagName) || $("dialog").open) return;
   if (event.key >= "1" && event.key <= "4") show(VIEWS[event.key - 1], true);
-  if (event.key.toLowerCase() === "m" && state?.bridge) { event.preventDefault(); show("recording"); $("mark-label")?.focus(); }
+  if (event.key.toLowerCase() === "m" && state?.bridge) { event.preventDefault(); pressedM = performance.now(); show("recording"); $("mark-label")?.focus(); }
 });
 
 const bridge = () => state.bridge;
@@ -430,19 +430,23 @@ function lostMark(rec) {
   if (rec.snapshot_s) return "";
   return rec.rests ? "Nothing is recorded: press Start first" : rec.failure ? "The recording has failed: nothing is recorded" : "";
 }
-async function mark(sign) {
+/* When M was pressed: the time of a mark that Enter ends, because a person writes for some seconds; null: not. */
+let pressedM = null;
+async function mark(sign, since = null) {
   const label = $("mark-label").value.trim(), text = $("mark-text").value.trim(), why = lostMark(bridge()?.recording);
   if (why) { toast(why, true); return; }
   if (!label) { $("mark-label").focus(); toast("write a label first, such as suture-1", true); return; }
-  if (await act({ do: "mark", line: `${sign}${label}${text ? ": " + text : ""}` })) { $("mark-label").value = $("mark-text").value = ""; document.activeElement.blur(); }
+  const ago_s = since == null ? 0 : (performance.now() - since) / 1000;
+  if (await act({ do: "mark", line: `${sign}${label}${text ? ": " + text : ""}`, ago_s })) { pressedM = null; $("mark-label").value = $("mark-text").value = ""; document.activeElement.blur(); }
 }
 function drawMarkButtons(rec) {
   const off = lostMark(rec), more = $("mark-more");
-  put(more, off || "its time is that of Enter or the button; recorded also in a pause"); more.classList.toggle("s-warning", Boolean(off));
+  const since = pressedM == null ? "its time is that of Enter or the button; recorded also in a pause" : `Enter marks ${time((performance.timeOrigin + pressedM) * 1e6)}, when M was pressed; a button marks now`;
+  put(more, off || since); more.classList.toggle("s-warning", Boolean(off));
   part($("mark-actions"), [off, locked()], () => [button("Mark this moment", () => mark(""), { kind: ".primary", off }), button("Begin a phase", () => mark("+"), { off })]);
 }
 function markCard() {
-  const enter = (event) => { if (event.key === "Enter") mark(""); if (event.key === "Escape") event.target.blur(); };
+  const enter = (event) => { if (event.key === "Enter") mark("", pressedM); if (event.key === "Escape") { pressedM = null; event.target.blur(); draw(); } };
   const off = locked();
   return card("Mark", h("span", { id: "mark-more" }), h("div.body", null,
     h("div.form", null,
