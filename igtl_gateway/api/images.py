@@ -166,12 +166,11 @@ def _ros_image(image: RosImage, unit: str, time: int, source_time: int) -> Image
     data = np.frombuffer(image.data, np.uint8)
     if image.step < row or len(data) < image.step * image.height:
         raise MalformedBody("sensor_msgs/Image", f"{len(data)} bytes", f"{image.height} rows of {image.step} bytes")
-    lines = data[: image.step * image.height].reshape(image.height, image.step)[:, :row]
-    # rows with padding are not contiguous: a view of them needs strides
+    # rows with padding: numpy takes strides for a whole buffer only
     array: Array = np.ndarray(
         (1, image.height, image.width, components),
         dtype,
-        lines,
+        data,
         strides=(image.step * image.height, image.step, components * dtype.itemsize, dtype.itemsize),
     )
     frame = image.header.frame_id

@@ -44,16 +44,24 @@ def side_file_state(folder: Path, parts: Sequence[Path], *, cut: bool) -> tuple[
     if not path.exists() and not path.is_symlink():
         return ABSENT, ""
     try:
-        found = _facts(files.read_bytes(path).decode("utf-8"), path)
+        text = files.read_bytes(path).decode("utf-8")
+        found = _facts(text, path)
         rows = [row for part in parts if (row := closed_part(part))]
         counts = [len(rows), len(rows) - 1] if cut else [len(rows)]
-        expected = [_facts(side_file_text(rows[: max(count, 0)]), path) for count in counts]
+        texts = [side_file_text(rows[: max(count, 0)]) for count in counts]
+        expected = [_facts(each, path) for each in texts]
     except (GatewayError, OSError, ValueError) as error:
         return "", f"cannot be read: {error}"
     if found in expected:
-        return FOLLOWS, ""
+        is_written = any(_lines(text) == _lines(each) for each in texts)
+        return (FOLLOWS, "") if is_written else ("", "its text differs from what the sealed parts state")
     wrong = next((key for key in (*expected[0], *found) if found.get(key) != expected[0].get(key)), _ROOT)
     return "", f"{wrong}: differs from what the sealed parts state"
+
+
+def _lines(text: str) -> list[str]:
+    """Return the lines in an order that does not depend on that of the topics, without those about the writer."""
+    return sorted(line for line in text.split("\n") if line.strip().partition(":")[0] not in _OF_THE_WRITER)
 
 
 def _facts(text: str, path: Path) -> dict[str, Any]:

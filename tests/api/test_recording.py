@@ -24,6 +24,7 @@ from rosbags.typesys import Stores, get_typestore
 import igtl_gateway
 from igtl_gateway.base.errors import ClosedRecording, ConfigError, DamagedRecording, LimitExceeded, UnsupportedRecording
 from igtl_gateway.cli import main
+from igtl_gateway.convert.rosmsg import Header, Image
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.reader import SessionFile
@@ -127,6 +128,18 @@ def test_images_are_those_of_a_plain_reader() -> None:
         assert [each.time for each in images[2:4]] == [images[2].time, images[-9].time]
         with pytest.raises(IndexError):
             images[12]
+
+
+def test_the_padding_of_rows_is_no_pixel(tmp_path: Path) -> None:
+    path = tmp_path / "out.mcap"
+    pixels = np.arange(3 * 5 * 3, dtype=np.uint8).reshape(3, 5, 3)
+    padded = np.pad(pixels.reshape(3, 15), ((0, 0), (0, 9)), constant_values=99)
+    message = Image(Header(0, "camera"), 3, 5, "rgb8", 0, 24, padded.tobytes())
+    writer = SessionWriter(path, {})
+    writer.write(Entry(1, START_NS, Kind.ROS_IN, "/camera", Image.TYPE, (message.pack(),)))
+    writer.close({})
+    with igtl_gateway.open(path) as recording:
+        assert np.array_equal(recording["/camera"].images()[0].plane, pixels)
 
 
 def test_volumes_have_the_same_geometry_on_both_sides() -> None:

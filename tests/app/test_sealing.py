@@ -143,7 +143,8 @@ def test_the_side_file_of_a_split_recording_follows_from_its_sealed_parts(split:
         side.write_text(text.replace(before, after, 1), "utf-8")
         result = verify_seal(split)
         assert (result.state, result.problem[: len(key) + 15]) == (CHANGED, f"metadata.yaml: {key}"), result.problem
-    for content in (b"", b"\xff", b"[1]", text.encode()[:-200]):
+    same = (f"# a note\n{text}", text.replace("\n", "\r\n"), f"\ufeff{text}", text.replace("mcap\n", "mcap \n", 1))
+    for content in (b"", b"\xff", b"[1]", text.encode()[:-200], *(each.encode() for each in same)):
         side.write_bytes(content)
         assert verify_seal(split).problem.startswith("metadata.yaml: "), content
     side.write_text(text.replace("ros_distro: jazzy", "ros_distro: kilted"), "utf-8")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -27,6 +28,11 @@ _INFO = shape.fields(
         "total_episodes": shape.number,
         "total_frames": shape.number,
         "total_tasks": shape.number,
+        "total_videos": shape.number,
+        "total_chunks": shape.number,
+        "chunks_size": shape.number,
+        "data_files_size_in_mb": shape.number,
+        "video_files_size_in_mb": shape.number,
         "fps": shape.number,
         "splits": shape.map_of(shape.text),
         "data_path": shape.text,
@@ -176,7 +182,7 @@ def _lines(path: Path, expected: shape.Shape) -> list[Any]:
 
 def _version21(root: Path, videos: list[str]) -> tuple[dict[int, str], list[FoundEpisode]]:
     meta = root / "meta"
-    tasks = {each["task_index"]: each["task"] for each in _lines(meta / "tasks.jsonl", _TASK)}
+    tasks = _numbered(meta / "tasks.jsonl", _lines(meta / "tasks.jsonl", _TASK))
     stats = {each["episode_index"]: each["stats"] for each in _lines(meta / "episodes_stats.jsonl", _STATS)}
     found = []
     for each in _lines(meta / "episodes.jsonl", _EPISODE):
@@ -202,7 +208,16 @@ def _version30(root: Path, videos: list[str]) -> tuple[dict[int, str], list[Foun
         table = read_table(path)
         check_limit("count", len(found) + table.num_rows, f"{path}: episodes")
         found += _episodes(root, path, table, videos, begins)
-    return {row["task_index"]: row["task"] for row in rows}, found
+    return _numbered(root / "meta" / "tasks.parquet", rows), found
+
+
+def _numbered(path: Path, rows: list[Any]) -> dict[int, str]:
+    """Return number → text of the tasks of a file.  Raises DamagedRecording for a number or a name that comes twice."""
+    for key in ("task_index", "task"):
+        again = next((each for each, count in Counter(row[key] for row in rows).items() if count > 1), None)
+        if again is not None:
+            raise shape.wrong(f"{path}: {key}", again, "each once")
+    return {row["task_index"]: row["task"] for row in rows}
 
 
 def _rows(path: Path, names: list[str], table: pa.Table | None = None) -> list[dict[str, Any]]:
