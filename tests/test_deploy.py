@@ -8,6 +8,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 import pytest
@@ -69,3 +70,23 @@ def test_the_container_copies_what_exists_and_runs_a_command_of_the_program() ->
     (words,) = re.findall(r"(?m)^CMD (.*)$", text)
     parser, _ = parser_of_all_verbs()
     assert parser.parse_args(json.loads(words)).record == "/recordings/{time}.mcap"
+
+
+def test_the_container_of_a_user_may_write_its_recordings() -> None:
+    """podman makes no folder on the host, and a user's is that of root in the container, which runs as another user."""
+    page = (ROOT / "docs" / "how-to" / "deploy.md").read_text("utf-8")
+    before, _, command = page.partition("$ podman run ")
+    assert before.endswith("$ mkdir recordings\n")
+    words = shlex.split(command.partition("\n")[0])
+    assert "./recordings:/recordings" in words and "keep-id" == words[words.index("--userns") + 1]
+
+
+def test_the_node_of_the_compose_file_ends_in_silence() -> None:
+    pytest.importorskip("rclpy", reason="no ROS 2 here: install the extra 'ros' or source a ROS 2")
+    text = (ROOT / "deploy" / "compose.yaml").read_text("utf-8").partition("- |\n")[2].partition("\nvolumes:")[0]
+    program = textwrap.dedent(text).replace("rclpy.spin(node)", "print('spins', flush=True); rclpy.spin(node)")
+    command = [sys.executable, "-c", program]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as node:
+        assert node.stdout and node.stdout.readline() == "spins\n"
+        node.terminate()
+        assert node.communicate(timeout=60) == ("", "")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import pytest
 
 from igtl_gateway.base.extras import PURPOSES, missing
@@ -54,6 +57,11 @@ def test_a_call_that_needs_what_no_other_extra_has() -> None:
 def test_an_extra_that_brings_pyarrow() -> None:
     assert fault(Call("cohort info", "cohort"), {"view"}, 0, "")
     assert not fault(Call("cohort info", "cohort"), {"view", "arrow"}, 0, "")
+
+
+def test_a_python_may_be_a_path(tmp_path: Path) -> None:
+    assert core.present(sys.executable) == sys.executable
+    assert core.present(str(tmp_path / "python")) is None
 
 
 def test_the_oldest_and_the_newest_python() -> None:

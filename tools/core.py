@@ -35,7 +35,9 @@ _OF_ROS_WHEELS = ("LD_LIBRARY_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
 
 
 def present(name: str) -> str | None:
-    """The path of a Python such as ``python3.12``: on the path, else the newest of pyenv."""
+    """The path of a Python such as ``python3.12``: on the path, else the newest of pyenv.  A path is itself."""
+    if os.sep in name:
+        return shutil.which(name)
     versions = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv"), "versions")
     of_pyenv = sorted(
         map(str, versions.glob(f"{name.removeprefix('python')}.*/bin/python")),
@@ -99,7 +101,7 @@ def main(args: Sequence[str] | None = None) -> int:
     parser.add_argument("pythons", nargs="*", metavar="PYTHON", help="interpreters (default: those present)")
     parser.add_argument("--ros", action="store_true", help="with ROS 2 and the tests of the ROS edge")
     options = parser.parse_args(args)
-    found = {name: name if os.sep in name else present(name) for name in options.pythons or NAMES}
+    found = {name: present(name) for name in options.pythons or NAMES}
     pythons = [path for path in found.values() if path]
     if not pythons or (options.pythons and None in found.values()):
         wanted = [name for name, path in found.items() if path is None]
