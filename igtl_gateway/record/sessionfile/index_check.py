@@ -33,7 +33,7 @@ def _is_sound(stream: IO[bytes], chunk: ChunkEntry) -> bool:
         opcode, length = HEAD.unpack_from(data, at)
         found, size = MESSAGE_INDEX_HEAD.unpack_from(data, at + HEAD.size)
         at += HEAD.size + MESSAGE_INDEX_HEAD.size
-        fits = length >= MESSAGE_INDEX_HEAD.size + size and size % 16 == 0 and at + size <= len(data)
+        fits = length == MESSAGE_INDEX_HEAD.size + size and size % 16 == 0 and at + size <= len(data)
         if opcode != MESSAGE_INDEX or found != channel or not fits:
             return False
         pairs = np.frombuffer(data, "<u8", size // 8, at)

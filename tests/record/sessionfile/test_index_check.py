@@ -67,6 +67,11 @@ def test_zeros_on_offsets_only_are_found(tmp_path: Path) -> None:
             path.write_bytes(data)
             with SessionFile.open(path) as file:
                 assert file.damaged_indexes() == (data != whole), (place, value)
+    for start in chunk.message_indexes.values():  # from the number of its rows on: an index without rows
+        length = int.from_bytes(whole[start + 1 : start + 9], "little")
+        path.write_bytes(whole[: start + 11] + bytes(length - 2) + whole[start + 9 + length :])
+        with SessionFile.open(path) as file:
+            assert file.damaged_indexes() == 1
 
 
 @pytest.mark.parametrize("name", ["star", "every-type", "crtk", "lego"])
