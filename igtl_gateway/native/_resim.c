@@ -41,6 +41,7 @@
 #include <stdlib.h>
 #include <string.h>
 #include <sys/epoll.h>
+#include <sys/mman.h>
 #include <sys/prctl.h>
 #include <sys/random.h>
 #include <sys/select.h>
@@ -61,7 +62,7 @@
 
 enum { CLASS_MESSAGE = 1, CLASS_ALL = 9 }; /* inputs and deadlines are the classes 0 and 2; the welcome states which */
 enum { SUBSCRIPTION = 's', PUBLISHER = 'p', SERVICE = 'v', CLIENT = 'c' };
-enum { FLUSH_BYTES = 1 << 20, PROGRESS_BYTES = 64 };
+enum { FLUSH_BYTES = 1 << 20, PROGRESS_BYTES = 64, FIRST_ROOM = 256 << 10 };
 /* Real time after which the watching thread sends what the program has published, though it has not come to rest. */
 #define LATE_NS 100000000LL
 /* The end of a process waits this long, in real time, to send its last messages. */
@@ -88,6 +89,15 @@ struct message {
 struct queued {
     struct queued *next;
     struct message *message;
+};
+
+/* Frames that are not sent yet.  It is a file beside the socket, in which the coordinator finds what a program has published
+ * that was killed or stopped, or has replaced itself by another one (addons/resim/link.py). */
+struct outbox {
+    _Atomic uint64_t sent;     /* bytes before those that are here */
+    _Atomic uint64_t complete; /* bytes of complete frames here; 0 before `sent` grows by them */
+    _Atomic int64_t now_ns;    /* session time */
+    uint8_t data[];
 };
 
 struct node {
@@ -164,11 +174,12 @@ static struct {
     bool stop; /* ask the coordinator before the next event */
     bool look; /* the coordinator has sent something by a socket */
     _Atomic bool by_sockets; /* an OpenIGTLink program: it takes part from its first socket on */
-    uint8_t *out;
+    struct outbox *out;
+    int out_file; /* -1: memory of this process alone */
     size_t out_size, out_room;
     uint8_t *in;
     size_t in_size, in_room, in_at;
-} S = {.socket = -1};
+} S = {.socket = -1, .out_file = -1};
 
 static __thread struct {
     bool in_wait;       /* inside rcl_wait */
@@ -246,30 +257,61 @@ static void give_up(const char *why)
     kill(getpid(), SIGKILL);
 }
 
+/* All of it is sent. */
+static void clear_out(void)
+{
+    if (!S.out_size)
+        return;
+    atomic_store(&S.out->complete, 0);
+    atomic_fetch_add(&S.out->sent, S.out_size);
+    S.out_size = 0;
+}
+
 static void flush(void)
 {
     size_t at = 0;
     while (at < S.out_size) {
-        ssize_t sent = send(S.socket, S.out + at, S.out_size - at, MSG_NOSIGNAL);
+        ssize_t sent = send(S.socket, S.out->data + at, S.out_size - at, MSG_NOSIGNAL);
         if (sent > 0)
             at += (size_t)sent;
         else if (errno != EINTR)
             give_up("the connection with the session is closed, perhaps by the program");
     }
-    S.out_size = 0;
+    clear_out();
+}
+
+/* Have room for this number of bytes. */
+static void grow_out(size_t room)
+{
+    size_t head = sizeof *S.out;
+    bool is_full = S.out_file >= 0 && posix_fallocate(S.out_file, 0, (off_t)(head + room));
+    void *more = S.out ? mremap(S.out, head + S.out_room, head + room, MREMAP_MAYMOVE)
+                       : mmap(NULL, head + room, PROT_READ | PROT_WRITE,
+                              S.out_file < 0 ? MAP_PRIVATE | MAP_ANONYMOUS : MAP_SHARED, S.out_file, 0);
+    if (is_full || more == MAP_FAILED)
+        give_up(is_full ? "no space for what the program publishes" : "out of memory");
+    S.out = more;
+    S.out_room = room;
+}
+
+/* Keep what is not sent in a file beside the socket, if that is possible. */
+static void open_out(const char *path)
+{
+    char name[256];
+    snprintf(name, sizeof name, "%s.%d.out", path, getpid());
+    S.out_file = open(name, O_RDWR | O_CREAT | O_EXCL | O_CLOEXEC, 0600);
+    if (S.out_file >= 0 && posix_fallocate(S.out_file, 0, FIRST_ROOM)) {
+        close(S.out_file);
+        S.out_file = -1;
+    }
+    grow_out(FIRST_ROOM);
 }
 
 static void put(const void *data, size_t size)
 {
-    if (S.out_size + size > S.out_room) {
-        size_t room = 2 * (S.out_size + size);
-        uint8_t *more = realloc(S.out, room);
-        if (!more)
-            give_up("out of memory");
-        S.out = more;
-        S.out_room = room;
-    }
-    memcpy(S.out + S.out_size, data, size);
+    if (S.out_size + size > S.out_room)
+        grow_out(2 * (S.out_size + size));
+    memcpy(S.out->data + S.out_size, data, size);
     S.out_size += size;
 }
 
@@ -298,7 +340,8 @@ static size_t begin_frame(char letter)
 static void end_frame(size_t at)
 {
     uint32_t size = (uint32_t)(S.out_size - at - sizeof size);
-    memcpy(S.out + at, &size, sizeof size);
+    memcpy(S.out->data + at, &size, sizeof size);
+    atomic_store(&S.out->complete, S.out_size);
 }
 
 static void remark(char code, const char *text)
@@ -523,6 +566,13 @@ static void exchange(void)
     }
 }
 
+/* Let session time go on. */
+static void pass_to(int64_t t_ns)
+{
+    atomic_store(&T.now_ns, t_ns);
+    atomic_store(&S.out->now_ns, t_ns);
+}
+
 static struct entity *entity_of(uint32_t id)
 {
     struct entity *entity = S.entities;
@@ -614,7 +664,7 @@ static void receive(uint8_t *frame, uint32_t size)
     case 'L': {
         int64_t t = GET(int64_t);
         if (t > atomic_load(&T.now_ns))
-            atomic_store(&T.now_ns, t);
+            pass_to(t);
         S.look = true;
         break;
     }
@@ -780,7 +830,7 @@ static void step(void)
             continue;
         }
         if (t > now)
-            atomic_store(&T.now_ns, t);
+            pass_to(t);
         if (is_late) {
             late->timed_out = true;
             fire(late);
@@ -841,12 +891,12 @@ __attribute__((destructor)) static void send_rest(void)
     report_progress();
     size_t at = 0;
     while (at < S.out_size) {
-        ssize_t sent = send(S.socket, S.out + at, S.out_size - at, MSG_NOSIGNAL);
+        ssize_t sent = send(S.socket, S.out->data + at, S.out_size - at, MSG_NOSIGNAL);
         if (sent <= 0)
             break;
         at += (size_t)sent;
     }
-    S.out_size = 0;
+    clear_out();
     pthread_mutex_unlock(&T.lock);
 }
 
@@ -877,6 +927,9 @@ static void in_child(void)
     S.is_copy = true;
     close(S.socket);
     S.socket = -1;
+    S.out = NULL; /* it is that of the program */
+    S.out_file = -1;
+    S.out_size = S.out_room = 0;
 }
 
 /* A line in a file beside the socket, for the coordinator: `f`, a process that was started, which may run on in a session of
@@ -1023,6 +1076,7 @@ static void join_session(void)
         S.socket = NEXT(socket)(AF_UNIX, SOCK_STREAM | SOCK_CLOEXEC, 0);
         if (S.socket < 0 || connect(S.socket, (struct sockaddr *)&address, sizeof address))
             give_up("found no coordinator");
+        open_out(path);
         size_t hello = begin_frame('H');
         PUT((uint32_t)getpid());
         PUT((uint32_t)ABI_VERSION);

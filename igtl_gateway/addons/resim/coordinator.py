@@ -278,6 +278,7 @@ class Coordinator:
         try:
             self._grant(peer, content, *bound)
         except BaseException:
+            self.take_rest()
             self._count(each for each in window if each.number in sent and each.time_ns <= self.reached_ns)
             raise
         done = peer.idle.number
@@ -342,36 +343,48 @@ class Coordinator:
         """Take frames of a program until it is idle."""
         try:
             while True:
-                frame = peer.link.receive()
-                match frame:
-                    case frames.Published():
-                        self._published(peer, frame)
-                    case frames.Idle():
-                        peer.idle = frame
-                        self.reached_ns = max(self.reached_ns, frame.time_ns)
-                        return
-                    case frames.Progress():
-                        self.reached_ns = max(self.reached_ns, frame.time_ns)
-                    case frames.Lost():
-                        self._lost(peer, frame)
-                    case EntityFrame():
-                        self._entity(peer, frame)
-                    case frames.Request():
-                        self._request(peer, frame)
-                    case frames.Response():
-                        self._send(
-                            frame.program,
-                            frames.to_client(frame.time_ns + self._latency_ns, frame.client, frame.number, frame.data),
-                            frame.time_ns,
-                        )
-                    case frames.Remark():
-                        self._on_remark(peer.name, frame)
-                    case _:
-                        raise ProgramFault(f"{peer.name}: found an unexpected frame {frame!r}")
+                self._take(peer, frame := peer.link.receive())
+                if isinstance(frame, frames.Idle):
+                    return
         except Gone:
             raise ProgramFault(f"{peer.name}: closed its connection", is_end=True) from None
         except (ValueError, struct.error, IndexError) as error:
             raise ProgramFault(f"{peer.name}: found a damaged frame: {error}") from error
+
+    def _take(self, peer: Peer, frame: frames.FromProgram) -> None:
+        """Act on a frame of a program."""
+        match frame:
+            case frames.Published():
+                self._published(peer, frame)
+            case frames.Idle():
+                peer.idle = frame
+                self.reached_ns = max(self.reached_ns, frame.time_ns)
+            case frames.Progress():
+                self.reached_ns = max(self.reached_ns, frame.time_ns)
+            case frames.Lost():
+                self._lost(peer, frame)
+            case EntityFrame():
+                self._entity(peer, frame)
+            case frames.Request():
+                self._request(peer, frame)
+            case frames.Response():
+                self._send(
+                    frame.program,
+                    frames.to_client(frame.time_ns + self._latency_ns, frame.client, frame.number, frame.data),
+                    frame.time_ns,
+                )
+            case frames.Remark():
+                self._on_remark(peer.name, frame)
+            case _:
+                raise ProgramFault(f"{peer.name}: found an unexpected frame {frame!r}")
+
+    def take_rest(self) -> None:
+        """Take what programs that have ended, or do not go on, have published and not sent."""
+        for peer in self._peers:
+            with suppress(ProgramFault, ValueError, struct.error, LookupError):
+                for frame in peer.link.rest():
+                    if not isinstance(frame, frames.Remark):
+                        self._take(peer, frame)
 
     def _send(self, index: int, frame: bytes, time_ns: int) -> None:
         """Queue a frame for a program, at its arrival."""

@@ -405,6 +405,8 @@ def _run_once(
             if not one.start_s and one.fault.endswith(ENDED_WELL):
                 one.fault += " before the session began: does it spin?"
         finally:
+            if coordinator:
+                coordinator.take_rest()
             if one.fault:
                 one.end_ns = max(one.start_ns, coordinator.reached_ns if coordinator else 0)
             if coordinator:

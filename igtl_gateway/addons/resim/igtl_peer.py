@@ -14,7 +14,7 @@ from __future__ import annotations
 import errno
 import socket
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -216,7 +216,7 @@ class IgtlLink:
         on_remark: Callable[[str, frames.Remark], None],
     ) -> None:
         self._name, self._side, self._library, self._recorded = name, side, library, recorded
-        self._start_ns, self._on_remark = start_ns, on_remark
+        self._start_ns, self._now_ns, self._on_remark = start_ns, start_ns, on_remark
         self._socket: socket.socket | None = None
         self._connection: Connection | None = None
         self._idle = Idle(start_ns, NEVER, DEADLINE, 0)
@@ -251,6 +251,14 @@ class IgtlLink:
         while not self._ready:
             self._advance()
         return self._ready.popleft()
+
+    def rest(self) -> Iterator[frames.FromProgram]:
+        """Yield what the program has sent before it ended, or came to no rest."""
+        with suppress(ProgramFault):
+            if self._socket:
+                self._drain(self._now_ns)
+        while self._ready:
+            yield self._ready.popleft()
 
     def close(self) -> None:
         if self._socket:
@@ -320,6 +328,7 @@ class IgtlLink:
     def _settle(self, time_ns: int, *, has_looked: bool = False) -> None:
         """Go on until nothing is under way in either direction and all threads wait; outputs get this time."""
         count = 0
+        self._now_ns = time_ns
         while True:
             if not has_looked:
                 self._await(arrived=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import struct
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
@@ -11,6 +12,11 @@ from typing import Protocol
 from igtl_gateway.addons.resim import frames
 
 _SIZE = struct.Struct("=I")
+#: What the file of frames that are not sent begins with (`struct outbox` of ``native/_resim.c``): bytes before those
+#: here, bytes of complete frames here, and session time.
+_OUTBOX = struct.Struct("=QQq")
+#: How often it is read if the program sends meanwhile.
+_MOST_READINGS = 10
 #: Of the process at the other end: its number, user and group.
 _CREDENTIALS = struct.Struct("=3i")
 _READ_BYTES = 1 << 18
@@ -29,6 +35,8 @@ class AnyLink(Protocol):
 
     def receive(self) -> frames.FromProgram: ...
 
+    def rest(self) -> Iterator[frames.FromProgram]: ...
+
 
 class Waiting(Protocol):
     """Is called now and then while a frame is awaited; ``is_flowing``: others arrive.  It may raise."""
@@ -39,11 +47,12 @@ class Waiting(Protocol):
 class Link:
     """The connection of one process."""
 
-    def __init__(self, connection: socket.socket, waiting: Waiting) -> None:
+    def __init__(self, connection: socket.socket, waiting: Waiting, place: Path) -> None:
         self._socket = connection
         self._waiting = waiting
         self._buffer = bytearray()
-        self._at = self._unwatched_bytes = 0
+        self._at = self._unwatched_bytes = self._received_bytes = 0
+        self._outbox = Path(f"{place}.{_peer_of(connection)}.out")
         connection.settimeout(_PATIENCE_S)
 
     def send(self, data: bytes) -> None:
@@ -59,16 +68,8 @@ class Link:
 
     def receive(self) -> frames.FromProgram:
         """Return the next frame.  Raises Gone."""
-        while True:
-            buffer, at = self._buffer, self._at
-            if len(buffer) - at >= _SIZE.size:
-                (size,) = _SIZE.unpack_from(buffer, at)
-                end = at + _SIZE.size + size
-                if len(buffer) >= end:
-                    frame = bytes(memoryview(buffer)[at + _SIZE.size : end])
-                    self._at = end
-                    return frames.parse(frame)
-            self._buffer, self._at = buffer[at:], 0
+        while not (frame := self._next()):
+            self._buffer, self._at = self._buffer[self._at :], 0
             if self._unwatched_bytes >= _PATIENCE_BYTES:
                 self._unwatched_bytes = 0
                 self._waiting(is_flowing=True)
@@ -81,8 +82,50 @@ class Link:
                 raise Gone from error
             if not more:
                 raise Gone
-            self._buffer += more
+            self._take(more)
             self._unwatched_bytes += len(more)
+        return frames.parse(frame)
+
+    def _next(self) -> bytes:
+        """The next frame, without its size; nothing if it is not here."""
+        buffer, at = self._buffer, self._at
+        if len(buffer) - at < _SIZE.size:
+            return b""
+        (size,) = _SIZE.unpack_from(buffer, at)
+        end = at + _SIZE.size + size
+        if len(buffer) < end:
+            return b""
+        self._at = end
+        return bytes(memoryview(buffer)[at + _SIZE.size : end])
+
+    def _take(self, data: bytes) -> None:
+        self._buffer += data
+        self._received_bytes += len(data)
+
+    def rest(self) -> Iterator[frames.FromProgram]:
+        """Yield what a process that has ended, or does not go on, has left behind.  Afterwards, nothing is received."""
+        self._socket.setblocking(False)
+        with suppress(OSError):
+            while more := self._socket.recv(_READ_BYTES):
+                self._take(more)
+        now_ns = self._read_outbox()
+        while frame := self._next():
+            yield frames.parse(frame)
+        if now_ns:
+            yield frames.Progress(now_ns)
+
+    def _read_outbox(self) -> int:
+        """Take what was not sent; session time, 0 if it is not known."""
+        with suppress(OSError, struct.error):
+            for _ in range(_MOST_READINGS):
+                data = self._outbox.read_bytes()
+                sent, size, now_ns = _OUTBOX.unpack_from(data)
+                with self._outbox.open("rb") as file:
+                    sent_later, size_later, _ = _OUTBOX.unpack(file.read(_OUTBOX.size))
+                if sent == sent_later and size <= size_later:
+                    self._take(data[_OUTBOX.size + max(0, self._received_bytes - sent) : _OUTBOX.size + size])
+                    return int(now_ns)
+        return 0
 
     def look(self) -> None:
         """Look after the processes.  Raises what the one who waits does."""
@@ -108,7 +151,7 @@ class Listener:
         while True:
             with suppress(TimeoutError):
                 connection, _ = self._socket.accept()
-                return Link(connection, waiting)
+                return Link(connection, waiting, self.path)
             waiting()
 
     def stranger(self) -> int:
@@ -121,10 +164,15 @@ class Listener:
         finally:
             self._socket.settimeout(_PATIENCE_S)
         self._strangers.append(connection)
-        of_process = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
-        return int(_CREDENTIALS.unpack(of_process)[0])
+        return _peer_of(connection)
 
     def close(self) -> None:
         for each in (*self._strangers, self._socket):
             each.close()
         self.path.unlink(missing_ok=True)
+
+
+def _peer_of(connection: socket.socket) -> int:
+    """Number of the process at the other end."""
+    credentials = connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+    return int(_CREDENTIALS.unpack(credentials)[0])

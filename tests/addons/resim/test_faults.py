@@ -61,6 +61,10 @@ def processes_with(mark: str) -> list[str]:
         ("raises", "faulty: ended with exit code 1: ValueError: found 3 wheels, expected 4: (faulty.py, line "),
         ("leaves", "faulty: ended with exit code 3"),
         ("is_stopped", "faulty: was ended by signal 15"),
+        ("is_killed", "faulty: was ended by signal 9"),
+        ("stops", "faulty: did not come to rest within 1 s (the wall limit)"),
+        ("exits", "faulty: ended with exit code 4"),
+        ("becomes", "faulty: ended with exit code 5"),
         ("daemonizes", "faulty: started another process, which still runs: mark-"),
         ("crashes", "faulty: was ended by signal 11"),
         ("hangs", "faulty: did not come to rest within 1 s (the wall limit)"),
@@ -79,7 +83,7 @@ def test_a_fault_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wh
     monkeypatch.setenv("MARK_OF_THIS_TEST", mark)
     recording = sessions.write(tmp_path / "in.mcap", sessions.texts(40))
     cpu_s = 60.0 if what == "floods" else 1.0
-    wall_s = 1.0 if what == "hangs" else 30.0
+    wall_s = 1.0 if "wall limit" in line else 30.0
     result, verdict = judged(
         recording, tmp_path, f"faulty {what}", runs=3, wall_s=wall_s, cpu_s=cpu_s, most_outputs=5000
     )

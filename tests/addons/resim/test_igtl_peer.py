@@ -251,6 +251,13 @@ def test_bad_programs(kind: str, text: str, tmp_path: Path) -> None:
 
 
 @needs_pyigtl
+def test_what_it_sent_before_its_end_is_kept(tmp_path: Path) -> None:
+    result, verdict = judged(recording(tmp_path / "in.mcap"), tmp_path, python("igtl_answer", "is killed"))
+    assert verdict.fault == "igtl_answer: was ended by signal 9"
+    assert len(answers(result.runs[0].outputs, "Flood")) == 3
+
+
+@needs_pyigtl
 def test_other_sockets_of_a_program_are_named(tmp_path: Path) -> None:
     path = recording(tmp_path / "in.mcap")
     for kind in ("datagrams", "elsewhere too"):

@@ -3,6 +3,7 @@
 import ctypes
 import fcntl
 import os
+import platform
 import signal
 import subprocess
 import sys
@@ -11,6 +12,8 @@ import threading
 import rclpy
 from rclpy.node import Node
 from std_msgs.msg import String
+
+EXIT_GROUP = 231 if platform.machine() == "x86_64" else 94
 
 
 class Faulty(Node):  # type: ignore[misc]
@@ -51,6 +54,19 @@ class Faulty(Node):  # type: ignore[misc]
 
     def is_stopped(self) -> None:
         os.kill(os.getpid(), signal.SIGTERM)
+
+    def is_killed(self) -> None:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    def stops(self) -> None:
+        os.kill(os.getpid(), signal.SIGSTOP)
+
+    def exits(self) -> None:
+        """The call itself, which no library sees."""
+        ctypes.CDLL(None).syscall(EXIT_GROUP, 4)
+
+    def becomes(self) -> None:
+        os.execlp("sh", "sh", "-c", "exit 5")
 
     def forks(self) -> None:
         """Both go on."""

@@ -33,7 +33,7 @@ def main(kind: str) -> None:
     address = os.environ["IGTL_HOST"], int(os.environ["IGTL_PORT"])
     if kind == "never":
         time.sleep(3600)
-    if kind in ("close", "garbage", "flood", "hang", "sleep", "crc", "elsewhere"):
+    if kind in ("close", "garbage", "flood", "hang", "sleep", "crc", "elsewhere", "is killed"):
         made = socket.socket()
         if kind == "elsewhere":
             time.sleep(3600)
@@ -46,6 +46,9 @@ def main(kind: str) -> None:
             made.sendall(b"GET / HTTP/1.1\r\nHost: here\r\n\r\n" * 10)
             time.sleep(3600)
         data = pyigtl.StringMessage("much", device_name="Flood").pack()
+        if kind == "is killed":
+            made.sendall(3 * data)
+            os.kill(os.getpid(), signal.SIGKILL)
         if kind == "crc":
             made.sendall(data[:50] + bytes(8) + data[58:])
         if kind in ("sleep", "crc"):
