@@ -49,6 +49,7 @@
 #include <sys/stat.h>
 #include <sys/syscall.h>
 #include <sys/time.h>
+#include <sys/timerfd.h>
 #include <sys/un.h>
 #include <sys/wait.h>
 #include <time.h>
@@ -1033,6 +1034,50 @@ ssize_t getrandom(void *buffer, size_t size, unsigned flags)
 }
 int getentropy(void *buffer, size_t size) { return fill_fixed(buffer, size) ? 0 : NEXT(getentropy)(buffer, size); }
 
+/* Timers of the system, which run in real time: each that is set is reported once, at the start of the session if it was
+ * set before. */
+enum timer_call { CALL_SETITIMER, CALL_ALARM, CALL_UALARM, CALL_TIMER_SETTIME, CALL_TIMERFD_SETTIME, TIMER_CALLS };
+static const char *const timer_calls[TIMER_CALLS] = {"setitimer", "alarm", "ualarm", "timer_settime", "timerfd_settime"};
+static _Atomic bool timers_set[TIMER_CALLS];
+
+static void sets_timer(enum timer_call call, bool is_set)
+{
+    if (is_set && !own_is_other && T.clocks != CLOCKS_REAL && !atomic_exchange(&timers_set[call], true))
+        notice('t', timer_calls[call]);
+}
+static void report_early_timers(void)
+{
+    for (int call = 0; call < TIMER_CALLS; call++)
+        if (atomic_load(&timers_set[call]) && T.clocks != CLOCKS_REAL)
+            remark('t', timer_calls[call]);
+}
+
+int setitimer(__itimer_which_t which, const struct itimerval *restrict value, struct itimerval *restrict before)
+{
+    sets_timer(CALL_SETITIMER, value && (value->it_value.tv_sec || value->it_value.tv_usec));
+    return NEXT(setitimer)(which, value, before);
+}
+unsigned alarm(unsigned seconds)
+{
+    sets_timer(CALL_ALARM, seconds);
+    return NEXT(alarm)(seconds);
+}
+useconds_t ualarm(useconds_t value, useconds_t interval)
+{
+    sets_timer(CALL_UALARM, value);
+    return NEXT(ualarm)(value, interval);
+}
+int timer_settime(timer_t timer, int flags, const struct itimerspec *restrict value, struct itimerspec *restrict before)
+{
+    sets_timer(CALL_TIMER_SETTIME, value && ns_of(&value->it_value));
+    return NEXT(timer_settime)(timer, flags, value, before);
+}
+int timerfd_settime(int file, int flags, const struct itimerspec *value, struct itimerspec *before)
+{
+    sets_timer(CALL_TIMERFD_SETTIME, value && ns_of(&value->it_value));
+    return NEXT(timerfd_settime)(file, flags, value, before);
+}
+
 /* A socket of the program's own: what comes by it, comes in real time. */
 int socket(int domain, int type, int protocol)
 {
@@ -1106,6 +1151,7 @@ static void join_session(void)
                 signal(crashes[i], on_crash);
         }
         S.stop = true;
+        report_early_timers();
         atomic_store(&T.active, 1);
     }
     pthread_mutex_unlock(&once);

@@ -106,7 +106,7 @@ int epoll_pwait2(int file, struct epoll_event *events, int most, const struct ti
 #define REPLACED(row)                                                                                                  \
     row(clock_gettime) row(gettimeofday) row(clock_nanosleep) row(nanosleep) row(sem_timedwait) row(sem_clockwait)     \
     row(pthread_cond_timedwait) row(pthread_cond_clockwait) row(poll) row(epoll_wait) row(select) row(ppoll) row(epoll_pwait) row(epoll_pwait2) row(sigtimedwait) row(pselect) row(fork)            \
-    row(posix_spawn) row(posix_spawnp) row(popen) row(system) row(socket) row(connect) row(pthread_create)       \
+    row(posix_spawn) row(posix_spawnp) row(popen) row(system) row(socket) row(connect) row(setitimer) row(alarm) row(ualarm) row(timer_settime) row(timerfd_settime) row(pthread_create)       \
     row(sem_wait) row(getrandom) row(getentropy) row(_exit)
 static struct {
 #define MEMBER(name) __typeof__(&name) name##_;

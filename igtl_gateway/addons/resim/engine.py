@@ -489,6 +489,8 @@ class _Watch:
             self._wait_for(name, int(remark.text), is_asleep=remark.code == "z")
         elif remark.code == "s":
             self.remarks.add(f"{name}: {_OWN_SOCKET}")
+        elif remark.code == "t":
+            self.remarks.add(f"{name}: sets a timer by {remark.text}, which runs in real time")
         elif remark.code == "h":
             pid, _, call = remark.text.partition(" ")
             if command := command_of(int(pid)):

@@ -94,8 +94,8 @@ class Response:
 class Remark:
     """Something that the coordinator has to know.
 
-    ``s``: the program has a socket of its own; ``w``: a thread, ``h``: another process waits in real time; ``c``:
-    another process computes, ``z``: sleeps, for which the program waits.
+    ``s``: the program has a socket of its own; ``t``: it sets a timer of the system; ``w``: a thread, ``h``: another
+    process waits in real time; ``c``: another process computes, ``z``: sleeps, for which the program waits.
     """
 
     code: str

@@ -231,6 +231,16 @@ def test_a_timeout_of_real_time_weakens_the_guarantee(tmp_path: Path, what: str)
     assert re.fullmatch(r"faulty: thread 'python[\d.]*' waits by futex, whose timeout passes in real time", remark)
 
 
+def test_timers_of_the_system_weaken_the_guarantee(tmp_path: Path) -> None:
+    recording = sessions.write(tmp_path / "in.mcap", sessions.texts(40))
+    result, verdict = judged(recording, tmp_path, "faulty sets_timers", runs=1)
+    assert verdict.exit_code == 0
+    assert result.runs[0].remarks == [
+        f"faulty: sets a timer by {call}, which runs in real time"
+        for call in ("alarm", "setitimer", "timer_settime", "timerfd_settime")
+    ]
+
+
 def test_the_lock_of_another_process_is_waited_for(tmp_path: Path) -> None:
     recording = sessions.write(tmp_path / "in.mcap", sessions.texts(40))
     lock = tmp_path / "lock"

@@ -115,6 +115,15 @@ class Faulty(Node):  # type: ignore[misc]
         until = (ctypes.c_long * 2)(2**32, 0)
         threading.Thread(target=libc.pthread_mutex_timedlock, args=(mutex, until), daemon=True).start()
 
+    def sets_timers(self) -> None:
+        """Those of the system; one was set before."""
+        libc, until = ctypes.CDLL(None), (ctypes.c_long * 4)(0, 0, 1000, 0)
+        signal.alarm(1000)
+        timer = ctypes.c_void_p()
+        libc.timer_create(1, None, ctypes.byref(timer))
+        libc.timer_settime(timer, 0, until, None)
+        libc.timerfd_settime(libc.timerfd_create(1, 0), 0, until, None)
+
     def locks(self) -> None:
         """Another process has the lock for a while."""
         with open(sys.argv[2], "a") as file:
@@ -133,6 +142,8 @@ class Faulty(Node):  # type: ignore[misc]
         socket.create_server(("127.0.0.1", 0)).close()
 
 
+if sys.argv[1] == "sets_timers":
+    signal.setitimer(signal.ITIMER_VIRTUAL, 1000)
 rclpy.init()
 try:
     node = Faulty(sys.argv[1])
