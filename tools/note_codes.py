@@ -141,6 +141,7 @@ NOTES: dict[str, dict[str, str]] = {
         "record_failed": "the file cannot be written, for example because the disk is full",
         "record_stalled": "the disk does not answer, or the recorder gets no time: nothing was written for 3 s",
         "record_moves": "the recorder writes again",
+        "record_waits": "large messages of peers wait until the recorder has room",
         "record_continued": "another program removed or changed the file; the recording goes on in the next file",
         "record_refused": "an entry cannot be recorded",
         "record_undefined": "the definition of a ROS type is unknown; its messages are recorded without it",

@@ -41,6 +41,7 @@ from igtl_gateway.gateway.log.marks import MarkNote
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.gateway.silences import Silences
 from igtl_gateway.native.passage import Passage
+from igtl_gateway.record.admission import Admission
 
 if TYPE_CHECKING:
     from igtl_gateway.record.recorder import Recorder
@@ -103,6 +104,7 @@ class Bridge:
         records: list[Sink] = [self._record] if options.record else []
         watchers = [watcher for watcher in (on_entry, viewer) if watcher]
         self.hub = Hub(Session(self.gateway, passage), clock, [self._dispatch, *records, *watchers], passage)
+        admission = Admission(clock, self.hub.note) if options.record else None
         self.tcp = TcpEdge(
             on_frame=self.hub.igtl,
             on_link=lambda link, _up, note: self.hub.link(link, note),
@@ -113,6 +115,7 @@ class Bridge:
             tls=options.tls,
             passage=passage,
             reserved=options.reserved,
+            admission=admission,
         )
         recorded = options.record_topics if options.record else ()
         self.subscriptions = Subscriptions(self.gateway, recorded, self.hub.note)
@@ -139,6 +142,7 @@ class Bridge:
                 on_note=self.hub.note,
                 losses=lambda: self.losses,
                 passage=self._passage,
+                admission=admission,
             )
         self._diagnostics: DiagnosticsTopic | None = None
         if self._traffic:

@@ -32,6 +32,7 @@ from igtl_gateway.gateway.to_igtl.tf_out import TF_QOS
 from igtl_gateway.record.selection import StateInputRule
 
 if TYPE_CHECKING:
+    from igtl_gateway.record.admission import Admission
     from igtl_gateway.record.recorder import Recorder
     from igtl_gateway.record.worker import RecordingSummary
 
@@ -73,6 +74,7 @@ class BridgeRecording:
         on_note: takes notes, from any thread.
         losses: returns the loss ledger, which the recording is closed with.
         passage: is recorded, too; None: there is none.
+        admission: gets the recorder.
 
     Attributes:
         recorder, uploads: None before the start.
@@ -90,6 +92,7 @@ class BridgeRecording:
         on_note: Callable[[Note], None],
         losses: Callable[[], dict[str, Any]],
         passage: BridgePassage | None = None,
+        admission: Admission | None = None,
     ) -> None:
         self.recorder: Recorder | None = None
         self.uploads: Uploads | None = None
@@ -102,6 +105,7 @@ class BridgeRecording:
         self._on_note = on_note
         self._losses = losses
         self._passage = passage
+        self._admission = admission
 
     def start(self) -> None:
         """Create the file.  Raises RecordingError, and MissingAddon for an upload without its add-on."""
@@ -119,6 +123,8 @@ class BridgeRecording:
         )
         if self._passage:
             self._passage.record_into(self.recorder)
+        if self._admission:
+            self._admission.recorder = self.recorder
         if self._options.upload:
             place = part_of("upload", "place:upload_place")(self._options.upload)
             self.uploads = part_of("upload", "live:BridgeUploads")(

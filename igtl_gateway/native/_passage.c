@@ -52,6 +52,7 @@
 #define REMEMBERED 64        /* own messages of a latched topic: more than a late subscription gets of them */
 #define REMEMBERED_BYTES 256 /* of their beginning, as in edges/ros/topics.py */
 #define MAX_LARGE_WAITING 3 /* messages; then TCP makes the peer wait */
+#define MOST_LARGE_BYTES (256LL << 20) /* of all links; then a link waits behind its first one */
 #define MAX_UNFILLED 3 /* messages of a direction; then the oldest is copied to the recorder at once */
 #define READ_BYTES_PER_US 1500 /* by the receiver of a large message: its copies and ours would share the memory's bandwidth */
 #define ROOM_NS 3000000 /* the longest wait for a peer that is about to take the rest of a large message */
@@ -221,6 +222,7 @@ typedef struct Passage {
     Link *noted;            /* list of links with events */
     Link *with_large;       /* list of links that have read a large message since wait_large */
     Stream *left_streams;   /* list of those that nothing refers to, but were in use; guarded by the GIL */
+    long long large_bytes;  /* of large messages that wait for Python */
     pthread_cond_t large_read;
     pthread_cond_t pressed;
     int attends;            /* Python has to look after the recorder's queue */
@@ -1123,6 +1125,8 @@ static void end_large(Link *self)
     pthread_mutex_lock(&passage->events);
     *self->large_end = large;
     self->large_end = &large->next;
+    passage->large_bytes += (long long)large->message.length;
+    int is_much = passage->large_bytes > MOST_LARGE_BYTES;
     int waiting = __atomic_add_fetch(&self->large_waiting, 1, __ATOMIC_SEQ_CST);
     if (!self->is_with_large) {
         self->is_with_large = 1;
@@ -1131,7 +1135,7 @@ static void end_large(Link *self)
         pthread_cond_signal(&passage->large_read);
     }
     pthread_mutex_unlock(&passage->events);
-    if (waiting >= MAX_LARGE_WAITING) {
+    if (waiting >= (is_much ? 1 : MAX_LARGE_WAITING)) {
         epoll_ctl(passage->epoll, EPOLL_CTL_DEL, self->fd, NULL);
         __atomic_store_n(&self->is_paused, 1, __ATOMIC_SEQ_CST);
     }
@@ -2499,6 +2503,9 @@ static void link_dealloc(Link *self)
     free(self->body);
     while (self->large) {
         struct large *next = self->large->next;
+        pthread_mutex_lock(&self->passage->events);
+        self->passage->large_bytes -= (long long)self->large->message.length;
+        pthread_mutex_unlock(&self->passage->events);
         free(self->large->message.buffer);
         free(self->large);
         self->large = next;
@@ -2612,6 +2619,8 @@ static PyObject *link_take_large(Link *self, PyObject *nothing)
     struct large *large = self->large;
     if (large && !(self->large = large->next))
         self->large_end = &self->large;
+    if (large)
+        self->passage->large_bytes -= (long long)large->message.length;
     pthread_mutex_unlock(&self->passage->events);
     if (!large)
         Py_RETURN_NONE;
@@ -2634,6 +2643,15 @@ static PyObject *link_large_done(Link *self, PyObject *nothing)
     }
     pthread_mutex_unlock(&self->reading);
     Py_RETURN_NONE;
+}
+
+static PyObject *link_get_large_bytes(Link *self, void *closure)
+{
+    (void)closure;
+    pthread_mutex_lock(&self->passage->events);
+    size_t size = self->large ? self->large->message.length : 0;
+    pthread_mutex_unlock(&self->passage->events);
+    return PyLong_FromSize_t(size);
 }
 
 static PyObject *link_get_pending(Link *self, void *closure)
@@ -2714,6 +2732,7 @@ static PyObject *link_get_native(Link *self, void *closure)
 }
 
 static PyGetSetDef link_properties[] = {
+    {"large_bytes", (getter)link_get_large_bytes, NULL, "Size of the large message that take_large returns; 0: there is none.", NULL},
     {"pending", (getter)link_get_pending, NULL, "Bytes of the unfinished message.", NULL},
     {"waits", (getter)link_get_waits, NULL, "The link waits for its turn in the native thread, or pauses.", NULL},
     {"is_native", (getter)link_get_native, NULL, "The native thread reads the link.", NULL},
@@ -3154,6 +3173,7 @@ static PyMemberDef passage_members[] = {
     {"last_ns", T_LONGLONG, offsetof(Passage, last_ns), 0, "Gateway time of the last input (UTC ns)."},
     {"ahead_ns", T_LONGLONG, offsetof(Passage, ahead_ns), 0, "Gateway time less the time of the host's clock (ns)."},
     {"builds_all", T_BOOL, offsetof(Passage, builds_all), 0, "Outputs without a subscriber are built, too."},
+    {"large_bytes", T_LONGLONG, offsetof(Passage, large_bytes), READONLY, "Of large messages that take_large has not returned yet."},
     {"closed", T_BOOL, offsetof(Passage, closed), 0, "Every message goes to Python."},
     {NULL, 0, 0, 0, NULL},
 };

@@ -17,14 +17,16 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from multiprocessing import Pipe
 from pathlib import Path
 
 from igtl_gateway.base.clock import Clock, SystemClock
-from igtl_gateway.base.systems.processes import lower_priority
+from igtl_gateway.base.systems.processes import lower_priority, processor_times
 from igtl_gateway.base.systems.signals import ignore_endings
 from igtl_gateway.base.versions import python_command
 from igtl_gateway.record.options import LARGEST_BYTES, RecordOptions
+from igtl_gateway.record.pace import Times
 from igtl_gateway.record.shared_queue import QueueReader, QueueWriter, memory, shared_memory
 from igtl_gateway.record.worker import WorkerPipe, WorkerSettings, run_worker
 
@@ -44,6 +46,7 @@ class WorkerHost:
     Attributes:
         pipe: the recorder's end.
         queue: the end that puts.
+        times: of the worker's thread.
         wait: waits for the worker's end, and returns how it ended, in a few words.
         warning: what is not as it should be, or ``""``.
     """
@@ -51,6 +54,7 @@ class WorkerHost:
     pipe: WorkerPipe
     queue: QueueWriter
     wait: Callable[[], str]
+    times: Times = lambda: None
     warning: str = ""
 
 
@@ -80,7 +84,7 @@ def in_process(settings: WorkerSettings, clock: Clock) -> WorkerHost:
         ours.send(settings)
     except BrokenPipeError:
         pass
-    return WorkerHost(ours, queue, wait)
+    return WorkerHost(ours, queue, wait, partial(processor_times, child.pid))
 
 
 def _start(options: RecordOptions) -> tuple[subprocess.Popen[bytes], WorkerPipe, QueueWriter]:
@@ -148,7 +152,8 @@ def main() -> None:
         except OSError as error:
             connection.send(f"cannot record to {settings.path}: no memory for its queue: {error.strerror}")
             return
-        run_worker(settings, queue, connection, SystemClock(), lambda: os.getppid() != bridge, _set_priority)
+        orphaned, times = (lambda: os.getppid() != bridge), partial(processor_times, os.getpid())
+        run_worker(settings, queue, connection, SystemClock(), orphaned, _set_priority, times)
 
 
 def _set_priority(hurried: bool) -> bool:

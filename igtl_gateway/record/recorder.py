@@ -30,6 +30,7 @@ from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.host import Host, in_process
 from igtl_gateway.record.options import RecordOptions
+from igtl_gateway.record.pace import DISK, Pace
 from igtl_gateway.record.selection import MAX_STREAMS, OTHERS, StateInputRule
 from igtl_gateway.record.sessionfile.writer import QosOf
 from igtl_gateway.record.shared_queue import QueueSlot, QueueWriter
@@ -87,7 +88,7 @@ class Recorder:
         self._ended = False
         self._clock = clock
         self._done, self._done_ns = 0, clock.monotonic_ns()  # what the worker had taken, and since when
-        self._stalled = False
+        self._stalled = self._is_blocked = False
         self._summary: RecordingSummary | None = None
         self._sending = threading.Lock()  # of the pipe
         settings = WorkerSettings(path, dict(session), self.options, rule or StateInputRule())
@@ -96,6 +97,7 @@ class Recorder:
         except OSError as error:
             raise RecordingError(f"cannot record to {path}: no queue for the recorder: {error.strerror}") from error
         self._pipe, self._queue = self._place.pipe, self._place.queue
+        self._pace = Pace(self._place.times)
         try:
             refused = self._pipe.recv()
         except (EOFError, OSError):
@@ -111,6 +113,11 @@ class Recorder:
     def queue(self) -> QueueWriter:
         """The queue, for a native writer: to be used under the lock only."""
         return self._queue
+
+    @property
+    def is_taking(self) -> bool:
+        """Whether the worker comes on with what waits."""
+        return not (self._closing or self._ended or self._is_blocked)
 
     def __call__(self, entry: Entry) -> None:
         """Record an entry.  Its buffers may change as soon as this returns.
@@ -135,7 +142,7 @@ class Recorder:
                 if taken is False:
                     self._count_drop(entry)
         if self._queue.pressing:
-            self._wake()
+            self.wake()
         return taken if isinstance(taken, QueueSlot) else None
 
     def attend(self, room: int) -> None:
@@ -143,7 +150,7 @@ class Recorder:
         with self._lock:
             pressing = not (self._closing or self._ended) and self._queue.look_ahead(room)
         if pressing:
-            self._wake()
+            self.wake()
 
     def counters(self) -> dict[str, Any]:
         """What was written, waits, was dropped and was left out, so far."""
@@ -236,7 +243,7 @@ class Recorder:
                 self._queue.command(*words)
             self._closing = True
             self._queue.close()
-        self._wake()
+        self.wake()
         self._thread.join()
         if self._summary is None:
             self._summary = self._summary_of_lost()
@@ -247,10 +254,11 @@ class Recorder:
         with self._lock:
             if self._closing or self._ended or not self._queue.command(*words):
                 return False
-        self._wake()
+        self.wake()
         return True
 
-    def _wake(self) -> None:
+    def wake(self) -> None:
+        """Have the worker look at what waits now."""
         if self._queue.signal():
             self._send("wake")
 
@@ -316,13 +324,18 @@ class Recorder:
         done, now_ns = self._queue.entries_put - entries, self._clock.monotonic_ns()
         if done != self._done or not entries:
             if self._stalled:
-                text = f"the disk answers again, after {(now_ns - self._done_ns) / NS_PER_S:.1f} s"
+                who = "the disk answers" if self._is_blocked else "the recorder writes"
+                text = f"{who} again, after {(now_ns - self._done_ns) / NS_PER_S:.1f} s"
                 self._on_message("note", [Note(Level.INFO, MOVES, text)])
-            self._done, self._done_ns, self._stalled = done, now_ns, False
+            self._done, self._done_ns, self._stalled, self._is_blocked = done, now_ns, False, False
+            self._pace.begin(now_ns, 0)
         elif not self._stalled and now_ns - self._done_ns >= _STILL_NS:
             self._stalled = True
+            shares = self._pace.shares(now_ns)
+            self._is_blocked = not self._queue.is_awaited and (shares is None or shares.cause == DISK)
+            cause = "the disk does not answer" if self._is_blocked else "the recorder has no processor"
             text = (
-                f"the disk does not answer: nothing was written for {_STILL_NS / NS_PER_S:g} s; {entries:,} entries "
+                f"{cause}: nothing was written for {_STILL_NS / NS_PER_S:g} s; {entries:,} entries "
                 f"({size:,} bytes) wait in memory, and what it has no room for is dropped"
             )
             self._on_message("note", [Note(Level.WARN, STALLED, text)])

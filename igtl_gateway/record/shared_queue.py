@@ -57,7 +57,7 @@ _NUMBERS = {kind: number for number, kind in enumerate(_KINDS)}
 
 #: Slots of the page of counters, as ``_queue.h`` has them: of the writers, of the reader, and of both.
 _HEAD, _REFUSED, _RESTART = 0, 1, 2
-_TAIL, _DONE_ENTRIES, _DONE_BYTES = 8, 9, 10
+_TAIL, _DONE_ENTRIES, _DONE_BYTES, _AWAITS = 8, 9, 10, 11
 _BELL = 16
 #: What only the writers know; it is in the page because the native writer shares it.
 _PLACE, _LIMIT, _ENTRIES, _TAKEN = 32, 33, 34, 35
@@ -220,7 +220,7 @@ class QueueWriter(_QueueEnd):
 
     Args:
         place: as for both ends.
-        max_entries, max_bytes: the bound; one entry alone always fits.
+        max_entries, max_bytes: the bound; one input with its outputs always fits.
     """
 
     def __init__(self, place: mmap.mmap, max_entries: int, max_bytes: int) -> None:
@@ -233,6 +233,7 @@ class QueueWriter(_QueueEnd):
         self._streams: dict[_Stream, int] = {}
         #: Whether so much waits, after the last entry, that the getter should look.
         self.pressing = False
+        self._has_input = False  # the last input was taken
 
     @property
     def memory(self) -> mmap.mmap:
@@ -250,6 +251,21 @@ class QueueWriter(_QueueEnd):
         """Entries and bytes that were put and are not done with."""
         counters = self._counters
         return counters[_ENTRIES] - counters[_DONE_ENTRIES], counters[_TAKEN] - counters[_DONE_BYTES]
+
+    @property
+    def max_large_bytes(self) -> int:
+        """The bound of what waits, for a large entry."""
+        return self._max_large
+
+    @property
+    def done_bytes(self) -> int:
+        """What the entries that the getter is done with counted."""
+        return self._counters[_DONE_BYTES]
+
+    @property
+    def is_awaited(self) -> bool:
+        """Whether the getter waits for a payload that is being copied."""
+        return bool(self._counters[_AWAITS])
 
     @property
     def entries_put(self) -> int:
@@ -290,13 +306,14 @@ class QueueWriter(_QueueEnd):
         """Add an entry, except for a large payload: the slot copies that.  False if there is no room.
 
         That a peer came or went finds room beyond the bound, as commands do: without it every later output to the peers
-        would be another one than that of the recording.  Large ones give way first: pictures fill a queue in seconds,
-        and what the gateway learns from, such as a query, is small.
+        would be another one than that of the recording.  So do the outputs of an input that was taken.  Large ones give
+        way first: pictures fill a queue in seconds, and what the gateway learns from, such as a query, is small.
 
         Raises TypeError or the like for other objects.
         """
         if put_entry and put_entry(self._map, self._streams, entry):
             self.pressing = False  # or the getter's attention was asked for already
+            self._has_input = True  # or it is an output that found room
             return True
         taken: bool | QueueSlot = False
         counters = self._counters
@@ -320,9 +337,10 @@ class QueueWriter(_QueueEnd):
             _, _, entries, counted = _STATE.unpack_from(self._map, _STATE_AT)
             waiting_entries, waiting = entries - done_entries, counted - done_bytes + size + ENTRY_BYTES
             most = self._max_bytes if size < LARGE_BYTES else self._max_large
-            if (
-                waiting_entries < self._max_entries and (waiting <= most or not waiting_entries)
-            ) or entry.kind is Kind.LINK:
+            fits = waiting_entries < self._max_entries and (waiting <= most or not waiting_entries)
+            if entry.kind.is_input:
+                self._has_input = fits = fits or entry.kind is Kind.LINK
+            if fits or self._has_input:
                 try:
                     if stream < _MAX_STREAMS:
                         numbers = entry.seq, entry.stamp_ns, entry.source_ns
@@ -341,6 +359,7 @@ class QueueWriter(_QueueEnd):
         finally:
             if taken is False:
                 counters[_REFUSED] += 1
+                self._has_input = False
         self.pressing = waiting > _WAKE_BYTES or waiting_entries >= _WAKE_ENTRIES
         return taken
 
@@ -526,6 +545,11 @@ class QueueReader(_QueueEnd):
         return self._counters[_REFUSED]
 
     @property
+    def done_bytes(self) -> int:
+        """What the entries that this is done with counted."""
+        return self._counters[_DONE_BYTES]
+
+    @property
     def waiting_bytes(self) -> int:
         """About as much waits to be got."""
         return self._counters[_HEAD] - self._position
@@ -545,6 +569,7 @@ class QueueReader(_QueueEnd):
             if what >= _FILLING:
                 self.filling = what < _VOID and not self.abandoned
                 if self.filling:
+                    self._counters[_AWAITS] = 1
                     return None
                 self._lose(what, size)
                 continue
@@ -635,6 +660,7 @@ class QueueReader(_QueueEnd):
         """What was got need not be kept any longer."""
         self._counters[_DONE_ENTRIES] = self._entries
         self._counters[_DONE_BYTES] = self._done
+        self._counters[_AWAITS] = 0
         if self._position - self._free >= _FREE_BYTES or self._position == self._head:
             self._release()
 

@@ -26,6 +26,7 @@ from igtl_gateway.base.versions import Self
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.options import RecordOptions, path_at
+from igtl_gateway.record.pace import Pace, Times
 from igtl_gateway.record.parts import PartsWriter
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.ring import Ring
@@ -173,14 +174,16 @@ def run_worker(
     clock: Clock,
     orphaned: Callable[[], bool] = lambda: False,
     rank: Callable[[bool], bool] = lambda hurried: True,
+    times: Times = lambda: None,
 ) -> None:
     """Record until the other end requests the end, or has ended.  Reports first whether the file could be created.
 
     ``orphaned``: whether the bridge has ended though the pipe is open: its forked processes have the pipe, too.
+    ``times``: of this thread.
     ``rank`` sets the priority of the worker, raised at first; it is called at each change, and again where it failed.
     """
     with files_with_mode(settings.options.file_mode, umask=False):
-        _run_worker(settings, queue, pipe, clock, orphaned, rank)
+        _run_worker(settings, queue, pipe, clock, orphaned, rank, times)
 
 
 def _run_worker(
@@ -190,10 +193,11 @@ def _run_worker(
     clock: Clock,
     orphaned: Callable[[], bool],
     rank: Callable[[bool], bool],
+    times: Times,
 ) -> None:
     worker, refused = None, ""
     try:
-        worker = _RecorderWorker(settings, queue, pipe, clock, orphaned, rank)
+        worker = _RecorderWorker(settings, queue, pipe, clock, orphaned, rank, times)
     except RecordingError as error:
         refused = str(error)
     with suppress(OSError):  # gone already: the file is closed like any other
@@ -215,8 +219,10 @@ class _RecorderWorker:
         clock: Clock,
         orphaned: Callable[[], bool],
         rank: Callable[[bool], bool],
+        times: Times,
     ) -> None:
         self._settings = settings
+        self._pace = Pace(times)
         self._orphaned = orphaned
         self._rank = rank
         self._hurried = True
@@ -493,8 +499,11 @@ class _RecorderWorker:
     def _run_once(self) -> None:
         pause_ns, begun_ns = self._pause_ns(), self._clock.monotonic_ns()
         rested = self._wait(pause_ns / 1_000_000_000)
+        now_ns = self._clock.monotonic_ns()
         # what it rested as planned is no lateness
-        self._empty_ns += max(0, min(pause_ns, self._clock.monotonic_ns() - begun_ns) - _LOOK_NS)
+        self._empty_ns += max(0, min(pause_ns, now_ns - begun_ns) - _LOOK_NS)
+        if not self._queue.filling:
+            self._pace.begin(now_ns, self._queue.done_bytes)
         self._taken = self._drain()
         if not self._taken and rested:
             self._answer_requests()
@@ -790,7 +799,11 @@ class _RecorderWorker:
         self._ask_drops()
         untold = self._not_queued - before
         self._drops_reported_ns = now_ns
-        text = f"the disk is too slow: {untold.total()} entries of {len(untold)} streams are not in the recording"
+        done_bytes = self._queue.done_bytes
+        cause, figures = self._pace.describe(now_ns, done_bytes)
+        self._pace.begin(now_ns, done_bytes)
+        text = f"{cause}: {untold.total():,} entries of {len(untold)} streams are not in the recording"
+        text += f" ({figures})" if figures else ""
         self._note(Note(Level.WARN, DROPPED, text, data={"dropped": dict(sorted(untold.items()))}))
 
     def _apply_retention(self) -> None:

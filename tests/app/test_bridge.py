@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import socket
 import threading
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -28,6 +30,7 @@ from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.verify import DeclaredLosses, verify
 from igtl_gateway.wire import Message, encode
+from igtl_gateway.wire.image import Image as WireImage
 from igtl_gateway.wire.text import String
 from tests.places import FIXTURES
 
@@ -115,6 +118,32 @@ def test_a_defect_of_one_part_does_not_cost_the_recording(tmp_path: Path, monkey
         bridge.stop()
     with SessionFile.open(path) as file:
         assert file.ledger
+
+
+def test_a_burst_of_pictures_larger_than_the_queue_is_recorded_whole(tmp_path: Path) -> None:
+    path = tmp_path / "out.mcap"
+    recording = RecordOptions(queue_bytes=4 << 20)
+    options = BridgeOptions((("127.0.0.1", 0),), ros=False, record=path, recording=recording)
+    bridge = Bridge(Config(), options, SystemClock())
+    bridge.start()
+    image = WireImage((1500, 1024, 1), 3, bytes(1500 * 1024))
+    pictures = [join(encode(Message("IMAGE", f"Camera{peer}", image))) for peer in range(3)]
+
+    def send(data: bytes) -> None:
+        with socket.create_connection(bridge.addresses[0]) as peer:
+            for _ in range(12):
+                peer.sendall(data)
+
+    with ThreadPoolExecutor() as peers:
+        list(peers.map(send, pictures))
+    assert bridge.recorder
+    while (found := bridge.recorder.counters())["written_entries"] < 72 and not found["dropped_entries"]:
+        threading.Event().wait(0.05)
+    bridge.stop()
+    assert bridge.summary and not bridge.summary.dropped
+    with SessionFile.open(path) as file:
+        kinds = Counter(entry.kind for entry in file.entries() if entry.size > 1 << 20)
+    assert kinds[Kind.IGTL_IN] == 36 and kinds[Kind.ROS_OUT] >= 36
 
 
 def test_a_topic_that_was_asked_for_but_cannot_be_converted_is_said_once() -> None:

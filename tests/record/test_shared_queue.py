@@ -249,6 +249,28 @@ def test_one_entry_larger_than_the_bound_but_none_larger_than_the_ring() -> None
     assert not pair.putter.put(samples.igtl(3, body=bytes(200 << 20)))
 
 
+def test_what_follows_from_an_input_that_is_there_has_room_beyond_the_bound() -> None:
+    pair = Pair(max_bytes=100_000, largest=1 << 20)
+    large = bytes(80_000)
+    outputs = [replace(samples.igtl(seq, body=large), kind=Kind.IGTL_OUT) for seq in (2, 3)]
+    assert pair.putter.put(samples.igtl(1, body=large))
+    assert all(map(pair.putter.put, outputs))
+    assert not pair.putter.put(samples.igtl(4, body=large))
+    assert not pair.putter.put(outputs[0]), "its input is not there"
+    assert [pair.get() is not None for _ in range(4)] == [True, True, True, False]
+
+
+def test_the_getter_tells_that_it_waits_for_a_payload() -> None:
+    pair = Pair(max_bytes=1 << 20, largest=1 << 20)
+    slot = pair.putter.reserve(samples.igtl(1, body=bytes(100_000)))
+    assert isinstance(slot, QueueSlot) and pair.get() is None
+    waits = [pair.putter.is_awaited]
+    slot()
+    assert pair.get() is not None
+    assert [*waits, pair.putter.is_awaited] == [True, False]
+    assert pair.putter.done_bytes == pair.getter.done_bytes > 100_000
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_around_the_end_of_the_ring(small: Pair, seed: int) -> None:
     chance = random.Random(seed)

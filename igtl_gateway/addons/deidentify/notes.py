@@ -21,7 +21,7 @@ CODES = frozenset({
     *"site_command_late zenoh_not_closed".split(),
     *"video_drop video_refused video_failed record_drop record_failed record_refused record_undefined".split(),
     *"record_thread record_paused record_resumed record_snapshot fault fault_disconnect synthetic".split(),
-    *"record_started record_stopped record_stalled record_moves".split(),
+    *"record_started record_stopped record_stalled record_moves record_waits".split(),
     *"trigger trigger_saved trigger_incomplete".split(),
     *"record_continued retention_deleted retention_kept retention_clock retention_failed".split(),
     *"upload_confirmed upload_waits upload_reached upload_differs stamps_corrected deidentified".split(),

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from contextlib import suppress
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 if sys.platform == "win32":
@@ -101,6 +102,15 @@ else:
     def ticks_per_second() -> int:
         """Return the unit of CPU times in /proc."""
         return os.sysconf("SC_CLK_TCK")
+
+
+def processor_times(pid: int) -> tuple[int, int] | None:
+    """Return how long (ns) the first thread of a process ran, and was ready and had no processor; None: unknown."""
+    try:
+        ran, ready, _ = Path(f"/proc/{pid}/schedstat").read_text(encoding="ascii").split()
+        return int(ran), int(ready)
+    except (OSError, ValueError):  # not Linux, or a kernel that does not count, or the process is gone
+        return None
 
 
 def usable_cpus() -> int:

@@ -15,7 +15,7 @@ from igtl_gateway.edges.reserved import ReservedPorts
 from igtl_gateway.edges.tcp.addresses import Addresses
 from igtl_gateway.edges.tcp.link import FLUSH_S
 from igtl_gateway.edges.tcp.link_info import LinkCounters, LinkInfo, PeerLimits
-from igtl_gateway.edges.tcp.link_parts import LinkContext, Refusals
+from igtl_gateway.edges.tcp.link_parts import Admission, LinkContext, OpenAdmission, Refusals
 from igtl_gateway.edges.tcp.loop import Loop
 from igtl_gateway.edges.tcp.native_reader import NativeReader
 from igtl_gateway.edges.tcp.outbox import Part
@@ -59,6 +59,7 @@ class TcpEdge:
         tls: files for the connections with TLS.
         passage: the native passage, whose streams the links may have; None: there is none.
         reserved: ports that are open already; `listen` takes them.
+        admission: when large messages of peers pass; None: at once.
         when_full: ``"drop"``: ``send`` never waits, see ``Outbox``; ``"block"``: ``send`` waits for room and
             nothing is lost while the link is up (except in callbacks, which must not wait for themselves).
 
@@ -78,13 +79,17 @@ class TcpEdge:
         tls: TlsFiles = _NO_FILES,
         passage: Passage | None = None,
         reserved: ReservedPorts | None = None,
+        admission: Admission | None = None,
     ) -> None:
+        admission = admission or OpenAdmission()
         self._blocking = when_full == "block"
         self._loop = Loop(clock, self._run, self._failed)
         self._reporter = Reporter(self._loop, on_note)
         self._refusals = Refusals(self._reporter)
         self._faults: Counter[str] = Counter()
-        native_reader = NativeReader(passage, self._attend, self._on_large, self._failed) if passage else None
+        native_reader = None
+        if passage:
+            native_reader = NativeReader(passage, self._attend, self._on_large, self._failed, admission)
         context = LinkContext(
             self._loop,
             self._reporter,
@@ -96,6 +101,7 @@ class TcpEdge:
             self._drained,
             passage,
             native_reader.wait_large if native_reader else _ignore,
+            admission,
         )
         self._on_frame = on_frame
         self._limits = limits
@@ -255,6 +261,8 @@ class TcpEdge:
         Messages that arrive meanwhile are still delivered: do not call it under a lock that callbacks take.
         Further calls do nothing; from a callback it only requests the stop, and returns at once.
         """
+        if self._native_reader and self._loop.started and not self._loop.in_loop_thread():
+            self._native_reader.settle()
         with self._registry.changed:
             if not self._loop.stopping:
                 self._flush_s = flush_s

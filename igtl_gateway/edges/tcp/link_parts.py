@@ -46,6 +46,33 @@ class Refusals:
         self._reporter.note_rate_limited(f"refused: {reason}", make)
 
 
+class Admission(Protocol):
+    """When large messages pass; for any thread."""
+
+    def admit(self, size: int) -> bool:
+        """Whether a message of this size passes now; if so, ``leave`` must follow."""
+        ...
+
+    def enter(self, size: int) -> None:
+        """Let a message pass in any case; ``leave`` must follow."""
+        ...
+
+    def leave(self, size: int) -> None:
+        """A message has passed."""
+        ...
+
+
+class OpenAdmission:
+    """Everything passes."""
+
+    def admit(self, size: int) -> bool:
+        return True
+
+    def enter(self, size: int) -> None: ...
+
+    def leave(self, size: int) -> None: ...
+
+
 @dataclass(frozen=True, slots=True)
 class LinkContext:
     """What all links of an edge share.
@@ -61,6 +88,7 @@ class LinkContext:
         drained: called when a send queue has become empty.
         passage: the native passage, which reads and sends natively where it can; None: there is none.
         wait_large: waits until large messages of a link, which the passage has read, are handled.
+        admission: when large messages pass.
         invalid: the time of large messages without valid content.
     """
 
@@ -74,6 +102,7 @@ class LinkContext:
     drained: Callable[[], None]
     passage: Passage | None
     wait_large: Callable[[NativeLink], None]
+    admission: Admission
     invalid: InvalidTime = field(default_factory=InvalidTime)
 
 

@@ -1,7 +1,7 @@
 """The threads in which `igtl_gateway.native.passage` reads links, and in which large messages pass.
 
 A picture takes milliseconds: it is handled in a thread of its own, while the passage reads and passes what follows it.
-There the links take turns, each with one message (``turns``).
+There the links take turns, each with one message (``turns``), and a message waits until it is admitted.
 """
 
 from __future__ import annotations
@@ -10,12 +10,16 @@ import threading
 from collections.abc import Callable
 
 from igtl_gateway.base.clock import thread_ns
+from igtl_gateway.edges.tcp.link_parts import Admission
 from igtl_gateway.edges.tcp.outbox import Part
 from igtl_gateway.edges.tcp.turns import Turn, Turns
 from igtl_gateway.native.passage import Link, Passage
 
 #: Links whose turns are remembered; more are only as many as connect and leave.
 _MOST_TURNS = 128
+
+#: Until the next look whether a message is admitted; the longest wait for all that were read when the edge stops (s).
+_LOOK_S, _SETTLE_S = 0.002, 5.0
 
 
 class NativeReader:
@@ -25,6 +29,7 @@ class NativeReader:
         attend: called with the number of a link that needs Python.
         on_large: called with the number of a link and a large message, in the second thread.
         on_error: called with an exception of ``on_large``.
+        admission: when large messages pass.
     """
 
     def __init__(
@@ -33,11 +38,14 @@ class NativeReader:
         attend: Callable[[int], None],
         on_large: Callable[[int, Part], None],
         on_error: Callable[[Exception], None],
+        admission: Admission,
     ) -> None:
         self._passage = passage
         self._attend = attend
         self._on_large = on_large
         self._on_error = on_error
+        self._admission = admission
+        self._is_awaited = False  # all that waits here passes at once
         self._is_stopping = False
         self._handled = threading.Condition()  # notified of a large message that is handled
         self._turns = Turns()  # of the second thread alone, as what follows
@@ -50,6 +58,11 @@ class NativeReader:
     def start(self) -> None:
         for thread in self._threads:
             thread.start()
+
+    def settle(self) -> None:
+        """Wait a limited time until what was read has been admitted; for any thread but these and the I/O thread."""
+        with self._handled:
+            self._handled.wait_for(lambda: not self._passage.large_bytes, _SETTLE_S)
 
     def stop(self) -> None:
         """End the threads; for any thread but these."""
@@ -65,7 +78,10 @@ class NativeReader:
     def wait_large(self, link: Link) -> None:
         """Wait until the large messages of a link are handled: what Python handles next came after them."""
         with self._handled:
+            self._is_awaited = True
+            self._handled.notify_all()
             self._handled.wait_for(lambda: not link.large_waiting or self._is_stopping)
+            self._is_awaited = False
 
     def _read(self) -> None:
         while not self._is_stopping:
@@ -101,13 +117,16 @@ class NativeReader:
 
     def _handle(self, link: Link) -> None:
         """Handle one large message, unless it passes natively, and have another turn if there are more."""
-        message = link.take_large()
-        if message is None:
+        size = link.large_bytes
+        if not size:
             return
+        self._wait_until_admitted(size)
+        message = link.take_large()
         try:
-            if not isinstance(message, bool):  # else it has passed natively
+            if message is not None and not isinstance(message, bool):  # else it has passed natively
                 self._on_large(link.number, message)
         finally:
+            self._admission.leave(size)
             link.large_done()
             with self._handled:
                 self._handled.notify_all()
@@ -115,3 +134,12 @@ class NativeReader:
                 self._ask(link)
             if not link.is_native:  # what Python handles next has waited for it
                 self._attend(link.number)
+
+    def _wait_until_admitted(self, size: int) -> None:
+        while not self._admission.admit(size):
+            self._passage.fill()  # what passed before: the recorder waits for it
+            with self._handled:
+                if self._is_awaited or self._is_stopping:
+                    self._admission.enter(size)
+                    return
+                self._handled.wait(_LOOK_S)

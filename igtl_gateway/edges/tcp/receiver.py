@@ -19,7 +19,7 @@ from igtl_gateway.edges.tcp.link_parts import LinkContext, LinkLife, NativeEnds
 from igtl_gateway.edges.tcp.outbox import Part
 from igtl_gateway.edges.tcp.reporter import NOTE_EVERY_S
 from igtl_gateway.edges.tcp.tls import TLS_TO_PLAIN, TlsError, TlsSocket
-from igtl_gateway.edges.tcp.turns import QUANTUM_NS
+from igtl_gateway.edges.tcp.turns import LARGE_BYTES, QUANTUM_NS
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.wire.framer import Framer
 from igtl_gateway.wire.header import BODY_SIZE, HEADER_SIZE
@@ -28,6 +28,7 @@ _TLS_HELLO, _TLS_ALERT = b"\x16\x03", b"\x15\x03"  # not a header version of Ope
 
 
 _MOST_AT_ONCE = 512 << 10  # bytes of a turn, for which all others wait
+_LOOK_S = 0.005  # until the next look whether a large message is admitted
 _BURST_S = 1.0  # a peer that was silent for this long may send the messages of this time at once
 
 
@@ -118,6 +119,7 @@ class Receiver:
         self._framer = Framer(context.limits.max_body, context.bodies)
         self._room = self._framer.buffer()
         self._rate = RateLimit(link, context, self._heard_ns)
+        self._is_held = False  # a large message waits until it is admitted
         self._is_stopped = False  # the partner's queue is in the way, or the peer has ended
         self._message_since: tuple[int, int] = (-1, 0)  # see `message_ns`
 
@@ -139,12 +141,12 @@ class Receiver:
     @property
     def has_waiting(self) -> bool:
         """Whether messages, or something else that was received, wait for a turn."""
-        return bool(self._waiting) and not self._is_stopped
+        return bool(self._waiting) and not (self._is_stopped or self._is_held)
 
     @property
     def is_reading(self) -> bool:
         """Whether the I/O thread reads the link now."""
-        return not (self._is_stopped or self._rate.is_pausing or self._is_native)
+        return not (self._is_stopped or self._is_held or self._rate.is_pausing or self._is_native)
 
     @property
     def is_read(self) -> bool:
@@ -238,10 +240,14 @@ class Receiver:
         """Call back with messages that wait, until the turn is over (monotonic); 0: with all of them."""
         waiting, call, number = self._waiting, self._reporter.call, self._link.number
         while waiting and not (self._is_stopped and until_ns):
-            self._messages += 1
             size = len(waiting[0])
+            if size >= LARGE_BYTES and not self._admit(size, bool(until_ns)):
+                return
+            self._messages += 1
             if call("on_frame", self._on_frame, number, waiting.popleft()) is True:
                 self._rest_after_invalid(size)
+            if size >= LARGE_BYTES:
+                self._context.admission.leave(size)
             if until_ns and waiting and self._loop.now() >= until_ns:
                 break
         if not self._link.is_open:
@@ -250,6 +256,23 @@ class Receiver:
             self._loop.ask(self._link.turn)
         elif self._prepare():
             self._let_passage_read()
+
+    def _admit(self, size: int, waits: bool) -> bool:
+        """Whether a large message passes now; else the link is not read until the next look."""
+        if not waits:
+            self._context.admission.enter(size)
+        elif not self._context.admission.admit(size):
+            self._is_held = True
+            self._link.watch()
+            self._loop.call_later(_LOOK_S, self._end_hold, self._link.failed)
+            return False
+        return True
+
+    def _end_hold(self) -> None:
+        self._is_held = False
+        if self._link.is_open:
+            self._restart_body_timer()
+            self._link.watch()
 
     def _rest_after_invalid(self, size: int) -> None:
         rest_s = self._context.invalid.rest_s(size, self._loop.now())

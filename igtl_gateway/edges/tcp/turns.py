@@ -27,7 +27,7 @@ _PART = 8
 #: Large messages without valid content rest for this multiple of their time, beyond what may come at once.
 _REST, _BURST_NS = 9, 200_000_000
 #: What is too large to be one of many small ones, and what a byte of it costs.
-_LARGE_BYTES, _NS_PER_BYTE = 64 << 10, 1
+LARGE_BYTES, _NS_PER_BYTE = 64 << 10, 1
 
 
 class InvalidTime:
@@ -41,7 +41,7 @@ class InvalidTime:
 
     def rest_s(self, size: int, now_ns: int) -> float:
         """Count such a message of this size; return how long (s) its link is not to be read."""
-        if size < _LARGE_BYTES:
+        if size < LARGE_BYTES:
             return 0.0
         self._until_ns = max(self._until_ns, now_ns - _BURST_NS) + _REST * _NS_PER_BYTE * size
         return max(0, self._until_ns - now_ns) / NS_PER_S

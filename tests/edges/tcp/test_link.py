@@ -96,6 +96,47 @@ def test_who_sends_too_many_messages_is_read_no_faster_and_loses_nothing(world: 
     assert seen.of("down") == []
 
 
+class _Gate:
+    """Admits on request."""
+
+    def __init__(self) -> None:
+        self.is_open = False
+        self.passing = 0
+
+    def admit(self, size: int) -> bool:
+        self.passing += size * self.is_open
+        return self.is_open
+
+    def enter(self, size: int) -> None:
+        self.passing += size
+
+    def leave(self, size: int) -> None:
+        self.passing -= size
+
+
+def test_a_large_message_waits_until_it_is_admitted_and_only_its_own_link_with_it(world: World) -> None:
+    gate = _Gate()
+    _, seen, port = world.server(admission=gate)
+    first, second = world.peer(port), world.peer(port)
+    seen.wait("up", 2)
+    large = message(2, 100_000)
+    first.sock.sendall(message(1) + large + message(3))
+    seen.wait("frame", 1, 1)
+    second.sock.sendall(message(4))
+    seen.wait("frame", 1, 2)
+    assert len(seen.of("frame", 1)) == 1
+    gate.is_open = True
+    assert list(map(number_of, seen.wait("frame", 3, 1))) == [1, 2, 3]
+    gate.is_open = False
+    second.sock.sendall(large)
+    second.close()
+    with pytest.raises(AssertionError, match="0 of 1 down"):
+        seen.wait("down", 1, 2, deadline_s=0.2)
+    gate.is_open = True
+    seen.wait("down", 1, 2)
+    assert len(seen.of("frame", 2)) == 2 and gate.passing == 0
+
+
 def test_who_neither_speaks_nor_listens_is_let_go_where_that_is_wanted(world: World) -> None:
     clock = ManualClock()
     edge, seen, port = world.server(clock=clock, limits=PeerLimits(idle_s=60))

@@ -58,9 +58,9 @@ class Seen:
     def of(self, what: str, number: int | None = None) -> list[Any]:
         return [value for kind, link, value in self.events if kind == what and number in (None, link)]
 
-    def wait(self, what: str, count: int = 1, number: int | None = None) -> list[Any]:
+    def wait(self, what: str, count: int = 1, number: int | None = None, deadline_s: float = DEADLINE_S) -> list[Any]:
         with self._changed:
-            enough = self._changed.wait_for(lambda: len(self.of(what, number)) >= count, DEADLINE_S)
+            enough = self._changed.wait_for(lambda: len(self.of(what, number)) >= count, deadline_s)
             assert enough, f"{len(self.of(what, number))} of {count} {what}; {[e[:2] for e in self.events][-20:]}"
             return self.of(what, number)
 

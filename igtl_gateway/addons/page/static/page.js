@@ -212,8 +212,8 @@ function draw() {
 function trouble(rec) {
   if (!rec || isLost) return [];
   if (rec.failure) return ["error", `${sentence(rec.failure)} ${rec.snapshot_s ? "It is tried again when a file is due." : rec.rests ? "Messages go on passing, but nothing is recorded. Start begins the next file." : "Nothing more is recorded."}`];
-  if (rec.stands) return ["error", "The disk does not answer. Messages go on passing and wait in memory; what it has no room for is not recorded."];
-  if (rec.losing) return ["error", "The disk is too slow: messages are missing in the recording, and more are being lost."];
+  if (rec.stands) return ["error", "Nothing is written: the disk does not answer, or the recorder has no processor. Messages go on passing and wait in memory; what it has no room for is not recorded."];
+  if (rec.losing) return ["error", "The recording is too slow: messages are missing in it, and more are being lost. Its note has the cause."];
   if (rec.taken_away) return ["warning", sentence(rec.taken_away)];
   return rec.paused && !rec.rests && view !== "recording" ? ["warning", "The recording is paused: nothing is recorded but marks, until Resume is pressed."] : [];
 }
