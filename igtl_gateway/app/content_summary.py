@@ -26,12 +26,17 @@ _MAX_AGES = 100_000
 
 @dataclass(slots=True)
 class StreamSummary:
-    """The summary of one stream; times in UTC ns of the gateway."""
+    """The summary of one stream; times in UTC ns of the gateway.
+
+    Attributes:
+        restores: messages of before a slice, which restore the state: they are in ``messages``, not in the times.
+    """
 
     kind: Kind
     channel: str
     type: str
     messages: int = 0
+    restores: int = 0
     bytes: int = 0
     first_ns: int = 0
     last_ns: int = 0
@@ -39,12 +44,11 @@ class StreamSummary:
     unstamped: int = 0
     ages_ns: list[int] = field(default_factory=list)  # of the first _MAX_AGES messages
 
-    def add(self, entry: Entry, ahead_ns: int) -> None:
-        if self.messages:
-            self.longest_pause_ns = max(self.longest_pause_ns, entry.stamp_ns - self.last_ns)
+    def add(self, entry: Entry, ahead_ns: int, *, restores: bool = False) -> None:
+        if restores:
+            self.restores += 1
         else:
-            self.first_ns = entry.stamp_ns
-        self.last_ns = entry.stamp_ns
+            self._add_time(entry.stamp_ns)
         self.messages += 1
         self.bytes += entry.size
         if entry.kind.is_input:
@@ -53,16 +57,27 @@ class StreamSummary:
             elif len(self.ages_ns) < _MAX_AGES:
                 self.ages_ns.append(entry.stamp_ns - ahead_ns - entry.source_ns)
 
+    def _add_time(self, stamp_ns: int) -> None:
+        if self._timed:
+            self.longest_pause_ns = max(self.longest_pause_ns, stamp_ns - self.last_ns)
+        else:
+            self.first_ns = stamp_ns
+        self.last_ns = stamp_ns
+
+    @property
+    def _timed(self) -> int:
+        return self.messages - self.restores
+
     @property
     def rate_hz(self) -> float:
         """Mean rate between the first and the last message; 0 where all are of one moment."""
         span_ns = self.last_ns - self.first_ns
-        return (self.messages - 1) * NS_PER_S / span_ns if span_ns >= _NS_PER_MS else 0.0
+        return (self._timed - 1) * NS_PER_S / span_ns if span_ns >= _NS_PER_MS else 0.0
 
     @property
     def has_gap(self) -> bool:
         span_ns = self.last_ns - self.first_ns
-        mean_ns = span_ns / (self.messages - 1) if self.messages >= _RHYTHM else 0
+        mean_ns = span_ns / (self._timed - 1) if self._timed >= _RHYTHM else 0
         return bool(mean_ns) and self.longest_pause_ns > max(_GAP_FACTOR * mean_ns, _GAP_MIN_NS)
 
     @property
@@ -91,6 +106,7 @@ class StreamSummary:
             "stream": self.channel,
             "type": self.type,
             "messages": self.messages,
+            "restores": self.restores,
             "bytes": self.bytes,
             "rate_hz": round(self.rate_hz, 3),
             "longest_pause_s": self.longest_pause_ns / NS_PER_S,
@@ -103,7 +119,13 @@ class StreamSummary:
 
 @dataclass(slots=True)
 class ContentSummary:
-    """The summary of all entries."""
+    """The summary of all entries.
+
+    Attributes:
+        begin_ns: where a slice begins, UTC ns; inputs of before restore the state.
+    """
+
+    begin_ns: int = 0
 
     streams: dict[tuple[Kind, str, str], StreamSummary] = field(default_factory=dict)
     notes: list[tuple[int, Kind, Note]] = field(default_factory=list)
@@ -119,9 +141,9 @@ class ContentSummary:
         return self.steps[-1].ahead_ns if self.steps else 0
 
     @classmethod
-    def of(cls, entries: Iterable[Entry]) -> ContentSummary:
-        """Read all entries."""
-        content = cls()
+    def of(cls, entries: Iterable[Entry], begin_ns: int = 0) -> ContentSummary:
+        """Read all entries; ``begin_ns`` as the attribute."""
+        content = cls(begin_ns)
         for entry in entries:
             content.add(entry)
         return content
@@ -134,7 +156,7 @@ class ContentSummary:
             stream = self.streams.get(key)
             if stream is None:
                 stream = self.streams[key] = StreamSummary(*key)
-            stream.add(entry, self.ahead_ns)
+            stream.add(entry, self.ahead_ns, restores=entry.stamp_ns < self.begin_ns)
             if entry.kind.is_input:
                 self.add_stamp(entry)
         else:

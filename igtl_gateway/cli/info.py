@@ -12,6 +12,7 @@ from typing import Any
 from igtl_gateway.app.content_summary import ContentSummary, StreamSummary
 from igtl_gateway.base.errors import BeingRecorded, ConfigError, DamagedRecording, GatewayError, LimitExceeded
 from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.base.untrusted.text import parse_json
 from igtl_gateway.cli.common import count_text, print_damaged_indexes, size_text, utc_text
 from igtl_gateway.cli.info_source import STANDARD_INPUT, recording_of
@@ -62,7 +63,7 @@ def run(options: argparse.Namespace) -> int:
 def _run(options: argparse.Namespace, place: Path) -> int:
     try:
         with SessionFile.open(place, incomplete=True) as file:
-            content = ContentSummary.of(file.entries())
+            content = ContentSummary.of(file.entries(), whole_number(file.session.get("slice_start_ns")) or 0)
             summary = _facts(place, file, content, file.start_ns, file.end_ns) | {"file": str(options.file)}
             summary["bytes"] = file.size
             summary["damaged_indexes"] = file.damaged_indexes()
@@ -235,6 +236,9 @@ def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_n
         jumps = f" ({jumped_s:,.3f} s of it jumps of the clock)" if jumped_s else ""
         number = count_text(summary["entries"], "entry", "entries")
         print_line(f"  start     {summary['start']}, {summary['duration_s']:.3f} s{jumps}, {number}")
+        if restores := sum(stream["restores"] for stream in summary["streams"]):
+            messages = count_text(restores, "message")
+            print_line(f"  state     {messages} of before the slice: counted here, and in no rate and no gap")
     else:
         print_line("  no entries")
     made = session.get("igtl_gateway_version")
@@ -348,7 +352,8 @@ def _print_streams(streams: list[dict[str, Any]]) -> None:
         gap = f"GAP of {stream['longest_pause_s']:.1f} s" if stream["gap"] else ""
         ros_type = stream["type"] if "/" in stream["type"] else ""
         unit = f"lengths in {stream['unit']}" if len(units[direction in _IGTL]) > 1 else ""
-        facts = ", ".join(fact for fact in (ros_type, unit, stream["stamps"], gap) if fact)
+        state = f"{stream['restores']:,} before the slice" if stream["restores"] else ""
+        facts = ", ".join(fact for fact in (ros_type, unit, stream["stamps"], state, gap) if fact)
         counts = f"{stream['messages']:>7,} {rate:>10} {size_text(stream['bytes']):>9}"
         print_line(f"    {cell(stream['stream'], columns)} {counts}  {facts}".rstrip())
 

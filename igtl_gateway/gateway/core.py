@@ -237,6 +237,10 @@ class Gateway:
         self.fast_path.collect()
         self._forget_at_ns = 0 if self._volumes.exceed() or self._latest.exceed() else None
 
+    def receivers(self) -> dict[str, int]:
+        """Return stream to peers → peers that get each of its messages, as far as this is known."""
+        return self.fast_path.receivers()
+
     @property
     def due_ns(self) -> int | None:
         """Gateway time (UTC ns) at which the core needs a tick (see ``TICK``); None if it needs none."""

@@ -56,6 +56,7 @@ class RelayGateway:
         self.fast: FastHandler = no_fast_path
         self.prepare: PrepareMessage = no_fast_path
         self.collect: Callable[[], None] = no_fast_path
+        self.receivers: Callable[[], dict[str, int]] = dict
         self.has_subscriber: HasSubscriber | None = None
         self.deadline_set: Callable[[], None] | None = None
         self.guard = Guard(watch=False)

@@ -180,3 +180,19 @@ def test_changes_of_settings_are_shown(tmp_path: Path, capsys: pytest.CaptureFix
     assert 'changed: deny_in from ["COMMAND"] to [], active from true to false\n' in text
     told = json.loads(said(capsys, path, "--json"))["changes"]
     assert [change["settings"]["active"] for change in told] == [True, False]
+
+
+def test_what_restores_the_state_of_a_slice_is_in_no_rate_and_no_gap(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    part = tmp_path / "part.mcap"
+    assert main(["slice", str(FIXTURES / "crtk.mcap"), "-o", str(part), "--start", "2", "--end", "3"]) == 0
+    capsys.readouterr()
+    assert main(["info", str(part)]) == 0
+    assert "messages of before the slice: counted here" in capsys.readouterr().out
+    assert main(["info", str(part), "--json"]) == 0
+    rows = {row["stream"]: row for row in json.loads(capsys.readouterr().out)["streams"]}
+    early, mixed = rows["STRING/PSM1/state_command"], rows["TRANSFORM/PSM1/servo_cp"]
+    assert (early["messages"], early["restores"], early["rate_hz"]) == (2, 2, 0)
+    assert (mixed["messages"], mixed["restores"]) == (42, 21) and not mixed["gap"]
+    assert main(["info", str(FIXTURES / "crtk.mcap")]) == 0 and "before the slice" not in capsys.readouterr().out

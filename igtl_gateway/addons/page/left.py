@@ -28,9 +28,11 @@ class Left:
             utc_ns: the same in UTC.
         """
         there = {row["key"]: row for row in links if row["link"]}
+        newest = max((row["number"] for row in self._there.values()), default=0)
         for key, row in self._there.items():
             if key not in there and row["role"] == "client" and row["passed"]:
-                self._left[key] = now_ns, row | {"link": 0, "spark": "", "left_ns": utc_ns, "queue": 0}
+                gone = {"link": 0, "spark": "", "left_ns": utc_ns, "queue": 0, "newest": newest}
+                self._left[key] = now_ns, row | gone
         self._there = there
         self._left = {
             key: one
@@ -42,7 +44,7 @@ class Left:
 
 def _is_back(left: dict[str, Any], there: dict[str, Any]) -> bool:
     """Return whether a later link is of the same peer: it sends one of its streams, or has its name and its host."""
-    if there["link"] <= left["number"]:
+    if there["link"] <= left["newest"]:  # it was there at that time
         return False
     names = [(row["name"], row["peer"].rpartition(":")[0]) for row in (left, there)]
     return bool(left["streams"] & there["streams"]) or (not left["streams"] and names[0] == names[1])

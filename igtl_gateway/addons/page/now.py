@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
@@ -47,7 +48,9 @@ _SAME = 0.1
 #: Others that the line below the headline names.
 _OTHERS = 3
 #: What a row of a link has for the time after it.
-_INNER = frozenset({"number", "passed", "is_regular", "streams"})
+_INNER = frozenset({"number", "passed", "is_regular", "streams", "newest"})
+#: An address of a peer in a sentence.
+_ADDRESS = re.compile(r"[\w.\-%\[\]:]{1,120}:\d{1,5}(?!\d)")
 _GONE = ", which has left"
 _STAMPS = {"stamp_backwards": "decrease", "stamp_still": "unchanged", "stamp_future": "in the future"}
 
@@ -78,7 +81,7 @@ class Now:
         ros = facts.get("ros", True)
         known, self._links = self._links, {}
         links = [self._link_row(peer, known, by_link.get(peer["link"], []), now_ns, utc_ns) for peer in facts["peers"]]
-        to_peers, receivers = _to_peers(links, is_relay=facts.get("relay", False))
+        to_peers = _to_peers(links, is_relay=facts.get("relay", False))
         streams = []
         for side in _SIDES if ros else [side for side in _SIDES if side != "ros_out"]:
             totals, drops = facts["totals"].get(side, {}), facts["drops"].get(side, {})
@@ -88,7 +91,8 @@ class Now:
                 counts = totals.get(stream, 0), drops.get(stream, {})
                 row = self._stream_row(key, counts, ones, now_ns, utc_ns, is_gone=is_gone) | {"way": way}
                 if side == "igtl_out":
-                    row |= to_peers | {"rate_hz": row["rate_hz"] / receivers}
+                    row |= _to_each(facts.get("receivers", {}).get(stream, 0), links) or to_peers
+                    row["rate_hz"] /= row.pop("receivers", 1)
                 streams.append(row)
                 if not side.startswith("igtl"):
                     streams[-1] |= {"type": types.get(stream, ""), "name": stream}
@@ -216,6 +220,19 @@ class Now:
         }
 
 
+def with_names(notes: Iterable[Mapping[str, Any]], names: Mapping[str, str]) -> list[dict[str, Any]]:
+    """Return notes whose sentences have the name of a peer before its address.
+
+    Args:
+        names: address → name, of peers that are there or were.
+    """
+
+    def named(found: re.Match[str]) -> str:
+        return f"{names[found[0]]} ({found[0]})" if names.get(found[0]) else found[0]
+
+    return [{**note, "text": _ADDRESS.sub(named, note["text"])} for note in notes]
+
+
 def wrong_things(rows: Mapping[str, Any]) -> list[Mapping[str, Any]]:
     """Return the links and streams that are not good, the worst first; what a stream has of its peer is one thing."""
     found = [row for row in rows["links"] if row["state"] != OK]
@@ -259,17 +276,26 @@ def slowest(rows: Mapping[str, Any]) -> list[str]:
     return found
 
 
-def _to_peers(links: Sequence[Mapping[str, Any]], *, is_relay: bool) -> tuple[dict[str, str], int]:
-    """Return where outputs go, in words, and by how many peers their counts are to be divided.
+def _to_peers(links: Sequence[Mapping[str, Any]], *, is_relay: bool) -> dict[str, Any]:
+    """Return where outputs go, in words, and by how many peers their counts are to be divided, ``receivers``.
 
     The ledger counts a message once for each peer; where all peers get as much, each gets all.
     """
     rates = [row["to_hz"] for row in links if row["link"]]
     if len(rates) < _SEVERAL or is_relay:
-        return {}, 1
+        return {}
     is_same = min(rates) > (1 - _SAME) * max(rates)
     words = f"to {len(rates)} peers"
-    return ({"way": words}, len(rates)) if is_same else ({"way": f"{words}, all together"}, 1)
+    return {"way": words, "receivers": len(rates)} if is_same else {"way": f"{words}, all together"}
+
+
+def _to_each(receivers: int, links: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return the same for a stream of which the gateway knows how many peers get each message; 0: it does not."""
+    there = sum(bool(row["link"]) for row in links)
+    if not receivers or there < _SEVERAL:
+        return {}
+    words = f"to {receivers} peers" if receivers == there else f"to {receivers} of {there} peers"
+    return {"way": words, "receivers": receivers}
 
 
 def _name_of(peer: Mapping[str, Any], watched: Iterable[Mapping[str, Any]]) -> str:

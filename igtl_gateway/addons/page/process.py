@@ -17,7 +17,7 @@ from typing import Any
 from igtl_gateway.addon import NS_PER_S, GatewayError, SystemClock, __version__, ago_ns, failure_text
 from igtl_gateway.addons.page.disk import DiskLook
 from igtl_gateway.addons.page.jobs import CANCELLED, RUNNING, Job, Jobs
-from igtl_gateway.addons.page.now import Now, headline, others, slowest, wrong_things
+from igtl_gateway.addons.page.now import Now, headline, others, slowest, with_names, wrong_things
 from igtl_gateway.addons.page.recordings import MAX_LISTED, Recordings
 from igtl_gateway.addons.page.replays import Replay
 from igtl_gateway.addons.page.results import Results
@@ -31,6 +31,8 @@ from igtl_gateway.edges.tcp.tls import TlsFiles
 _BRIDGE = ("start", "stop", "pause", "resume", "mark", "snapshot", "split", "end")
 #: Time over which the growth of a recording is measured, ns.
 _GROWTH_NS = 30 * NS_PER_S
+#: Names of peers that are remembered.
+_MAX_NAMES = 1_000
 #: The state of jobs and replay is looked at again after this time, ns, or a press.
 _FRESH_NS = NS_PER_S // 5
 #: Messages are being lost for this time after the last one, ns.
@@ -70,6 +72,7 @@ class Page:
         self._is_paused = False
         self._last = ""  # the same of the last recording
         self._written = ""  # name in the list of what is being recorded
+        self._names: dict[str, str] = {}  # address of a peer → its name
         self._poller = Poller(source, self._take) if source else None
 
     def close(self) -> None:
@@ -171,6 +174,7 @@ class Page:
                 self._session, self._now = path, Now()
                 self._growth.clear()
             rows = self._now.rows(facts, facts["at_ns"], self._clock.utc_ns(), found.get("types", {}))
+            self._remember_names(rows["links"])
             rows |= {
                 "version": facts["version"],
                 "uptime_s": facts["uptime_s"],
@@ -178,8 +182,8 @@ class Page:
                 "ros": facts["ros"],
                 "refused": facts["refused"],
                 "recording": self._recording(facts.get("recorder"), found.get("recording")),
-                "notes": found.get("notes", []),
-                "done": found.get("done", []),
+                "notes": with_names(found.get("notes", []), self._names),
+                "done": with_names(found.get("done", []), self._names),
                 "pictures": found.get("pictures", []),
                 "headline": headline(rows),
                 "others": others(rows),
@@ -189,6 +193,15 @@ class Page:
         wrong = len(wrong_things(rows)) if rows else 0
         with self._lock:
             self._answers, self._shown, self._wrong, self._made_ns = found is not None, shown, wrong, 0
+
+    def _remember_names(self, links: list[dict[str, Any]]) -> None:
+        """Remember who has which address: a note of a loss has the address only."""
+        for row in links:
+            if row["name"]:
+                self._names.pop(row["peer"], None)
+                self._names[row["peer"]] = row["name"]
+        while len(self._names) > _MAX_NAMES:
+            del self._names[next(iter(self._names))]
 
     def _recording(self, counters: dict[str, Any] | None, how: dict[str, Any] | None) -> dict[str, Any] | None:
         """Return what the view *Recording* shows; None without a recording."""

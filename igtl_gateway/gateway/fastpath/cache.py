@@ -172,6 +172,16 @@ class FastPath:
         if self.native:
             self.native.collect_all()
 
+    def receivers(self) -> dict[str, int]:
+        """Return stream to peers → peers that get each message, of compiled streams; callable from any thread."""
+        found: dict[str, int] = {}
+        for stream in list(self.to_igtl.values()):
+            mine: dict[str, int] = {}
+            for output, links, _ in stream.outputs:  # one for each version of the header
+                mine[output.channel] = mine.get(output.channel, 0) + links
+            found |= mine
+        return found
+
     def end_full_path(self) -> None:
         """Compile again what the input has made outdated, and inform the native passage of it."""
         self._beforehand.results = None

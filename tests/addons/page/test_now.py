@@ -3,7 +3,7 @@ from __future__ import annotations
 import json
 from typing import Any
 
-from igtl_gateway.addons.page.now import MAX_ROWS, Now, headline, others, slowest, wrong_things
+from igtl_gateway.addons.page.now import MAX_ROWS, Now, headline, others, slowest, with_names, wrong_things
 from igtl_gateway.addons.page.sample import WATCHED
 from igtl_gateway.addons.page.trouble import AHEAD_NS, ERROR, OK, SILENT, WAITING, WARNING
 from igtl_gateway.gateway.log.timing import FUTURE_NS
@@ -256,6 +256,31 @@ def test_a_peer_that_has_left_keeps_its_row_and_its_streams_say_it() -> None:
     assert [row["peer"] for row in found["links"]] == ["b:2"] and headline(found) == "Tracker: its peer has left"
 
 
+def test_a_peer_that_only_receives_has_left_though_another_one_is_there() -> None:
+    now = Now()
+    peers = [peer(number, f"127.0.0.1:{number}", sent=9) for number in (1, 2)]
+    now.rows(facts({}, peers=peers), _S, 0)
+    found = now.rows(facts({}, peers=peers[1:]), 2 * _S, 0)
+    assert [(row["peer"], row["text"]) for row in found["links"]] == [
+        ("127.0.0.1:1", "left 0 s ago"),
+        ("127.0.0.1:2", ""),
+    ]
+    found = now.rows(facts({}, peers=[peers[1], peer(3, "127.0.0.1:3", sent=1)]), 3 * _S, 0)
+    assert [row["peer"] for row in found["links"]] == ["127.0.0.1:2", "127.0.0.1:3"]
+
+
+def test_a_note_has_the_name_of_the_peer() -> None:
+    names = {"127.0.0.1:4031": "Tracker", "[::1]:80": "slicer"}
+    texts = ["127.0.0.1:4031 dropped 7", "to 127.0.0.1:40312", "link 2 [::1]:80 is closed", "at 12:30:4031: x"]
+    found = with_names([{"text": text, "code": "x"} for text in texts], names)
+    assert [note["text"] for note in found] == [
+        "Tracker (127.0.0.1:4031) dropped 7",
+        "to 127.0.0.1:40312",
+        "link 2 slicer ([::1]:80) is closed",
+        "at 12:30:4031: x",
+    ]
+
+
 def test_those_who_have_left_are_bounded_and_a_port_scan_leaves_none() -> None:
     now = Now()
     now.rows(facts({}, peers=[peer(link, f"a:{link}", received=link % 2) for link in range(1, 100)]), _S, 0)
@@ -280,6 +305,10 @@ def test_rates_are_per_direction_and_per_message() -> None:
         found = now.rows(sample | {"peers": peers}, half * _S // 2, 0)
     out = next(row for row in found["streams"] if row["name"] == "b")
     assert (out["rate_hz"], out["way"]) == (240, "to 2 peers, all together")
+    for receivers, rate, way in ((1, 240, "to 1 of 2 peers"), (2, 120, "to 2 peers")):
+        found = now.rows(sample | {"peers": peers, "receivers": {"TRANSFORM/b": receivers}}, half * _S // 2, 0)
+        out = next(row for row in found["streams"] if row["name"] == "b")
+        assert (out["rate_hz"], out["way"]) == (rate, way)
 
 
 def test_without_ros_nothing_goes_to_it() -> None:
