@@ -91,7 +91,7 @@ class MarkNote:
     def note(self) -> Note:
         """Return the note."""
         verb = {"": "", BEGIN: " begins", END: " ends"}[self.phase]
-        ago = f" ({self.ago_ns / NS_PER_S:.1f} s ago)" if self.ago_ns >= _SAID_NS else ""
+        ago = f" ({self.ago_ns / NS_PER_S:.1f} s before)" if self.ago_ns >= _SAID_NS else ""
         words = f"mark {self.label}{verb}{ago}" + (f": {self.text}" if self.text else "")
         data: dict[str, Any] = {"label": self.label, "text": self.text, "who": self.who}
         data |= {"phase": self.phase} if self.phase else {}

@@ -91,7 +91,7 @@ def test_a_mark_is_of_the_moment_at_which_a_person_began_to_write() -> None:
         Mark("early", "", "", 80),
         Mark("a", "", "me", 130, 165),
     )
-    assert MarkNote("slip", "deep", ago_ns=2_540_000_000).note().text == "mark slip (2.5 s ago): deep"
+    assert MarkNote("slip", "deep", ago_ns=2_540_000_000).note().text == "mark slip (2.5 s before): deep"
     assert [ago_ns(2.5), ago_ns(0)] == [2_500_000_000, 0]
     for wrong in (-0.1, float("nan"), float("inf"), True, "2", None, 86_400):
         with pytest.raises(ConfigError, match="expected the seconds since then, 0 to 86,400"):

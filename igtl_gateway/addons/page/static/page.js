@@ -506,7 +506,7 @@ function sessionRow(row) {
   const open = opened === row.name, [kind, word] = sessionState(row);
   const toggle = () => { opened = open ? "" : row.name; drawSessions(); };
   const tr = h(open ? "tr.pick.opened" : "tr.pick", { onclick: toggle },
-    h("td", null, h("button.link", { "data-key": row.name, "aria-expanded": open }, h("span.middle", { title: row.name }, h("span.head", null, row.name.slice(0, -12)), h("span", null, row.name.slice(-12))))),
+    h("td", null, h("button.link", { "data-key": row.name, "aria-expanded": open, "aria-label": row.name }, h("span.middle", { title: row.name }, ...nameParts(row.name)))),
     h("td", null, row.start_ns ? day(row.start_ns) : h("span.zero", { title: "Its begin is not known; this is its last change" }, `until ${day(row.modified_ns)}`)), h("td.n", null, row.duration_s == null ? NONE : span(row.duration_s)), h("td.n", null, bytes(row.bytes)),
     h("td.n.wide", null, row.streams == null ? NONE : number(row.streams)), h("td.n", { class: row.marks?.length ? "n" : "n zero" }, row.marks ? number(row.marks.length) : NONE),
     h("td", null, stateCell(kind, word)), h("td", null, result(row, "verify", "not yet")),
@@ -519,6 +519,8 @@ function sessionRow(row) {
       h("span.gap"), button("Replay …", () => { choose(row.name); show("replay"); }, { kind: ".primary", off, key: `${row.name} replay` })),
     row.marks?.length ? h("div.phases", null, "Marks:", row.marks.slice(0, 24).map((mark) => h("button.btn.small", { type: "button", disabled: locked(), "data-key": `${row.name} ${mark.label} ${mark.time_ns}`, onclick: () => { choose(row.name, markTime(mark, row)); show("replay"); } }, `${mark.label} ${moment(markTime(mark, row))}`))) : null))];
 }
+/* A long name is cut in its middle: its end is what differs. */
+function nameParts(name) { return name.length > 26 ? [h("span.head", null, name.slice(0, -12)), h("span", null, name.slice(-12))] : [h("span", null, name)]; }
 function markTime(mark, row) { return Math.max(0, (mark.time_ns - row.start_ns) / 1e9); }
 let jobLines = [];
 async function toggleJob(number) {
