@@ -8,6 +8,7 @@ import socket
 import struct
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any, Protocol
 
 from igtl_gateway.base.errors import ConfigError, Unavailable
@@ -30,6 +31,8 @@ _TCP_INFO = struct.Struct("=3xB4x16xI28xI")
 #: A probe checks a peer that does not read.  One might be lost, and the next might be on its way.
 _PROBES = 3
 _SIOCOUTQ = 0x5411
+#: Bytes that a peer may send ahead.  Linux begins with 128 KiB, and a peer with a large message would stop and go.
+_AHEAD_BYTES = 4 << 20
 
 
 class Descriptor(Protocol):
@@ -56,9 +59,13 @@ class AllowList:
 
 
 def tune_socket(sock: socket.socket) -> None:
-    """Set up a connected socket: non-blocking, without delay, with keepalive."""
+    """Set up a connected socket: non-blocking, without delay, with keepalive, with room for a large message."""
     sock.setblocking(False)
     sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    if sys.platform == "linux":
+        with suppress(OSError):  # what imitates Linux might not have it
+            for least in (_AHEAD_BYTES, 1):  # the room stays; SO_RCVBUF would be bounded by rmem_max and end its growth
+                sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVLOWAT, least)
     for level, option, value in _KEEPALIVE:
         if hasattr(socket, option):
             sock.setsockopt(level, getattr(socket, option), value)

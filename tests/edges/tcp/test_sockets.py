@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import select
 import socket
 import sys
 import threading
 from contextlib import suppress
+from pathlib import Path
 
 import pytest
 
 from igtl_gateway.base.errors import ConfigError, Unavailable
-from igtl_gateway.edges.tcp.sockets import AllowList, unanswered_s, unconfirmed_bytes
+from igtl_gateway.edges.tcp.sockets import AllowList, tune_socket, unanswered_s, unconfirmed_bytes
 from tests.edges.tcp.world import HERE, World, until
 from tests.tables import table
 
@@ -105,3 +107,15 @@ def test_who_does_not_read_is_no_dead_one_and_what_he_has_not_is_known(world: Wo
         while received < sent:
             received += len(peer.sock.recv(1 << 20))
         until(lambda: unconfirmed_bytes(sock) == 0)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux has this room")
+def test_a_large_message_has_room_and_a_byte_is_heard() -> None:
+    most = int(Path("/proc/sys/net/ipv4/tcp_rmem").read_text().split()[2])
+    with socket.create_server((HERE, 0)) as listener, socket.create_connection(listener.getsockname()) as peer:
+        link, _ = listener.accept()
+        with link:
+            tune_socket(link)
+            assert link.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) >= min(4 << 20, most // 2)
+            peer.sendall(b"x")
+            assert select.select([link], [], [], 5)[0]
