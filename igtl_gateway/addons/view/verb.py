@@ -63,6 +63,8 @@ if TYPE_CHECKING:
 EXAMPLES = """\
   # in the window of rerun
   igtl-gateway view out.mcap
+  # two runs in one window
+  igtl-gateway view monday.mcap tuesday.mcap
   # as a recording of rerun
   igtl-gateway view out.mcap -o out.rrd
   # as a web page for a browser on this machine
@@ -89,6 +91,13 @@ _WAIT_S = 0.2
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_file(parser, RECORDING_OR_BAG)
+    parser.add_argument(
+        "other",
+        metavar="OTHER",
+        nargs="?",
+        type=Path,
+        help="a second one, such as another run, to switch to in the viewer",
+    )
     where = parser.add_mutually_exclusive_group()
     add_output(
         where,
@@ -127,9 +136,11 @@ def run(options: argparse.Namespace) -> int:
     is_image = options.output and (options.output.suffix == ".png" or options.output_spelling == "--screenshot")
     options.screenshot, options.save = (options.output, None) if is_image else (None, options.output)
     _check(options)
-    with SessionFile.open(options.file) as file:  # before what only a good file needs: rerun, a screen
-        if options.screenshot and not file.entry_count:
-            raise _nothing(options.file)
+    files = [options.file, *filter(None, [options.other])]
+    for path in files:
+        with SessionFile.open(path) as file:  # before what only a good file needs: rerun, a screen
+            if options.screenshot and not file.entry_count:
+                raise _nothing(path)
     if find_spec("rerun") is None:
         raise ViewerError(missing("rerun"))
     from igtl_gateway.addons.view.shots import check_driver
@@ -137,34 +148,45 @@ def run(options: argparse.Namespace) -> int:
 
     if not (options.screenshot or options.save or options.web):  # before the work, not after it
         check_screen(os.environ)
-    clock = SystemClock()
-    started_ns = clock.monotonic_ns()
     with stop_event() as stop, _folder() as folder:
-        out = options.save or folder / "session.rrd"
+        outs = [options.save or folder / f"session{number}.rrd" for number in range(len(files))]
         with (
             written(options.screenshot, overwrite=options.overwrite) if options.screenshot else nullcontext() as picture
         ):
             if picture:
                 check_driver(os.environ)
-            with written(out, overwrite=options.overwrite) as partial:
-                drawn, facts = _draw(options, partial, stop.is_set)
-                if options.save and stop.is_set():
-                    raise KeyboardInterrupt  # a part of the session is not the file that was asked for
-            facts["seconds"] = round((clock.monotonic_ns() - started_ns) / NS_PER_S, 3)
-            facts["bytes"] = out.stat().st_size
+            drawn, found = [], []
+            for number, (path, out) in enumerate(zip(files, outs, strict=True)):
+                view, facts = _drawn(options, path, number, out, stop.is_set)
+                drawn.append(view)
+                found.append(facts)
+            is_damaged = any(facts["damage"] for facts in found)
             if options.json:
-                print_json(facts)
-            else:
-                _print(options, drawn, facts)
-            if facts["damage"]:
-                print_line(
-                    f"igtl-gateway view: only the messages before the damage are drawn: {facts['damage']}", error=True
-                )
+                print_json(found[0] | ({"other": found[1]} if options.other else {}))
             if picture:
-                return max(_picture(options, out, picture, drawn), bool(facts["damage"]))
+                return max(_picture(options, outs[0], picture, drawn[0]), is_damaged)
         if not options.save:
-            _show(options, out, stop.wait)
-    return int(bool(facts["damage"]))
+            _show(options, outs, stop.wait)
+    return int(is_damaged)
+
+
+def _drawn(
+    options: argparse.Namespace, path: Path, number: int, out: Path, stopped: Any
+) -> tuple[SessionView, dict[str, Any]]:
+    """Draw one of the sessions, and print what was drawn; return it with the facts."""
+    clock = SystemClock()
+    started_ns = clock.monotonic_ns()
+    with written(out, overwrite=options.overwrite) as partial:
+        view, facts = _draw(options, path, number, partial, stopped)
+        if options.save and stopped():
+            raise KeyboardInterrupt  # a part of the session is not the file that was asked for
+    facts["seconds"] = round((clock.monotonic_ns() - started_ns) / NS_PER_S, 3)
+    facts["bytes"] = out.stat().st_size
+    if not options.json:
+        _print(options, path, view, facts)
+    if facts["damage"]:
+        print_line(f"igtl-gateway view: only the messages before the damage are drawn: {facts['damage']}", error=True)
+    return view, facts
 
 
 @contextmanager
@@ -189,6 +211,8 @@ def _check(options: argparse.Namespace) -> None:
         raise ConfigError("--overwrite: found no -o OUT, expected it")
     if options.port is not None and not 0 <= options.port < 1 << 16:
         raise ConfigError(f"--port: found {options.port}, expected 0 to 65535")
+    if options.other and options.output:
+        raise ConfigError(f"-o: found two recordings, {options.file} and {options.other}, expected one of them")
     for path in filter(None, (options.save, options.screenshot)):
         check_target(path, overwrite=options.overwrite)
 
@@ -201,8 +225,10 @@ def _robot(word: str) -> tuple[str, Path]:
     return f"/{namespace.strip('/')}" if namespace.strip("/") else "", Path(name)
 
 
-def _draw(options: argparse.Namespace, out: Path, stopped: Any) -> tuple[SessionView, dict[str, Any]]:
-    """The session as a recording of rerun in ``out``."""
+def _draw(
+    options: argparse.Namespace, path: Path, number: int, out: Path, stopped: Any
+) -> tuple[SessionView, dict[str, Any]]:
+    """The session in ``path`` as a recording of rerun in ``out``; ``number`` sets apart what has the same name."""
     from igtl_gateway.addons.view import stream
     from igtl_gateway.addons.view.blueprints import NAMES
     from igtl_gateway.addons.view.canvas import Options
@@ -211,16 +237,17 @@ def _draw(options: argparse.Namespace, out: Path, stopped: Any) -> tuple[Session
 
     if options.blueprint and options.blueprint not in NAMES:
         raise ConfigError(f"--blueprint: found {options.blueprint!r}, expected {', '.join(NAMES)}")
-    with SessionFile.open(options.file) as file:
+    with SessionFile.open(path) as file:
         seconds = (file.end_ns - file.start_ns) / NS_PER_S
         if options.at is not None and options.at > seconds:
             raise ConfigError(f"--at: found {options.at:g}, expected at most {seconds:.3f}, the end of the recording")
         config = config_to_run(file.session)
-        recording = stream.to_file(out, valid(f"{options.file.stem}-{file.start_ns}"))
+        name = f"{path.stem}-{file.start_ns}" + (f"-{number + 1}" if number else "")
+        recording = stream.to_file(out, valid(name))
         view = SessionView(
             recording, config.base_frame, Options(colour_by=options.colour_by, plain=bool(options.screenshot))
         )
-        measured = _lag(options, view)
+        measured = _lag(options, path, view)
         for word in options.urdf:
             namespace, urdf = _robot(word)
             view.add_robot(urdf, namespace)
@@ -231,16 +258,16 @@ def _draw(options: argparse.Namespace, out: Path, stopped: Any) -> tuple[Session
         if material:
             _review(material, view)
         view.finish()
-    name = stream.arrange(recording, options.blueprint, view.seen)
+    layout = stream.arrange(recording, options.blueprint, view.seen)
     try:
         stream.close(recording, out)
     except OSError as error:
         raise write_error(options.save or out, error) from None
     facts = view.counts
     return view, {
-        "file": str(options.file),
+        "file": str(path),
         "out": str(options.save or options.screenshot or ""),
-        "blueprint": name,
+        "blueprint": layout,
         "reviewed": view.seen.reviewed,
         "lag": measured,
         "seconds_of_session": view.seen.seconds,
@@ -257,7 +284,7 @@ def _draw(options: argparse.Namespace, out: Path, stopped: Any) -> tuple[Session
     }
 
 
-def _lag(options: argparse.Namespace, view: SessionView) -> dict[str, Any] | None:
+def _lag(options: argparse.Namespace, path: Path, view: SessionView) -> dict[str, Any] | None:
     """Draw the lag between two streams, and return it for JSON."""
     if not options.sync:
         return None
@@ -266,7 +293,7 @@ def _lag(options: argparse.Namespace, view: SessionView) -> dict[str, Any] | Non
     from igtl_gateway.addons.sync.lags import movement
     from igtl_gateway.addons.sync.verb import lag_facts, stream_named
 
-    with recordings.open(options.file) as recording:
+    with recordings.open(path) as recording:
         fixed, moving = (stream_named([recording], name) for name in options.sync)
         signals = movement(fixed), movement(moving)
         is_stamped = len(fixed) and bool(np.all(fixed.source_times))
@@ -338,7 +365,7 @@ class _Progress:
             clear_live_line(error=True)
 
 
-def _print(options: argparse.Namespace, view: SessionView, facts: dict[str, Any]) -> None:
+def _print(options: argparse.Namespace, path: Path, view: SessionView, facts: dict[str, Any]) -> None:
     columns = width(shown.topic for shown in view.seen.shown.values())
     for shown in view.seen.shown.values():
         note = "not drawn" if shown.ros_type in view.counts.without_picture else shown.what.value
@@ -353,7 +380,7 @@ def _print(options: argparse.Namespace, view: SessionView, facts: dict[str, Any]
         fields = ", ".join(sorted(view.seen.fields)) or "none"
         print_line(f"? --colour-by: found no cloud with a field {options.colour_by!r}, expected one of: {fields}")
     print_line(
-        f"{options.file}: {count_text(facts['messages'], 'message')} drawn in {facts['seconds']:.1f} s, "
+        f"{path}: {count_text(facts['messages'], 'message')} drawn in {facts['seconds']:.1f} s, "
         f"blueprint {facts['blueprint']}" + (", suture plan reviewed" if facts["reviewed"] else "")
     )
     if lag := facts["lag"]:
@@ -387,11 +414,11 @@ def _nothing(path: Path) -> GatewayError:
     return GatewayError(f"{path}: found no messages, expected at least one")
 
 
-def _show(options: argparse.Namespace, recording: Path, wait: Any) -> None:
+def _show(options: argparse.Namespace, sessions: list[Path], wait: Any) -> None:
     """The window or the page, until it is closed or Ctrl-C comes."""
     from igtl_gateway.addons.view.viewer import Viewer
 
-    with Viewer.page(recording, options.port or 0) if options.web else Viewer.window(recording) as viewer:
+    with Viewer.page(sessions, options.port or 0) if options.web else Viewer.window(sessions) as viewer:
         if options.web:
             print_line(viewer.url, "Press Ctrl-C to stop.", flush=True)
         while not viewer.ended and not wait(_WAIT_S):

@@ -29,7 +29,7 @@ _NAME = "session.rrd"
 
 
 class SessionServer:
-    """Serves a rerun recording at an address with a token until closed.
+    """Serves rerun recordings at addresses with a token until closed.
 
     rerun's own server of streams has no access control: each user of the machine could read the session.  So rerun
     serves its viewer only, which has no data, and the viewer fetches the session from here.  The token is in no command
@@ -37,15 +37,15 @@ class SessionServer:
 
     Attributes:
         base: the address without the token, at which nothing is served.
-        url: the address of the recording.
+        urls: the addresses of the recordings.
     """
 
-    def __init__(self, recording: Path, host: str) -> None:
-        path = f"/{os.urandom(24).hex()}/{_NAME}"
-        handler = type("_SessionHandler", (_Handler,), {"recording": recording, "secret": path.encode()})
+    def __init__(self, recordings: Sequence[Path], host: str) -> None:
+        secrets = {f"/{os.urandom(24).hex()}/{_NAME}": recording for recording in recordings}
+        handler = type("_SessionHandler", (_Handler,), {"recordings": secrets})
         self._server = LocalServer(host, 0, handler, name="igtl-page", deadline_s=_DEADLINE_S)
         self.base = f"http://{self._server.address}/{_NAME}"
-        self.url = f"http://{self._server.address}{path}"
+        self.urls = [f"http://{self._server.address}{path}" for path in secrets]
 
     def close(self) -> None:
         """Stop serving."""
@@ -53,14 +53,17 @@ class SessionServer:
 
 
 class _Handler(Handler):
-    recording: Path
-    secret: bytes
+    recordings: Mapping[str, Path]  # by their paths with a token
 
     def get(self, path: str) -> None:
-        if not compare_digest(path.encode("utf-8", "surrogateescape"), self.secret):
+        asked = path.encode("utf-8", "surrogateescape")
+        recording = next(
+            (one for secret, one in self.recordings.items() if compare_digest(asked, secret.encode())), None
+        )
+        if recording is None:
             self.answer(403, "text/plain; charset=utf-8", "found another token, expected the printed address\n")
             return
-        with self.recording.open("rb") as stream:
+        with recording.open("rb") as stream:
             size = os.fstat(stream.fileno()).st_size
             # the viewer's page has another port, which is another origin
             self.begin(200, "application/octet-stream", size, Access_Control_Allow_Origin="*", Cache_Control="no-store")
@@ -85,21 +88,21 @@ class Viewer:
             raise ViewerError(f"the viewer did not start; its last log lines: {self._process.last_lines()}")
 
     @classmethod
-    def window(cls, recording: Path | None = None) -> Self:
-        """Open a window, with a recording or for a stream.  Raises ViewerError, also without a screen."""
+    def window(cls, recordings: Sequence[Path] = ()) -> Self:
+        """Open a window, with recordings or for a stream.  Raises ViewerError, also without a screen."""
         check_screen(os.environ)
-        what = [str(recording)] if recording else ["--expect-data-soon", "--memory-limit", _LIVE_MEMORY]
+        what = [*map(str, recordings)] if recordings else ["--expect-data-soon", "--memory-limit", _LIVE_MEMORY]
         viewer = cls([*what, "--bind", HOST, "--port", "auto", "--hide-welcome-screen"], [_LISTENS])
         viewer.url = f"rerun+http://{HOST}:{viewer._found[0]}/proxy"
         return viewer
 
     @classmethod
-    def page(cls, recording: Path, port: int = 0) -> Self:
+    def page(cls, recordings: Sequence[Path], port: int = 0) -> Self:
         """Serve a page at ``port`` (0: any free port) for browsers on this machine.  Raises ViewerError.
 
-        The session is served only to who has the ``url``, see ``SessionServer``.
+        The sessions are served only to who has the ``url``, see ``SessionServer``.
         """
-        session = SessionServer(recording, HOST)
+        session = SessionServer(recordings, HOST)
         # with an address to show, rerun starts no server of streams; this one has no token, as others can read it
         arguments = [session.base, "--serve-web", "--bind", HOST, "--port", "auto", "--web-viewer-port", str(port)]
         try:
@@ -108,7 +111,8 @@ class Viewer:
             session.close()
             raise
         viewer._session = session
-        viewer.url = f"http://{HOST}:{viewer._found[0]}/?url={quote(session.url, safe='')}"
+        shown = "&".join(f"url={quote(url, safe='')}" for url in session.urls)
+        viewer.url = f"http://{HOST}:{viewer._found[0]}/?{shown}"
         return viewer
 
     def __enter__(self) -> Self:

@@ -58,6 +58,27 @@ def test_a_suturing_session_is_saved_with_its_review(tmp_path: Path, capsys: pyt
     assert [*tmp_path.iterdir()] == [out]
 
 
+def test_two_recordings_of_one_name_stay_apart(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shown: list[tuple[str, dict[str, int]]] = []
+
+    def show(_options: object, sessions: list[Path], _wait: object) -> None:
+        from rerun.chunk import RrdReader
+
+        shown.extend((RrdReader(str(path)).recordings()[0].recording_id, counts(path)) for path in sessions)
+
+    monkeypatch.setattr("igtl_gateway.addons.view.verb._show", show)
+    file = str(FIXTURES / "paper-types.mcap")
+    assert main(["view", file, file, "--web", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["file"] == told["other"]["file"] == file
+    assert told["messages"] == told["other"]["messages"] > 0
+    (one, rows), (other, other_rows) = shown
+    assert one != other
+    assert rows == other_rows
+
+
 def test_what_is_drawn_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out.rrd"
     arguments = ["view", str(FIXTURES / "paper-types.mcap"), "-o", str(out), "--blueprint", "generic"]
@@ -88,6 +109,7 @@ def test_a_recording_that_became_no_ros_messages_is_drawn_by_what_they_would_be(
         (["-o", "{folder}/x.png", "--at", "-1"], 2, "--at: found -1, expected seconds from the start"),
         (["-o", "{folder}/x.png", "--at", "9999"], 2, "--at: found 9999, expected at most "),
         (["-o", "{folder}/none/x.png"], 1, "none/x.png: there is no folder {folder}/none"),
+        (["{folder}/taken", "-o", "{folder}/x.rrd"], 2, "-o: found two recordings, "),
         (["--port", "80"], 2, "--port: found no --web, expected it"),
         (["--web", "--port", "70000"], 2, "--port: found 70000, expected 0 to 65535"),
         (["-o", "{folder}/x.rrd", "--blueprint", "stars"], 2, "--blueprint: found 'stars', expected star, "),

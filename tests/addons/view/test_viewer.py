@@ -46,7 +46,7 @@ def test_the_page_is_served_on_loopback_until_closed(tmp_path: Path) -> None:
         view.take(entry)
     view.finish()
     stream.close(recording)
-    with Viewer.page(path) as page:
+    with Viewer.page([path]) as page:
         assert page.url.startswith("http://127.0.0.1:")
         assert "localhost" not in page.url
         with urllib.request.urlopen(page.url, timeout=20) as answer:
@@ -60,7 +60,7 @@ def test_the_page_is_served_on_loopback_until_closed(tmp_path: Path) -> None:
 def test_only_who_has_the_token_reads_the_session_of_a_page(tmp_path: Path) -> None:
     path = tmp_path / "page.rrd"
     path.write_bytes(os.urandom(3 << 20))
-    with Viewer.page(path) as page:
+    with Viewer.page([path]) as page:
         query = parse_qs(urlsplit(page.url).query)
         (address,) = query["url"]
         session = urlsplit(address)
@@ -87,8 +87,17 @@ def test_only_who_has_the_token_reads_the_session_of_a_page(tmp_path: Path) -> N
             assert len(own) == 1, "its page only, and no server of streams"
     with pytest.raises(OSError):
         read(session.path)
-    with Viewer.page(path) as again:
+    with Viewer.page([path]) as again:
         assert secret not in again.url
+
+
+def test_each_of_two_sessions_has_an_address_of_its_own(tmp_path: Path) -> None:
+    paths = [tmp_path / "one.rrd", tmp_path / "other.rrd"]
+    for path in paths:
+        path.write_bytes(path.stem.encode())
+    with Viewer.page(paths) as page:
+        addresses = parse_qs(urlsplit(page.url).query)["url"]
+        assert [urllib.request.urlopen(address, timeout=20).read() for address in addresses] == [b"one", b"other"]
 
 
 def test_a_viewer_that_does_not_start_says_why(tmp_path: Path) -> None:
