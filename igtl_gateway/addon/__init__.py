@@ -43,7 +43,6 @@ if TYPE_CHECKING:
     from igtl_gateway.base.errors import MessageTooLarge as MessageTooLarge
     from igtl_gateway.base.errors import MissingAddon as MissingAddon
     from igtl_gateway.base.errors import NoSuchRecording as NoSuchRecording
-    from igtl_gateway.base.errors import NothingToDo as NothingToDo
     from igtl_gateway.base.errors import OutputError as OutputError
     from igtl_gateway.base.errors import RecordingError as RecordingError
     from igtl_gateway.base.errors import RosError as RosError
@@ -221,7 +220,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     (
         "base.errors",
         "BeingRecorded ConfigError ConversionError DamagedRecording GatewayError LimitExceeded "
-        "MessageTooLarge MissingAddon NoSuchRecording NothingToDo OutputError RecordingError RosError Unavailable "
+        "MessageTooLarge MissingAddon NoSuchRecording OutputError RecordingError RosError Unavailable "
         "UnknownTypeError UnsupportedRecording ViewerError WireError failure_text first_line",
     ),
     # Recordings, for a writer of add-ons who does not need entries: those of the Python API

@@ -44,10 +44,6 @@ class ConfigError(GatewayError):
     """A setting is missing, unknown or out of range."""
 
 
-class NothingToDo(GatewayError):
-    """A recording is readable, and has nothing for what was asked, such as no plan for a review."""
-
-
 class MissingAddon(GatewayError):
     """This installation lacks an add-on, a folder of ``igtl_gateway/addons``."""
 

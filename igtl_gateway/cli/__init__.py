@@ -23,7 +23,6 @@ from igtl_gateway.base.errors import (
     ConfigError,
     GatewayError,
     MissingAddon,
-    NothingToDo,
     OutputError,
     Unavailable,
     UnsupportedRecording,
@@ -39,7 +38,6 @@ from igtl_gateway.cli.terminal import Parser, discard_outputs, flush_outputs, op
 from igtl_gateway.cli.verbs import (
     JOINED,
     LABORATORY,
-    NOTHING,
     OTHER_WORDS,
     RARE,
     WITHOUT_LABORATORY,
@@ -138,8 +136,6 @@ def _run(given: Sequence[str], asked: str, ready: Callable[[], None] | None, **e
         return code
     except (ConfigError, UnsupportedRecording) as error:
         return _print_error(options.verb, error, USAGE)
-    except NothingToDo as error:
-        return _print_error(options.verb, error, NOTHING)
     except GatewayError as error:
         if isinstance(error, OutputError):
             discard_outputs()

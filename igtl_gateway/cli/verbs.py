@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from importlib import metadata
 
 GROUP = "igtl_gateway.verbs"
-#: Exit code of a verb that a recording has nothing for.
-NOTHING = 3
 
 #: Groups of verbs in the help, in its order.
 START, RUN, INSPECT, CONVERT, KEEP = "Start", "Run", "Inspect", "Convert", "Keep"

@@ -11,15 +11,13 @@ from typing import Any
 from igtl_gateway.addon import NS_PER_S, Child, SystemClock, is_present, python_command
 from igtl_gateway.addons.page.recordings import child_environment
 from igtl_gateway.cli.next_steps import PROGRAM
-from igtl_gateway.cli.verbs import NOTHING as NOTHING_CODE
 
 #: Jobs at a time, jobs that are remembered, and lines of each.
 MAX_RUNNING, _MAX_KEPT, _LINES = 3, 40, 400
 RUNNING, DONE, FAILED, CANCELLED = "running", "done", "failed", "cancelled"
-#: State of work that a recording has nothing for.
+#: State of work that a recording has nothing for, and what its output has then.
 NOTHING = "nothing"
-#: Exit code of a verb → state; others have failed.
-_STATES = {0: DONE, NOTHING_CODE: NOTHING}
+_HAS_NOTHING = {"review": ("found no point cloud", "found no suture plan")}
 #: Time between two looks at a process, and for its end after Ctrl-C, seconds.
 _LOOK_S, _END_S = 0.1, 3.0
 
@@ -112,6 +110,10 @@ class Job:
         lines = [line.strip().removeprefix(self._error).removeprefix(self._path) for line in self.lines]
         return next((each for each in reversed(lines) if each and each != "next" and not each.startswith(PROGRAM)), "")
 
+    def _failure(self) -> str:
+        words = _HAS_NOTHING.get(self.action, ())
+        return NOTHING if any(word in line for word in words for line in self.lines) else FAILED
+
     def _take(self, line: str) -> None:
         self.lines.append(line)
         if self.action == "view" and line.strip().startswith("http://127.0.0.1:"):
@@ -138,7 +140,7 @@ class Job:
                 child.interrupt()
                 child.wait(_END_S)
             child.kill()  # its output is read now
-            state = CANCELLED if code is None else _STATES.get(code, FAILED)
+            state = CANCELLED if code is None else DONE if code == 0 else self._failure()
         self._ended_ns = self._clock.monotonic_ns()
         self.state = state
         self._on_end(self)

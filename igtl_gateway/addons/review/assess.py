@@ -43,7 +43,7 @@ _SAME_MM = 0.02  # distance below which a point has not moved between versions
 def review_of(material: Material, thresholds: Thresholds | None = None) -> Review:
     """Return the review of the collected material.
 
-    Raises NothingToDo if the session has no cloud or no plan, ConfigError if it does not have the requested ones.
+    Raises GatewayError if the session has no cloud or no plan, ConfigError if it does not have the requested ones.
     """
     limits = thresholds or Thresholds()
     scene, topic = material.scene()

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import NS_PER_S, ConfigError, ConversionError, Entry, Kind, NothingToDo
+from igtl_gateway.addon import NS_PER_S, ConfigError, ConversionError, Entry, GatewayError, Kind
 from igtl_gateway.addon.ros import PointCloud2
 from igtl_gateway.addons.review.frames import FramePoses
 from igtl_gateway.addons.review.messages import PLANS, POSES, DrawnPlan, cloud_of, is_large_cloud, plan_of, poses_of
@@ -121,12 +121,12 @@ class Material:
                     versions.append(drawn)
 
     def scene(self) -> tuple[DepthScene, str]:
-        """Return the combined clouds, and their topic.  Raises ConfigError or NothingToDo without clouds."""
+        """Return the combined clouds, and their topic.  Raises ConfigError or GatewayError without clouds."""
         streams = {topic: stream for topic, stream in self._clouds.items() if stream.kept}
         if not streams:
             if self._cloud:
                 raise ConfigError(f"--cloud {self._cloud}: found no sensor_msgs/PointCloud2 with x, y, z on this topic")
-            raise NothingToDo("found no point cloud, expected a sensor_msgs/PointCloud2 stream: see `info`, --cloud")
+            raise GatewayError("found no point cloud, expected a sensor_msgs/PointCloud2 stream: see `info`, --cloud")
         topic = max(streams, key=lambda name: streams[name].rank)
         stream = streams[topic]
         clouds = stream.kept
@@ -139,7 +139,7 @@ class Material:
     def versions(self, scene: DepthScene) -> list[DrawnPlan]:
         """Return all versions of the plan in order of time, in the frame of the clouds.
 
-        Raises ConfigError or NothingToDo without a plan.
+        Raises ConfigError or GatewayError without a plan.
         """
         base = scene.clouds[-1].frame_id
         streams = {
@@ -152,7 +152,7 @@ class Material:
         if not streams:
             if self._plan:
                 raise ConfigError(f"--plan {self._plan}: found no pairs of points on this topic")
-            raise NothingToDo(
+            raise GatewayError(
                 "found no suture plan, expected pairs of points on the tissue (Marker LINE_LIST, TrajectoryList, "
                 "PolyData, PointList, small PointCloud2): see `info`, --plan"
             )

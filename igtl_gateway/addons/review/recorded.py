@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from igtl_gateway.addon import ConfigError, Mark, NothingToDo, SessionFile, config_to_run, marks_of, scale
+from igtl_gateway.addon import ConfigError, GatewayError, Mark, SessionFile, config_to_run, marks_of, scale
 from igtl_gateway.addons.review import Material, Review, StitchReview, Thresholds, review_of
 from igtl_gateway.addons.review.material import CLOUDS
 from igtl_gateway.addons.review.model import option
@@ -26,7 +26,7 @@ class ReviewSelection:
 def review_recording(path: Path, selection: ReviewSelection, thresholds: Thresholds) -> tuple[Review, int]:
     """Return the review of a recording, and its first gateway time (UTC ns).
 
-    Raises NothingToDo if it has no cloud or no plan, ConfigError if it does not have the requested ones.
+    Raises GatewayError if it has no cloud or no plan, ConfigError if it does not have the requested ones.
     """
     with SessionFile.open(path) as file:
         return review_session(file, selection, thresholds), file.start_ns
@@ -40,8 +40,10 @@ def review_session(file: SessionFile, selection: ReviewSelection, thresholds: Th
         material.take(entry)
     try:
         return named_by_marks(review_of(material, thresholds), marks_of(file))
-    except NothingToDo as error:
-        raise NothingToDo(f"{file.path}: {error}") from None
+    except ConfigError:
+        raise
+    except GatewayError as error:
+        raise GatewayError(f"{file.path}: {error}") from None
 
 
 def named_by_marks(review: Review, marks: Sequence[Mark]) -> Review:

@@ -36,8 +36,7 @@ EXAMPLES = """\
   # stricter thresholds
   igtl-gateway review out.mcap --wrong-mm 0.8 --look-mm 0.4
 
-exit code 0: no stitch of the last plan is wrong; 1: some stitches are wrong;
-3: the recording has no plan or no cloud.
+exit code 0: no stitch of the last plan is wrong; 1: some stitches are wrong.
 Method and formulae: docs/how-to/review.md"""
 
 OPTIONS = (

@@ -158,7 +158,7 @@ def test_what_is_asked_wrongly_is_named(
     assert error in capsys.readouterr().err
 
 
-def test_a_session_without_a_cloud_has_nothing_for_it(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_session_without_a_cloud_is_a_failure(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     path = tmp_path / "no-cloud.mcap"
     with SessionFile.open(STAR) as file:
         writer = SessionWriter(path, file.session)
@@ -166,7 +166,7 @@ def test_a_session_without_a_cloud_has_nothing_for_it(capsys: pytest.CaptureFixt
             if entry.channel != "/star/cloud":
                 writer.write(entry)
         writer.close({})
-    assert main(["review", str(path)]) == 3
+    assert main(["review", str(path)]) == 1
     assert f"{path}: found no point cloud" in capsys.readouterr().err
     assert main(["review", str(tmp_path / "none.mcap")]) == 2
 

@@ -103,7 +103,7 @@ def judged(name: str, verb: str, told: dict[str, object]) -> Outcome:
         faults.append("control characters")
     if _FORGED.search(text):
         faults.append("forged lines")
-    if told["code"] not in (0, 1, 2, 3) or errors.startswith("usage: "):
+    if told["code"] not in (0, 1, 2) or errors.startswith("usage: "):
         faults.append("exit code")
     why = trace.strip().rpartition("\n")[2] if trace else next((m.group() for m in [_TRACE.search(text)] if m), "")
     return Outcome(
