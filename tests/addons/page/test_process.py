@@ -55,6 +55,9 @@ def test_a_session_is_run_from_the_page(tmp_path: Path) -> None:
             page.run("document.querySelector('[data-key=start]').click()")
             page.wait("document.querySelector('#recording h1').textContent === 'Recording'")
             assert page.run("document.querySelector('[data-key=start]').innerText") == "Start recording"
+            page.wait(
+                "/00:00:0[2-9]/.test(document.querySelector('#recording').innerText)"
+            )  # a mark is of this session
             page.press("m")
             page.wait("document.activeElement.id === 'mark-label'")
             page.type("suture-1")
