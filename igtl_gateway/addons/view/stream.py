@@ -18,8 +18,10 @@ _LITTLE = 1 << 20  #: bytes: with less free space a disk counts as full, because
 _FLUSH_S = 600.0  #: what a disk may take for the rest of a recording
 
 
-def to_file(out: Path, identity: str) -> rr.RecordingStream:
+def to_file(out: Path, identity: str, application: str = APPLICATION) -> rr.RecordingStream:
     """Open a stream into a file; equal sessions with the same ``identity`` give equal recordings.
+
+    ``application``: has a layout of its own in the viewer.
 
     Raises OSError if the file cannot be written.
     """
@@ -28,7 +30,7 @@ def to_file(out: Path, identity: str) -> rr.RecordingStream:
         if file.write(bytes(_LITTLE)) < _LITTLE:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         file.truncate(0)
-    recording = rr.RecordingStream(APPLICATION, recording_id=identity, send_properties=False)
+    recording = rr.RecordingStream(application, recording_id=identity, send_properties=False)
     recording.save(out)
     return recording
 

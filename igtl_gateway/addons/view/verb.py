@@ -242,8 +242,9 @@ def _draw(
         if options.at is not None and options.at > seconds:
             raise ConfigError(f"--at: found {options.at:g}, expected at most {seconds:.3f}, the end of the recording")
         config = config_to_run(file.session)
-        name = f"{path.stem}-{file.start_ns}" + (f"-{number + 1}" if number else "")
-        recording = stream.to_file(out, valid(name))
+        again = f"-{number + 1}" if number else ""
+        name, application = f"{path.stem}-{file.start_ns}{again}", stream.APPLICATION + again
+        recording = stream.to_file(out, valid(name), application)
         view = SessionView(
             recording, config.base_frame, Options(colour_by=options.colour_by, plain=bool(options.screenshot))
         )
