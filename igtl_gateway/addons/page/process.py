@@ -20,7 +20,7 @@ from igtl_gateway.addons.page.jobs import CANCELLED, RUNNING, Job, Jobs
 from igtl_gateway.addons.page.now import Now, headline, others, slowest, with_names, wrong_things
 from igtl_gateway.addons.page.recordings import MAX_LISTED, Recordings
 from igtl_gateway.addons.page.replays import Replay
-from igtl_gateway.addons.page.results import Results
+from igtl_gateway.addons.page.results import Results, keep_newest
 from igtl_gateway.addons.page.server import PageServer
 from igtl_gateway.addons.page.source import BridgeSource, Poller
 from igtl_gateway.base.systems.processes import lower_priority
@@ -200,8 +200,7 @@ class Page:
             if row["name"]:
                 self._names.pop(row["peer"], None)
                 self._names[row["peer"]] = row["name"]
-        while len(self._names) > _MAX_NAMES:
-            del self._names[next(iter(self._names))]
+        keep_newest(self._names, _MAX_NAMES)
 
     def _recording(self, counters: dict[str, Any] | None, how: dict[str, Any] | None) -> dict[str, Any] | None:
         """Return what the view *Recording* shows; None without a recording."""
@@ -224,8 +223,7 @@ class Page:
             self._last = self._written or self._last
             if known:
                 self._begun[self._written] = self._clock.utc_ns()
-                while len(self._begun) > MAX_LISTED:
-                    del self._begun[next(iter(self._begun))]
+                keep_newest(self._begun, MAX_LISTED)
         if counters["dropped_since_start"] > self._dropped and known:
             self._lost_ns = now_ns
         self._dropped = counters["dropped_since_start"]

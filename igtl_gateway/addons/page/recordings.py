@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from igtl_gateway.addon import NS_PER_S, Child, SystemClock, python_command
+from igtl_gateway.addons.page.results import keep_newest
 
 _COMMAND = python_command("igtl_gateway.addons.page.listing")
 #: Most recordings of the list, the newest; longest time for one at its first try, seconds (the next one has twice as
@@ -104,8 +105,7 @@ class Recordings:
                     reader.close()
             if not found.get("unread"):  # else it is read again
                 self._places[name] = mark, found
-            while len(self._places) > _MAX_PLACES:
-                del self._places[next(iter(self._places))]
+            keep_newest(self._places, _MAX_PLACES)
             return found
 
     def _read_all(self) -> None:

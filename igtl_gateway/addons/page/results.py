@@ -22,6 +22,12 @@ _MAX_BYTES, _MAX_KEPT = 1 << 20, 2_000
 Mark = tuple[int, int]
 
 
+def keep_newest(found: dict[str, Any], most: int) -> None:
+    """Forget what came first into a dictionary, beyond this number of keys."""
+    while len(found) > most:
+        del found[next(iter(found))]
+
+
 class Results:
     """The results of a folder; any thread may use it.
 
@@ -45,8 +51,7 @@ class Results:
         with self._lock:
             known, results = self._of.pop(name, (mark, {}))
             self._of[name] = mark, (results if known == mark else {}) | {action: result}
-            while len(self._of) > _MAX_KEPT:
-                del self._of[next(iter(self._of))]
+            keep_newest(self._of, _MAX_KEPT)
             words = {each: {"mark": mark, "results": found} for each, (mark, found) in self._of.items()}
             if self._path:
                 with suppress(GatewayError, OSError), written(self._path, overwrite=True) as path:
