@@ -270,9 +270,7 @@ class Receiver:
 
     def _end_hold(self) -> None:
         self._is_held = False
-        if self._link.is_open:
-            self._restart_body_timer()
-            self._link.watch()
+        self._read_on()
 
     def _rest_after_invalid(self, size: int) -> None:
         rest_s = self._context.invalid.rest_s(size, self._loop.now())
@@ -362,6 +360,9 @@ class Receiver:
 
     def _end_rate_pause(self) -> None:
         self._rate.is_pausing = False
+        self._read_on()
+
+    def _read_on(self) -> None:
         if self._link.is_open and not self._is_stopped:
             self._restart_body_timer()
             self._link.watch()
