@@ -13,7 +13,7 @@ from typing import Any
 
 from igtl_gateway.app.status import BridgeStatus
 from igtl_gateway.base.errors import GatewayError
-from igtl_gateway.base.untrusted.shape import fields, text, unexpected
+from igtl_gateway.base.untrusted.shape import anything, fields, text, unexpected
 from igtl_gateway.base.untrusted.text import parse_json
 from igtl_gateway.edges.tcp.http_server import DEADLINE_S, Handler, LocalServer
 from igtl_gateway.gateway.log.marks import MarkNote, ago_ns
@@ -181,7 +181,7 @@ METRICS = (
 PREFIX = "igtl_gateway_"
 
 _MARK = fields(
-    {**dict.fromkeys(("label", "text", "who", "phase"), text), "ago_s": lambda value, _: _check_ago(value)},
+    {**dict.fromkeys(("label", "text", "who", "phase"), text), "ago_s": anything},  # checked where it is converted
     needed=("label",),
     other=unexpected,
 )
@@ -278,7 +278,3 @@ def _mark_of(body: bytes) -> MarkNote:
     found = parse_json(body.decode("utf-8", "replace"), "body")
     _MARK(found, "body")
     return MarkNote(ago_ns=ago_ns(found.pop("ago_s", 0)), **{"who": "http", **found})
-
-
-def _check_ago(value: Any) -> None:
-    ago_ns(value)
