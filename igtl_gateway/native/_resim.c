@@ -295,7 +295,7 @@ static void grow_out(size_t room)
     S.out_room = room;
 }
 
-/* Keep what is not sent in a file beside the socket, if that is possible. */
+/* Store unsent frames in a file beside the socket; in memory if the file cannot be created. */
 static void open_out(const char *path)
 {
     char name[256];

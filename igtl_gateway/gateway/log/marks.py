@@ -99,7 +99,7 @@ class MarkNote:
 
 
 def ago_ns(seconds: object) -> int:
-    """Return the time of a mark before now, given in seconds.  Raises ConfigError for what is no time of the past."""
+    """Convert the age of a mark from seconds to ns.  Raises ConfigError for no number, and outside 0 to MAX_AGO_S."""
     if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not 0 <= seconds < MAX_AGO_S:
         raise ConfigError(f"mark: found ago_s {_shown(seconds)}, expected the seconds since then, 0 to {MAX_AGO_S:,}")
     return round(seconds * NS_PER_S)
