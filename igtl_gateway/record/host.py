@@ -22,7 +22,7 @@ from multiprocessing import Pipe
 from pathlib import Path
 
 from igtl_gateway.base.clock import Clock, SystemClock
-from igtl_gateway.base.systems.processes import lower_priority, processor_times
+from igtl_gateway.base.systems.processes import lower_priority, processor_times, set_session_niceness
 from igtl_gateway.base.systems.signals import ignore_endings
 from igtl_gateway.base.versions import python_command
 from igtl_gateway.record.options import LARGEST_BYTES, RecordOptions
@@ -33,9 +33,7 @@ from igtl_gateway.record.worker import WorkerPipe, WorkerSettings, run_worker
 #: The bridge goes first where there is not processor time enough for both; the queue bridges that.
 _NICENESS = 5
 
-#: Linux may give each session of processes the same share, whatever their niceness; this is that of the session.
-_SESSION_NICENESS = Path("/proc/self/autogroup")
-#: Everybody together may change it ten times a second.  As long as the recorder keeps up it goes behind all others.
+#: Niceness of the session: as long as the recorder keeps up it goes behind all others.
 _BEHIND, _LEVEL = 10, 0
 
 
@@ -161,13 +159,7 @@ def _set_priority(hurried: bool) -> bool:
 
     Where the system has no sessions, only the niceness of the process counts.
     """
-    try:
-        _SESSION_NICENESS.write_text(str(_LEVEL if hurried else _BEHIND))
-    except BlockingIOError:  # it was changed just now
-        return False
-    except OSError:
-        pass
-    return True
+    return set_session_niceness(_LEVEL if hurried else _BEHIND)
 
 
 if __name__ == "__main__":

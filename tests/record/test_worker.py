@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import random
 import subprocess
 import sys
@@ -29,6 +28,7 @@ from igtl_gateway.record.sessionfile.chunk_rows import add_rows
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.shared_queue import QueueReader, QueueWriter, memory
 from igtl_gateway.record.worker import WorkerSettings, run_worker
+from tests.base.systems.sessions import knows_sessions
 from tests.record import samples
 
 DEADLINE_S = 60
@@ -93,16 +93,7 @@ def test_it_is_in_a_hurry_while_much_waits(tmp_path: Path) -> None:
     assert told[2][1] > QUEUE_BYTES // 8 > 20_000 > told[3][1]
 
 
-def _knows_sessions() -> bool:
-    """Whether this system shares among sessions of processes: some do not report it, or do not allow to set it."""
-    try:
-        told = Path("/proc/self/autogroup").read_text()
-        return bool(told.strip()) and os.access("/proc/self/autogroup", os.W_OK)
-    except OSError:
-        return False
-
-
-@pytest.mark.skipif(not _knows_sessions(), reason="this system does not know sessions' niceness")
+@pytest.mark.skipif(not knows_sessions(), reason="this system does not know sessions' niceness")
 def test_its_session_goes_behind_others(tmp_path: Path) -> None:
     def sessions() -> dict[int, str]:
         found = {}

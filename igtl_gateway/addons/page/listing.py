@@ -27,7 +27,7 @@ from igtl_gateway.addon import (
     marks_of,
 )
 from igtl_gateway.app.replay_plan import plan_replay
-from igtl_gateway.base.systems.processes import lower_priority
+from igtl_gateway.base.systems.processes import stand_back
 from igtl_gateway.base.systems.signals import ignore_endings
 from igtl_gateway.record.sessionfile.seals import stated_seals
 from igtl_gateway.record.triggers import LOSSES
@@ -152,7 +152,7 @@ def _kind_of(note: Note) -> str:
 def main() -> None:
     """The process."""
     ignore_endings()
-    lower_priority(10)
+    stand_back(10)
     for line in sys.stdin:
         path, wants_places = json.loads(line)
         found = places_of(Path(path)) if wants_places else facts_of(Path(path))

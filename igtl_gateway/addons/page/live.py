@@ -348,11 +348,17 @@ class _Handler(Handler):
         self.answer(200, "application/json", json.dumps({"done": done, "text": text}))
 
     def _follow(self) -> None:
-        """Send the facts whenever they change, until the page leaves or the deadline of the server has come."""
+        """Send the facts whenever they change, until the page leaves or the deadline of the server has come.
+
+        What is as it was in the line before is left out: most notes and types.
+        """
         self.begin(200, "application/x-ndjson", None)
-        known = 0
+        known, before = 0, dict[str, Any]()
         while True:
-            self.wfile.write(json.dumps(self.page.facts(), separators=(",", ":")).encode() + b"\n")
+            facts = self.page.facts()
+            new = {name: found for name, found in facts.items() if name not in before or found != before[name]}
+            self.wfile.write(json.dumps(new, separators=(",", ":")).encode() + b"\n")
+            before = facts
             known = self.page.wait(known)
 
     def _is_the_page(self) -> bool:

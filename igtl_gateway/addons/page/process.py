@@ -23,7 +23,7 @@ from igtl_gateway.addons.page.replays import Replay
 from igtl_gateway.addons.page.results import Results, keep_newest
 from igtl_gateway.addons.page.server import PageServer
 from igtl_gateway.addons.page.source import BridgeSource, Poller
-from igtl_gateway.base.systems.processes import lower_priority
+from igtl_gateway.base.systems.processes import stand_back
 from igtl_gateway.base.systems.signals import ignore_endings
 from igtl_gateway.edges.tcp.tls import TlsFiles
 
@@ -294,7 +294,7 @@ def serve(page: Page, settings: dict[str, Any]) -> PageServer:
 def main() -> None:
     """The process."""
     ignore_endings()
-    lower_priority(10)
+    stand_back(10)
     settings = json.loads(sys.stdin.readline() or "null")
     if not settings:
         return

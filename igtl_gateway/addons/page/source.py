@@ -35,8 +35,10 @@ class BridgeSource:
         Raises OSError, HTTPException or ValueError if it does not answer.
         """
         with self._open(Request(self._url + "/facts", headers=self._headers), timeout=_PATIENCE_S) as answer:
+            sample: dict[str, Any] = {}
             for line in answer:
-                yield json.loads(line)
+                sample |= json.loads(line)  # a line leaves out what is as it was
+                yield dict(sample)
 
     def picture(self, side: str, stream: str) -> bytes:
         """Return the last picture of a stream as its message; empty if there is none."""

@@ -18,7 +18,7 @@ from typing import Any
 from igtl_gateway.addon import NS_PER_S, ConfigError, Level, Note, SystemClock, report_facts
 from igtl_gateway.addons.upload.place import upload_place
 from igtl_gateway.addons.upload.uploading import WAITS, Uploader
-from igtl_gateway.base.systems.processes import lower_priority
+from igtl_gateway.base.systems.processes import stand_back
 from igtl_gateway.base.systems.signals import ignore_endings
 
 #: Time between two looks at the folder, seconds.
@@ -33,7 +33,7 @@ def main() -> None:
     """The process."""
     # a service manager signals all processes of a service at once: the bridge decides when this one ends
     ignore_endings()
-    lower_priority(19)
+    stand_back(19)
     settings = json.loads(sys.stdin.readline() or "null")
     if settings:
         _Process(settings).run()

@@ -6,10 +6,14 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
+
+#: Tries to lower the priority of a session, and the time between two, seconds.
+_TRIES, _AGAIN_S = 20, 0.1
 
 if sys.platform == "win32":
     import ctypes
@@ -41,6 +45,14 @@ if sys.platform == "win32":
         """
         _KERNEL.SetPriorityClass(ctypes.c_void_p(_KERNEL.GetCurrentProcess()), _IDLE_PRIORITY_CLASS)
 
+    def set_session_niceness(niceness: int) -> bool:
+        """Do nothing: Windows has no sessions.
+
+        Args:
+            niceness: not used.
+        """
+        return True
+
     def end_session(pid: int) -> None:
         """Kill the processes of a session; Windows has none.
 
@@ -57,6 +69,7 @@ else:
     import resource
 
     _PR_SET_PDEATHSIG = 1
+    _SESSION_NICENESS = "/proc/self/autogroup"
     #: Loaded before any fork.
     _LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None
 
@@ -82,6 +95,8 @@ else:
         signal.signal(signal.SIGINT, signal.SIG_DFL)
         if _LIBC:
             _LIBC.prctl(_PR_SET_PDEATHSIG, death_signal)
+        if niceness := os.nice(0):  # else it would not count: the share of a new session is that of others
+            set_session_niceness(niceness)
 
     def lower_priority(niceness: int) -> None:
         """Add to the niceness of this process, where that is permitted; it counts without real-time priority only."""
@@ -89,6 +104,26 @@ else:
             if sys.platform == "linux" and os.sched_getscheduler(0) in (os.SCHED_FIFO, os.SCHED_RR):
                 os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
             os.nice(niceness)
+
+    def set_session_niceness(niceness: int) -> bool:
+        """Set the niceness of the session of this process; False if that is to be tried again.
+
+        Linux may give each session the same share, whatever the niceness of its processes (autogroup).  All sessions
+        together may change theirs ten times a second.
+        """
+        try:
+            handle = os.open(_SESSION_NICENESS, os.O_WRONLY)  # no file object: it may be between fork and exec
+        except OSError:  # the system has no sessions
+            return True
+        try:
+            os.write(handle, str(niceness).encode())
+        except BlockingIOError:  # one was changed just now
+            return False
+        except OSError:
+            pass
+        finally:
+            os.close(handle)
+        return True
 
     def end_session(pid: int) -> None:
         """Kill all processes that are left in the session, and its process group, that `apart` made.
@@ -102,6 +137,15 @@ else:
     def ticks_per_second() -> int:
         """Return the unit of CPU times in /proc."""
         return os.sysconf("SC_CLK_TCK")
+
+
+def stand_back(niceness: int) -> None:
+    """Lower the priority of this process, which another one started `apart`, for good; it counts from soon on."""
+    lower_priority(niceness)
+    for _ in range(_TRIES):
+        if set_session_niceness(niceness):
+            return
+        threading.Event().wait(_AGAIN_S)
 
 
 def processor_times(pid: int) -> tuple[int, int] | None:

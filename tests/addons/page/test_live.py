@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -140,6 +141,31 @@ def test_many_notes_do_not_hide_what_was_done() -> None:
         page.update(Session(bridge._bridge), [Event(1, Kind.EDGE_NOTE, note, ()) for note in notes])
         found = next(source.samples())
         assert [note["text"] for note in found["done"]] == ["mark slip"] and len(found["notes"]) == 60
+
+
+def test_a_line_leaves_out_what_is_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    lines: list[bytes] = []
+    loads = json.loads
+
+    def kept(line: bytes | str) -> Any:
+        if isinstance(line, bytes):  # others read JSON, too
+            lines.append(line)
+        return loads(line)
+
+    with (
+        igtl_gateway.Bridge(listen=["127.0.0.1:0"], ros=False) as bridge,
+        page_of(bridge._bridge, []) as (page, source),
+    ):
+        monkeypatch.setattr(json, "loads", kept)
+        session, event = Session(bridge._bridge), Event(1, Kind.EDGE_NOTE, Note(Level.INFO, "mark", "mark slip"), ())
+        page.update(session, [event])
+        samples = source.samples()
+        first = next(samples)
+        page._sampled_ns = 0
+        page.update(session)
+        second = next(samples)
+    assert second["notes"] == first["notes"] != []
+    assert [b"slip" in line for line in lines] == [True, False]
 
 
 def test_no_mark_is_taken_after_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,6 +7,8 @@ import sys
 
 import pytest
 
+from tests.base.systems.sessions import knows_sessions
+
 _PROGRAM = """
 import os
 from igtl_gateway.base.systems.processes import lower_priority
@@ -24,3 +26,24 @@ def test_a_lowered_process_has_no_real_time_priority() -> None:
     if "PermissionError" in done.stderr:
         pytest.skip("real-time priority is not permitted")
     assert done.stdout.split() == ["True", "5"]
+
+
+_BEHIND = """
+import os, subprocess, sys, time
+from igtl_gateway.base.systems.processes import apart, stand_back
+import signal
+stand_back(7)
+print(open("/proc/self/autogroup").read().split()[-1])
+time.sleep(0.3)  # an ordinary user may change a session's niceness ten times a second
+child = [sys.executable, "-c", "print(open('/proc/self/autogroup').read().split()[-1])"]
+print(subprocess.check_output(child, text=True, **apart(signal.SIGINT)))
+"""
+
+
+@pytest.mark.skipif(not knows_sessions(), reason="this system does not know sessions' niceness")
+def test_a_session_has_the_niceness_of_its_process() -> None:
+    """Where the system shares among sessions, the niceness of a process alone does not count."""
+    command = [sys.executable, "-c", _BEHIND]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, start_new_session=True)
+    own, child = (int(word) for word in done.stdout.split())
+    assert own == child == 7
