@@ -172,6 +172,7 @@ NOTES: dict[str, dict[str, str]] = {
         "stamps_corrected": "`sync` wrote this copy with corrected stamps; the data have the lag of the stream",
         "setting": "a setting was changed while the bridge runs",
         "mark": "a person or a program marked this moment, or the begin or end of a phase; the data have the label",
+        "mark_time": "a peer marked a moment before the session; the mark has the time of its arrival",
         "mark_refused": "what a peer or a node sent cannot be a mark; the text has the reason",
         "fault": "fault injection of `--relay` changed a message",
         "fault_disconnect": "fault injection of `--relay` closed a link",

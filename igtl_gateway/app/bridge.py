@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -38,7 +39,7 @@ from igtl_gateway.gateway.live_settings import LiveSettings
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.ledger import gaps
 from igtl_gateway.gateway.log.marks import MarkNote
-from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.silences import Silences
 from igtl_gateway.native.passage import Passage
 from igtl_gateway.record.admission import Admission
@@ -129,7 +130,7 @@ class Bridge:
         self._passage: BridgePassage | None = None
         if passage:
             self._passage = BridgePassage(passage, self.gateway, self.tcp, self.ros, on_passed or _ignore)
-        self.gateway.on_mark = self.hub.note
+        self.gateway.on_mark = self._take_mark
         self._changes = LiveChanges(config, self.hub, self.ros)
         self._recording: BridgeRecording | None = None
         if options.record:
@@ -178,7 +179,7 @@ class Bridge:
             self.tcp,
             traffic and traffic.video,
             timer,
-            MarkService(traffic.side, self.mark) if traffic else None,
+            MarkService(traffic.side, self.mark, clock) if traffic else None,
             traffic and traffic.commands,  # last, so that its stop ends the calls that wait before all else
         )
 
@@ -257,10 +258,22 @@ class Bridge:
         """
         if not self._runs:
             raise Unavailable("mark: found a bridge that does not run, expected one that was started")
+        self._check_time(mark)
+        self.gateway.phases.check(mark)
+        self.hub.note(mark.note())
+
+    def _check_time(self, mark: MarkNote) -> None:
         if mark.ago_ns > (lasts_ns := self._clock.monotonic_ns() - self._begun_ns):
             ago_s, since_s = mark.ago_ns / NS_PER_S, lasts_ns / NS_PER_S
             raise ConfigError(f"mark: found {ago_s:.1f} s ago, expected at most the {since_s:.1f} s of the session")
-        self.gateway.phases.check(mark)
+
+    def _take_mark(self, mark: MarkNote) -> None:
+        """Take a mark of a peer, which cannot be refused any more; one of a time before the session is of now."""
+        try:
+            self._check_time(mark)
+        except ConfigError as error:
+            self.hub.note(Note(Level.WARN, "mark_time", f"{error}; mark {mark.label} is of its arrival"))
+            mark = replace(mark, ago_ns=0)
         self.hub.note(mark.note())
 
     @property

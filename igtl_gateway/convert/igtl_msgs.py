@@ -487,6 +487,7 @@ class MarkRequest(Struct):
     text: Annotated[str, STRING] = ""
     who: Annotated[str, STRING] = ""
     phase: Annotated[str, STRING] = ""  # begin, end, or empty for a moment
+    stamp_ns: Annotated[int, TIME] = 0  # when it was; 0 = now
 
 
 @dataclass(frozen=True, slots=True)

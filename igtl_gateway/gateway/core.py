@@ -27,7 +27,7 @@ from igtl_gateway.gateway.live_settings import LiveSettings
 from igtl_gateway.gateway.log.clocksteps import ClockStep
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.ledger import Ledger
-from igtl_gateway.gateway.log.marks import OpenPhases
+from igtl_gateway.gateway.log.marks import MarkNote, OpenPhases
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.outcome import Bookkeeper, Finding, Item, Outcome, Tally
 from igtl_gateway.gateway.peers import Peers
@@ -67,7 +67,7 @@ class Gateway:
 
     Attributes:
         phases: those that marks have begun.
-        on_mark: takes the note of each mark of a peer; None in a session that is computed again, whose inputs have it.
+        on_mark: takes each mark of a peer; None in a session that is computed again, whose inputs have it.
         fast, prepare: entry points of the fast path; see ``FastPath``.
         deadline_set: called after each input that may have set ``due_ns`` to an earlier time; see ``app.timer``.
     """
@@ -78,7 +78,7 @@ class Gateway:
         self._peers = peers = Peers(config)
         self._accounts = Bookkeeper(peers)
         self.phases = OpenPhases()
-        self.on_mark: Callable[[Note], None] | None = None
+        self.on_mark: Callable[[MarkNote], None] | None = None
         self._streams = streams = Streams(config)
         self._guard = guard = Guard(watch=config.watch is True)
         self._denied_in, self._denied_out = denied_in, denied_out = Denials(config.deny_in), Denials(config.deny_out)
@@ -125,7 +125,7 @@ class Gateway:
             queries=queries,
             commands=commands,
             activity=activity,
-            marking=Marking(config, self.phases, self._mark),
+            marking=Marking(config, self.phases, guard, self._mark),
         )
         ros_receiver = RosReceiver(
             config,
@@ -269,9 +269,9 @@ class Gateway:
         self._latest.forget()
         self._forget_at_ns = None
 
-    def _mark(self, note: Note) -> None:
+    def _mark(self, mark: MarkNote) -> None:
         if self.on_mark:
-            self.on_mark(note)
+            self.on_mark(mark)
 
     def _change(self, entry: Entry, settings: LiveSettings) -> list[Item]:
         """Use other settings from now on; ``entry`` is the note about them."""

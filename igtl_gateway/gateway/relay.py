@@ -32,7 +32,7 @@ from igtl_gateway.gateway.log.clocksteps import CLOCK_STEP, ClockStep
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.fates import RELAYED
 from igtl_gateway.gateway.log.ledger import Ledger
-from igtl_gateway.gateway.log.marks import OpenPhases
+from igtl_gateway.gateway.log.marks import MarkNote, OpenPhases
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.output import Output, note_output
 from igtl_gateway.gateway.stamps import moved
@@ -62,7 +62,7 @@ class RelayGateway:
         self.guard = Guard(watch=False)
         self.ledger = Ledger()
         self.phases = OpenPhases()
-        self.on_mark: Callable[[Note], None] | None = None
+        self.on_mark: Callable[[MarkNote], None] | None = None
         self._partners: dict[int, int] = {}
         self._servers: set[int] = set()  # links to the server
         self._denied_in, self._denied_out = Denials(config.deny_in), Denials(config.deny_out)

@@ -18,8 +18,7 @@ from igtl_gateway.gateway.fastpath import FastHandler, Prepared, PrepareMessage
 from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.ledger import Ledger
-from igtl_gateway.gateway.log.marks import OpenPhases
-from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.gateway.log.marks import MarkNote, OpenPhases
 from igtl_gateway.gateway.relay import RelayGateway
 from igtl_gateway.gateway.to_ros.subscribers import HasSubscriber
 from igtl_gateway.wire.fields import visible
@@ -35,7 +34,7 @@ class Core(Protocol):
     has_subscriber: HasSubscriber | None
     deadline_set: Callable[[], None] | None
     phases: OpenPhases
-    on_mark: Callable[[Note], None] | None
+    on_mark: Callable[[MarkNote], None] | None
 
     @property
     def ledger(self) -> Ledger: ...

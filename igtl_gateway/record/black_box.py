@@ -1,9 +1,11 @@
 """The black box: the last seconds in memory, and rules that write them to a file.
 
 A trigger opens a file with what memory has of the window before it, and what follows goes to the file as it comes,
-until the window after the trigger ends.  A trigger within the window, or whose own window begins in it, extends it:
-overlapping windows are one file, which is written again if a later trigger's window begins before it.  So the file
-stays open for the longest window before a trigger, and only then gets its ledger, in which each trigger has a row.
+until the window after the trigger ends.  A mark that comes late has its window around the moment that it marks, as far
+as memory has it, and its file goes on to the mark.  A trigger within the window, or whose own window begins in it,
+extends it: overlapping windows are one file, which is written again if a later trigger's window begins before it.  So
+the file stays open for the longest window before a trigger, and only then gets its ledger, in which each trigger has a
+row.
 
 Memory has the bound of the ring, also while the disk is slow or full: if a file cannot be written, it is tried again
 while memory has the window; then a note names the triggers that have none.
@@ -46,10 +48,11 @@ _LEAST_LINGER_NS = NS_PER_S
 
 @dataclass(slots=True)
 class _Row:
-    """Triggers of one rule within a second: the first and the last, UTC ns, and how many."""
+    """Triggers of one rule within a second: begin of their window, the first and the last, UTC ns, and how many."""
 
     rule: Trigger
     why: str
+    begin_ns: int
     first_ns: int
     last_ns: int
     count: int = 1
@@ -196,18 +199,25 @@ class BlackBox(Ring):
     def _before_ns(self, rule: Trigger) -> int:
         return self._max_ns if rule.before_s is None else min(self._max_ns, round(rule.before_s * NS_PER_S))
 
+    def _begin_ns(self, cause: Cause) -> int:
+        """Return the begin of the window of a trigger: all that memory has, if no time is given."""
+        if cause.rule.before_s is None:
+            return min(cause.at_ns, cause.noted_ns - self._max_ns)
+        return cause.at_ns - self._before_ns(cause.rule)
+
     def _take_cause(self, cause: Cause) -> None:
         window, rule, at_ns = self._window, cause.rule, cause.at_ns
-        begin_ns, end_ns = at_ns - self._before_ns(rule), at_ns + round(rule.after_s * NS_PER_S)
+        begin_ns = self._begin_ns(cause)
+        end_ns = max(at_ns + round(rule.after_s * NS_PER_S), cause.noted_ns)
         if window and not self._can_extend(window, begin_ns):
             self._finish()
             window = None
         if window is None:
             window = self._window = _Window(end_ns, begin_ns)
-            _count(window.rows, cause)
+            _count(window.rows, cause, begin_ns)
             self._open_window(window)
         else:
-            _count(window.rows, cause)
+            _count(window.rows, cause, begin_ns)
             window.end_ns, window.begin_ns = max(window.end_ns, end_ns), min(window.begin_ns, begin_ns)
             if window.writer and begin_ns == window.begin_ns and self._first_seq(begin_ns) < window.first:
                 self._open_earlier(window, window.writer)
@@ -225,10 +235,10 @@ class BlackBox(Ring):
     def _report(self, cause: Cause) -> None:
         """Write a note of the trigger: at most one a second of each rule, with the count of those before it."""
         noted_ns, untold = self._untold.get(cause.rule, (0, 0))
-        if noted_ns and cause.at_ns - noted_ns < _TOGETHER_NS:
+        if noted_ns and cause.noted_ns - noted_ns < _TOGETHER_NS:
             self._untold[cause.rule] = noted_ns, untold + 1
             return
-        self._untold[cause.rule] = cause.at_ns, 0
+        self._untold[cause.rule] = cause.noted_ns, 0
         more = f"; {untold:,} more before it" if untold else ""
         data = {"rule": str(cause.rule), "at_ns": cause.at_ns, "before": untold}
         self._on_note(Note(Level.INFO, TRIGGERED, f"black box, {cause.rule}: {cause.why}{more}", data=data))
@@ -349,12 +359,12 @@ class BlackBox(Ring):
 
     def _judged(self, row: _Row, window: _Window) -> dict[str, Any]:
         """Return the row of the ledger, with what its windows lack, or ""."""
-        begin_ns, lacks = row.first_ns - self._before_ns(row.rule), []
+        begin_ns, lacks = row.begin_ns, []
         if window.writer is None:
             lacks.append(f"no file: {window.why_not}")
         if window.forgotten_ns >= begin_ns:
             lost_ns = min(window.forgotten_ns, row.until_ns) - begin_ns
-            lacks.append(f"{lost_ns / NS_PER_S:.3f} s of its window: memory had no room for them")
+            lacks.append(f"{lost_ns / NS_PER_S:.3f} s of its window: memory had them no more")
         if row.until_ns > max(self._last_ns, window.end_ns if not window.is_open else 0):
             lacks.append(f"{(row.until_ns - self._last_ns) / NS_PER_S:.3f} s after it: the recording ended")
         lost = sum(count for begin, end, count in self._gaps if end >= begin_ns and begin <= row.until_ns)
@@ -390,13 +400,15 @@ class _Obstacles:
         return False
 
 
-def _count(rows: list[_Row], cause: Cause) -> None:
+def _count(rows: list[_Row], cause: Cause, begin_ns: int) -> None:
     """Add a trigger to rows: to the last one of its rule if that is recent, or there is no room."""
     last = next((row for row in reversed(rows) if row.rule == cause.rule), None)
-    if last and (cause.at_ns - last.last_ns < _TOGETHER_NS or len(rows) >= MAX_ROWS):
-        last.last_ns, last.count = max(last.last_ns, cause.at_ns), last.count + 1
+    if last and (abs(cause.at_ns - last.last_ns) < _TOGETHER_NS or len(rows) >= MAX_ROWS):
+        last.begin_ns = min(last.begin_ns, begin_ns)
+        last.first_ns, last.last_ns = min(last.first_ns, cause.at_ns), max(last.last_ns, cause.at_ns)
+        last.count += 1
     else:
-        rows.append(_Row(cause.rule, cause.why, cause.at_ns, cause.at_ns))
+        rows.append(_Row(cause.rule, cause.why, begin_ns, cause.at_ns, cause.at_ns))
 
 
 def _names(rows: Sequence[_Row]) -> str:

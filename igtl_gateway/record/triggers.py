@@ -46,11 +46,19 @@ _INDEX = re.compile(r"[0-9]{1,9}")
 
 @dataclass(frozen=True, slots=True)
 class Cause:
-    """Why a rule was triggered by an entry."""
+    """Why a rule was triggered by an entry.
+
+    Attributes:
+        rule: the rule.
+        why: one sentence.
+        at_ns: when it was, UTC ns: of a mark the moment that is marked.
+        noted_ns: stamp of the entry.
+    """
 
     rule: Trigger
     why: str
     at_ns: int
+    noted_ns: int
 
 
 class Triggers:
@@ -88,12 +96,12 @@ class Triggers:
             found = _LOOKS[rule.kind](rule, entry, self._decoder)
             for name, holds, why in found:
                 if not name:
-                    yield Cause(rule, why, entry.stamp_ns)
+                    yield Cause(rule, why, _moment_ns(rule, entry), entry.stamp_ns)
                 elif holds is not self._holds.get((number, name), False):
                     if len(self._holds) < _MOST:
                         self._holds[number, name] = holds
                     if holds:
-                        yield Cause(rule, why, entry.stamp_ns)
+                        yield Cause(rule, why, entry.stamp_ns, entry.stamp_ns)
         except (WireError, ConversionError, DamagedRecording, BadBytes, ValueError):
             return  # what cannot be decoded has no value; the gateway's own notes report it
 
@@ -127,6 +135,11 @@ def _mark(rule: Trigger, entry: Entry, _decoder: MessageDecoder) -> _Found:
     mark = MarkNote.of(note)
     if mark and matches(rule.pattern, mark.label):
         yield "", True, note.text
+
+
+def _moment_ns(rule: Trigger, entry: Entry) -> int:
+    mark = MarkNote.of(Note.of(entry.data())) if rule.kind == "mark" else None
+    return entry.stamp_ns - (mark.ago_ns if mark else 0)
 
 
 def _link_down(rule: Trigger, entry: Entry, _decoder: MessageDecoder) -> _Found:

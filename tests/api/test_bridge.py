@@ -140,6 +140,27 @@ def test_marks_of_peers(tmp_path: Path) -> None:
     assert igtl_gateway.verify(out).good
 
 
+def test_a_mark_of_a_peer_has_the_time_of_its_stamp(tmp_path: Path) -> None:
+    out = tmp_path / "out.mcap"
+    with Bridge(listen=LOCAL, ros=False, record=out, mark_from=["Nurse"]) as bridge:
+        with igtl_gateway.connect(*bridge.addresses[0]) as peer:
+            bridge.wait_peers()
+            time.sleep(0.2)
+            now_ns = time.time_ns()
+            peer.send("STRING", "Nurse", "late", time_ns=now_ns - 100_000_000)
+            peer.send("STRING", "Nurse", "before", time_ns=now_ns - 3600 * 10**9)
+            peer.command("Mark", "early @-0.15", device="Nurse")
+        later_ns = time.time_ns()
+    with igtl_gateway.open(out) as recording:
+        early, late, before = sorted(recording.marks, key=lambda mark: mark.label != "early")
+        assert late.time_ns == pytest.approx(now_ns - 100_000_000, abs=50_000_000)
+        assert now_ns - 150_000_000 <= early.time_ns <= later_ns - 150_000_000
+        assert now_ns <= before.time_ns <= later_ns
+        (note,) = [note.text for note in recording.notes if note.code == "mark_time"]
+        assert note.startswith("mark: found 3600.") and note.endswith("mark before is of its arrival")
+    assert igtl_gateway.verify(out).good
+
+
 def test_a_relay_has_marks(tmp_path: Path) -> None:
     out = tmp_path / "out.mcap"
     target = ["127.0.0.1:1"]

@@ -169,7 +169,7 @@ def test_a_mark_by_http() -> None:
             (b'{"label": "a:b"}', "mark: found label 'a:b'"),
             (b'{"text": "a"}', "body"),
             (b'{"label": "a", "x": 1}', "body"),
-            (b'{"label": "a", "ago_s": -1}', "mark: found ago_s -1, expected the seconds since then"),
+            (b'{"label": "a", "ago_s": -1}', "mark: found -1 s ago, expected the seconds since then"),
             (b"[", "body: found invalid JSON"),
             (b"\xff", "body"),
         ):

@@ -156,14 +156,14 @@ def _play(path: Path, entries: list[Entry], *rules: str) -> list[Note]:
     return notes
 
 
-def _with_marks(*seconds: float, labels: str = "slip") -> list[Entry]:
-    """A session of 10 s with marks."""
+def _with_marks(*seconds: float, labels: str = "slip", late_s: float = 0) -> list[Entry]:
+    """A session of 10 s with marks, which come late."""
     names = iter(labels.split() * len(seconds))
     found: list[Entry] = []
     waiting = [samples.START_NS + round(each * NS) for each in seconds]
     for entry in session(10):
         while waiting and waiting[0] <= entry.stamp_ns and entry.kind.is_input:
-            note = MarkNote(next(names)).note()
+            note = MarkNote(next(names), ago_ns=round(late_s * NS)).note()
             found.append(Entry(0, waiting.pop(0), Kind.EDGE_NOTE, payload=(note.pack(),)))
         found.append(entry)
     return [
@@ -226,6 +226,38 @@ def test_a_file_begins_with_the_window(seconds: tuple[float, ...], first: float,
     assert begin <= content[0].stamp_ns < begin + NS // 5 and end - NS // 5 < content[-1].stamp_ns
     assert prologue and prologue[-1].stamp_ns < begin, "what the window needs of the time before it"
     assert main(["verify", str(path)]) == 0
+
+
+@table(
+    ("seconds", "late_s", "rule", "first", "missing"),
+    [
+        ((5.0,), 1.2, "mark=slip,before=0.5,after=0.3", 3.3, ""),
+        ((5.0,), 1.2, "mark=slip,before=1.5,after=0.3", 3.0, "0.650 s of its window: memory had them no more"),
+        ((5.0,), 1.2, "mark=slip,after=0.3", 3.0, ""),  # all that memory has
+        ((5.0,), 2.5, "mark=slip,after=0.3", 3.0, "0.300 s of its window: memory had them no more"),
+        ((5.0,), 4.0, "mark=slip,before=0.5,after=0.3", 3.0, "0.800 s of its window: memory had them no more"),
+        ((5.0, 5.1), 1.2, "mark=slip,before=0.5,after=0.3", 3.3, ""),
+    ],
+)
+def test_a_mark_that_comes_late_has_the_window_of_its_moment(
+    seconds: tuple[float, ...],
+    late_s: float,
+    rule: str,
+    first: float,
+    missing: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    _play(tmp_path / "box.mcap", _with_marks(*seconds, late_s=late_s), rule)
+    (path,) = tmp_path.glob("*.mcap")
+    with SessionFile.open(path) as file:
+        content = [(entry.stamp_ns - samples.START_NS) / NS for entry in file.entries()]
+        (row,) = file.ledger["triggers"] if file.ledger else []
+    assert first <= content[0] < first + 0.1
+    assert content[-1] == pytest.approx(seconds[-1]), "it goes on to the mark"
+    assert (row["missing"], row["at_ns"]) == (missing, samples.START_NS + round((5.0 - late_s) * NS))
+    assert main(["info", str(path)]) == 0
+    assert f"mark slip ({late_s:.1f} s before)" in capsys.readouterr().out
 
 
 def test_info_states_why_the_file_is_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

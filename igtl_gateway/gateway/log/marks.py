@@ -5,6 +5,7 @@ A mark is a moment or a phase.  A phase is two notes with the same label, one at
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -14,6 +15,7 @@ from igtl_gateway.base.near import did_you_mean, near_names
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.gateway.log.timing import FUTURE_NS
 
 MARK = "mark"
 BEGIN, END = "begin", "end"
@@ -28,6 +30,8 @@ _SAID_NS = NS_PER_S // 10
 #: Facts of a note → what stands for one that is not there.
 _FIELDS: tuple[tuple[str, Any], ...] = (("label", ""), ("text", ""), ("who", ""), ("phase", ""), ("ago_ns", 0))
 _SIGNS = {"+": BEGIN, "-": END}
+#: Label and seconds of ``LABEL @-8.5``, a mark of an earlier moment.
+_EARLIER = re.compile(r"(.*\S)\s+@-([0-9]{1,5}(?:\.[0-9]{1,9})?)")
 _CODE = MARK.encode()
 
 
@@ -68,15 +72,18 @@ class MarkNote:
             raise ConfigError(f"mark: found a time {_shown(self.ago_ns)} ns before, expected 0 or more")
 
     @classmethod
-    def parse(cls, line: str, who: str, ago_ns: int = 0) -> MarkNote:
+    def parse(cls, line: str, who: str, since_ns: int = 0) -> MarkNote:
         """Return the mark in a line: ``LABEL``, ``LABEL: text``; ``+LABEL`` begins a phase, ``-LABEL`` ends it.
 
-        Raises ConfigError.
+        ``LABEL @-8.5`` is of 8.5 s before the line, which is of ``since_ns`` before now.  Raises ConfigError.
         """
         line = line.strip()
         phase = _SIGNS.get(line[:1], "")
         label, _, text = line[1 if phase else 0 :].partition(":")
-        return cls(label.strip(), text.strip(), who, phase, ago_ns)
+        label = label.strip()
+        if earlier := _EARLIER.fullmatch(label):
+            label, since_ns = earlier[1], since_ns + ago_ns(float(earlier[2]))
+        return cls(label, text.strip(), who, phase, since_ns)
 
     @classmethod
     def of(cls, note: Note) -> MarkNote | None:
@@ -101,8 +108,24 @@ class MarkNote:
 def ago_ns(seconds: object) -> int:
     """Convert the age of a mark from seconds to ns.  Raises ConfigError for no number, and outside 0 to MAX_AGO_S."""
     if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not 0 <= seconds < MAX_AGO_S:
-        raise ConfigError(f"mark: found ago_s {_shown(seconds)}, expected the seconds since then, 0 to {MAX_AGO_S:,}")
+        raise ConfigError(f"mark: found {_shown(seconds)} s ago, expected the seconds since then, 0 to {MAX_AGO_S:,}")
     return round(seconds * NS_PER_S)
+
+
+def ago_of_stamp(stamp_ns: int, now_ns: int) -> int:
+    """Return the age of a mark with a stamp, ns; 0 without one, which is 0 or below.
+
+    Raises ConfigError for a stamp in the future, and one of more than MAX_AGO_S ago.
+    """
+    if stamp_ns <= 0:
+        return 0
+    age_ns = now_ns - stamp_ns
+    if not -FUTURE_NS <= age_ns < MAX_AGO_S * NS_PER_S:
+        way = "ahead of" if age_ns < 0 else "behind"
+        raise ConfigError(
+            f"mark: found a stamp {abs(age_ns) / NS_PER_S:,.1f} s {way} the bridge's clock, expected one of the session"
+        )
+    return max(0, age_ns)
 
 
 class OpenPhases:

@@ -75,7 +75,7 @@ class IgtlReceiver:
             return Outcome([*news, *items], INACTIVE, decoded=True)
         makes_mark = self._marking.takes(message)
         if makes_mark:
-            refused = self._marking.make(entry, message)
+            refused = self._marking.make(entry, message, peer)
             if refused:
                 news.append(Finding(Level.WARN, "mark_refused", refused, entry.channel, entry.links))
             if isinstance(message.content, Command):

@@ -11,7 +11,18 @@ from hypothesis import strategies as st
 
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.gateway.log.entry import Entry, Kind
-from igtl_gateway.gateway.log.marks import BEGIN, END, MAX_OPEN, Mark, MarkNote, OpenPhases, ago_ns, is_phase, joined
+from igtl_gateway.gateway.log.marks import (
+    BEGIN,
+    END,
+    MAX_OPEN,
+    Mark,
+    MarkNote,
+    OpenPhases,
+    ago_ns,
+    ago_of_stamp,
+    is_phase,
+    joined,
+)
 from igtl_gateway.gateway.log.note import Level, Note
 from tests.tables import table
 
@@ -96,6 +107,40 @@ def test_a_mark_is_of_the_moment_at_which_a_person_began_to_write() -> None:
     for wrong in (-0.1, float("nan"), float("inf"), True, "2", None, 86_400):
         with pytest.raises(ConfigError, match="expected the seconds since then, 0 to 86,400"):
             ago_ns(wrong)
+
+
+@table(
+    ("line", "label", "ago_s"),
+    [
+        ("slip @-8: deep", "slip", 8.0),
+        ("+slip @ home   @-0.25", "slip @ home", 0.25),
+        ("slip @-8 @-2", "slip @-8", 2.0),
+        ("slip@-8", "slip@-8", 0.0),
+        ("slip @8", "slip @8", 0.0),
+        ("slip @-1e3", "slip @-1e3", 0.0),
+        ("slip @-\u0661", "slip @-\u0661", 0.0),
+        ("@-8", "@-8", 0.0),
+    ],
+)
+def test_a_line_has_the_time_since_its_moment(line: str, label: str, ago_s: float) -> None:
+    mark = MarkNote.parse(line, "", 500)
+    assert (mark.label, mark.ago_ns) == (label, round(ago_s * 1e9) + 500)
+
+
+def test_a_line_of_more_than_a_day_ago_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"found 99999\.0 s ago, expected the seconds since then, 0 to 86,400"):
+        MarkNote.parse("slip @-99999", "")
+
+
+def test_the_age_of_a_stamp() -> None:
+    now_ns = 1_000_000 * 10**9
+    assert [ago_of_stamp(at, now_ns) for at in (0, -5, now_ns - 7, now_ns, now_ns + 10**8)] == [0, 0, 7, 0, 0]
+    with pytest.raises(
+        ConfigError, match=r"found a stamp 0\.5 s ahead of the bridge's clock, expected one of the sess"
+    ):
+        ago_of_stamp(now_ns + 5 * 10**8, now_ns)
+    with pytest.raises(ConfigError, match=r"found a stamp 1,000,000\.0 s behind the bridge's clock"):
+        ago_of_stamp(7, now_ns)
 
 
 def test_two_notes_are_one_phase() -> None:
