@@ -8,16 +8,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import NS_PER_S, Child, SystemClock, is_present, python_command
+from igtl_gateway.addon import NS_PER_S, Child, SystemClock, is_present, part_of, python_command
 from igtl_gateway.addons.page.recordings import child_environment
 from igtl_gateway.cli.next_steps import PROGRAM
 
 #: Jobs at a time, jobs that are remembered, and lines of each.
 MAX_RUNNING, _MAX_KEPT, _LINES = 3, 40, 400
 RUNNING, DONE, FAILED, CANCELLED = "running", "done", "failed", "cancelled"
-#: State of work that a recording has nothing for, and what its output has then.
+#: State of work that a recording has nothing for, and where an action has what its output has then.
 NOTHING = "nothing"
-_HAS_NOTHING = {"review": ("found no point cloud", "found no suture plan")}
+_HAS_NOTHING = {"review": ("review", "addon:NOTHING")}
 #: Time between two looks at a process, and for its end after Ctrl-C, seconds.
 _LOOK_S, _END_S = 0.1, 3.0
 
@@ -111,7 +111,8 @@ class Job:
         return next((each for each in reversed(lines) if each and each != "next" and not each.startswith(PROGRAM)), "")
 
     def _failure(self) -> str:
-        words = _HAS_NOTHING.get(self.action, ())
+        place = _HAS_NOTHING.get(self.action)
+        words = part_of(*place) if place else ()
         return NOTHING if any(word in line for word in words for line in self.lines) else FAILED
 
     def _take(self, line: str) -> None:

@@ -198,6 +198,7 @@ class Now:
             "state": trouble.state,
             "link": peer["link"],
             "name": _name_of(peer, rows),
+            "called": _called(peer, rows),
             "peer": peer["peer"],
             "role": _ROLES[peer["role"]],
             "profile": peer["profile"],
@@ -249,18 +250,24 @@ def wrong_things(rows: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 def headline(rows: Mapping[str, Any]) -> str:
     """Return who is worst and why, in words; "" if all is good."""
     worst = next(iter(wrong_things(rows)), None)
-    return f"{_called(worst)}: {worst['text']}" if worst else ""
+    return f"{worst['name'] if 'way' in worst else worst['called']}: {worst['text']}" if worst else ""
 
 
 def others(rows: Mapping[str, Any]) -> str:
     """Return who else is not good, in words; "" if all others are."""
-    names = list(dict.fromkeys(map(_called, wrong_things(rows)[1:])))
-    more = f" and {len(names) - _OTHERS:,} more" if len(names) > _OTHERS else ""
-    return f"also {', '.join(names[:_OTHERS])}{more}" if names else ""
+    rest = wrong_things(rows)[1:]
+    peers = _listed("", [row["called"] for row in rest if "way" not in row])
+    streams = _listed("stream", [row["name"] for row in rest if "way" in row])
+    found = "; ".join(filter(None, (peers, streams)))
+    return f"also {found}" if found else ""
 
 
-def _called(row: Mapping[str, Any]) -> str:
-    return str(row["name"] or row["peer"])
+def _listed(noun: str, names: Iterable[str]) -> str:
+    """Return the first of several names in words, such as ``streams a, b and 3 more``."""
+    each = list(dict.fromkeys(names))
+    first = f"{noun}{'s' * (len(each) > 1)} " if noun else ""
+    more = f" and {len(each) - _OTHERS:,} more" if len(each) > _OTHERS else ""
+    return f"{first}{', '.join(each[:_OTHERS])}{more}" if each else ""
 
 
 def slowest(rows: Mapping[str, Any]) -> list[str]:
@@ -300,12 +307,25 @@ def _to_each(receivers: int, links: Sequence[Mapping[str, Any]]) -> dict[str, An
 
 def _name_of(peer: Mapping[str, Any], watched: Iterable[Mapping[str, Any]]) -> str:
     """Return what people call a peer: its program, and the devices that it sends; "" before either is known."""
-    devices = list(dict.fromkeys(device for one in watched if (device := one["stream"].partition("/")[2])))
+    devices = _devices(watched)
     words = [device[:_LETTERS] for device in devices[:_NAMED]]
     if (more := len(devices) - _NAMED) > 0:
         words.append(f"{more:,} more")
-    program = "" if peer["profile"] in _NO_PROGRAM else peer["profile"]
-    return ": ".join(filter(None, (program, ", ".join(words))))
+    return ": ".join(filter(None, (_program(peer), ", ".join(words))))
+
+
+def _called(peer: Mapping[str, Any], watched: Iterable[Mapping[str, Any]]) -> str:
+    """Return what a sentence calls a peer, in which its list of devices would run into other lists."""
+    first = next(iter(_devices(watched)), "")
+    return f"peer of {first[:_LETTERS]}" if first else f"peer {_program(peer) or peer['peer']}"
+
+
+def _program(peer: Mapping[str, Any]) -> str:
+    return "" if peer["profile"] in _NO_PROGRAM else str(peer["profile"])
+
+
+def _devices(watched: Iterable[Mapping[str, Any]]) -> list[str]:
+    return list(dict.fromkeys(device for one in watched if (device := one["stream"].partition("/")[2])))
 
 
 def _stamps(watched: Iterable[Mapping[str, Any]]) -> str:

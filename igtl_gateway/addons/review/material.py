@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from igtl_gateway.addon import NS_PER_S, ConfigError, ConversionError, Entry, GatewayError, Kind
 from igtl_gateway.addon.ros import PointCloud2
+from igtl_gateway.addons.review.addon import NO_CLOUD, NO_PLAN
 from igtl_gateway.addons.review.frames import FramePoses
 from igtl_gateway.addons.review.messages import PLANS, POSES, DrawnPlan, cloud_of, is_large_cloud, plan_of, poses_of
 from igtl_gateway.addons.review.scene import DepthCloud, DepthScene
@@ -126,7 +127,7 @@ class Material:
         if not streams:
             if self._cloud:
                 raise ConfigError(f"--cloud {self._cloud}: found no sensor_msgs/PointCloud2 with x, y, z on this topic")
-            raise GatewayError("found no point cloud, expected a sensor_msgs/PointCloud2 stream: see `info`, --cloud")
+            raise GatewayError(f"{NO_CLOUD}, expected a sensor_msgs/PointCloud2 stream: see `info`, --cloud")
         topic = max(streams, key=lambda name: streams[name].rank)
         stream = streams[topic]
         clouds = stream.kept
@@ -153,7 +154,7 @@ class Material:
             if self._plan:
                 raise ConfigError(f"--plan {self._plan}: found no pairs of points on this topic")
             raise GatewayError(
-                "found no suture plan, expected pairs of points on the tissue (Marker LINE_LIST, TrajectoryList, "
+                f"{NO_PLAN}, expected pairs of points on the tissue (Marker LINE_LIST, TrajectoryList, "
                 "PolyData, PointList, small PointCloud2): see `info`, --plan"
             )
         # a plan is drawn once and corrected rarely; a stream that changes with every message is not a plan

@@ -88,10 +88,10 @@ def test_a_peer_that_is_silent_again_and_again_is_named() -> None:
             assert len(wrong_things(rows)) == int(link["state"] != OK)
     by_time = {at_s: tuple(found) for at_s, *found in states}
     assert by_time[10.0] == (OK, OK, "")
-    assert by_time[11.0] == (SILENT, SILENT, "Tracker: silent for 1.0 s")
-    assert by_time[16.0] == (WARNING, WARNING, "Tracker: silent for 4.0 s, once in the last minute")
-    assert by_time[26.0][2] == "Tracker: silent for 2.0 s, and once before that in the last minute"
-    assert by_time[60.0][2] == "Tracker: silent for up to 4.0 s, 4 times in the last minute"
+    assert by_time[11.0] == (SILENT, SILENT, "peer of Tracker: silent for 1.0 s")
+    assert by_time[16.0] == (WARNING, WARNING, "peer of Tracker: silent for 4.0 s, once in the last minute")
+    assert by_time[26.0][2] == "peer of Tracker: silent for 2.0 s, and once before that in the last minute"
+    assert by_time[60.0][2] == "peer of Tracker: silent for up to 4.0 s, 4 times in the last minute"
     assert (stream["gap_s"], stream["gap_utc_ns"]) == (4.0, 14 * _S)
 
 
@@ -99,11 +99,11 @@ def test_the_headline_names_the_worst_first() -> None:
     now = Now()
     counts = regular(now, ["TRANSFORM/a", "TRANSFORM/b"])
     found = now.rows(facts(counts | {"TRANSFORM/a": 150}, peers=[peer(0, "c:3", connected=False)]), 13 * _S, 0)
-    assert (headline(found), others(found)) == ("b: silent for 3.0 s", "also c:3")
+    assert (headline(found), others(found)) == ("b: silent for 3.0 s", "also peer c:3")
     found = now.rows(facts({}, peers=[peer(0, "c:3", connected=False)]), 13 * _S, 0)
     assert headline(Now().rows(facts({"TRANSFORM/a": 1}), _S, 0)) == ""
     rows = Now().rows(facts({}, peers=[peer(0, "c:3", connected=False)]), _S, 0)
-    assert headline(rows) == "c:3: not connected; the bridge tries again"
+    assert headline(rows) == "peer c:3: not connected; the bridge tries again"
 
 
 def test_the_slowest_of_several_streams() -> None:
@@ -217,7 +217,10 @@ def test_a_peer_that_reads_slowly() -> None:
 
 
 def test_a_late_peer_and_its_stream_are_one_thing() -> None:
-    links = [{"name": "", "peer": "a:1", "state": WARNING, "advice": "clocks"}, {"peer": "b:2", "state": OK}]
+    links = [
+        {"name": "", "called": "peer a:1", "peer": "a:1", "state": WARNING, "advice": "clocks"},
+        {"peer": "b:2", "state": OK},
+    ]
     streams = [
         {"name": f"n{number}", "way": way, "state": WARNING, "advice": advice}
         for number, (way, advice) in enumerate(
@@ -225,7 +228,7 @@ def test_a_late_peer_and_its_stream_are_one_thing() -> None:
         )
     ]
     rows = {"links": links, "streams": streams}
-    assert len(wrong_things(rows)) == 5 and others(rows) == "also n1, n2, n3 and 1 more"
+    assert len(wrong_things(rows)) == 5 and others(rows) == "also streams n1, n2, n3 and 1 more"
 
 
 def test_a_peer_that_has_left_keeps_its_row_and_its_streams_say_it() -> None:
@@ -246,7 +249,7 @@ def test_a_peer_that_has_left_keeps_its_row_and_its_streams_say_it() -> None:
     assert (link["name"], link["text"], link["left_ns"]) == ("Tracker", "left 5 s ago", utc_ns + 21 * _S // 2)
     assert (stream["text"], stream["way"]) == ("its peer has left", "from a:1, which has left")
     assert link["advice"] == stream["advice"] == "Start its program again, or look at its network"
-    assert headline(found) == "Tracker: left 5 s ago" and len(wrong_things(found)) == 1
+    assert headline(found) == "peer of Tracker: left 5 s ago" and len(wrong_things(found)) == 1
     assert json.dumps(found)
     back = rows(32, {2: "b:2", 3: "a:7"})
     assert [row["peer"] for row in back["links"]] == ["b:2", "a:7"]
