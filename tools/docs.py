@@ -461,11 +461,12 @@ def _profiles() -> str:
             2."""
         ),
         prose(
-            """`replay` treats the programs that listen in the same way, and sends no recorded query and no reply to one
-            unless `--profile` names a profile that permits them: a recorded query has no use, and 3D Slicer crashes at
-            it.  It waits up to 0.5 s for the first message of a listener, which shows 3D Slicer.  What was left out or
-            adapted is in its report, by listener and type.  `--exact` and `--profile default` send every recorded byte.
-            A replay of a relay's recording sends all bytes, except to a listener that is recognised."""
+            """`replay` treats the programs that listen in the same way, and sends no recorded query, no reply to one
+            and no version 1 message without content unless `--profile` names a profile that permits them: a recorded
+            query has no use, 3D Slicer crashes at it, and other programs wait for the content.  It waits up to 0.5 s
+            for the first message of a listener, which shows 3D Slicer.  What was left out or adapted is in its report,
+            by listener and type.  `--exact` and `--profile default` send every recorded byte.  A replay of a relay's
+            recording sends all bytes, except to a listener that is recognised."""
         ),
         table(("fact", "source"), UNRECOGNISED.facts),
         *map(_profile, PROFILES),

@@ -3,8 +3,8 @@
 A recording has what its peers read.  Another program may lose the stream at a type, or crash at a query, as 3D Slicer
 does.  So each message is adapted to the program that listens, or left out, by the profile of that program.  Without a
 profile it is recognised from its messages, and until then gets what every program can skip, see
-``docs/reference/messages.md``: no type beyond the factory of the C++ library, no query, no reply to one, and header
-version 1.
+``docs/reference/messages.md``: no type beyond the factory of the C++ library, no query, no reply to one, header
+version 1, and in that no message without content.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from igtl_gateway.convert.profiles import AUTO, DEFAULT, UNRECOGNISED, PeerProfi
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.gateway.peers import Peer, Peers
-from igtl_gateway.wire import Message, Raw, decode, encode
+from igtl_gateway.wire import HEADER_SIZE, Message, Raw, decode, encode
 from igtl_gateway.wire.query import split_query
 from igtl_gateway.wire.registry import BODIES
 
@@ -138,8 +138,9 @@ class Listeners:
             key = (profile.name if profile.adapt else "", version)
             if key not in forms:
                 forms[key] = _adapted(entry, profile, version), []
-            forms[key][1].append(link)
-        return list(forms.values()), refused
+            waits = _lacks_content(forms[key][0]) and not profile.takes_without_content(entry.type, version)
+            (refused if waits and profile is not DEFAULT else forms[key][1]).append(link)
+        return [form for form in forms.values() if form[1]], refused
 
     def _profile_for(self, peer: Peer | None) -> PeerProfile:
         if peer is None or (self.relay and peer.profile is UNRECOGNISED):
@@ -157,6 +158,11 @@ def _may_send(peer: Peer, profile: PeerProfile, igtl_type: str) -> bool:
         return True
     # a listener that is not recognised may have shown that it knows the type
     return profile is _SILENT and split_query(igtl_type) is None and peer.may_send(igtl_type)
+
+
+def _lacks_content(payload: Sequence[Buffer]) -> bool:
+    """Return whether these are the bytes of a version 1 message without content: the reply to a query for nothing."""
+    return sum(map(len, payload)) == HEADER_SIZE
 
 
 def _version_for(peer: Peer | None, profile: PeerProfile, entry: Entry) -> int:

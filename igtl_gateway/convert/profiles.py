@@ -15,11 +15,12 @@ import numpy as np
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.geometry import flip_lps_ras
 from igtl_gateway.convert.plus_signs import is_any_plus, is_recent_plus
-from igtl_gateway.wire import Message
+from igtl_gateway.wire import Message, Raw
 from igtl_gateway.wire.fields import decode_text
 from igtl_gateway.wire.image import LPS, RAS, Image
 from igtl_gateway.wire.polydata import NORMAL, Attribute, PolyData
 from igtl_gateway.wire.query import split_query
+from igtl_gateway.wire.registry import BODIES
 from igtl_gateway.wire.text import Status
 from igtl_gateway.wire.tracking import TrackingData
 from igtl_gateway.wire.transform import Position, Transform
@@ -131,6 +132,12 @@ class PeerProfile:
         if allowed is None:
             allowed = self.reads
         return allowed is None or igtl_type in allowed
+
+    def takes_without_content(self, igtl_type: str, version: int) -> bool:
+        """Return whether the peer accepts a message of this type without content."""
+        # a program on the C++ library waits for the default size of an empty version 1 message
+        body = BODIES.get(igtl_type, Raw)
+        return version > 1 or self.takes_empty or getattr(body, "MAY_BE_EMPTY", body is Raw)
 
 
 def _metadata(message: Message) -> dict[str, str]:

@@ -61,6 +61,7 @@ class Peer:
     Attributes:
         link: number of the link.
         address, role: from the note of the link.
+        place: what ``--peer`` and ``[[peers]]`` call it: the address of the server of its link.
         profile: profile of the peer.
         chosen: whether the configuration sets the profile, or a message has shown it without doubt.
         frames: the search for the frames of PLUS; None: they are not searched.
@@ -79,6 +80,7 @@ class Peer:
     role: str
     profile: PeerProfile
     chosen: bool
+    place: str = "ADDRESS"
     frames: TrackedFrames | None = None
     knows: set[str] = field(default_factory=set)
     shown: int = 0
@@ -222,7 +224,7 @@ class Peers:
         # who bridges CRTK arms has peers that read their types
         unknown = UNRECOGNISED if self._config.cautious and not self._config.all_arms else DEFAULT
         profile = BY_NAME.get(name, unknown)
-        peer = Peer(link, address, role, profile, name != AUTO, last_sent_ns=now_ns)
+        peer = Peer(link, address, role, profile, name != AUTO, place or "ADDRESS", last_sent_ns=now_ns)
         peer.recent = self._config.knows_peers
         if name == AUTO and peer.recent:
             peer.frames = TrackedFrames(streams=role == "client")

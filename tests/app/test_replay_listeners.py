@@ -83,6 +83,17 @@ def test_a_listener_that_is_silent_gets_what_every_program_skips() -> None:
     assert not plus.lost and len(set(plus.read)) > 10
 
 
+@pytest.mark.parametrize("recorded", [1, 2])
+def test_a_message_without_content_is_for_who_does_not_wait_for_it(recorded: int) -> None:
+    """The C++ library waits for its default size, and pyigtl ends; 3D Slicer takes it for the answer "none"."""
+    nothing = entry(Raw(b""), "TRANSFORM", recorded)
+    assert got(listeners(), nothing) is None and got(listeners(profile="legacy-v1"), nothing) is None
+    for profile in ("slicer", "plus", "default"):
+        answer = got(listeners(profile=profile), nothing)
+        assert (answer is None) == (profile == "plus" and recorded == 1)
+    assert got(listeners(), entry(Status(1), "STATUS", recorded)) is not None
+
+
 def test_a_listener_gets_what_it_has_shown_to_know() -> None:
     made = listeners(Message("NDARRAY", "A", Raw(b"")), Message("STATUS", "", Status(1), header_version=2))
     for one in sent_of_every_type():

@@ -145,6 +145,19 @@ def test_plus_that_asks_for_tracking_data_before_the_robot_is_there_gets_it(attr
     assert tracked.content.elements["name"].tolist() == [b"ToolToRobot"]  # type: ignore[attr-defined]
 
 
+def test_what_is_advised_for_a_client_names_the_server_that_it_connects_to() -> None:
+    """Its own port is another one at its next connection."""
+    made = Script(LIVE)
+    made.up(1, peer="127.0.0.1:51790", local="127.0.0.1:18944", role="server")
+    made.ros("/igtl/out/Numbers", numbers())
+    (held,) = [note.text for note in made.notes if note.code == "not_for_peer"]
+    for count in range(2):
+        for one in frame(count, "ProbeToTracker", "StylusToTracker"):
+            made.igtl(one)
+    (shown,) = [note.text for note in made.notes if note.code == "peer_profile"]
+    assert "--peer 127.0.0.1:18944=default" in held and "--peer 127.0.0.1:18944=plus" in shown
+
+
 def test_frames_of_one_stamp_in_one_order_show_a_plus_of_version_1_and_that_it_has_no_validity() -> None:
     made = script()
     first = [made.igtl(one) for one in frame(0, "ProbeToTracker", "StylusToTracker")]

@@ -66,12 +66,9 @@ def answer(igtl_type: str, device: str, now_ns: int, latest: Latest) -> list[Out
 
 def empty_reply(igtl_type: str, device: str, now_ns: int, peer: Peer) -> OutboundMessage:
     """Return the reply for "none": the type without content, or a STATUS for peers that do not accept that."""
-    body = BODIES.get(igtl_type, Raw)
     # escaped bytes make a name longer: a message of that type may be impossible
     names_one = len(igtl_type.encode()) <= _TYPE_BYTES
-    # a program on the C++ library waits for the default size of an empty version 1 message
-    survives = peer.version > 1 or peer.profile.takes_empty or getattr(body, "MAY_BE_EMPTY", body is Raw)
-    if names_one and survives:
+    if names_one and peer.profile.takes_without_content(igtl_type, peer.version):
         return OutboundMessage(igtl_type, device, Raw(b""), now_ns)
     text = f"there is no {igtl_type} {device}".rstrip()
     return OutboundMessage("STATUS", device, Status(_STATUS_NOT_FOUND, 0, "NotFound", text), now_ns)

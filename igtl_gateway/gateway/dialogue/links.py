@@ -117,7 +117,7 @@ class Links:
             level = Level.WARN
             text += (
                 ": it looks like PLUS and sends header version 1, which does not mark invalid poses: they are published"
-                f" as valid ones, also on /tf. --peer {peer.address or 'ADDRESS'}=plus, or "
+                f" as valid ones, also on /tf. --peer {peer.place}=plus, or "
                 'ClientHeaderVersion="2" in <DefaultClientInfo> of PLUS, makes it send version 2'
             )
         return [*items, Finding(level, "peer_profile", text, entry.channel, (peer.link,))]

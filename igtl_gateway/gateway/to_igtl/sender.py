@@ -123,7 +123,7 @@ def held_back(entry: Entry, peer: Peer, igtl_type: str) -> Finding:
     if unknown:
         why = (
             "it is not recognised, and programs such as PLUS lose the stream at this type; a profile "
-            f"(--peer {peer.address or 'ADDRESS'}=default: all types) or --no-cautious sends it"
+            f"(--peer {peer.place}=default: all types) or --no-cautious sends it"
         )
     return Finding(
         Level.WARN if unknown else Level.INFO,

@@ -94,9 +94,9 @@ class IgtlReceiver:
             outcome.items[:0] = news
         if makes_mark or news or peer.held_until_ns or peer.must_see(message):
             outcome.origin = None
-        outcome.items += self._links.on_message(entry, peer, message)
         if not isinstance(message.content, Command):
             outcome.items += self._queries.respond(entry, peer, message)
+        outcome.items += self._links.on_message(entry, peer, message)  # last: who asks reads the answer first
         return outcome
 
     def _deny(self, entry: Entry, peer: Peer | None, message: Message, denied: str) -> list[Item]:

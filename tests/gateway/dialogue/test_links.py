@@ -15,7 +15,7 @@ from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.peers import Peers
 from igtl_gateway.wire import Message
-from igtl_gateway.wire.query import EmptyQuery
+from igtl_gateway.wire.query import EmptyQuery, StartTracking
 from igtl_gateway.wire.text import Status
 from tests.script import T0_NS, Script
 
@@ -150,8 +150,16 @@ def test_old_recordings_have_latched_messages_at_once() -> None:
     assert with_a_plan(live=False).up(1) == [LATCHED]
 
 
-def test_a_ping_is_no_question() -> None:
+@pytest.mark.parametrize(
+    "asked, answer",
+    [
+        (Message("GET_STATUS", "", EmptyQuery()), "igtl STATUS/ v1 to 1"),
+        (Message("GET_CAPABIL", "", EmptyQuery()), "igtl CAPABILITY/ v1 to 1"),
+        (Message("STT_TDATA", "", StartTracking(0, "")), "igtl RTS_TDATA/ v1 to 1"),
+    ],
+    ids=["GET_STATUS", "GET_CAPABIL", "STT_TDATA"],
+)
+def test_what_is_no_question_for_data_is_answered_first_too(asked: Message, answer: str) -> None:
     script = with_a_plan()
     script.up(1)
-    lines = [line for line in script.igtl(Message("GET_STATUS", "", EmptyQuery())) if line.startswith("igtl")]
-    assert lines == [LATCHED, "igtl STATUS/ v1 to 1"]
+    assert [line for line in script.igtl(asked) if line.startswith("igtl")] == [answer, LATCHED]
