@@ -20,6 +20,7 @@ from igtl_gateway.base.clock import Clock, SystemClock
 from igtl_gateway.base.errors import ConfigError, ViewerError
 from igtl_gateway.base.extras import missing
 from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.base.systems.malloc import tune_malloc
 from igtl_gateway.base.systems.service import ServiceManager
 from igtl_gateway.cli import recording_keys
 from igtl_gateway.cli.bridge_output import BridgeOutput, JsonOutput, TextOutput
@@ -34,7 +35,7 @@ from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.notations import DDS, DEFAULT_HOST, address
 from igtl_gateway.config.setting import Setting, grouped
 from igtl_gateway.config.settings import all_settings
-from igtl_gateway.edges.ros.env import prepare_environment, tune_malloc
+from igtl_gateway.edges.ros.env import prepare_environment
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.tcp.sockets import AllowList, check_listening
 from igtl_gateway.gateway.log.marks import MarkNote

@@ -1,17 +1,18 @@
 """Memory that a program holds and does not use: given back to the system after a burst of large messages.
 
 The bridge has malloc keep large blocks, because fresh pages are slow, and glibc then returns none of them: a burst of
-large messages from many peers would keep what all of them took together.
+large messages from many peers would keep what all of them took together.  What a burst leaves in use, such as queues
+for a peer that stalls, is free later, when the process does not grow: so that which malloc has free counts, too.
 """
 
 from __future__ import annotations
 
-import ctypes
 import gc
 import mmap
-import sys
 from collections.abc import Callable
 from pathlib import Path
+
+from igtl_gateway.base.systems.malloc import FREE_BYTES, GIVE_BACK
 
 _STATM = Path("/proc/self/statm")
 #: Growth from which on memory is given back.
@@ -29,41 +30,38 @@ def own_bytes() -> int:
         return 0
 
 
-def _trimmer() -> Callable[[int], object] | None:
-    """glibc's ``malloc_trim``; None elsewhere."""
-    if not sys.platform.startswith("linux"):
-        return None
-    return getattr(ctypes.CDLL(None), "malloc_trim", None)
-
-
-#: Gives freed memory back to the system, down to some bytes; None where the C library has no such call.
-MALLOC_TRIM = _trimmer()
-
-
 class IdleMemory:
     """Gives freed memory back to the system some time after a burst.
 
     Args:
         own: returns the memory of the process.
-        trim: gives freed memory back; None: the system has no such call.
+        free: returns what malloc has free of it, or of what was given back.
+        give_back: gives freed memory back; None: the system has no such call.
     """
 
-    def __init__(self, own: Callable[[], int] = own_bytes, trim: Callable[[int], object] | None = MALLOC_TRIM) -> None:
-        self._own, self._trim = own, trim
+    def __init__(
+        self,
+        own: Callable[[], int] = own_bytes,
+        free: Callable[[], int] = FREE_BYTES,
+        give_back: Callable[[], None] | None = GIVE_BACK,
+    ) -> None:
+        self._own, self._free, self._give_back = own, free, give_back
         self._least = self._most = own()
+        self._least_free = free()
         self._calm = 0
 
     def look(self) -> None:
         """Give memory back if there is much, and no more than at the last looks; to be called once a second."""
-        bytes_ = self._own()
-        if self._trim is None or bytes_ < self._least + _MUCH_BYTES:
-            self._least = min(self._least, bytes_) or bytes_
+        bytes_, free = self._own(), self._free()
+        if self._give_back is None or max(bytes_ - self._least, free - self._least_free) < _MUCH_BYTES:
+            self._least, self._least_free = min(self._least, bytes_) or bytes_, min(self._least_free, free)
             self._most, self._calm = bytes_, 0
             return
         self._calm = 0 if bytes_ > self._most else self._calm + 1
         self._most = max(self._most, bytes_)
         if self._calm >= _CALM_LOOKS:
             gc.collect()  # closed links and their buffers refer to each other
-            self._trim(0)
+            self._give_back()
             self._least = self._most = self._own()
+            self._least_free = self._free()
             self._calm = 0

@@ -17,7 +17,6 @@ This module does not import rclpy: it runs before the import, and also where rcl
 
 from __future__ import annotations
 
-import ctypes
 import os
 import re
 import shutil
@@ -26,6 +25,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from igtl_gateway.base.systems import files
+from igtl_gateway.base.systems.malloc import tune_malloc
 
 PROFILE = Path(__file__).with_name("fastdds_profile.xml")
 #: The same with quick acknowledgements, for a program that waits for each.
@@ -51,18 +51,6 @@ _SEGMENT = re.compile("fast(?:rtps|dds)_[0-9a-f]{16}")
 # 64 MB that containers get by default, Fast DDS cannot send large messages, and its own small default is better.
 _SEGMENT_BYTES = 32 << 20
 _ROOM_BYTES = 4 * _SEGMENT_BYTES
-
-_M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD, _M_ARENA_MAX = -1, -2, -3, -8
-
-# mallopt takes an int.  Before 2.35 glibc refuses a mmap threshold above 32 MiB, still five Full HD images.
-_MALLOC_SETTINGS: tuple[tuple[str, int, tuple[int, ...]], ...] = (
-    ("M_MMAP_THRESHOLD", _M_MMAP_THRESHOLD, (1 << 30, 32 << 20)),
-    ("M_TRIM_THRESHOLD", _M_TRIM_THRESHOLD, ((1 << 31) - 1,)),
-    ("M_TOP_PAD", _M_TOP_PAD, (64 << 20,)),
-    # each arena but the first keeps the largest that its threads had at once: malloc_trim leaves their ends
-    ("M_ARENA_MAX", _M_ARENA_MAX, (2,)),
-)
-_MALLOC_VARIABLES = ("MALLOC_MMAP_THRESHOLD_", "MALLOC_TRIM_THRESHOLD_", "MALLOC_TOP_PAD_")
 
 
 def prepare_environment(lock_step: bool = False) -> list[str]:
@@ -155,42 +143,3 @@ def _why_keep_profile(environ: Mapping[str, str], cwd: Path, shared_memory: Path
         have, need = free >> 20, _ROOM_BYTES >> 20
         return f"not set, {have} MiB free in {shared_memory}, {need} MiB needed (large images will be slower)"
     return ""
-
-
-def tune_malloc() -> str:
-    """Have malloc keep the blocks of pictures, unless the user has set its options; return one line of text.
-
-    It also halves the cost of the recorder, so it is useful without ROS.
-    """
-    kept = _why_keep_malloc(os.environ)
-    if kept:
-        return f"malloc: {kept}"
-    mallopt = ctypes.CDLL(None).mallopt
-    done = []
-    for name, option, values in _MALLOC_SETTINGS:
-        if os.environ.get(name.replace("M_", "MALLOC_", 1)):  # the number of arenas, which has no bearing on the rest
-            continue
-        value = next((value for value in values if mallopt(option, value) == 1), None)
-        done.append(f"{name}={value}" if value is not None else f"{name} refused")
-    return f"malloc: keeps large blocks ({', '.join(done)})"
-
-
-def _why_keep_malloc(environ: Mapping[str, str]) -> str:
-    """Return why the allocator must not be changed; ``""`` if it may be."""
-    for name in _MALLOC_VARIABLES:
-        if environ.get(name):
-            return f"kept the user's ({name}={environ[name]})"
-    if "glibc.malloc." in environ.get("GLIBC_TUNABLES", ""):
-        return f"kept the user's (GLIBC_TUNABLES={environ['GLIBC_TUNABLES']})"
-    if not _is_glibc():
-        return "not set, this is not glibc on Linux"
-    return ""
-
-
-def _is_glibc() -> bool:
-    if not sys.platform.startswith("linux"):
-        return False
-    try:
-        return (os.confstr("CS_GNU_LIBC_VERSION") or "").startswith("glibc")
-    except ValueError:  # musl does not know the name
-        return False

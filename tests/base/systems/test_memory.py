@@ -19,14 +19,20 @@ class Process:
         self.own = self.used = 50 * MIB
         self.trims = 0
 
-    def trim(self, _pad: int) -> None:
+    def free(self) -> int:
+        return self.own - self.used
+
+    def give_back(self) -> None:
         self.trims += 1
         self.own = self.used
+
+    def memory(self) -> IdleMemory:
+        return IdleMemory(lambda: self.own, self.free, self.give_back)
 
 
 def test_memory_of_a_burst_is_returned_once_it_is_over() -> None:
     process = Process()
-    memory = IdleMemory(lambda: process.own, process.trim)
+    memory = process.memory()
     for grown in (500, 900, 935):
         process.own = grown * MIB
         memory.look()
@@ -46,14 +52,27 @@ def test_memory_of_a_burst_is_returned_once_it_is_over() -> None:
     assert process.trims == 3
 
 
+def test_what_was_in_use_after_a_burst_is_returned_when_it_is_free() -> None:
+    """Such as the queue of a peer that stalls: the process does not grow any more when it leaves."""
+    process = Process()
+    memory = process.memory()
+    process.own = process.used = 500 * MIB
+    for _ in range(30):
+        memory.look()
+    process.used = 60 * MIB
+    for _ in range(5):
+        memory.look()
+    assert process.own == 60 * MIB
+
+
 def test_small_changes_and_other_systems_cost_nothing() -> None:
     process = Process()
-    memory = IdleMemory(lambda: process.own, process.trim)
+    memory = process.memory()
     for step in range(20):
         process.own = (50 + step % 5) * MIB
         memory.look()
     assert process.trims == 0
-    other = IdleMemory(lambda: process.own, None)
+    other = IdleMemory(lambda: process.own, process.free, None)
     process.own = 900 * MIB
     for _ in range(10):
         other.look()
