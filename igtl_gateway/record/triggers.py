@@ -20,7 +20,7 @@ from igtl_gateway.gateway import LINK_DOWN
 from igtl_gateway.gateway.guarded_stream import CALM, CODES, FRESH
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.marks import MarkNote
-from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.gateway.log.note import STOPPED, Note
 from igtl_gateway.record.sessionfile.schemas import RosTypes
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.fields import visible
@@ -144,7 +144,8 @@ def _moment_ns(rule: Trigger, entry: Entry) -> int:
 
 def _link_down(rule: Trigger, entry: Entry, _decoder: MessageDecoder) -> _Found:
     note = Note.of(entry.data())
-    if note.code == LINK_DOWN and matches(rule.pattern, str(note.data.get("peer", ""))):
+    is_lost = note.code == LINK_DOWN and note.data.get("reason") != STOPPED
+    if is_lost and matches(rule.pattern, str(note.data.get("peer", ""))):
         yield "", True, note.text
 
 

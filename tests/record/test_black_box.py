@@ -68,6 +68,7 @@ VALUE = "value=/force,field=wrench.force.z,above=5"
         ("guard=*/b", [_note("stale", Kind.NOTE, "TRANSFORM/a"), _note("stale", Kind.NOTE, "TRANSFORM/b")], [1]),
         ("link_down", [_note("link_up", Kind.LINK, peer="1.2.3.4:5"), _note("link_down", Kind.LINK, peer="a:5")], [1]),
         ("link_down=1.2.*", [_note("link_down", Kind.LINK, peer="1.2.3.4:5"), _note("link_down", Kind.LINK)], [0]),
+        ("link_down", [_note("link_down", Kind.LINK, reason=each) for each in ("stopped", "closed by the peer")], [1]),
         ("loss", [_note("queue_drop"), _note("tick"), _note("ros_lost")], [0, 2]),
         ("diagnostics", [_diagnostics(1), _diagnostics(2), _diagnostics(2), _diagnostics(0), _diagnostics(2)], [1, 4]),
         ("diagnostics=arm*", [_diagnostics(2), _diagnostics(2, "arm 1")], [1]),

@@ -16,7 +16,7 @@ from igtl_gateway.edges.tcp.sender import Sender
 from igtl_gateway.edges.tcp.sockets import address_text, unconfirmed_bytes
 from igtl_gateway.edges.tcp.tls import TlsSocket
 from igtl_gateway.edges.tcp.turns import Turn
-from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.gateway.log.note import STOPPED, Level, Note
 from igtl_gateway.native.passage import Link as NativeLink
 from igtl_gateway.native.passage import Lock
 
@@ -152,7 +152,7 @@ class Link:
 
     def end_sending(self) -> None:
         """The edge stops: send the end of the stream, behind what the kernel has."""
-        self.sender.end("stopped")
+        self.sender.end(STOPPED)
 
     def peer_ended(self) -> None:
         """The peer sends no more.  It may still read: it gets what is queued for it, as long as that moves."""

@@ -8,6 +8,9 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import Any
 
+#: Reason, in the data of its note, of a link that ends because the bridge does.
+STOPPED = "stopped"
+
 
 class Level(IntEnum):
     """Severity, with the numbers of rcl_interfaces/msg/Log."""
