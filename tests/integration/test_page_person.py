@@ -57,7 +57,9 @@ def test_from_the_first_screen_to_a_replay_from_the_second_mark(tmp_path: Path) 
             with arm.sending(), camera.sending():
                 page.open(link)
                 # which peer is slow: the first line of the links, in words, without a click or scrolling
-                page.wait("document.querySelector('#now h1').textContent.startsWith('Camera: its messages are ')")
+                page.wait(
+                    "document.querySelector('#now h1').textContent.startsWith('Peer of Camera: its messages are ')"
+                )
                 page.wait(f"{_FIRST_LINK} === 'Camera' && {_WHY}.textContent.startsWith('Its messages are ')")
                 assert page.run(f"{_WHY}.getBoundingClientRect().bottom < innerHeight")
                 # record, two phases
@@ -106,7 +108,7 @@ def test_a_peer_that_is_silent_now_and_then_is_named(tmp_path: Path) -> None:
         with Browser() as page, arm.sending(), tracker.sending():
             page.open(link)
             for expected in ("silent for [0-9.]+ s$", "silent for [0-9.]+ s, once in the last minute$"):
-                page.wait(f"/^Tracker: {expected}/.test(document.querySelector('#now h1').textContent)")
+                page.wait(f"/^Peer of Tracker: {expected}/.test(document.querySelector('#now h1').textContent)")
                 page.wait(f"{_FIRST_LINK} === 'Tracker' && {_WHY}.textContent.startsWith('Silent for ')")
             assert page.complaints == []
     finally:
