@@ -8,7 +8,7 @@ from pathlib import Path
 from igtl_gateway.addon import __version__, printable, write_text
 from igtl_gateway.addons.lerobot.card_streams import Facts
 from igtl_gateway.addons.lerobot.frames import Plan
-from igtl_gateway.addons.lerobot.splits import divided
+from igtl_gateway.addons.lerobot.splits import divided, listed
 from igtl_gateway.addons.sync.lag import Lag, Verdict
 
 _UNKNOWN = "not stated"
@@ -191,6 +191,8 @@ def _synchronization(plan: Plan, streams: list[Facts]) -> Iterator[str]:
     yield "without a value by the rule, between the first and the last sample; missing is their sum."
     yield ""
     yield f"* demonstrations: {len(set(plan.owners)):,} with frames, of {plan.demonstrations:,}"
+    if plan.empty:
+        yield f"* demonstrations without a frame: {listed(plan.empty)}"
     yield f"* episodes beyond one for each demonstration: {plan.cuts:,}"
     for owner, episodes in divided(plan.owners).items():
         yield f"* demonstration {owner} has a gap, or is too long: episodes {episodes[0]} to {episodes[-1]}"

@@ -38,7 +38,7 @@ class Event:
 
 
 def spans_of(recording: Recording, recipe: Recipe, clock: str, offset_ns: int) -> list[Span]:
-    """Return the parts that may become episodes, in order.
+    """Return the parts that may become episodes, in the order of time; ranges in that of the recipe.
 
     Args:
         recording: the recording.
@@ -55,11 +55,10 @@ def spans_of(recording: Recording, recipe: Recipe, clock: str, offset_ns: int) -
             return [Span(*_ALWAYS, recipe.task)]
         case "ranges":
             begin = recording.start_time - offset_ns
-            ranges = sorted(cuts.range, key=lambda each: each.start)
             return [
                 Span(begin + round(each.start * NS_PER_S), begin + round(each.end * NS_PER_S) - 1,
                      each.task or recipe.task)
-                for each in ranges
+                for each in cuts.range
             ]  # fmt: skip
         case "markers":
             return _between(_markers(recording, cuts, clock, offset_ns), recipe, f"strings of {cuts.stream}")

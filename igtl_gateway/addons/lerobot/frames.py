@@ -79,6 +79,11 @@ class Plan:
         return [each.demonstration for each in self.episodes]
 
     @property
+    def empty(self) -> list[int]:
+        """The demonstrations without a frame."""
+        return sorted(set(range(self.demonstrations)) - set(self.owners))
+
+    @property
     def cuts(self) -> int:
         """Number of episodes beyond one for each demonstration: those with a gap, and those that are too long."""
         return len(self.episodes) - len(set(self.owners))

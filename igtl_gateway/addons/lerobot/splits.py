@@ -10,6 +10,9 @@ from collections.abc import Mapping, Sequence
 
 from igtl_gateway.addon import ConfigError
 
+#: Numbers and notes of one kind that are listed.
+MOST_LISTED = 10
+
 
 def splits_of(ranges: Mapping[str, str] | None, demonstrations: int, owners: Sequence[int]) -> dict[str, str]:
     """Return the range of episodes of each split.
@@ -57,3 +60,9 @@ def divided(owners: Sequence[int]) -> dict[int, list[int]]:
     for episode, owner in enumerate(owners):
         found.setdefault(owner, []).append(episode)
     return {owner: episodes for owner, episodes in found.items() if len(episodes) > 1}
+
+
+def listed(numbers: Sequence[int]) -> str:
+    """Return numbers as text, the first ``MOST_LISTED`` of them."""
+    more = f" and {len(numbers) - MOST_LISTED:,} more" if len(numbers) > MOST_LISTED else ""
+    return ", ".join(map(str, numbers[:MOST_LISTED])) + more

@@ -25,8 +25,6 @@ from igtl_gateway.api import recording as recordings
 LEROBOT = "lerobot"
 LEROBOT_TEXT = "a training set by a recipe: streams at one rate, video, Parquet"
 
-#: Notes of one kind that are printed.
-_MOST_NOTES = 10
 _OPTIONS = {"recipe": "--recipe", "write_recipe": "--write-recipe", "check": "--check"}
 
 
@@ -104,7 +102,7 @@ def _check(options: argparse.Namespace) -> int:
 
 def _export(options: argparse.Namespace) -> int:
     from igtl_gateway.addons.lerobot.export import export_lerobot
-    from igtl_gateway.addons.lerobot.splits import divided
+    from igtl_gateway.addons.lerobot.splits import MOST_LISTED, divided, listed
 
     try:
         done = export_lerobot(options.file, options.recipe, options.output)
@@ -133,7 +131,7 @@ def _export(options: argparse.Namespace) -> int:
             {
                 "file": str(options.file), "to": LEROBOT, "out": str(options.output), "format": plan.recipe.format,
                 "clock": plan.clock, "episodes": len(plan.episodes), "frames": plan.frame_count, "files": done.files,
-                "demonstrations": plan.demonstrations, "cuts": plan.cuts, "splits": plan.splits,
+                "demonstrations": plan.demonstrations, "empty": plan.empty, "cuts": plan.cuts, "splits": plan.splits,
                 "left_out": plan.left_out, "streams": facts,
             }
         )  # fmt: skip
@@ -143,12 +141,14 @@ def _export(options: argparse.Namespace) -> int:
     print_line(*aligned(rows, left=3))
     for why, number in plan.left_out.items():
         print_line(f"note: {count_text(number, 'frame')} left out: {why}")
+    if plan.empty:
+        print_line(f"note: demonstrations without a frame: {listed(plan.empty)}, of {plan.demonstrations:,}")
     parts = divided(plan.owners)
-    for owner, episodes in list(parts.items())[:_MOST_NOTES]:
+    for owner, episodes in list(parts.items())[:MOST_LISTED]:
         numbers = f"episodes {episodes[0]} to {episodes[-1]}"
         print_line(f"note: demonstration {owner} has a gap above a tolerance, or is too long: {numbers}")
-    if len(parts) > _MOST_NOTES:
-        print_line(f"note: {len(parts) - _MOST_NOTES:,} more demonstrations that are several episodes")
+    if len(parts) > MOST_LISTED:
+        print_line(f"note: {len(parts) - MOST_LISTED:,} more demonstrations that are several episodes")
     if plan.recipe.splits:
         print_line("splits: " + ", ".join(f"{name} has the episodes {text}" for name, text in plan.splits.items()))
     print_line(

@@ -97,3 +97,23 @@ def test_a_gap_does_not_move_the_splits(tmp_path: Path, capsys: pytest.CaptureFi
         recipe.write_text(RECIPE + splits, "utf-8")
         assert main([*words[:-1], str(tmp_path / "other")]) == 2
         assert text in capsys.readouterr().err and not (tmp_path / "other").exists()
+
+
+def test_ranges_keep_the_order_of_the_recipe_and_what_has_no_frame_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The second range comes first in time, and the arm is still in the third one, and nothing named that."""
+    messages: list[Sent] = [(0.02 * n, "TRANSFORM/ArmToBase", arm(0.02 * n, 0)) for n in range(200)]
+    path, recipe, root = write_session(tmp_path / "s.mcap", messages), tmp_path / "r.toml", tmp_path / "set"
+    ranges = "{start = 2, end = 4}, {start = 0.5, end = 2}, {start = 4.5, end = 6}"
+    given = RECIPE.replace("{start = 0, end = 2}, {start = 2, end = 4}, {start = 4, end = 6}", ranges)
+    recipe.write_text(given + 'val = "0:1"\ntrain = "1:3"', "utf-8")
+    words = ["export", str(path), "--to", "lerobot", "--recipe", str(recipe), "-o", str(root)]
+    assert main(words) == 0
+    assert "note: demonstrations without a frame: 2, of 3" in capsys.readouterr().out
+    info = json.loads((root / "meta" / "info.json").read_text("utf-8"))
+    assert info["splits"] == {"val": "0:1", "train": "1:2"}
+    lines = (root / "meta" / "episodes.jsonl").read_text("utf-8").splitlines()
+    assert [json.loads(line)["length"] for line in lines] == [39, 29]
+    assert "* demonstrations without a frame: 2" in (root / "meta" / "SYNCHRONIZATION.md").read_text("utf-8")
+    assert main([*words[:4], "--check", str(root)]) == 0
