@@ -23,6 +23,7 @@ enum { TEXT = 0, POINT = 1, POINTS = 2, CLOUD = 3, PICTURE = 4, BLUE_FIRST = 5, 
 #define RGBA_AT 96
 #define POSITION_AT 100
 #define OWNER_AT 116
+_Static_assert(POINT_BYTES == CRC64_ROW_BYTES && RGBA_AT == CRC64_WORD_AT, "a point without labels is a row of the CRC");
 #define POLYDATA_HEAD 40
 #define ROW_OF_POINTS 20 /* x, y, z, rgba, diameter */
 #define ROW_OF_CLOUD 12
@@ -272,6 +273,9 @@ struct points {
     float times, by;
 };
 
+/* First bytes of name, group and owner.  If one is not 0, a list with labels is published, too. */
+static uint32_t labels_of(const uint8_t *one) { return one[0] | one[GROUP_AT] | one[OWNER_AT]; }
+
 static uint32_t place_to_igtl(const struct points *points, const uint8_t *one, uint8_t *row)
 {
     uint32_t x = word_of(scaled(get_u32_ros(one + points->x), points->times, points->by));
@@ -304,6 +308,53 @@ WITH_AVX2 static uint32_t wide_places_to_igtl(const struct points *points, ssize
     return last | (uint32_t)_mm_movemask_epi8(odd);
 }
 
+/* Write whole points with positions of which x, y and z follow one another; 16 bytes of each are read. */
+WITH_AVX2 static uint32_t wide_points_to_igtl(const struct points *points, ssize_t begin, ssize_t count, uint8_t *row)
+{
+    const __m128i swap = _mm_set_epi8(12, 13, 14, 15, 8, 9, 10, 11, 4, 5, 6, 7, 0, 1, 2, 3);
+    const __m128i exponent = _mm_set1_epi32(0x7F800000), white = _mm_set_epi32(0, 0, 0, (int)WHITE);
+    const __m128i place = _mm_set_epi32(0, -1, -1, -1), none = _mm_setzero_si128();
+    const __m128 times = _mm_set1_ps(points->times), by = _mm_set1_ps(points->by);
+    const uint8_t *one = points->first + begin * points->step + points->x;
+    __m128i odd_words = none;
+    for (ssize_t i = 0; i < count; i++, one += points->step, row += POINT_BYTES) {
+        __m128i words = _mm_and_si128(_mm_loadu_si128((const __m128i *)(const void *)one), place);
+        words = _mm_castps_si128(_mm_div_ps(_mm_mul_ps(_mm_castsi128_ps(words), times), by));
+        odd_words = _mm_or_si128(odd_words, _mm_cmpeq_epi32(_mm_and_si128(words, exponent), exponent));
+        words = _mm_or_si128(_mm_shuffle_epi8(_mm_slli_si128(words, 4), swap), white);
+        for (int at = 0; at < RGBA_AT; at += 32)
+            _mm256_storeu_si256((__m256i *)(void *)(row + at), _mm256_setzero_si256());
+        _mm_storeu_si128((__m128i *)(void *)(row + RGBA_AT), words);
+        _mm_storeu_si128((__m128i *)(void *)(row + RGBA_AT + 16), none);
+        _mm_storel_epi64((__m128i *)(void *)(row + POINT_BYTES - 8), none);
+    }
+    return (uint32_t)_mm_movemask_epi8(odd_words);
+}
+
+/* Read points without labels: positions, colours and diameters. */
+WITH_AVX2 static uint32_t wide_points_to_ros(uint8_t *row, const uint8_t *one, ssize_t count, float times, float by)
+{
+    const __m128i swap = _mm_set_epi8(12, 13, 14, 15, 8, 9, 10, 11, 4, 5, 6, 7, 0, 1, 2, 3);
+    const __m128i colour = _mm_set_epi8(15, 12, 13, 14, 8, 9, 10, 11, 4, 5, 6, 7, 0, 1, 2, 3); /* BGRA of RGBA */
+    const __m128i exponent = _mm_set1_epi32(0x7F800000), place = _mm_set_epi32(0, -1, -1, -1);
+    const __m128 wide_times = _mm_set1_ps(times), wide_by = _mm_set1_ps(by);
+    __m128i odd_words = _mm_setzero_si128();
+    uint32_t odd = 0;
+    for (; count > 0; count--, one += POINT_BYTES, row += ROW_OF_POINTS) {
+        __m128i bytes = _mm_loadu_si128((const __m128i *)(const void *)(one + RGBA_AT)); /* rgba, x, y, z */
+        __m128i turned = _mm_shuffle_epi32(bytes, _MM_SHUFFLE(0, 3, 2, 1));
+        __m128i words = _mm_and_si128(_mm_shuffle_epi8(turned, swap), place);
+        words = _mm_castps_si128(_mm_div_ps(_mm_mul_ps(_mm_castsi128_ps(words), wide_times), wide_by));
+        odd_words = _mm_or_si128(odd_words, _mm_cmpeq_epi32(_mm_and_si128(words, exponent), exponent));
+        words = _mm_or_si128(words, _mm_andnot_si128(place, _mm_shuffle_epi8(turned, colour)));
+        _mm_storeu_si128((__m128i *)(void *)row, words);
+        uint32_t diameter = word_of(scaled(get_u32(one + POSITION_AT + 12), times, by));
+        odd |= not_finite(diameter) | labels_of(one);
+        put_u32_ros(row + 16, diameter);
+    }
+    return odd | (uint32_t)_mm_movemask_epi8(odd_words);
+}
+
 /* Swap the first and the last byte of each three; ``size`` is a multiple of 3. */
 WITH_AVX2 static ssize_t swapped_blue(const uint8_t *from, uint8_t *to, ssize_t size)
 {
@@ -332,6 +383,23 @@ static uint32_t places_to_igtl(const struct points *points, ssize_t begin, ssize
     for (; count > 0; count--, one += points->step, row += row_size)
         odd |= place_to_igtl(points, one, row);
     return odd;
+}
+
+/* Write whole points without labels, white and of no size. */
+static uint32_t points_to_igtl(const struct points *points, ssize_t begin, ssize_t count, uint8_t *row)
+{
+    uint32_t odd = 0;
+#if defined(__x86_64__)
+    if (has_avx2 && points->y == points->x + 4 && points->z == points->x + 8 && points->step >= points->x + 12) {
+        ssize_t most = count - 1; /* the message may end with the 12 bytes of the last one */
+        odd = wide_points_to_igtl(points, begin, most, row);
+        begin += most, count -= most, row += most * POINT_BYTES;
+    }
+#endif
+    memset(row, 0, (size_t)(POINT_BYTES * count));
+    for (ssize_t i = 0; i < count; i++)
+        put_u32(row + POINT_BYTES * i + RGBA_AT, WHITE);
+    return odd | places_to_igtl(points, begin, count, row + POSITION_AT, POINT_BYTES);
 }
 
 /* Copy pixels of blue, green and red as red, green and blue. */
@@ -509,9 +577,6 @@ static int prepare_form(struct ros_form *form, const uint8_t *content, ssize_t s
     return bytes <= UINT32_MAX;
 }
 
-/* First bytes of name, group and owner.  If one is not 0, a list with labels is published, too. */
-static uint32_t labels_of(const uint8_t *one) { return one[0] | one[GROUP_AT] | one[OWNER_AT]; }
-
 static uint32_t put_point(uint8_t *out, const uint8_t *content, double times, double by)
 {
     double place[3];
@@ -527,6 +592,10 @@ static uint32_t put_point(uint8_t *out, const uint8_t *content, double times, do
 
 static uint32_t put_points(uint8_t *row, const uint8_t *one, ssize_t count, float times, float by)
 {
+#if defined(__x86_64__)
+    if (has_avx2)
+        return wide_points_to_ros(row, one, count, times, by);
+#endif
     uint32_t odd = 0;
     for (; count > 0; count--, one += POINT_BYTES, row += ROW_OF_POINTS) {
         for (int axis = 0; axis < 3; axis++) {
@@ -972,13 +1041,8 @@ static ssize_t put_next(const struct ros_bulk *stream, const struct found *found
                                   .z = stream->z,
                                   .times = (float)stream->times,
                                   .by = (float)stream->by};
-    if (stream->form == POINTS) {
-        ssize_t count = block / POINT_BYTES;
-        memset(out + done, 0, (size_t)block);
-        for (ssize_t i = 0; i < count; i++)
-            put_u32(out + done + POINT_BYTES * i + RGBA_AT, WHITE);
-        return places_to_igtl(&points, done / POINT_BYTES, count, out + done + POSITION_AT, POINT_BYTES) ? -1 : block;
-    }
+    if (stream->form == POINTS)
+        return points_to_igtl(&points, done / POINT_BYTES, block / POINT_BYTES, out + done) ? -1 : block;
     ssize_t places_end = POLYDATA_HEAD + 12 * found->count, numbers = places_end + 4;
     if (done == 0) {
         memset(out, 0, POLYDATA_HEAD);
@@ -1028,7 +1092,8 @@ static int bulk_from_ros(const struct ros_bulk *stream, const struct found *foun
             } else if ((next = put_next(stream, found, content, done)) < 0) {
                 return 0;
             }
-            crc = crc64_update(crc, content + done, next);
+            crc = stream->form == POINTS ? crc64_update_rows(crc, content + done, next / POINT_BYTES)
+                                         : crc64_update(crc, content + done, next);
         }
         put_u64(form->out + CRC_AT, crc64_update(crc, end, form->tail_size));
     }

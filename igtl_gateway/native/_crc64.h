@@ -42,6 +42,7 @@ static inline uint64_t crc64_portable(uint64_t crc, const uint8_t *data, ssize_t
 
 static int crc64_folds;      /* the processor has the instructions */
 static uint64_t crc64_power[4][2]; /* x^(n+64) and x^n mod P for n = 64, 128, 1024 and 2048 */
+static uint64_t crc64_row_power[3][2]; /* the same for rows: from the begin of one to its word, by a row, by all lanes */
 static uint64_t crc64_quotient;    /* x^128 / P without its x^64 */
 
 /* Load 16 bytes as a polynomial: the first byte has the highest powers. */
@@ -162,6 +163,51 @@ static inline uint64_t crc64_update(uint64_t crc, const uint8_t *data, ssize_t s
     return crc64_portable(crc, data, size);
 }
 
+/* Rows whose bytes are 0 except for 16 of them. */
+#define CRC64_ROW_BYTES 136
+#define CRC64_WORD_AT 96
+#define CRC64_ROW_END (CRC64_ROW_BYTES - CRC64_WORD_AT - 16)
+
+#if defined(__x86_64__)
+CRC64_FOLDS static inline __m128i crc64_row_shift(int i)
+{
+    return _mm_set_epi64x((int64_t)crc64_row_power[i][0], (int64_t)crc64_row_power[i][1]);
+}
+
+CRC64_FOLDS static inline uint64_t crc64_folded_rows(uint64_t crc, const uint8_t *word, ssize_t count)
+{
+    static const uint8_t zeros[CRC64_ROW_END] = {0};
+    const __m128i by_row = crc64_row_shift(1), by_lanes = crc64_row_shift(2);
+    __m128i lanes[CRC64_LANES];
+    ssize_t begun = count < CRC64_LANES ? count : CRC64_LANES;
+    for (ssize_t i = 0; i < begun; i++, word += CRC64_ROW_BYTES)
+        lanes[i] = crc64_load(word);
+    lanes[0] = _mm_xor_si128(lanes[0], crc64_shift(_mm_set_epi64x((int64_t)crc, 0), crc64_row_shift(0)));
+    ssize_t left = count - begun;
+    for (; left >= CRC64_LANES; left -= CRC64_LANES, word += CRC64_LANES * CRC64_ROW_BYTES) {
+#pragma GCC unroll 8
+        for (int i = 0; i < CRC64_LANES; i++)
+            lanes[i] = _mm_xor_si128(crc64_shift(lanes[i], by_lanes), crc64_load(word + CRC64_ROW_BYTES * i));
+    }
+    __m128i value = lanes[0];
+    for (ssize_t i = 1; i < begun; i++)
+        value = _mm_xor_si128(crc64_shift(value, by_row), lanes[i]);
+    for (; left > 0; left--, word += CRC64_ROW_BYTES)
+        value = _mm_xor_si128(crc64_shift(value, by_row), crc64_load(word));
+    return crc64_end(value, zeros, CRC64_ROW_END);
+}
+#endif
+
+/* Continue the CRC of the bytes before with ``count`` >= 1 rows. */
+static inline uint64_t crc64_update_rows(uint64_t crc, const uint8_t *rows, ssize_t count)
+{
+#if defined(__x86_64__)
+    if (crc64_folds)
+        return crc64_folded_rows(crc, rows + CRC64_WORD_AT, count);
+#endif
+    return crc64_portable(crc, rows, count * CRC64_ROW_BYTES);
+}
+
 /* Return x^n mod P. */
 static inline uint64_t crc64_power_of_x(int n)
 {
@@ -190,6 +236,11 @@ static inline void begin_crc64(void)
     for (int i = 0; i < 4; i++) {
         crc64_power[i][0] = crc64_power_of_x(shifts[i] + 64);
         crc64_power[i][1] = crc64_power_of_x(shifts[i]);
+    }
+    static const int row_shifts[3] = {CRC64_WORD_AT * 8, CRC64_ROW_BYTES * 8, CRC64_LANES * CRC64_ROW_BYTES * 8};
+    for (int i = 0; i < 3; i++) {
+        crc64_row_power[i][0] = crc64_power_of_x(row_shifts[i] + 64);
+        crc64_row_power[i][1] = crc64_power_of_x(row_shifts[i]);
     }
     /* long division of x^128 by P = x^64 + polynomial, below its first digit */
     uint64_t rest = CRC64_POLYNOMIAL;

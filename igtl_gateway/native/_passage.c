@@ -418,7 +418,7 @@ struct Stream {
     ssize_t latest_size;
     char keeps;         /* to ROS: the latest message is kept, too */
     struct kept *large; /* the latest message, if it is large */
-    int is_in_use;      /* the reading thread passes a message on without the sequence lock; atomic */
+    int is_in_use;      /* a thread passes a message on without the sequence lock and the GIL; atomic */
 };
 
 /* Note the latest message of a stream. */
@@ -1616,23 +1616,30 @@ struct Subscription {
     struct rcl_serialized message; /* of the taker */
     struct rcl_message_info info;
     size_t last_size; /* of the last message */
-    int is_held;      /* the message was taken, and is for Python */
+    int is_held;      /* the message was taken, and has not passed */
+    int is_refused;   /* it is large, and for Python */
     /* losses, for TopicSubscription */
     uint64_t last_number;
     long long received, missing;
     Subscription *next_ready;
 };
 
-/* Have Python take from the subscription. */
+/* Let a subscription wait for its turn in the thread of subscriptions.  The caller has `events`. */
+static void put_last(Passage *passage, Subscription *self)
+{
+    self->is_ready = 1;
+    self->next_ready = NULL;
+    *passage->ready_end = self;
+    passage->ready_end = &self->next_ready;
+}
+
+/* Have that thread take from the subscription. */
 static void note_subscription(Subscription *self)
 {
     Passage *passage = self->passage;
     pthread_mutex_lock(&passage->events);
     if (!self->is_ready) {
-        self->is_ready = 1;
-        self->next_ready = NULL;
-        *passage->ready_end = self;
-        passage->ready_end = &self->next_ready;
+        put_last(passage, self);
         pthread_cond_signal(&passage->taken_over);
     }
     pthread_mutex_unlock(&passage->events);
@@ -1773,18 +1780,46 @@ static int pass_large_to_igtl(Subscription *self, Stream *stream, struct kept *k
     return 0;
 }
 
+/* Pass on the held message, a large one, without the sequence lock, except for its number; 0: it is Python's. */
+static int pass_held(Subscription *self)
+{
+    size_t size = self->message.length;
+    wait_for_sequence(self->passage);
+    Stream *stream = self->stream;
+    if (stream)
+        __atomic_store_n(&stream->is_in_use, 1, __ATOMIC_RELEASE);
+    unlock_sequence(self->passage);
+    struct kept *kept = stream && size > LARGEST_INPUT ? keep(&self->message) : NULL;
+    int passed = kept && pass_large_to_igtl(self, stream, kept);
+    if (stream)
+        __atomic_store_n(&stream->is_in_use, 0, __ATOMIC_RELEASE);
+    if (!passed) {
+        free(kept);
+        return 0;
+    }
+    leave_kept(kept);
+    self->message.buffer = NULL;
+    self->message.length = self->message.capacity = 0;
+    self->last_size = size;
+    self->is_held = 0;
+    count_received(self);
+    return 1;
+}
+
 /* Pass on a message that was taken; 0: it is Python's.  The caller has the sequence lock. */
 static int pass_taken(Subscription *self, int64_t begun_ns)
 {
     if (!self->stream || !pass_to_igtl(self->passage, self->stream, self->message.buffer,
                                        (ssize_t)self->message.length, self->info.source_ns, begun_ns))
         return 0;
+    self->last_size = self->message.length;
     count_received(self);
     return 1;
 }
 
 /* Pass on what was taken (`is_held`) and what is there, until nothing is left, which is RCL_RET_SUBSCRIPTION_TAKE_FAILED.
- * Or return another code: RCL_RET_OK where a message is held for Python, or the sequence lock was not to be had.
+ * Or return another code: RCL_RET_OK where a message is held for Python, where the sequence lock was not to be had, and
+ * after a large one: others have their turn.
  *
  * Several messages pass with one taking of the lock: where many want it, who takes it for each message waits each time.
  * Only the taker of a subscription takes from it, so a thread that waits for the lock has no lock of the middleware that
@@ -1798,8 +1833,11 @@ static int pass_all(Subscription *self, int is_of_middleware)
             return code;
         self->is_held = 1;
         int64_t now_ns = clock_ns(CLOCK_MONOTONIC);
-        if (self->message.length > LARGEST_INPUT || !__atomic_load_n(&self->stream, __ATOMIC_RELAXED))
+        if (self->message.length > LARGEST_INPUT || !__atomic_load_n(&self->stream, __ATOMIC_RELAXED)) {
+            if (!is_of_middleware && !self->is_refused)
+                self->is_refused = !pass_held(self);
             return RCL_RET_OK;
+        }
         if (!is_of_middleware)
             wait_for_sequence(passage);
         else if (!lock_sequence(passage))
@@ -1903,9 +1941,14 @@ static void free_stream(Stream *self)
 /* Free what the reading thread had in use when the last reference went: it has nothing in use now, and the GIL. */
 static void free_left(Passage *passage)
 {
-    while (passage->left_streams) {
-        Stream *stream = passage->left_streams;
-        passage->left_streams = stream->next;
+    Stream **at = &passage->left_streams;
+    while (*at) {
+        Stream *stream = *at;
+        if (__atomic_load_n(&stream->is_in_use, __ATOMIC_ACQUIRE)) {
+            at = &stream->next;
+            continue;
+        }
+        *at = stream->next;
         free_stream(stream);
     }
 }
@@ -2782,31 +2825,6 @@ static void subscription_dealloc(Subscription *self)
     Py_TYPE(self)->tp_free((PyObject *)self);
 }
 
-/* Whether the held message, a large one, has passed natively; the caller has the GIL. */
-static int pass_held(Subscription *self)
-{
-    size_t size = self->message.length;
-    lock_from_python(&self->passage->sequence);
-    Stream *stream = (Stream *)Py_XNewRef((PyObject *)self->stream);
-    pthread_mutex_unlock(&self->passage->sequence);
-    struct kept *kept = stream && size > LARGEST_INPUT ? keep(&self->message) : NULL;
-    int passed = 0;
-    if (kept) {
-        Py_BEGIN_ALLOW_THREADS
-        passed = pass_large_to_igtl(self, stream, kept);
-        Py_END_ALLOW_THREADS
-        if (passed) {
-            self->message.buffer = NULL;
-            self->message.length = self->message.capacity = 0;
-            leave_kept(kept);
-        } else {
-            free(kept);
-        }
-    }
-    Py_XDECREF((PyObject *)stream);
-    return passed;
-}
-
 /* Python takes the next message that does not pass natively, until there is none. */
 static PyObject *subscription_take(Subscription *self, PyObject *nothing)
 {
@@ -2826,12 +2844,10 @@ static PyObject *subscription_take(Subscription *self, PyObject *nothing)
         pthread_mutex_unlock(&self->state);
         return PyErr_Format(PyExc_RuntimeError, "rcl cannot take a message (code %d)", code);
     }
-    self->is_held = 0;
-    self->last_size = self->message.length;
-    if (pass_held(self)) {
-        count_received(self);
+    if (!self->is_held) /* a large one has passed */
         return PyLong_FromSize_t(self->last_size);
-    }
+    self->is_held = self->is_refused = 0;
+    self->last_size = self->message.length;
     PyObject *cdr = python_bytes(&self->message);
     if (!cdr)
         return NULL;
@@ -3001,6 +3017,11 @@ static PyObject *passage_wait_subscriptions(Passage *self, PyObject *nothing)
         pthread_mutex_lock(&self->events);
         if (code == RCL_RET_SUBSCRIPTION_TAKE_FAILED)
             continue;
+        if (code == RCL_RET_OK && !one->is_held) { /* a large one has passed */
+            turns = 0;
+            put_last(self, one);
+            continue;
+        }
         one->failure = code == RCL_RET_OK ? 0 : code;
         one->next_ready = NULL;
         *left_end = one;

@@ -663,6 +663,9 @@ def _large_contents() -> list[tuple[str, Any]]:
     places = PLACES.astype(">f4")
     labelled = Points.of(PLACES[:4000])
     labelled.elements["name"][3000] = b"here"
+    colours, sizes = np.random.default_rng(7).integers(0, 256, (3999, 4), np.uint8), PLACES[:3999, 0]
+    coloured = Points.of(PLACES[:3999], rgba=colours, diameters=sizes)
+    sizeless = Points.of(PLACES[:3999], rgba=colours, diameters=np.append(sizes[1:], math.nan))
     vertices = Cells.of_all(MANY)
     disordered = vertices.data.copy()
     disordered[-1], disordered[-2] = disordered[-2], disordered[-1]
@@ -674,7 +677,7 @@ def _large_contents() -> list[tuple[str, Any]]:
         *(("POLYDATA", PolyData(places, polygons=Cells.of(corners))) for corners in _large_triangles()),
         ("POLYDATA", PolyData(_at_place(places, 7000, math.nan), polygons=Cells.of(CORNERS))),
         ("POINT", Points.of(PLACES[:4000])),
-        ("POINT", labelled),
+        *(("POINT", points) for points in (labelled, coloured, sizeless)),
         ("STRING", StringBody(b"x" * 65_000)),
         ("STRING", StringBody(b"x" * 65_400 + b"\xff")),
         ("IMAGE", Image((401, 307, 1), 3, PLACES.tobytes()[: 401 * 307], 1)),

@@ -60,6 +60,7 @@ from igtl_gateway.wire.tracking import QuaternionTrackingData as QuaternionTrack
 from igtl_gateway.wire.tracking import TrackingData as Tracked
 from igtl_gateway.wire.transform import Position, Transform
 from tests.gateway.fastpath.test_cache import (
+    fields,
     igtl_bulk,
     igtl_messages,
     igtl_tools,
@@ -625,6 +626,56 @@ def test_points_pass_in_the_thread_that_reads_as_in_python(monkeypatch: pytest.M
             return [one for one in here.middleware.published if "Marks" in one[0]]
 
     assert published(native=True) == published(native=False)
+
+
+def test_large_messages_of_ros_need_no_python(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nor do small ones behind them; also where their stream is dropped meanwhile."""
+    clouds = []
+    for number in range(120):
+        places = np.full((4_000 if number % 3 else 40, 4), number, "<f4")
+        places[7, 1] = math.nan if number % 40 == 39 else 0.5
+        cloud = rosmsg.PointCloud2(
+            Header((1 + number) * NS_PER_S, "m"),
+            1,
+            len(places),
+            fields(*"xyz"),
+            False,
+            16,
+            places.nbytes,
+            places.tobytes(),
+            True,
+        )
+        clouds.append(cloud)
+
+    by_python: list[Any] = []
+    take = NativeReceiver._take
+
+    def count(*arguments: Any) -> None:
+        by_python.append(arguments)
+        take(*arguments)
+
+    monkeypatch.setattr(NativeReceiver, "_take", count)
+
+    def sent(native: bool) -> list[tuple[bytes, int]]:
+        with scene(monkeypatch, native=native) as here:
+            peer = here.connect()
+            for number, cloud in enumerate(clouds):
+                if number == 20:
+                    assert not native or here.native == 1
+                    by_python.clear()
+                if number <= 60:  # each has passed before the next one
+                    wait_for(lambda number=number: here.received("ros_in") == number)
+                if number == 60:
+                    assert len(by_python) < 8, "only the odd one, and what comes behind it, are Python's"
+                if number > 60 and not number % 5:
+                    wait_for(lambda number=number: here.received("ros_in") >= number - 3)
+                    here.bridge.change({"deny_out": ("TRANSFORM",) if number % 2 else ()})
+                here.send_ros(cloud, "/igtl/out/C")
+            wait_for(lambda: here.received("ros_in") == len(clouds))
+            wait_for(lambda: len(peer.received) >= len(clouds) - 3)
+            return [(message[58:], len(message)) for message in peer.received if b"POLYDATA" in message[:14]]
+
+    assert sent(native=True) == sent(native=False)
 
 
 def test_the_end_of_a_bridge_loses_no_picture_that_was_still_to_be_copied(
