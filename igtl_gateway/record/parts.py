@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from igtl_gateway.base.errors import GatewayError, RecordingError
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.prologue import Prologue
+from igtl_gateway.record.retention.retention_log import RetentionLog
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.beside import check_target
 from igtl_gateway.record.sessionfile.new_file import cannot_begin, make_folder
@@ -28,6 +30,8 @@ from igtl_gateway.record.sessionfile.side_file import (
     write_side_file,
 )
 from igtl_gateway.record.sessionfile.writer import SessionWriter
+
+_DELETED = "deleted"
 
 #: (path, further session facts, prologue) → the writer of a part.
 Open = Callable[[Path, dict[str, str], Sequence[Entry]], SessionWriter]
@@ -71,6 +75,8 @@ class PartsWriter:
         self._max_bytes, self._max_ns = max_bytes, int(max_s * NS_PER_S)
         self._counters = counters
         self._parts: list[RecordingPart] = []
+        self._looked = 0  # the next of them to look at
+        self._deleted: set[Path] = set()  # those of them that the retention has deleted
         self._left: list[Path] = []  # parts that could not be written to their end
         self._left_entries = 0
         self._number = 0
@@ -180,11 +186,32 @@ class PartsWriter:
     def go_on(self) -> tuple[Path, int]:
         """Begin the next part where the file of this one was taken away; return its path, and the entries of this one.
 
-        The side file does not name a part that was taken away.  Raises RecordingError.
+        The side file does not name a part that was taken away; a folder is made again.  Raises RecordingError.
         """
         lost = self._part.entries
+        if not os.path.lexists(self.path):
+            self._prepare()
         self._next()
         return self._part.path, lost
+
+    def take_missing(self, at_most: int = sys.maxsize) -> list[tuple[RecordingPart, str]]:
+        """Look at some closed parts; return those that another program has removed or truncated, and what it did.
+
+        They are not parts any more.  What the retention has deleted is not among them.
+        """
+        found = []
+        for _ in range(min(at_most, len(self._parts))):
+            self._looked %= len(self._parts)
+            part = self._parts[self._looked]
+            why = "" if part.path in self._deleted else _why_missing(part)
+            if why == _DELETED:
+                self._deleted.add(part.path)
+            elif why:
+                del self._parts[self._looked]
+                found.append((part, why))
+                continue
+            self._looked += 1
+        return found
 
     def _next(self) -> None:
         if self._parts or self._left or not self._rests:
@@ -229,6 +256,17 @@ class PartsWriter:
     def update_side_file(self) -> None:
         """Write the side file: it names the closed parts that are still there.  Raises OSError."""
         write_side_file(self.path, [part for part in self._parts if part.path.exists()])
+
+
+def _why_missing(part: RecordingPart) -> str:
+    """Return what has happened to a closed part; "" if it is there, _DELETED if the retention has deleted it."""
+    try:
+        return "was truncated" if part.path.stat().st_size < part.size else ""
+    except FileNotFoundError:
+        name = f"{part.path.parent.name}/{part.path.name}"
+        return _DELETED if RetentionLog(part.path.absolute().parent.parent).has_deleted(name) else "was removed"
+    except OSError:
+        return ""
 
 
 def _make_folder(folder: Path, overwrite: bool) -> list[Path]:

@@ -11,6 +11,7 @@ the entries of the ring; the ledger states it.
 from __future__ import annotations
 
 import json
+import sys
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -48,7 +49,7 @@ if TYPE_CHECKING:
 #: Codes of the recorder's notes.
 DROPPED, FAILED, REFUSED, UNDEFINED = "record_drop", "record_failed", "record_refused", "record_undefined"
 THREAD = "record_thread"
-CONTINUED = "record_continued"
+CONTINUED, LOST_PART = "record_continued", "record_part_lost"
 PAUSED, RESUMED, SNAPSHOT = "record_paused", "record_resumed", "record_snapshot"
 STARTED, STOPPED = "record_started", "record_stopped"
 #: A file begins without large inputs that its outputs may depend on.
@@ -64,6 +65,8 @@ _FEW = 32
 #: Until it looks again whether the bridge has copied the next payload.
 _FILLING_S = 0.002
 _LOOK_NS = 50_000_000
+#: Closed parts that it looks at with each flush.
+_PARTS_AT_ONCE = 64
 _NOTE_NS = 1_000_000_000
 #: It flushes this much before the interval ends: looking, compressing and writing take time, too.
 _EARLY_NS = 100_000_000
@@ -788,6 +791,16 @@ class _RecorderWorker:
             self._go_on_or_fail(error)
         except RecordingError as error:
             self._fail(str(error))
+        self._report_missing(_PARTS_AT_ONCE)
+
+    def _report_missing(self, at_most: int = sys.maxsize) -> None:
+        """Report closed parts that another program has taken away, after a look at some of them."""
+        for part, what in self._writer.take_missing(at_most) if isinstance(self._writer, PartsWriter) else ():
+            self._dropped[TAKEN] += part.entries
+            text = f"{part.path}, a closed part, {what} by another program"
+            self._missing = self._missing or text
+            text += f"; {part.entries:,} entries were in the file"
+            self._note(Note(Level.ERROR, LOST_PART, text, data={"lost": part.entries, "path": str(part.path)}))
 
     def _report_drops(self, now_ns: int) -> None:
         """At most once a second, of what the queue did not take since the last time."""
@@ -844,6 +857,7 @@ class _RecorderWorker:
 
     def _finish(self) -> None:
         self._gate.end()
+        self._guarded(self._report_missing)
         counters = self._counters()
         ledger = {**({layout.CUT_OFF_KEY: True} if self._ledger is None else self._ledger), "recorder": counters}
         try:

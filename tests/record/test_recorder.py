@@ -34,6 +34,7 @@ from igtl_gateway.record import worker as worker_module
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.record.retention.retention_log import RetentionLog
 from igtl_gateway.record.seal.keys import SigningKey
 from igtl_gateway.record.selection import Selection
 from igtl_gateway.record.sessionfile import layout, messages, writer
@@ -950,15 +951,18 @@ def test_a_file_that_is_taken_away_before_the_end_has_its_ledger_in_the_next(tmp
         assert file.ledger["recorder"]["dropped"] == {worker_module.TAKEN: 1}
 
 
-def test_a_folder_of_parts_that_is_taken_away(tmp_path: Path) -> None:
+def test_a_folder_of_parts_that_is_taken_away_is_made_again(tmp_path: Path) -> None:
     bench = Bench(tmp_path / "session.mcap", split_s=1e-6)
     bench.recorder(samples.ros(1))
     bench.wait_drained()
     shutil.rmtree(tmp_path / "session")
     bench.recorder(samples.ros(10_000))
     bench.wait_notes(1)
-    assert "was removed" in bench.notes[0].text
-    assert bench.recorder.close({}).dropped == {"/chatter": 1, worker_module.TAKEN: 1}
+    second = tmp_path / "session" / "session_1.mcap"
+    assert f"was removed; the recording goes on in {second}" in bench.notes[0].text
+    assert bench.recorder.close({}).dropped == {worker_module.TAKEN: 1}
+    with SessionFile.open(second) as file:
+        assert len(list(file.entries())) == 1
 
 
 # --- flush and fsync -------------------------------------------------------------------------------------------
@@ -1073,3 +1077,35 @@ def test_what_is_all_recorded_has_no_snapshots(path: Path) -> None:
     bench.recorder.close({})
     with pytest.raises(RecordingError, match="has ended"):
         bench.recorder.snapshot().result(DEADLINE_S)
+
+
+@pytest.mark.parametrize("by", ["removed", "truncated", "retention"])
+def test_a_closed_part_that_is_taken_away_is_reported(tmp_path: Path, by: str) -> None:
+    """Not one that the retention has deleted: its log names it."""
+    bench = Bench(tmp_path / "session.mcap", split_bytes=1 << 30)
+    folder = tmp_path / "session"
+    first, entries = folder / "session_0.mcap", samples.every_kind(2)
+    for entry in entries:
+        bench.recorder(entry)
+    bench.wait_drained()
+    bench.recorder.split()
+    for entry in [replace(entry, seq=100 + entry.seq) for entry in samples.every_kind(20)]:
+        bench.recorder(entry)
+    bench.wait_drained()
+    wait_until((folder / "session_1.mcap").exists)
+    if by == "retention":
+        RetentionLog(tmp_path).add(1, "delete", file="session/session_0.mcap")
+    first.unlink() if by != "truncated" else os.truncate(first, 100)
+    bench.clock.advance(1_000_000_000)
+    if by != "retention":
+        bench.wait_notes(1)
+    summary = bench.recorder.close({"streams": {}})
+    assert "session_0" not in (folder / "metadata.yaml").read_text() or by == "truncated"
+    if by == "retention":
+        assert (bench.notes, summary.failure, summary.dropped) == ([], "", {})
+        return
+    (note,) = bench.notes
+    told = f"{first}, a closed part, was {by} by another program"
+    assert (note.level, note.code) == (Level.ERROR, worker_module.LOST_PART)
+    assert (summary.failure, summary.dropped) == (told, {worker_module.TAKEN: note.data["lost"]})
+    assert first not in summary.files

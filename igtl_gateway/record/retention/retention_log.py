@@ -39,6 +39,14 @@ class RetentionLog:
         finally:
             os.close(file)
 
+    def has_deleted(self, name: str) -> bool:
+        """Return whether a recording of this name was deleted, or is about to be."""
+        try:
+            lines = self.path.read_text("ascii", "replace").splitlines()
+        except OSError:
+            return False
+        return any('"event": "delete"' in line and f'"file": {json.dumps(name)}' in line for line in lines)
+
     def check(self) -> None:
         """Raise OSError if no line can be added."""
         os.close(self._open(os.O_WRONLY | os.O_APPEND | os.O_CREAT))
