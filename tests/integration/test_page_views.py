@@ -70,7 +70,9 @@ def test_a_recording_that_was_not_read_stays_chosen() -> None:
         page.wait("versions.add(known).size >= 4")  # it is drawn again and again
         assert page.run("document.querySelector('[data-key=choose]').value") == "late.mcap"
         assert "late.mcap (not read)" in page.run("document.querySelector('[data-key=choose]').innerText")
-        assert "Late.mcap was not read within 30 s: this machine is busy. It is tried again by itself" in page.text()
+        assert (
+            "The recording was not read within 30 s: this machine is busy. It is tried again by itself" in page.text()
+        )
         page.click("#replay button", "Start")  # all the same
 
 
@@ -81,7 +83,7 @@ def test_what_is_being_read_shows_for_how_long() -> None:
         page.wait("document.querySelector('[data-key=choose]')")
         page.run("choose('busy.mcap'); draw()")
         page.wait("document.querySelector('#replay .bar')")
-        assert "Busy.mcap is being read (12 s so far)." in page.text()
+        assert "The recording is being read (12 s so far)." in page.text()
 
 
 def test_a_replay_that_opens_its_file_shows_it_and_one_that_runs_is_on_every_view() -> None:
@@ -96,7 +98,7 @@ def test_a_replay_that_opens_its_file_shows_it_and_one_that_runs_is_on_every_vie
         page.wait("document.querySelector('#playing').textContent === 'Replay opens'")
         page.click("#playing")
         page.wait("document.querySelector('#replay .bar')")
-        assert "Old.mcap is opened for the replay (7 s so far)." in page.text()
+        assert "The recording is opened for the replay (7 s so far)." in page.text()
         page.wait("document.querySelector('#replay .transport .danger').textContent === 'Stop'")
     peers = [{"peer": "127.0.0.1:7", "profile": "slicer", "queued": 60, "rate_hz": 12.25, "sent": 1_200}]
     state = {"duration_s": 4.0, "position_s": 2.0, "paused": False, "rate": 1.0, "sent": 1_200, "peers": peers}

@@ -36,8 +36,8 @@ from igtl_gateway.record.worker import PAUSED, RESUMED
 #: Code of the note of messages that a slow peer did not get; those of an episode are no further apart than this, in
 #: seconds; streams that are named.
 _SLOW, _EPISODE_S, _SLOW_NAMED = "queue_drop", 5.0, 3
-#: Most places on a time line.
-MAX_PLACES = 500
+#: Most places on a time line, and marks in the list of recordings.
+MAX_PLACES, MAX_MARKS = 500, 500
 #: Sides of a replay → what a bridge computes their messages from, and the streams that are named of each.
 _SIDES = {"igtl": {Kind.ROS_IN}, "ros": {Kind.IGTL_IN}, "both": {Kind.ROS_IN, Kind.IGTL_IN}}
 _NAMED = 6
@@ -49,7 +49,7 @@ def facts_of(path: Path) -> dict[str, Any]:
     """Return what the list shows of a recording; ``problem`` is why the rest is missing."""
     try:
         with SessionFile.open(path) as file:
-            marks = [mark.to_dict(file.start_ns) for mark in marks_of(file)]
+            marks = marks_of(file)
             found: dict[str, Any] = {
                 "start_ns": file.start_ns,
                 "duration_s": (file.end_ns - file.start_ns) / NS_PER_S,
@@ -57,7 +57,8 @@ def facts_of(path: Path) -> dict[str, Any]:
                 "entries": file.entry_count,
                 "foreign": file.foreign,
                 "closed": True,
-                "marks": marks,
+                "marks": [mark.to_dict(file.start_ns) for mark in marks[:MAX_MARKS]],
+                "marked": len(marks),
                 "sends": {side: _sends(file, side) for side in _SIDES},
             }
     except BeingRecorded:

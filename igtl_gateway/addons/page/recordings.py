@@ -10,7 +10,7 @@ from collections import deque
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import NS_PER_S, Child, SystemClock, python_command
+from igtl_gateway.addon import NS_PER_S, Child, SystemClock, marks_files, python_command
 from igtl_gateway.addons.page.results import keep_newest
 
 _COMMAND = python_command("igtl_gateway.addons.page.listing")
@@ -23,6 +23,9 @@ _REST_NS = 3_000_000_000
 _AGAIN_NS = 60_000_000_000
 #: Time lines that are kept.
 _MAX_PLACES = 16
+
+#: Size and time of change (ns) of a recording, and when marks were last added to it (ns).
+_Version = tuple[tuple[int, int], int]
 
 
 def child_environment() -> dict[str, str]:
@@ -43,10 +46,10 @@ class Recordings:
         self._lock = threading.Lock()
         self._placing = threading.Lock()
         self._places: dict[str, tuple[tuple[int, int], dict[str, Any]]] = {}  # of the last time lines
-        self._known: dict[str, tuple[tuple[int, int], dict[str, Any]]] = {}
-        self._to_read: dict[str, tuple[int, int]] = {}  # the first is being read
+        self._known: dict[str, tuple[_Version, dict[str, Any]]] = {}
+        self._to_read: dict[str, _Version] = {}  # the first is being read
         self._reading = False
-        self._tries: dict[tuple[str, tuple[int, int]], int] = {}  # of those that were not read in time
+        self._tries: dict[tuple[str, _Version], int] = {}  # of those that were not read in time
         self._begun_ns = 0  # of the one that is being read, monotonic
 
     def path(self, name: str) -> Path | None:
@@ -63,13 +66,14 @@ class Recordings:
         with self._lock:
             rows = []
             for name, mark, size in found:
-                known, facts = self._known.get(name, ((0, 0), {}))
+                version = mark, _marked_ns(self.folder / name)
+                known, facts = self._known.get(name, (None, {}))
                 # one that is being written is read again once it has come to rest
                 is_late = bool(facts.get("unread")) and now_ns - facts["unread"] > _AGAIN_NS
-                is_read = (known == mark and not is_late) or (bool(facts) and now_ns - mark[1] < _REST_NS)
+                is_read = (known == version and not is_late) or (bool(facts) and now_ns - mark[1] < _REST_NS)
                 rows.append({"name": name, "bytes": size, "modified_ns": mark[1], **facts, "read": is_read})
                 if not is_read:
-                    self._to_read.setdefault(name, mark)
+                    self._to_read.setdefault(name, version)
                     if self._begun_ns and name == next(iter(self._to_read)):
                         rows[-1]["reading_s"] = (self._clock.monotonic_ns() - self._begun_ns) // NS_PER_S
             if self._to_read and not self._reading:
@@ -116,20 +120,20 @@ class Recordings:
                 if not self._to_read:
                     self._reading = False
                     break
-                name, mark = next(iter(self._to_read.items()))
-                tries = self._tries.get((name, mark), 0)
+                name, version = next(iter(self._to_read.items()))
+                tries = self._tries.get((name, version), 0)
             facts = reader.ask(self.folder / name, patience_s=_PATIENCE_S * 2**tries)
             if not reader.is_usable:  # it did not survive the file
                 reader.close()
                 reader = _Reader()
             with self._lock:
-                self._tries.pop((name, mark), None)
+                self._tries.pop((name, version), None)
                 del self._to_read[name]
                 if facts.get("unread") and tries + 1 < _TRIES:
-                    self._tries[name, mark] = tries + 1
-                    self._to_read[name] = mark  # after the others
+                    self._tries[name, version] = tries + 1
+                    self._to_read[name] = version  # after the others
                 else:
-                    self._known[name] = mark, facts
+                    self._known[name] = version, facts
         reader.close()
 
 
@@ -174,6 +178,14 @@ class _Reader:
         with self._changed:
             self._ended = True
             self._changed.notify()
+
+
+def _marked_ns(path: Path) -> int:
+    """Return when marks were last added to a recording, 0 if none are: they are not in it."""
+    try:
+        return max((each.stat().st_mtime_ns for each in marks_files(path)), default=0)
+    except OSError:  # removed meanwhile
+        return 0
 
 
 def _recording(entry: os.DirEntry[str]) -> list[tuple[str, tuple[int, int], int]]:

@@ -11,8 +11,9 @@ import pytest
 
 import igtl_gateway
 from igtl_gateway.addon import Level, Note
-from igtl_gateway.addons.page.listing import places_of
+from igtl_gateway.addons.page.listing import MAX_MARKS, places_of
 from igtl_gateway.addons.page.recordings import Recordings, _Reader
+from igtl_gateway.cli import main
 from tests.places import FIXTURES
 
 
@@ -44,6 +45,22 @@ def test_a_folder(tmp_path: Path) -> None:
     assert recordings.path("lego.mcap") == tmp_path / "lego.mcap"
     for name in ("../lego.mcap", "notes.txt", "", "/etc/passwd", ".hidden.mcap"):
         assert recordings.path(name) is None
+    # marks that are added later are not in the recording, which has been closed for long
+    os.utime(tmp_path / "lego.mcap", (1, 1))
+    mark = ["mark", str(tmp_path / "lego.mcap"), "--at", "1", "--label"]
+    assert main([*mark, "slip"]) == 0
+    assert [each["label"] for each in rows(recordings)["lego.mcap"]["marks"]] == ["slip"]
+    assert main([*mark[:2], "--remove", "slip"]) == 0
+    assert rows(recordings)["lego.mcap"]["marks"] == []
+
+
+def test_a_recording_with_many_marks_lists_the_first(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    with igtl_gateway.Bridge(listen=["127.0.0.1:0"], ros=False, record=str(path)) as bridge:
+        for number in range(MAX_MARKS + 7):
+            bridge.mark(f"m{number}")
+    row = rows(Recordings(tmp_path))["a.mcap"]
+    assert (len(row["marks"]), row["marked"]) == (MAX_MARKS, MAX_MARKS + 7)
 
 
 def test_the_time_line(tmp_path: Path) -> None:

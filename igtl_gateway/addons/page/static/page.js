@@ -508,7 +508,7 @@ function sessionRow(row) {
   const tr = h(open ? "tr.pick.opened" : "tr.pick", { onclick: toggle },
     h("td", null, h("button.link", { "data-key": row.name, "aria-expanded": open, "aria-label": row.name }, h("span.middle", { title: row.name }, ...nameParts(row.name)))),
     h("td", null, row.start_ns ? day(row.start_ns) : h("span.zero", { title: "Its begin is not known; this is its last change" }, `until ${day(row.modified_ns)}`)), h("td.n", null, row.duration_s == null ? NONE : span(row.duration_s)), h("td.n", null, bytes(row.bytes)),
-    h("td.n.wide", null, row.streams == null ? NONE : number(row.streams)), h("td.n", { class: row.marks?.length ? "n" : "n zero" }, row.marks ? number(row.marks.length) : NONE),
+    h("td.n.wide", null, row.streams == null ? NONE : number(row.streams)), h("td.n", { class: row.marks?.length ? "n" : "n zero" }, row.marks ? number(row.marked ?? row.marks.length) : NONE),
     h("td", null, stateCell(kind, word)), h("td", null, result(row, "verify", "not yet")),
     h("td.wide", null, row.results.seal ? result(row, "seal") : h("span", { class: row.sealed ? "" : "zero" }, row.sealed ? "has a seal" : "no")), h("td.wide", null, result(row, "review", "not yet")));
   if (!open) return tr;
@@ -517,7 +517,7 @@ function sessionRow(row) {
     row.problem && (row.unread ? h("p.sub", null, `${sentence(row.problem)} It is tried again by itself; all that is below works meanwhile.`) : h("p.s-error", null, sentence(row.problem))),
     h("div.actions", null, ACTIONS.map(([action, title]) => button(title, () => act({ do: "job", action, name: row.name }).then(loadSessions), { off, kind: "", key: `${row.name} ${action}` })),
       h("span.gap"), button("Replay …", () => { choose(row.name); show("replay"); }, { kind: ".primary", off, key: `${row.name} replay` })),
-    row.marks?.length ? h("div.phases", null, "Marks:", row.marks.slice(0, 24).map((mark) => h("button.btn.small", { type: "button", disabled: locked(), "data-key": `${row.name} ${mark.label} ${mark.time_ns}`, onclick: () => { choose(row.name, markTime(mark, row)); show("replay"); } }, `${mark.label} ${moment(markTime(mark, row))}`))) : null))];
+    row.marks?.length ? h("div.phases", null, "Marks:", row.marks.slice(0, 24).map((mark) => h("button.btn.small", { type: "button", disabled: locked(), "data-key": `${row.name} ${mark.label} ${mark.time_ns}`, onclick: () => { choose(row.name, markTime(mark, row)); show("replay"); } }, `${mark.label} ${moment(markTime(mark, row))}`)), row.marked > 24 && `and ${number(row.marked - 24)} more`) : null))];
 }
 /* A long name is cut in its middle: its end is what differs. */
 function nameParts(name) { return name.length > 26 ? [h("span.head", null, name.slice(0, -12)), h("span", null, name.slice(-12))] : [h("span", null, name)]; }
@@ -628,10 +628,10 @@ function drawHint() { if ($("hint")) put($("hint"), hint()); }
 /* What a person waits for, "" if for nothing. */
 function waits(row, playing, replay) {
   const passed = (seconds) => (seconds >= 2 ? ` (${number(seconds)} s so far)` : "");
-  if (playing && playing.duration_s == null) return `${row.name} is opened for the replay${passed(replay.opening_s)}`;
+  if (playing && playing.duration_s == null) return `the recording is opened for the replay${passed(replay.opening_s)}`;
   if (row.duration_s != null) return "";
-  if (row.unread) return `${row.name} was ${row.problem}. It is tried again by itself, and can be replayed all the same`;
-  return row.problem ? `${row.name} ${row.problem}` : `${row.name} is being read${passed(row.reading_s || 0)}. Its time line follows, and it can be replayed all the same`;
+  if (row.unread) return `the recording was ${row.problem}. It is tried again by itself, and can be replayed all the same`;
+  return row.problem ? `the recording ${row.problem}` : `the recording is being read${passed(row.reading_s || 0)}. Its time line follows, and it can be replayed all the same`;
 }
 function marksOf(row) {
   return (row.marks || []).map((mark) => ({ kind: mark.end_ns == null ? "mark" : "phase", at_s: markTime(mark, row), end_s: mark.end_ns == null ? null : (mark.end_ns - row.start_ns) / 1e9, text: mark.label + (mark.text ? `: ${mark.text}` : "") }));
@@ -695,15 +695,15 @@ function track(found, duration) {
     else if (each.kind !== "resume") {
       const low = each.kind !== "mark", place = svg("svg", { x: at(each.at_s, duration), y: low ? 72 : 17, overflow: "visible" }, shape(each.kind));
       place.firstChild.append(svg("title", {}, each.text)); made.append(place);
-      if (!low && (each.at_s - lane) / duration > .1) { made.append(svg("svg", { x: at(each.at_s, duration), y: 0, overflow: "visible" }, words(each, 13, 17))); lane = each.at_s; }
+      if (!low && (each.at_s - lane) / duration > .1) { made.append(svg("svg", { x: at(each.at_s, duration), y: 0, overflow: "visible" }, each.at_s / duration < .8 ? words(each, 13, 17) : words(each, -5, 17, "end"))); lane = each.at_s; }
     }
   }
   if (paused != null) made.append(svg("rect", { class: "pause", x: at(paused, duration), y: 44, width: at(duration - paused, duration), height: 16 }));
   made.append(svg("rect", { class: "head", x: 0, y: 40, width: 2.5, height: 24, rx: 1 }));
   return made;
 }
-function words(each, x, y) {
-  const text = svg("text", { x, y });
+function words(each, x, y, anchor = "start") {
+  const text = svg("text", { x, y, "text-anchor": anchor });
   text.textContent = plain(each.text).split(":")[0].slice(0, 20);
   return text;
 }
@@ -718,7 +718,7 @@ function drawBelow(place, row, replay, running) {
   const mine = replay?.name === row.name ? replay : null, peers = running && mine ? mine.state.peers || [] : [];
   const names = { mark: "Mark", phase: "Phase", finding: "Finding", loss: "Loss", slow: "Slow", pause: "Pause", link: "Link" };
   part(place, [found, !placesOf[row.name], mine?.lines, peers, running, mine?.state?.duration_s, mine?.state?.sent, mine?.state?.without_peer, locked()], () => h("div.split", null,
-    card("On the time line", placesOf[row.name] ? null : "findings, losses and pauses are being read", found.length ? h("ul.list", { tabindex: 0, "aria-label": "On the time line" }, found.map((each, number) => h("li", null, h("button", { type: "button", disabled: locked() && running, "data-key": `at ${number}`, onclick: () => jump(each.at_s) }, h("span.at", null, moment(each.at_s)), h("span.sub", null, names[each.kind]), h("span", null, each.text))))) : h("p.empty", null, placesOf[row.name] ? "Nothing but messages." : "Reading …")),
+    card("On the time line", placesOf[row.name] ? (row.marked > found.length ? `of ${number(row.marked)} marks, the first` : null) : "findings, losses and pauses are being read", found.length ? h("ul.list", { tabindex: 0, "aria-label": "On the time line" }, found.map((each, number) => h("li", null, h("button", { type: "button", disabled: locked() && running, "data-key": `at ${number}`, onclick: () => jump(each.at_s) }, h("span.at", null, moment(each.at_s)), h("span.sub", null, names[each.kind]), h("span", null, each.text))))) : h("p.empty", null, placesOf[row.name] ? "Nothing but messages." : "Reading …")),
     card("Peers", running && mine ? [`${count(mine.state.sent || 0, "message")} sent`, mine.state.without_peer ? `${number(mine.state.without_peer)} played while no peer was connected` : ""].filter(Boolean).join(" · ") : null, peers.length ? h("ul.list", null, peers.map((each) => h("li", null, icon(each.queued > 50 ? "warning" : "ok"), h("b", null, each.peer), h("span.sub", null, [each.profile !== "unrecognised" && each.profile, `${rate(each.rate_hz)} messages a second`, `${number(each.sent)} sent`, each.queued ? `${number(each.queued)} wait: it reads slowly` : "queue 0"].filter(Boolean).join(" · "))))) : h("p.empty", null, running ? (mine?.to === "ros" ? "Nodes of ROS receive the messages; the page does not count them." : mine && mine.state.duration_s == null ? "Nothing plays yet." : "No OpenIGTLink peer is connected: what plays now reaches nobody.") : "Peers appear when the replay runs."),
       mine?.lines.length ? h("ul.notes", null, mine.lines.map((line) => h("li", null, h("span", null, line.replace(/^[=!] /, ""))))) : null)));
 }
