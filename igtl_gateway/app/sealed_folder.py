@@ -22,7 +22,8 @@ _TOPICS = "topics_with_message_count"
 _OF_THE_WRITER = ("version", "ros_distro")
 
 #: What is known of the side file.
-FOLLOWS, ABSENT = "follows from the sealed parts", "is absent; the sealed parts are the whole recording"
+FOLLOWS = "follows from the sealed parts"
+ABSENT = "is absent, as in a copy from an object store; the sealed parts are the whole recording"
 
 
 def strange_file(folder: Path, parts: Sequence[Path]) -> str:
@@ -42,7 +43,7 @@ def side_file_state(folder: Path, parts: Sequence[Path], *, cut: bool) -> tuple[
     """
     path = folder / SIDE_FILE
     if not path.exists() and not path.is_symlink():
-        return ABSENT, ""
+        return "", ABSENT  # every closed recording has had one
     try:
         text = files.read_bytes(path).decode("utf-8")
         found = _facts(text, path)

@@ -150,7 +150,8 @@ def test_the_side_file_of_a_split_recording_follows_from_its_sealed_parts(split:
     side.write_text(text.replace("ros_distro: jazzy", "ros_distro: kilted"), "utf-8")
     assert verify_seal(split).good, "the distribution is that of the writer"
     side.unlink()
-    assert verify_seal(split).good and verify_seal(split).side_file == ABSENT
+    result = verify_seal(split)
+    assert (result.good, result.state, result.problem) == (False, CHANGED, f"metadata.yaml: {ABSENT}")
 
 
 def test_a_file_that_a_reader_would_take_for_a_part_is_named(split: Path) -> None:
@@ -169,3 +170,6 @@ def test_the_side_file_of_a_recording_that_was_cut_off_may_lack_its_last_part(sp
         write_side_file(split, rows[:count])
         result = verify_seal(split)
         assert result.state == CUT and (result.side_file == FOLLOWS) is follows, count
+    (split / "metadata.yaml").unlink()
+    result = verify_seal(split)
+    assert (result.state, result.side_file) == (CUT, ABSENT), "it is written when a part is closed"
