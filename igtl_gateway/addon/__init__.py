@@ -209,6 +209,7 @@ if TYPE_CHECKING:
     from igtl_gateway.replay.recorded_config import config_to_run as config_to_run
     from igtl_gateway.replay.recorded_config import recorded_units as recorded_units
     from igtl_gateway.replay.recorded_marks import carry_marks as carry_marks
+    from igtl_gateway.replay.recorded_marks import marked_moment as marked_moment
     from igtl_gateway.replay.recorded_marks import marks_of as marks_of
 
 #: Names that are others there; the rest of the surface is above.
@@ -245,7 +246,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("gateway.log.clocksteps", "CLOCK_STEP"),
     ("gateway.log.marks", "Mark MarkNote ago_ns"),
     ("record.sessionfile.added_marks", "added_marks marks_files"),
-    ("replay.recorded_marks", "carry_marks marks_of"),
+    ("replay.recorded_marks", "carry_marks marked_moment marks_of"),
     # Conversions of pictures and geometry, one message at a time
     ("convert.context", "ConvertedMessage ToIgtlContext ToRosContext"),
     ("convert.images", "image_to_igtl pixel_layout"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import math
 import os
 import tempfile
 from collections.abc import Iterator
@@ -40,6 +39,7 @@ from igtl_gateway.addon import (
     is_present,
     is_terminal,
     live_line,
+    marked_moment,
     marks_of,
     missing,
     output_file,
@@ -69,8 +69,9 @@ EXAMPLES = """\
   igtl-gateway view out.mcap -o out.rrd
   # as a web page for a browser on this machine
   igtl-gateway view out.mcap --web
-  # as an image, 4.5 s after the start; needs no screen
+  # as an image, 4.5 s after the start, or at a mark; needs no screen
   igtl-gateway view out.mcap -o out.png --at 4.5
+  igtl-gateway view out.mcap -o out.png --at mark:slip
   # with another layout: star, ultrasound, navigation, generic
   igtl-gateway view out.mcap --blueprint navigation
   # with point clouds coloured by one of their fields
@@ -110,9 +111,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--port", type=int, metavar="PORT", help="with --web: port of the page " + default("a free one")
     )
-    parser.add_argument(
-        "--at", type=float, metavar="SECONDS", help="with -o OUT.png: time from the start " + default("the end")
-    )
+    parser.add_argument("--at", metavar="TIME", help="with -o OUT.png: time of the image " + default("the end"))
     parser.add_argument(
         "--blueprint", metavar="NAME", default="", help="layout of the views " + default("chosen by the content")
     )
@@ -141,6 +140,7 @@ def run(options: argparse.Namespace) -> int:
         with SessionFile.open(path) as file:  # before what only a good file needs: rerun, a screen
             if options.screenshot and not file.entry_count:
                 raise _nothing(path)
+            options.at_ns = None if options.at is None else _moment_ns(file, options.at)
     if find_spec("rerun") is None:
         raise ViewerError(missing("rerun"))
     from igtl_gateway.addons.view.shots import check_driver
@@ -203,8 +203,6 @@ def _folder() -> Iterator[Path]:
 def _check(options: argparse.Namespace) -> None:
     if options.at is not None and not options.screenshot:
         raise ConfigError("--at: found no -o OUT.png, expected it: --at is the time of the image")
-    if options.at is not None and not 0 <= options.at < math.inf:
-        raise ConfigError(f"--at: found {options.at:g}, expected seconds from the start, 0 or more")
     if options.port is not None and not options.web:
         raise ConfigError("--port: found no --web, expected it: --port is the port of the web page")
     if options.overwrite and not (options.save or options.screenshot):
@@ -215,6 +213,15 @@ def _check(options: argparse.Namespace) -> None:
         raise ConfigError(f"-o: found two recordings, {options.file} and {options.other}, expected one of them")
     for path in filter(None, (options.save, options.screenshot)):
         check_target(path, overwrite=options.overwrite)
+
+
+def _moment_ns(file: SessionFile, text: str) -> int:
+    """Return UTC ns of the image.  Raises ConfigError."""
+    at_ns = marked_moment(text, file.start_ns, "--at", lambda: marks_of(file))
+    if not file.start_ns <= at_ns <= file.end_ns:
+        seconds = (file.end_ns - file.start_ns) / NS_PER_S
+        raise ConfigError(f"--at: found {text}, expected at most {seconds:.3f}, the end of the recording")
+    return at_ns
 
 
 def _robot(word: str) -> tuple[str, Path]:
@@ -238,9 +245,6 @@ def _draw(
     if options.blueprint and options.blueprint not in NAMES:
         raise ConfigError(f"--blueprint: found {options.blueprint!r}, expected {', '.join(NAMES)}")
     with SessionFile.open(path) as file:
-        seconds = (file.end_ns - file.start_ns) / NS_PER_S
-        if options.at is not None and options.at > seconds:
-            raise ConfigError(f"--at: found {options.at:g}, expected at most {seconds:.3f}, the end of the recording")
         config = config_to_run(file.session)
         again = f"-{number + 1}" if number else ""
         name, application = f"{path.stem}-{file.start_ns}{again}", stream.APPLICATION + again
@@ -396,10 +400,10 @@ def _picture(options: argparse.Namespace, recording: Path, out: Path, view: Sess
 
     if not view.seen.first_ns:
         raise _nothing(options.file)
-    at = None
-    if options.at is not None:
-        at = view.seen.first_ns + round(min(options.at, view.seen.seconds) * NS_PER_S)
-    (shot,) = take_shots(recording, [at])
+    at_ns = options.at_ns
+    if at_ns is not None:
+        at_ns = min(max(at_ns, view.seen.first_ns), view.seen.first_ns + round(view.seen.seconds * NS_PER_S))
+    (shot,) = take_shots(recording, [at_ns])
     try:
         write_bytes(out, shot.png)
     except OSError as error:

@@ -105,9 +105,10 @@ def test_a_recording_that_became_no_ros_messages_is_drawn_by_what_they_would_be(
     ("arguments", "code", "sentence"),
     [
         (["--at", "3"], 2, "--at: found no -o OUT.png, expected it"),
-        (["-o", "{folder}/x.png", "--at", "nan"], 2, "--at: found nan, expected seconds from the start"),
-        (["-o", "{folder}/x.png", "--at", "-1"], 2, "--at: found -1, expected seconds from the start"),
+        (["-o", "{folder}/x.png", "--at", "nan"], 2, "--at: found 'nan', expected seconds from the beginning"),
+        (["-o", "{folder}/x.png", "--at", "-1"], 2, "--at: found '-1', expected seconds from the beginning"),
         (["-o", "{folder}/x.png", "--at", "9999"], 2, "--at: found 9999, expected at most "),
+        (["-o", "{folder}/x.png", "--at", "mark:slip"], 2, "--at: found mark:slip, expected a recording with marks"),
         (["-o", "{folder}/none/x.png"], 1, "none/x.png: there is no folder {folder}/none"),
         (["{folder}/taken", "-o", "{folder}/x.rrd"], 2, "-o: found two recordings, "),
         (["--port", "80"], 2, "--port: found no --web, expected it"),
