@@ -193,3 +193,40 @@ def test_in_a_process_with_the_permissions(priority: int, lock: bool) -> None:
         "True",
         str(lock),
     ], done.stderr
+
+
+def _slice_ns(task: str) -> int:
+    """The slice of a thread as Linux reports it; 0: it does not."""
+    try:
+        lines = Path(f"/proc/{task}/sched").read_text("utf-8", "replace").splitlines()
+    except OSError:
+        return 0
+    return next((int(line.split()[-1]) for line in lines if line.startswith("se.slice")), 0)
+
+
+_SLICES = """
+import os, threading
+os.setpriority(os.PRIO_PROCESS, 0, 3)
+from igtl_gateway.base.realtime import shorten_slices
+from tests.base.test_realtime import _slice_ns
+done, threads = threading.Event(), []
+for name in ("igtl-passage", "igtl-tcp", "igtl-timer"):
+    threads.append(threading.Thread(target=done.wait, name=name, daemon=True))
+    threads[-1].start()
+before = _slice_ns(f"self/task/{threads[0].native_id}")
+shortened = shorten_slices()
+after = [_slice_ns(f"self/task/{one.native_id}") for one in threads]
+nicenesses = {os.getpriority(os.PRIO_PROCESS, one.native_id) for one in threads}
+print(shortened, before, *after, *nicenesses)
+"""
+
+
+@pytest.mark.skipif(not _slice_ns("self"), reason="this system does not report slices")
+def test_who_passes_messages_natively_has_short_slices() -> None:
+    """Not who serves peers: what an attacker makes it do would go before poses of ROS."""
+    done = subprocess.run([sys.executable, "-c", _SLICES], capture_output=True, text=True, check=True)
+    shortened, before, passage, tcp, timer, *nicenesses = map(int, done.stdout.split())
+    assert shortened == 1 and nicenesses == [3]
+    assert tcp == timer == before
+    if tuple(map(int, os.uname().release.split(".")[:2])) >= (6, 12):
+        assert passage == 100_000 < before
