@@ -127,6 +127,11 @@ class Bridge:
                 self._host = NodeHost(node_name, arguments=arguments)
             self._bridge = self._make(values)
 
+    def __repr__(self) -> str:
+        listens = ", ".join(f"{host}:{port}" for host, port in self.addresses)
+        peers = sum(peer.connected for peer in self.peers)
+        return f"<Bridge: {f'listens on {listens}' if listens else 'does not listen'}, {peers} peers>"
+
     def start(self) -> None:
         """Open the ports, join the ROS graph and begin the recording; the context manager calls it.
 

@@ -111,6 +111,10 @@ class Endpoint(ABC):
         self._line = line
         self._talk = line.talk
 
+    def __repr__(self) -> str:
+        peers = ", ".join(link.peer for link in self.links)
+        return f"<{type(self).__name__}: {f'connected to {peers}' if peers else 'not connected'}>"
+
     def latest(self, device: str = "", type: str = "") -> ReceivedMessage | None:
         """Return the last message of a device, also if it was returned before; None if there is none.
 

@@ -33,6 +33,8 @@ Times = npt.NDArray[np.int64]
 
 #: Head of the tables of streams in notebooks.
 STREAM_HEAD = ("stream", "type", "direction", "messages", "first, s", "last, s")
+#: Characters of a content that ``repr`` shows.
+_SHOWN = 120
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +57,11 @@ class RecordedMessage:
     type: str
     content: Any
     metadata: dict[str, str] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        text = " ".join(repr(self.content).split())
+        content = text if len(text) <= _SHOWN else f"{text[:_SHOWN]}…"
+        return f"<RecordedMessage {self.number:,}: {self.type}, {content}>"
 
 
 class Stream:

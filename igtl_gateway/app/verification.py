@@ -65,6 +65,10 @@ class Verification:
         """Whether no output differs, and all losses are declared."""
         return self.differing == 0
 
+    def __repr__(self) -> str:
+        different = f", {self.differing:,} DIFFERENT" if self.differing else ""
+        return f"<Verification {self.file}: {self.equal:,} of {self.outputs:,} outputs equal{different}>"
+
     def to_dict(self) -> dict[str, Any]:
         """Return the result as JSON values, as ``igtl-gateway verify --json`` prints it."""
         values = asdict(self) | {"file": str(self.file)}

@@ -552,7 +552,13 @@ def test_results_are_one_line_in_a_console_and_escaped_in_a_notebook() -> None:
         clouds, aligned = recording["/star/cloud"].points(), igtl_gateway.align([stream], on=recording["/star/cloud"])
         shown: list[Any] = [recording, stream, stream.poses(), images, images[0], clouds, clouds[0]]
         shown += [aligned, aligned[TOOL], recording.tf, recording.tf.edges[0], igtl_gateway.review(recording)]
-        shown += [stream.poses()[:0], igtl_gateway.diff(recording, recording)]
+        shown += [stream.poses()[:0], igtl_gateway.diff(recording, recording), igtl_gateway.verify(recording)]
+        shown += [next(recording[key].messages()) for key in ("/star/plan", "POLYDATA/SuturePlan", "IMAGE/Camera")]
+        shown += [igtl_gateway.lag(stream, stream), igtl_gateway.lag(stream, recording["/star/tool"])]
+        with igtl_gateway.serve(0) as server, igtl_gateway.connect(port=server.port) as peer:
+            server.wait_connected()
+            assert f"127.0.0.1:{server.port}" in repr(peer)
+            shown += [server, peer, igtl_gateway.Bridge(listen=["127.0.0.1:0"], ros=False)]
         for each in shown:
             assert len(repr(each)) < 200 and "\n" not in repr(each), repr(each)
             if hasattr(each, "_repr_html_"):

@@ -123,6 +123,12 @@ class Lag:
     search: tuple[tuple[float, float], ...] = field(default=(), repr=False)
     pairs: tuple[Pair, ...] = ()
 
+    def __repr__(self) -> str:
+        if not self.verdict.has_lag:
+            return f"<Lag: none, {self.verdict.value}>"
+        low, high = self.low_s * 1e3, self.high_s * 1e3
+        return f"<Lag: {self.lag_s * 1e3:+.1f} ms, 95 % {low:+.1f} to {high:+.1f}, {self.verdict.value}>"
+
     @property
     def has_skew(self) -> bool:
         """Whether the interval of the skew excludes 0: then it is part of the fit."""
