@@ -49,7 +49,7 @@ _MODULES = {
     "pyigtl": ("dev",),
 }
 #: Module → what helps as well.
-_ALTERNATIVES = {"rclpy": " (Linux x86_64), or source a ROS 2 installation"}
+_ALTERNATIVES = {"rclpy": " (Linux x86_64), or source a ROS 2 installation; `bridge --no-ros` needs neither"}
 #: Module → the first Python that has it.
 _FIRST = {"rerun": (3, 11)}
 #: The extra whose modules the running function needs.

@@ -33,6 +33,10 @@ def test_a_broken_installation_is_told_from_none() -> None:
     assert broken.startswith("av cannot be imported (libx264.so.164: cannot open shared object file): pip install")
 
 
+def test_who_has_no_ros_learns_that_the_bridge_runs_without_it() -> None:
+    assert missing("rclpy").endswith("or source a ROS 2 installation; `bridge --no-ros` needs neither")
+
+
 def test_what_an_older_python_cannot_have(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "version_info", (3, 10, 12))
     assert missing("rerun") == "rerun is not installed here: it needs Python 3.11 or newer"

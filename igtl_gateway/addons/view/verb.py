@@ -59,6 +59,7 @@ from igtl_gateway.replay.source import through_gateway
 if TYPE_CHECKING:
     from igtl_gateway.addons.review import Material
     from igtl_gateway.addons.view.session import SessionView
+    from igtl_gateway.addons.view.shots import Shot
 
 EXAMPLES = """\
   # in the window of rerun
@@ -155,25 +156,27 @@ def run(options: argparse.Namespace) -> int:
         ):
             if picture:
                 check_driver(os.environ)
-            drawn, found = [], []
-            for number, (path, out) in enumerate(zip(files, outs, strict=True)):
-                view, facts = _drawn(options, path, number, out, stop.is_set)
-                drawn.append(view)
-                found.append(facts)
-            is_damaged = any(facts["damage"] for facts in found)
-            if options.json:
-                print_json(found[0] | ({"other": found[1]} if options.other else {}))
-            if picture:
-                return max(_picture(options, outs[0], picture, drawn[0]), is_damaged)
-        if not options.save:
+            drawn = [
+                _drawn(options, path, number, out, stop.is_set)
+                for number, (path, out) in enumerate(zip(files, outs, strict=True))
+            ]
+            shot = _picture(options, outs[0], picture, drawn[0][0]) if picture else None
+        for path, (view, facts) in zip(files, drawn, strict=True):  # who reads may leave: the file is there
+            _report(options, path, view, facts)
+        found = [facts for _, facts in drawn]
+        if options.json:
+            print_json(found[0] | ({"other": found[1]} if options.other else {}))
+        if shot:
+            _report_picture(options, shot)
+        elif not options.save:
             _show(options, outs, stop.wait)
-    return int(is_damaged)
+    return int(any(facts["damage"] for facts in found) or bool(shot and shot.complaints))
 
 
 def _drawn(
     options: argparse.Namespace, path: Path, number: int, out: Path, stopped: Any
 ) -> tuple[SessionView, dict[str, Any]]:
-    """Draw one of the sessions, and print what was drawn; return it with the facts."""
+    """Draw one of the sessions; return it with the facts."""
     clock = SystemClock()
     started_ns = clock.monotonic_ns()
     with written(out, overwrite=options.overwrite) as partial:
@@ -182,11 +185,15 @@ def _drawn(
             raise KeyboardInterrupt  # a part of the session is not the file that was asked for
     facts["seconds"] = round((clock.monotonic_ns() - started_ns) / NS_PER_S, 3)
     facts["bytes"] = out.stat().st_size
+    return view, facts
+
+
+def _report(options: argparse.Namespace, path: Path, view: SessionView, facts: dict[str, Any]) -> None:
+    """Print what was drawn of a session, and where it is damaged."""
     if not options.json:
         _print(options, path, view, facts)
     if facts["damage"]:
         print_line(f"igtl-gateway view: only the messages before the damage are drawn: {facts['damage']}", error=True)
-    return view, facts
 
 
 @contextmanager
@@ -394,8 +401,8 @@ def _print(options: argparse.Namespace, path: Path, view: SessionView, facts: di
         print_line(f"{options.save}: {size_text(facts['bytes'])}; `rerun {options.save}` shows it")
 
 
-def _picture(options: argparse.Namespace, recording: Path, out: Path, view: SessionView) -> int:
-    """The picture in the file ``out``; exit code 1 where a view complains."""
+def _picture(options: argparse.Namespace, recording: Path, out: Path, view: SessionView) -> Shot:
+    """Write the picture to the file ``out``."""
     from igtl_gateway.addons.view.shots import take_shots
 
     if not view.seen.first_ns:
@@ -408,11 +415,14 @@ def _picture(options: argparse.Namespace, recording: Path, out: Path, view: Sess
         write_bytes(out, shot.png)
     except OSError as error:
         raise write_error(options.screenshot, error) from None
+    return shot
+
+
+def _report_picture(options: argparse.Namespace, shot: Shot) -> None:
     for complaint in shot.complaints:
         print_line(f"? {complaint}", error=True)
     if not options.json:
         print_line(f"{options.screenshot}: {size_text(len(shot.png))}")
-    return 1 if shot.complaints else 0
 
 
 def _nothing(path: Path) -> GatewayError:

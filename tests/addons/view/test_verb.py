@@ -15,6 +15,7 @@ pytest.importorskip("rerun", reason="rerun is not installed (extra 'view')")
 import mcap.writer
 import numpy as np
 
+from igtl_gateway.addons.view import shots
 from igtl_gateway.cli import main
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -294,3 +295,19 @@ def test_a_screenshot_without_a_driver_is_refused_before_the_drawing(
     monkeypatch.setattr("igtl_gateway.addons.view.stream.to_file", None)  # nothing is drawn
     assert main(["view", str(FIXTURES / "star.mcap"), "-o", str(tmp_path / "x.png")]) == 1
     assert "found no usable Vulkan driver" in capsys.readouterr().err
+
+
+def test_a_picture_is_there_although_nobody_reads_what_was_drawn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """``view … -o x.png | head -1``: the reader leaves before the list ends."""
+
+    def left(*_words: str, **_settings: object) -> None:
+        raise BrokenPipeError
+
+    out = tmp_path / "x.png"
+    monkeypatch.setattr(shots, "check_driver", lambda _environment: None)
+    monkeypatch.setattr(shots, "take_shots", lambda _session, _times: [shots.Shot(0, b"png", ())])
+    monkeypatch.setattr("igtl_gateway.addons.view.verb.print_line", left)
+    assert main(["view", str(irregular(tmp_path / "in.mcap", 0.0)), "-o", str(out)]) == 1
+    assert out.read_bytes() == b"png"
