@@ -39,6 +39,14 @@ def clean_config(config: Config, seen: SeenNames, context: Context) -> Config:
         deny_in=tuple(known_types(config.deny_in)),
         deny_out=tuple(known_types(config.deny_out)),
         kinds=tuple(known_kinds(config.kinds, context)),
+        mark_from=_all_expanded(config.mark_from, seen.devices, names.name),
+        allow_in=_all_expanded(config.allow_in, seen.devices, names.name),
+        allow_out=_all_expanded(config.allow_out, {topic[1:] for topic in seen.topics}, _device_of_topic(names.topic)),
+        crtk=tuple(
+            dataclasses.replace(row, arms=arms, frame_id=names.name(row.frame_id))
+            for row in config.crtk
+            for arms in _expanded(row.arms, _namespaces(seen.topics), names.topic)
+        ),
         to_igtl=tuple(
             dataclasses.replace(row, topic=topic, device=names.name(row.device), metadata=())
             for row in config.to_igtl
@@ -70,6 +78,21 @@ def _expanded(glob: str, seen: Iterable[str], new: Callable[[str], str]) -> list
     if all(not _WILD.search(part) or not part.strip("*?") for part in glob.split("/")):
         return ["/".join(part if _WILD.search(part) else new(part) for part in glob.split("/"))]
     return [new(name) for name in sorted(seen) if matches(glob, name)]
+
+
+def _all_expanded(globs: Iterable[str], seen: Iterable[str], new: Callable[[str], str]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(name for glob in globs for name in _expanded(glob, seen, new)))
+
+
+def _device_of_topic(new: Callable[[str], str]) -> Callable[[str], str]:
+    """Return the new name of a device that has the name of its topic."""
+    return lambda device: new(f"/{device}")[1:]
+
+
+def _namespaces(topics: Iterable[str]) -> set[str]:
+    """Return all namespaces of topics, such as ``/a`` and ``/a/b`` of ``/a/b/c``."""
+    parts = [topic.split("/") for topic in topics]
+    return {"/".join(each[:end]) for each in parts for end in range(2, len(each))}
 
 
 def _ros_row(row: ToRosRow, context: Context) -> ToRosRow:

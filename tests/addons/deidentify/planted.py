@@ -20,6 +20,7 @@ from igtl_gateway.base.errors import WireError
 from igtl_gateway.base.untrusted import definitions
 from igtl_gateway.base.untrusted.decoding import new_store, register_types
 from igtl_gateway.config.configuration import Config, ToIgtlRow, ToRosRow
+from igtl_gateway.convert.arms import ArmsRow
 from igtl_gateway.convert.interfaces import PACKAGES, interface_files
 from igtl_gateway.gateway import Session, make_core
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -56,6 +57,10 @@ def planted_session(path: Path, *, prologue: bool = False) -> None:
     config = dataclasses.replace(
         Config.from_dict(given),
         base_frame=f"{MARK}_base",
+        mark_from=(f"{MARK}*", MARK),
+        allow_in=(f"{MARK}/servo_*", f"{MARK}/servo_cp"),
+        allow_out=(f"{MARK}/move_*", f"{MARK}/move_cp"),
+        crtk=(ArmsRow(f"/{MARK}", frame_id=MARK), ArmsRow(f"/{MARK}*")),
         to_igtl=(ToIgtlRow(topic=f"/igtl/out/{MARK}*", device=f"{MARK}_out", metadata=((MARK, MARK),)),),
         to_ros=(ToRosRow(device=f"{MARK}*", topic=f"/{MARK}/{{device}}/{{kind}}", frame_id=f"{MARK}_frame"),),
     )
