@@ -140,6 +140,8 @@ class Parser(argparse.ArgumentParser):
     _rare: frozenset[argparse.Action] = frozenset()
     #: The words that are parsed, for the message about one that means nothing.
     _words: Sequence[str] = ()
+    #: Whether argparse is parsing options and other arguments one after the other.
+    _is_mixed = False
 
     def shorten_help(self, common: Set[str]) -> None:
         """Show only these options with ``--help``, and all with ``--help-all``."""
@@ -163,8 +165,20 @@ class Parser(argparse.ArgumentParser):
         return formatter.format_help()
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse the words.  Where the number of files or streams is open, options may stand between them.
+
+        argparse alone takes as many as follow each other, and refuses those behind the next option.
+        """
+        if self._is_mixed:
+            return super().parse_known_args(args, namespace)
         self._words = list(sys.argv[1:] if args is None else args)
-        return super().parse_known_args(args, namespace)
+        if not any(each.nargs in ("?", "*", "+") for each in self._get_positional_actions()):
+            return super().parse_known_args(args, namespace)
+        self._is_mixed = True
+        try:
+            return self.parse_known_intermixed_args(args, namespace)
+        finally:
+            self._is_mixed = False
 
     def unrecognized(self, word: str) -> str:
         """Return the message about a word that has no place here."""

@@ -15,6 +15,7 @@ from igtl_gateway.base.version import __version__
 from igtl_gateway.cli import complete, main, versions
 from igtl_gateway.cli.options import HelpFormatter
 from igtl_gateway.cli.ros_arguments import without_ros_arguments
+from igtl_gateway.cli.terminal import Parser
 from igtl_gateway.cli.verbs import available
 from igtl_gateway.record.sessionfile.layout import FORMAT_VERSION
 from igtl_gateway.wire.header import HEADER_VERSIONS
@@ -172,3 +173,22 @@ def test_what_has_no_effect_or_selects_nothing_is_refused(
     told = capsys.readouterr().err
     assert error in told and told.count("\n") == 1
     assert not list(tmp_path.iterdir())
+
+
+@table(
+    ("words", "dest", "found"),
+    [
+        ("cohort info -o OUT a b", "sources", "a b"),
+        ("merge a.mcap -o OUT.mcap --json b.mcap", "files", "a.mcap b.mcap"),
+        ("sync a.mcap /tool --json /camera", "streams", "/tool /camera"),
+        ("view a.mcap --web b.mcap", "other", "b.mcap"),
+    ],
+)
+def test_options_may_stand_between_files(words: str, dest: str, found: str) -> None:
+    name, *rest = words.split()
+    made = Parser(name)
+    complete(made, available()[name])
+    options, unknown = made.parse_known_args(rest)
+    value = getattr(options, dest)
+    assert " ".join(map(str, value if isinstance(value, list) else [value])) == found and not unknown
+    assert made.parse_known_args([*rest, "--absent"])[1] == ["--absent"]

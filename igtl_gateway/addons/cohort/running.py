@@ -32,12 +32,14 @@ class RunSummary:
         files: of the cohort.
         before: of these, how many were done before and have not changed.
         ends: ``status`` → number of files of this run.
+        reasons: ``status`` → the error of the first of these files.
         different: files whose outputs differ (``verify``), or with a finding of severity error (``lint``).
     """
 
     files: int
     before: int = 0
     ends: Counter[str] = field(default_factory=Counter)
+    reasons: dict[str, str] = field(default_factory=dict)
     different: int = 0
 
     @property
@@ -119,6 +121,8 @@ def _do(
                 else:
                     _add(rows, work, file, reply)
                 summary.ends[reply["status"]] += 1
+                if reply.get("error"):
+                    summary.reasons.setdefault(reply["status"], str(reply["error"]))
                 summary.different += _is_different(reply)
                 waiting += 1
                 if waiting >= _FLUSH_FILES or clock.monotonic_ns() - since_ns > _FLUSH_S * NS_PER_S:

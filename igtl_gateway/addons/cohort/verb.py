@@ -192,7 +192,8 @@ def _run_files(options: argparse.Namespace) -> int:
     else:
         print_line(f"{options.output}: {count_text(summary.files, 'file')}, {summary.before:,} done before")
         for status, number in sorted(summary.ends.items()):
-            print_line(f"  {number:>7,} {status.replace('_', ' ')}")
+            reason = summary.reasons.get(status)
+            print_line(f"  {number:>7,} {status.replace('_', ' ')}" + (f": {reason}" if reason else ""))
         if summary.different:
             print_line(f"  {summary.different:>7,} with {'differences' if work.verb == 'verify' else 'errors'}")
         print_next(

@@ -34,3 +34,10 @@ def test_a_folder_with_other_things_is_refused(tmp_path: Path, capsys: pytest.Ca
     (tmp_path / "thesis.tex").touch()
     assert main(["cohort", "info", str(tmp_path), "-o", str(tmp_path)]) == 2
     assert "expected tables of a cohort or a new folder" in capsys.readouterr().err
+
+
+def test_why_a_file_gave_no_rows_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("pyarrow", reason='needs pyarrow: pip install "igtl-gateway[cohort]"')
+    absent = tmp_path / "absent.mcap"
+    assert main(["cohort", "info", "-o", str(tmp_path / "out"), str(absent)]) == 1
+    assert f"1 unsupported: {absent}: No such file or directory\n" in capsys.readouterr().out
