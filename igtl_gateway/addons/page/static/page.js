@@ -680,14 +680,16 @@ function shape(kind) {
 }
 function track(found, duration) {
   const made = svg("svg", { "aria-hidden": "true" }, svg("defs", {}, svg("pattern", { id: "hatch", width: 6, height: 6, patternUnits: "userSpaceOnUse", patternTransform: "rotate(45)" }, svg("rect", { width: 2.4, height: 6, fill: "currentColor", opacity: .45 }))));
-  let paused = null, lane = -1e9;
+  let paused = null, lane = -1e9, busy = -1e9;
   made.append(svg("rect", { class: "rail", x: 0, y: 48, width: "100%", height: 8, rx: 4 }), svg("rect", { class: "played", x: 0, y: 48, width: 0, height: 8, rx: 4 }));
   for (const each of found) {
     if (each.kind === "pause") paused = each.at_s;
     else if (each.kind === "resume" && paused != null) { made.append(svg("rect", { class: "pause", x: at(paused, duration), y: 44, width: at(each.at_s - paused, duration), height: 16 })); paused = null; }
     else if (each.kind === "phase") {
-      made.append(svg("rect", { class: "phase", x: at(each.at_s, duration), y: 26, width: at(each.end_s - each.at_s, duration), height: 16, rx: 3 }));
-      if ((each.end_s - each.at_s) / duration > .06) made.append(svg("svg", { x: at(each.at_s, duration), width: at(each.end_s - each.at_s, duration), y: 26, height: 16 }, words(each, 8, 12)));
+      const within = each.at_s < busy;  // of another phase: a line below its name
+      busy = Math.max(busy, each.end_s);
+      made.append(svg("rect", { class: "phase", x: at(each.at_s, duration), y: within ? 36 : 26, width: at(each.end_s - each.at_s, duration), height: within ? 6 : 16, rx: 3 }, svg("title", {}, each.text)));
+      if (!within && (each.end_s - each.at_s) / duration > .06) made.append(svg("svg", { x: at(each.at_s, duration), width: at(each.end_s - each.at_s, duration), y: 26, height: 16 }, words(each, 8, 12)));
     }
     else if (each.kind === "slow") {
       made.append(svg("rect", { class: "slow", x: at(each.at_s, duration), y: 66, width: at(Math.max(each.end_s - each.at_s, duration / 200), duration), height: 12, rx: 3 }, svg("title", {}, each.text)));
