@@ -234,7 +234,8 @@ def test_a_request_through_the_name_of_a_foreign_site_is_refused() -> None:
         port = port_of(server)
         for host in ("localhost", f"LOCALHOST.:{port}", f"127.0.0.1:{port}", "127.0.0.1", "[::1]:1", "127.9.9.9"):
             assert ask(server, "/status", Host=host)[0] == 200, host
-        for host in ("rebind.example", f"rebind.example:{port}", "localhost.rebind.example", "10.0.0.1", "[", ""):
+        strange = ("rebind.example", f"rebind.example:{port}", "localhost.rebind.example", "10.0.0.1", "[", "")
+        for host in (*strange, f"127.0.0.1:{port}@rebind.example", "localhost:65536", "[::1]x"):
             code, text = ask(server, "/status", Host=host)
             assert code == 403 and "version" not in text, host
         with socket.create_connection(("127.0.0.1", port), DEADLINE_S) as two:

@@ -33,6 +33,7 @@ MAX_BODY = 8192
 
 #: Longest time until the server's thread detects `LocalServer.close`.
 _POLL_S = 0.1
+_MOST_PORT = 65_535
 _LOOPBACK_NAMES = frozenset({"localhost", "localhost.localdomain", "ip6-localhost"})
 
 
@@ -55,7 +56,10 @@ class KnownHosts:
 
     def __contains__(self, host: str) -> bool:
         """Return whether a ``Host`` of a request, with or without a port, is this machine."""
-        name = _name(host.partition("]")[0].removeprefix("[") if host.startswith("[") else host.partition(":")[0])
+        place, _, port = host.removeprefix("[").partition("]" if host.startswith("[") else ":")
+        name, port = _name(place), port.removeprefix(":")
+        if port and whole_number(port, _MOST_PORT) is None:
+            return False
         if name in self._names:
             return True
         try:
