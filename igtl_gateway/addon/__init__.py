@@ -74,9 +74,12 @@ if TYPE_CHECKING:
     from igtl_gateway.base.untrusted.decoding import register_types as register_types
     from igtl_gateway.base.untrusted.definition_checks import Types as Types
     from igtl_gateway.base.untrusted.elements import ElementCounter as ElementCounter
+    from igtl_gateway.base.untrusted.files import deadline_of as deadline_of
     from igtl_gateway.base.untrusted.files import is_same as is_same
     from igtl_gateway.base.untrusted.files import open_file as open_file
     from igtl_gateway.base.untrusted.files import read_bytes as read_bytes
+    from igtl_gateway.base.untrusted.files import size_of as size_of
+    from igtl_gateway.base.untrusted.files import stored_bytes as stored_bytes
     from igtl_gateway.base.untrusted.limits import Deadline as Deadline
     from igtl_gateway.base.untrusted.limits import check_limit as check_limit
     from igtl_gateway.base.untrusted.numbers import whole_number as whole_number
@@ -271,7 +274,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     ),
     # Untrusted files and text, with their limits
     ("base.untrusted", "files limits"),
-    ("base.untrusted.files", "is_same open_file read_bytes"),
+    ("base.untrusted.files", "deadline_of is_same open_file read_bytes size_of stored_bytes"),
     ("base.untrusted.limits", "Deadline check_limit"),
     ("base.untrusted.numbers", "whole_number"),
     ("base.untrusted.text", "check_nesting parse_json printable"),

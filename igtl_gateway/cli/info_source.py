@@ -11,8 +11,10 @@ from tempfile import TemporaryDirectory
 
 from igtl_gateway.base.addons import part_of
 from igtl_gateway.base.errors import ConfigError, RecordingError, UnsupportedRecording
+from igtl_gateway.record.sessionfile.index import not_mcap
 from igtl_gateway.record.sessionfile.new_file import open_new
 from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.records import MAGIC
 from igtl_gateway.record.sessionfile.side_file import SIDE_FILE
 
 STANDARD_INPUT = Path("-")
@@ -34,7 +36,11 @@ def recording_of(path: Path) -> Iterator[Path]:
                 raise ConfigError(
                     "-: found no file at the standard input, expected one: igtl-gateway info - < out.mcap"
                 )
+            start = sys.stdin.buffer.read(len(MAGIC))
+            if start and start != MAGIC:  # what has no end would fill the disk
+                raise not_mcap(path, start)
             with open_new(place) as file:
+                file.write(start)
                 shutil.copyfileobj(sys.stdin.buffer, file)
         else:
             part_of("exchange", "as_session:write_session")(path, place)

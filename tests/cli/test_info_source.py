@@ -74,3 +74,13 @@ def test_a_damaged_standard_input_is_no_temporary_file(
     assert main(["info", "-"]) in (1, 2)
     told = capsys.readouterr().err
     assert f"igtl-gateway info: {why}" in told and "session.mcap" not in told
+
+
+def test_a_standard_input_without_end_is_refused_at_its_first_bytes(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It was copied until the disk was full."""
+    endless = SimpleNamespace(read=lambda size: b"y\n" * (size // 2))
+    monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=endless, isatty=lambda: False))
+    assert main(["info", "-"]) == 2
+    assert "-: not an MCAP file: found 79 0a" in capsys.readouterr().err

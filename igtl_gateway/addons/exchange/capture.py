@@ -72,9 +72,10 @@ class Capture(NonRosSource):
             yield link_down_item(time_ns, _LINK, peer, "the end of the file")
 
     def _messages(self) -> Iterator[Buffer]:
-        framer = Framer()
+        framer, deadline = Framer(), files.deadline_of(self._path)
         try:
             while data := self._stream.read(_READ):
+                deadline.check(str(self._path))
                 yield from framer.feed(data)
             yield from framer.received(0)  # raises if the last bytes begin a message that is too large
         except MessageTooLarge as error:

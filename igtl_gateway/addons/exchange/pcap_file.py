@@ -90,7 +90,7 @@ class PacketFile:
             self._stream = files.open_file(path)
         try:
             with library_errors_as_damage(path):
-                self._deadline = limits.Deadline(files.size_of(path))
+                self._deadline = files.deadline_of(path)
                 self._packets = self._open()
         except BaseException:
             self._stream.close()

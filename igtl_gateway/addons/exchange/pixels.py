@@ -31,7 +31,7 @@ def read_frames(raster: Raster, notes: list[str]) -> Iterator[bytearray | bytes]
     """
     packed = files.size_of(raster.data)
     check_room(raster, packed)
-    deadline = limits.Deadline(packed)
+    deadline = files.deadline_of(raster.data)
     with files.open_file(raster.data) as stream:
         pixels = _PixelStream(raster, stream, packed)
         pixels.skip(raster.skip)

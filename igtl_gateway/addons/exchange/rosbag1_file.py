@@ -69,7 +69,7 @@ class BagFile:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._size = files.size_of(path)
-        self._deadline = limits.Deadline(self._size)
+        self._deadline = files.deadline_of(path)
         self._stream = files.open_file(path)
         self.connections: list[BagConnection] = []
         self.chunks: list[ChunkInfo] = []

@@ -43,7 +43,6 @@ class SqliteStorage:
         self._path = path
         self._unreadable = unreadable
         self._size = files.size_of(path)
-        self._deadline = limits.Deadline(self._size)
         self._steps = 0
         self.counts: Counter[Key] = Counter()
         self.skipped: dict[Key, str] = {}

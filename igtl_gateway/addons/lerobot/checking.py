@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,10 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from igtl_gateway.addon import GatewayError, read_bytes
+from igtl_gateway.addon import Deadline, GatewayError, read_bytes, size_of, stored_bytes
 from igtl_gateway.addons.lerobot.checking_stats import StatsCheck
 from igtl_gateway.addons.lerobot.checking_videos import check_videos
-from igtl_gateway.addons.lerobot.checksums import check_checksums
+from igtl_gateway.addons.lerobot.checksums import check_checksums, data_files
 from igtl_gateway.addons.lerobot.columns import ARROW, Tables, is_numeric, matrix_of, missing
 from igtl_gateway.addons.lerobot.episodes import TOLERANCE_S, longest
 from igtl_gateway.addons.lerobot.reading import FoundDataSet, FoundEpisode, read_data_set
@@ -31,6 +32,8 @@ Array = npt.NDArray[Any]
 _RANGE = re.compile(r"([0-9]{1,9}):([0-9]{1,9})")
 #: Extra columns, or files of no episode, that are listed.
 _MOST = 5
+#: Findings of a data set; a small table may state 200,000 episodes, each of which would be wrong.
+_MOST_FINDINGS = 1_000
 
 
 def check_rules(root: Path) -> tuple[FoundDataSet | None, list[str]]:
@@ -39,7 +42,18 @@ def check_rules(root: Path) -> tuple[FoundDataSet | None, list[str]]:
         found = read_data_set(root)
     except GatewayError as error:
         return None, [str(error)]
-    return found, [*_metadata(found), *_files(found), *_episodes(found), *check_checksums(root)]
+    deadline = Deadline(sum(stored_bytes(path, size_of(path)) for path in data_files(root)))
+    return found, first_findings(
+        chain(_metadata(found), _files(found), check_checksums(root, deadline), _episodes(found, deadline))
+    )
+
+
+def first_findings(findings: Iterable[str]) -> list[str]:
+    """Return the first findings; if there are more, a last one states that no more are looked for."""
+    found = list(islice(findings, _MOST_FINDINGS + 1))
+    if len(found) > _MOST_FINDINGS:
+        found[_MOST_FINDINGS] = f"found more than {_MOST_FINDINGS:,} findings: no more are looked for"
+    return found
 
 
 def _metadata(found: FoundDataSet) -> Iterator[str]:
@@ -103,10 +117,11 @@ def _files(found: FoundDataSet) -> Iterator[str]:
             yield f"{folder}: {len(others) - _MOST:,} more files of no episode"
 
 
-def _episodes(found: FoundDataSet) -> Iterator[str]:
+def _episodes(found: FoundDataSet, deadline: Deadline) -> Iterator[str]:
     first, tables, stats = 0, Tables(), StatsCheck(found)
     for episode in found.episodes:
         place = f"episode {episode.index}"
+        deadline.check(str(found.root))
         try:
             table = tables.of(episode)
         except GatewayError as error:

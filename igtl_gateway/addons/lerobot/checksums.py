@@ -7,7 +7,16 @@ import re
 from collections.abc import Iterator
 from pathlib import Path, PurePosixPath
 
-from igtl_gateway.addon import GatewayError, check_limit, open_file, printable, read_bytes, write_text
+from igtl_gateway.addon import (
+    Deadline,
+    GatewayError,
+    LimitExceeded,
+    check_limit,
+    open_file,
+    printable,
+    read_bytes,
+    write_text,
+)
 
 CHECKSUMS = "SHA256SUMS"
 _LINE = re.compile(r"([0-9a-f]{64})  (\S.*)")
@@ -21,12 +30,12 @@ _MOST = 5
 
 def write_checksums(root: Path) -> None:
     """Write ``meta/SHA256SUMS``, for ``sha256sum -c meta/SHA256SUMS`` in the directory of the set."""
-    lines = (f"{_digest(path)}  {path.relative_to(root).as_posix()}\n" for path in _files(root))
+    lines = (f"{_digest(path)}  {path.relative_to(root).as_posix()}\n" for path in data_files(root))
     write_text(root / "meta" / CHECKSUMS, "".join(lines))
 
 
-def check_checksums(root: Path) -> Iterator[str]:
-    """Yield the files that are missing, changed or not listed."""
+def check_checksums(root: Path, deadline: Deadline) -> Iterator[str]:
+    """Yield the files that are missing, changed or not listed.  Raises LimitExceeded after the deadline."""
     place = f"meta/{CHECKSUMS}"
     try:
         text = read_bytes(root / place).decode("utf-8", "replace")
@@ -44,11 +53,13 @@ def check_checksums(root: Path) -> Iterator[str]:
             continue
         listed.add(path.as_posix())
         try:
-            if _digest(root / path) != found[1]:
+            if _digest(root / path, deadline) != found[1]:
                 wrong.append(f"{path}: found another SHA-256, expected {found[1][:12]}… of {place}: it was changed")
+        except LimitExceeded:
+            raise
         except GatewayError as error:
             wrong.append(str(error))
-    for file in _files(root):
+    for file in data_files(root):
         name = file.relative_to(root).as_posix()
         if name not in listed:
             wrong.append(f"{printable(name)}: found a file that {place} does not list, expected none")
@@ -57,15 +68,17 @@ def check_checksums(root: Path) -> Iterator[str]:
         yield f"{place}: {len(wrong) - _MOST:,} more files that are missing, changed or not listed"
 
 
-def _files(root: Path) -> list[Path]:
+def data_files(root: Path) -> list[Path]:
     """The files of a set, except the list itself, in order."""
     found = (path for folder in _FOLDERS for path in (root / folder).rglob("*"))
     return sorted(path for path in found if path.is_file() and path != root / "meta" / CHECKSUMS)
 
 
-def _digest(path: Path) -> str:
+def _digest(path: Path, deadline: Deadline | None = None) -> str:
     digest = hashlib.sha256()
     with open_file(path) as stream:
         while data := stream.read(_BYTES):
+            if deadline is not None:
+                deadline.check(str(path))
             digest.update(data)
     return digest.hexdigest()

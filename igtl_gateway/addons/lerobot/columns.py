@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
+from igtl_gateway.addon import GatewayError
 from igtl_gateway.addons.lerobot.reading import FoundEpisode, read_table
 
 #: Types of features without pictures.
@@ -25,17 +26,26 @@ class Tables:
     """The rows of episodes; a file with several episodes is read once."""
 
     def __init__(self) -> None:
-        self._last: tuple[Path, pa.Table] | None = None
+        self._last: tuple[Path, pa.Table | GatewayError] | None = None
 
     def of(self, episode: FoundEpisode) -> pa.Table:
         """Return the rows of an episode.  Raises GatewayError."""
         if self._last is None or self._last[0] != episode.data:
             self._last = None  # its memory is free before the next table is read
-            self._last = episode.data, read_table(episode.data)
+            self._last = episode.data, _table_or_error(episode.data)
         table = self._last[1]
+        if isinstance(table, GatewayError):
+            raise table.with_traceback(None)
         if episode.rows is None:
             return table
         return table.slice(episode.rows[0], episode.rows[1] - episode.rows[0])
+
+
+def _table_or_error(path: Path) -> pa.Table | GatewayError:
+    try:
+        return read_table(path)
+    except GatewayError as error:
+        return error
 
 
 def matrix_of(table: pa.Table, name: str) -> npt.NDArray[Any]:

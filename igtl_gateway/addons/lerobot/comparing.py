@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.addon import GatewayError, open_recording
-from igtl_gateway.addons.lerobot.checking import check_rules
+from igtl_gateway.addons.lerobot.checking import check_rules, first_findings
 from igtl_gateway.addons.lerobot.checking_stats import numbers_of
 from igtl_gateway.addons.lerobot.columns import Tables, is_numeric, matrix_of
 from igtl_gateway.addons.lerobot.comparing_pictures import PictureCheck
@@ -44,7 +45,8 @@ def check(root: Path, path: Path) -> tuple[FoundDataSet | None, list[str]]:
         except GatewayError as error:
             return found, [*findings, f"cannot be compared with {path}: {error}"]
         known = {_place(each) for each in findings}  # a value that a rule has found already
-        return found, [*findings, *(each for each in _compare(found, plan) if _place(each) not in known)]
+        compared = (each for each in _compare(found, plan) if _place(each) not in known)
+        return found, first_findings(chain(findings, compared))
 
 
 def _place(finding: str) -> str:

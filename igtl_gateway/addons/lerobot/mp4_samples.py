@@ -19,6 +19,8 @@ _FOLDERS = frozenset({b"moov", b"trak", b"mdia", b"minf", b"stbl", b"edts", b"mo
 _COUNTS = {b"stsz": 8, b"stz2": 8, b"stts": 4, b"ctts": 4, b"stsc": 4, b"stss": 4, b"stco": 4, b"co64": 4, b"elst": 4}
 _TIMES = struct.Struct(">II")
 _TRUN_COUNT = 4
+#: Samples of a video: 240 MB of rows.  Bytes that are holes of a sparse file count as bytes.
+_MOST = 10_000_000
 #: Of the longest head of a box with a number: what is read.
 _READ = 16
 
@@ -43,6 +45,8 @@ def check_samples(stream: IO[bytes], size: int, place: str) -> None:
             raise DamagedRecording(
                 f"{place}: {kind.decode()}: found {found:,} samples, expected at most one for each of {size:,} bytes"
             )
+        if found > _MOST:
+            raise DamagedRecording(f"{place}: {kind.decode()}: found {found:,} samples, expected at most {_MOST:,}")
     stream.seek(0)
 
 

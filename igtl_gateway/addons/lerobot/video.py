@@ -15,8 +15,8 @@ import numpy.typing as npt
 from igtl_gateway.addon import (
     MAX_PIXELS,
     DamagedRecording,
-    Deadline,
     Unavailable,
+    deadline_of,
     empty_file,
     import_av,
     make_folder,
@@ -102,7 +102,7 @@ def read_video(path: Path, size: tuple[int, int] | None = None) -> Iterator[tupl
     with open_file(path) as stream:
         length = os.fstat(stream.fileno()).st_size
         check_samples(stream, length, str(path))
-        deadline = Deadline(length)
+        deadline = deadline_of(path)
         try:
             with av.open(stream, format="mp4") as file:
                 if not file.streams.video:

@@ -60,6 +60,11 @@ def stored_bytes(path: Path, size: int) -> int:
         return size
 
 
+def deadline_of(path: Path) -> limits.Deadline:
+    """Return the deadline for reading a file, by its bytes on the disk.  Raises as :func:`size_of`."""
+    return limits.Deadline(stored_bytes(path, size_of(path)))
+
+
 def next_data(stream: IO[bytes], at: int) -> int:
     """Return the next offset from ``at`` on that is not in a hole of a sparse file; the end if there is none."""
     try:

@@ -125,8 +125,7 @@ def check_sizes(stream: BinaryIO, path: Path) -> tuple[int, list[str]]:
                 raise DamagedRecording(f"{place}: found {values} values in {rows} rows, expected one for each")
             unpacked += values * (column.width + _NESTED * column.lists)
             check_unpacked(size, unpacked, what)
-            for page in _pages(facts, values, stream, size, place):
-                deadline.check(str(path))
+            for page in _pages(facts, values, stream, size, place, deadline):
                 pages += 1
                 check_limit("count", pages, f"{path}: pages")
                 if column.type == _BYTE_ARRAY:
@@ -196,8 +195,8 @@ def _column(element: Fields, path: str, lists: int, place: str) -> _Column:
     return _Column(path, kind, width, lists)
 
 
-def _pages(facts: Fields, most: int, stream: BinaryIO, size: int, place: str) -> Iterator[_Page]:
-    """Yield the pages of a column in a row group, with sizes that fit the file."""
+def _pages(facts: Fields, most: int, stream: BinaryIO, size: int, place: str, deadline: Deadline) -> Iterator[_Page]:
+    """Yield the pages of a column in a row group, with sizes that fit the file; those of other kinds are skipped."""
     at, first = _integer(facts, 9, place), facts.get(11)
     if isinstance(first, int) and 0 < first < at:  # its dictionary
         at = first
@@ -206,6 +205,7 @@ def _pages(facts: Fields, most: int, stream: BinaryIO, size: int, place: str) ->
         raise DamagedRecording(f"{place}: found bytes {at} to {end}, expected a part of {size}")
     values = 0
     while at < end and values < most:
+        deadline.check(place)
         header, length = _header(stream, at, place)
         kind, unpacked, packed = (header.get(number) for number in (1, 2, 3))
         if not isinstance(unpacked, int) or not isinstance(packed, int) or packed < 0 or unpacked < 0:

@@ -15,6 +15,7 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
+from igtl_gateway.addon import Deadline
 from igtl_gateway.addons.lerobot.checksums import check_checksums, write_checksums
 from igtl_gateway.addons.lerobot.comparing import check
 from igtl_gateway.addons.lerobot.export import export_lerobot
@@ -317,9 +318,9 @@ def test_every_flipped_byte_is_found(version: str, sets: Path, tmp_path: Path) -
         changed = bytearray(data)
         changed[int(random.integers(0, len(data)))] ^= 1 << int(random.integers(0, 8))
         path.write_bytes(changed)
-        assert list(check_checksums(root)), path
+        assert list(check_checksums(root, Deadline(0))), path
         path.write_bytes(data)
-    assert not list(check_checksums(root))
+    assert not list(check_checksums(root, Deadline(0)))
 
 
 def test_the_checksums_are_those_of_sha256sum(sets: Path) -> None:

@@ -14,8 +14,11 @@ import pyarrow as pa
 import pytest
 from pyarrow import parquet
 
+from igtl_gateway.addons.lerobot import columns
 from igtl_gateway.addons.lerobot.checking import check_rules
 from igtl_gateway.addons.lerobot.export import export_lerobot
+from igtl_gateway.addons.lerobot.reading import read_table
+from igtl_gateway.base.errors import LimitExceeded
 from igtl_gateway.base.untrusted.limits import FileLimits, limits_in_force
 from igtl_gateway.cli import main
 from tests.addons.lerobot.sessions import Sent, arm, bars, write_session
@@ -296,6 +299,37 @@ def test_a_set_without_episodes(sets: Path, tmp_path: Path) -> None:
     assert any("found no episode, expected one or more" in each for each in findings), findings
     shutil.rmtree(root / "meta" / "episodes")
     assert any("found no episode, expected one or more" in each for each in check_rules(root)[1])
+
+
+def test_a_small_table_of_many_wrong_episodes_is_soon_read(
+    sets: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each looked for its data again, and each had its findings."""
+    root, count = shutil.copytree(sets / "v3.0", tmp_path / "set"), 1_500
+    one = parquet.read_table(root / EPISODES).slice(0, 1)
+    many = pa.concat_tables([one] * count).set_column(
+        one.schema.get_field_index("episode_index"), "episode_index", pa.array(range(count))
+    )
+    parquet.write_table(many.combine_chunks(), root / EPISODES)
+    (root / DATA["v3.0"]).write_bytes(b"PAR1" + bytes(100) + b"PAR1")
+    read: list[Path] = []
+
+    def counted(path: Path) -> pa.Table:
+        read.append(path)
+        return read_table(path)
+
+    monkeypatch.setattr(columns, "read_table", counted)
+    _, findings = check_rules(root)
+    assert len(findings) == 1001 and findings[-1] == "found more than 1,000 findings: no more are looked for"
+    assert len(read) == 1
+
+
+def test_the_work_for_a_set_is_bounded_by_its_bytes(sets: Path, tmp_path: Path) -> None:
+    """The holes of a sparse file are no bytes: to hash a terabyte of them took hours."""
+    root = shutil.copytree(sets / "v3.0", tmp_path / "set")
+    huge(root / VIEW["v3.0"])
+    with limits_in_force(FileLimits(seconds=1)), pytest.raises(LimitExceeded, match="expected at most 1 s"):
+        check_rules(root)
 
 
 # --- other things than files
