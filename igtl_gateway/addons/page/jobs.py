@@ -18,6 +18,8 @@ RUNNING, DONE, FAILED, CANCELLED = "running", "done", "failed", "cancelled"
 #: State of work that a recording has nothing for, and where an action has what its output has then.
 NOTHING = "nothing"
 _HAS_NOTHING = {"review": ("review", "addon:NOTHING")}
+#: Begin of a line of `view` that a browser has no use for.
+_TERMINAL = "Press Ctrl-C"
 #: Time between two looks at a process, and for its end after Ctrl-C, seconds.
 _LOOK_S, _END_S = 0.1, 3.0
 
@@ -106,9 +108,12 @@ class Job:
         }
 
     def _last(self) -> str:
-        """Return the last line but those of what to do next."""
+        """Return the last line but those of what to do next, or in a terminal."""
         lines = [line.strip().removeprefix(self._error).removeprefix(self._path) for line in self.lines]
-        return next((each for each in reversed(lines) if each and each != "next" and not each.startswith(PROGRAM)), "")
+        return next(
+            (each for each in reversed(lines) if each and each != "next" and not each.startswith((PROGRAM, _TERMINAL))),
+            "",
+        )
 
     def _failure(self) -> str:
         place = _HAS_NOTHING.get(self.action)

@@ -480,7 +480,7 @@ const ACTIONS = [["verify", "Verify"], ["lint", "Find problems"], ["review", "Re
 /* Names of the machine of the program, where the viewer's link leads somewhere. */
 const HERE = new Set(["127.0.0.1", "localhost", "[::1]"]);
 const RESULTS = { running: ["waiting", "runs"], done: ["ok", "good"], failed: ["error", "not good"], cancelled: ["off", "cancelled"], nothing: ["off", "not applicable"] };
-const RESULTS_OF = { lint: { done: ["ok", "no errors"], failed: ["warning", "problems found"] } };
+const RESULTS_OF = { lint: { done: ["ok", "no errors"], failed: ["warning", "problems found"] }, export: { done: ["ok", "done"], failed: ["error", "failed"] }, view: { done: ["ok", "done"], failed: ["error", "failed"] } };
 function result(row, action, none) {
   const found = row.results[action];
   if (!found) return h("span.result.zero", null, none);
@@ -514,7 +514,7 @@ function sessionRow(row) {
   if (!open) return tr;
   const off = row.recording ? "It is being recorded" : "";
   return [tr, h("tr.open", null, h("td", { colspan: 10 },
-    row.problem && (row.unread ? h("p.sub", null, `${sentence(row.problem)} It is tried again by itself; all that is below works meanwhile.`) : h("p.s-error", null, sentence(row.problem))),
+    row.problem && (row.unread ? h("p.sub", null, `${sentence(row.problem)} It is tried again by itself; all that is below works meanwhile.`) : h("p.s-error", null, row.problem)),
     h("div.actions", null, ACTIONS.map(([action, title]) => button(title, () => act({ do: "job", action, name: row.name }).then(loadSessions), { off, kind: "", key: `${row.name} ${action}` })),
       h("span.gap"), button("Replay …", () => { choose(row.name); show("replay"); }, { kind: ".primary", off, key: `${row.name} replay` })),
     row.marks?.length ? h("div.phases", null, "Marks:", row.marks.slice(0, 24).map((mark) => h("button.btn.small", { type: "button", disabled: locked(), "data-key": `${row.name} ${mark.label} ${mark.time_ns}`, onclick: () => { choose(row.name, markTime(mark, row)); show("replay"); } }, `${mark.label} ${moment(markTime(mark, row))}`)), row.marked > 24 && `and ${number(row.marked - 24)} more`) : null))];
@@ -530,13 +530,13 @@ async function toggleJob(number) {
 async function readJob() { if (openJob) try { jobLines = await (await get(`/api/job?number=${openJob}`)).json(); } catch { /* the banner says it */ } }
 setInterval(async () => { if (openJob && view === "sessions") { await readJob(); drawSessions(); } }, 1500);
 function jobRow(job) {
-  const [kind, word] = RESULTS_OF[job.action]?.[job.state] || RESULTS[job.state], title = ACTIONS.find(([action]) => action === job.action)[1], open = openJob === job.number;
+  const [kind, word] = job.link ? ["ok", "ready"] : RESULTS_OF[job.action]?.[job.state] || RESULTS[job.state], title = ACTIONS.find(([action]) => action === job.action)[1], open = openJob === job.number;
   return h("li", null, h("div.line1", null, icon(kind), h("b", null, title), h("span.clip", null, job.name), h("span.sub", null, `${word} · ${span(job.seconds)}`), h("span.gap"),
     job.link && HERE.has(location.hostname) && h("a.btn.small.primary", { href: job.link, target: "_blank", rel: "noopener noreferrer" }, "Open the viewer"),
     h("button.btn.small", { type: "button", "aria-expanded": open, "data-key": `show ${job.number}`, onclick: () => toggleJob(job.number) }, open ? "Hide output" : "Show output"),
     job.state === "running" && button("Cancel", () => act({ do: "cancel", number: job.number }), { kind: ".small.danger", key: `cancel ${job.number}` })),
     job.link && !HERE.has(location.hostname) && h("p.sub", null, "The viewer listens only on the machine that has the recordings: there, open ", h("code", null, job.link)),
-    job.last && !open && h("div.last", null, job.last), job.state === "running" && h("div.bar", { role: "progressbar", "aria-label": `${title} runs` }, h("i")),
+    job.last && !open && h("div.last", null, job.last), job.state === "running" && !job.link && h("div.bar", { role: "progressbar", "aria-label": `${title} runs` }, h("i")),
     open && h("pre", { tabindex: 0, "aria-label": "Output" }, jobLines.join("\n") || "no output yet"));
 }
 
@@ -631,7 +631,7 @@ function waits(row, playing, replay) {
   if (playing && playing.duration_s == null) return `the recording is opened for the replay${passed(replay.opening_s)}`;
   if (row.duration_s != null) return "";
   if (row.unread) return `the recording was ${row.problem}. It is tried again by itself, and can be replayed all the same`;
-  return row.problem ? `the recording ${row.problem}` : `the recording is being read${passed(row.reading_s || 0)}. Its time line follows, and it can be replayed all the same`;
+  return row.problem ? (row.recording ? "it is being recorded" : row.problem) : `the recording is being read${passed(row.reading_s || 0)}. Its time line follows, and it can be replayed all the same`;
 }
 function marksOf(row) {
   return (row.marks || []).map((mark) => ({ kind: mark.end_ns == null ? "mark" : "phase", at_s: markTime(mark, row), end_s: mark.end_ns == null ? null : (mark.end_ns - row.start_ns) / 1e9, text: mark.label + (mark.text ? `: ${mark.text}` : "") }));
@@ -662,7 +662,7 @@ function drawPlayer(at, row, length, playing, replay) {
     h("span.sub", null, playing?.rate ? `rate ${number(playing.rate, 2)} ×` : ""), h("span.time", null, "")]);
   html(at._buttons.lastChild, ...(length == null ? [] : [moment(position), h("small", null, ` of ${moment(duration)}`)]));
   const busy = opens || (!row.problem && wait);
-  part(at._wait, [wait, busy], () => (wait ? [h(row.problem && !row.unread ? "p.wait.s-error" : "p.wait", null, sentence(wait)), busy ? h("div.bar", { role: "progressbar", "aria-label": "Reading" }, h("i")) : null] : []));
+  part(at._wait, [wait, busy], () => (wait ? [row.problem && !row.unread ? h("p.wait.s-error", null, wait) : h("p.wait", null, sentence(wait)), busy ? h("div.bar", { role: "progressbar", "aria-label": "Reading" }, h("i")) : null] : []));
   if (!at._rail) return;
   at._rail.setAttribute("aria-valuemax", duration.toFixed(2)); at._rail.setAttribute("aria-valuenow", position.toFixed(2)); at._rail.setAttribute("aria-valuetext", `${moment(position)} of ${moment(duration)}`);
   const found = [...marksOf(row), ...(placesOf[row.name] || [])];
