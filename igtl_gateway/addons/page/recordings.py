@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import stat
 import sys
 import threading
 from collections import deque
@@ -49,6 +50,7 @@ class Recordings:
         self._known: dict[str, tuple[_Version, dict[str, Any]]] = {}
         self._to_read: dict[str, _Version] = {}  # the first is being read
         self._reading = False
+        self._older = 0  # recordings that are not listed
         self._tries: dict[tuple[str, _Version], int] = {}  # of those that were not read in time
         self._begun_ns = 0  # of the one that is being read, monotonic
 
@@ -79,6 +81,8 @@ class Recordings:
             if self._to_read and not self._reading:
                 self._reading = True
                 threading.Thread(target=self._read_all, name="igtl-page-listing", daemon=True).start()
+        if rows and self._older:
+            rows[-1]["older"] = self._older
         return rows
 
     def _found(self) -> list[tuple[str, tuple[int, int], int]]:
@@ -92,6 +96,7 @@ class Recordings:
         except OSError:
             return []
         found.sort(key=lambda each: -each[1][1])
+        self._older = max(len(found) - MAX_LISTED, 0)
         return found[:MAX_LISTED]
 
     def places(self, name: str) -> dict[str, Any] | None:
@@ -189,17 +194,25 @@ def _marked_ns(path: Path) -> int:
 
 
 def _recording(entry: os.DirEntry[str]) -> list[tuple[str, tuple[int, int], int]]:
-    """Return a row for a file or the folder of a split recording; nothing for anything else."""
+    """Return a row for a file or the folder of a split recording, also one that cannot be read."""
     try:
-        if entry.is_file() and entry.name.endswith(".mcap"):
-            facts = entry.stat()
-            return [(entry.name, (facts.st_size, facts.st_mtime_ns), facts.st_size)]
-        if entry.is_dir():
+        facts = _facts(entry)
+        if stat.S_ISDIR(facts.st_mode):
             with os.scandir(entry.path) as inside:
-                parts = [part.stat() for part in inside if part.name.endswith(".mcap")]
+                parts = [_facts(part) for part in inside if part.name.endswith(".mcap")]
             size = sum(part.st_size for part in parts)
             if parts:
                 return [(entry.name, (size, max(part.st_mtime_ns for part in parts)), size)]
+        elif entry.name.endswith(".mcap"):
+            return [(entry.name, (facts.st_size, facts.st_mtime_ns), facts.st_size)]
     except OSError:  # removed meanwhile, or not ours to read
         pass
     return []
+
+
+def _facts(entry: os.DirEntry[str]) -> os.stat_result:
+    """Return the facts of a file, or of a link that leads nowhere.  Raises OSError."""
+    try:
+        return entry.stat()
+    except OSError:
+        return entry.stat(follow_symlinks=False)

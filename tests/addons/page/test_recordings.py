@@ -54,6 +54,22 @@ def test_a_folder(tmp_path: Path) -> None:
     assert rows(recordings)["lego.mcap"]["marks"] == []
 
 
+def test_each_bad_file_has_its_line_and_older_ones_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A FIFO and a broken link vanished, a split recording with a broken link too, and all after the first 500."""
+    os.mkfifo(tmp_path / "fifo.mcap")
+    (tmp_path / "loop.mcap").symlink_to("loop.mcap")
+    (tmp_path / "device.mcap").symlink_to("/dev/zero")
+    (tmp_path / "split").mkdir()
+    (tmp_path / "split" / "split_0.mcap").symlink_to("nowhere")
+    found = rows(Recordings(tmp_path))
+    why = {"fifo.mcap": "found a FIFO", "loop.mcap": "symbolic links", "device.mcap": "found a device"}
+    assert found.keys() == {*why, "split"} and found["split"]["problem"]
+    assert all(text in found[name]["problem"] for name, text in why.items())
+    monkeypatch.setattr("igtl_gateway.addons.page.recordings.MAX_LISTED", 1)
+    (row,) = Recordings(tmp_path).rows()
+    assert row["older"] == 3
+
+
 def test_a_recording_with_many_marks_lists_the_first(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     with igtl_gateway.Bridge(listen=["127.0.0.1:0"], ros=False, record=str(path)) as bridge:

@@ -499,7 +499,8 @@ function drawSessions() {
     h("input", { type: "search", placeholder: "Filter by name or mark", "aria-label": "Filter by name or mark", style: null, "data-key": "filter", id: "filter", oninput: (event) => { filter = event.target.value.toLowerCase(); drawSessions(); } })));
   const rows = (sessions || []).filter((row) => !filter || row.name.toLowerCase().includes(filter) || (row.marks || []).some((mark) => mark.label.toLowerCase().includes(filter)));
   part(at.table, [rows, opened, locked(), sessions == null], () => h("div.card", null, !rows.length ? h("p.empty", null, sessions == null ? (state.folder ? "Reading the folder …" : "This bridge does not record: there is no folder to list.") : filter ? "No recording matches." : "No recordings in this folder.")
-    : h("div.scroll", null, h("table", null, h("thead", null, h("tr", null, [["Recording"], ["Begun", ""], ["Duration", "n"], ["Size", "n"], ["Streams", "n wide"], ["Marks", "n"], ["State"], ["Verified", ""], ["Sealed", "wide"], ["Reviewed", "wide"]].map(([title, kind]) => h("th", { scope: "col", class: kind }, title)))), h("tbody", null, rows.map(sessionRow))))));
+    : h("div.scroll", null, h("table", null, h("thead", null, h("tr", null, [["Recording"], ["Begun", ""], ["Duration", "n"], ["Size", "n"], ["Streams", "n wide"], ["Marks", "n"], ["State"], ["Verified", ""], ["Sealed", "wide"], ["Reviewed", "wide"]].map(([title, kind]) => h("th", { scope: "col", class: kind }, title)))), h("tbody", null, rows.map(sessionRow)))),
+    sessions?.at(-1)?.older && h("p.empty", null, `${number(sessions.at(-1).older)} older recordings are not listed.`)));
   part(at.jobs, [state.jobs, openJob, openJob && jobLines, locked()], () => (state.jobs.length ? card("Work", null, h("ul.jobs", null, state.jobs.map(jobRow))) : []));
 }
 function sessionRow(row) {
