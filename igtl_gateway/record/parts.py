@@ -32,6 +32,8 @@ from igtl_gateway.record.sessionfile.side_file import (
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 
 _DELETED = "deleted"
+#: What another program does to a closed part: it takes it to another place, or damages it.
+REMOVED, TRUNCATED = "was removed", "was truncated"
 
 #: (path, further session facts, prologue) → the writer of a part.
 Open = Callable[[Path, dict[str, str], Sequence[Entry]], SessionWriter]
@@ -76,7 +78,7 @@ class PartsWriter:
         self._counters = counters
         self._parts: list[RecordingPart] = []
         self._looked = 0  # the next of them to look at
-        self._deleted: set[Path] = set()  # those of them that the retention has deleted
+        self._gone: set[Path] = set()  # those of them that were removed
         self._left: list[Path] = []  # parts that could not be written to their end
         self._left_entries = 0
         self._number = 0
@@ -197,19 +199,20 @@ class PartsWriter:
     def take_missing(self, at_most: int = sys.maxsize) -> list[tuple[RecordingPart, str]]:
         """Look at some closed parts; return those that another program has removed or truncated, and what it did.
 
-        They are not parts any more.  What the retention has deleted is not among them.
+        A truncated one is not a part any more.  What the retention has deleted is not among them.
         """
         found = []
         for _ in range(min(at_most, len(self._parts))):
             self._looked %= len(self._parts)
             part = self._parts[self._looked]
-            why = "" if part.path in self._deleted else _why_missing(part)
-            if why == _DELETED:
-                self._deleted.add(part.path)
-            elif why:
-                del self._parts[self._looked]
+            why = "" if part.path in self._gone else _why_missing(part)
+            if why and why != _DELETED:
                 found.append((part, why))
+            if why == TRUNCATED:
+                del self._parts[self._looked]
                 continue
+            if why:
+                self._gone.add(part.path)
             self._looked += 1
         return found
 
@@ -261,10 +264,10 @@ class PartsWriter:
 def _why_missing(part: RecordingPart) -> str:
     """Return what has happened to a closed part; "" if it is there, _DELETED if the retention has deleted it."""
     try:
-        return "was truncated" if part.path.stat().st_size < part.size else ""
+        return TRUNCATED if part.path.stat().st_size < part.size else ""
     except FileNotFoundError:
         name = f"{part.path.parent.name}/{part.path.name}"
-        return _DELETED if RetentionLog(part.path.absolute().parent.parent).has_deleted(name) else "was removed"
+        return _DELETED if RetentionLog(part.path.absolute().parent.parent).has_deleted(name) else REMOVED
     except OSError:
         return ""
 

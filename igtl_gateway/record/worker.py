@@ -28,7 +28,7 @@ from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.options import RecordOptions, path_at
 from igtl_gateway.record.pace import Pace, Times
-from igtl_gateway.record.parts import PartsWriter
+from igtl_gateway.record.parts import REMOVED, PartsWriter
 from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.ring import Ring
 from igtl_gateway.record.seal.keys import SigningKey
@@ -794,13 +794,18 @@ class _RecorderWorker:
         self._report_missing(_PARTS_AT_ONCE)
 
     def _report_missing(self, at_most: int = sys.maxsize) -> None:
-        """Report closed parts that another program has taken away, after a look at some of them."""
+        """Report closed parts that another program has taken away, after a look at some of them.
+
+        Who moves closed parts to another place loses nothing.
+        """
         for part, what in self._writer.take_missing(at_most) if isinstance(self._writer, PartsWriter) else ():
-            self._dropped[TAKEN] += part.entries
-            text = f"{part.path}, a closed part, {what} by another program"
-            self._missing = self._missing or text
+            text, level = f"{part.path}, a closed part, {what} by another program", Level.WARN
+            if what != REMOVED:
+                level = Level.ERROR
+                self._dropped[TAKEN] += part.entries
+                self._missing = self._missing or text
             text += f"; {part.entries:,} entries were in the file"
-            self._note(Note(Level.ERROR, LOST_PART, text, data={"lost": part.entries, "path": str(part.path)}))
+            self._note(Note(level, LOST_PART, text, data={"lost": part.entries, "path": str(part.path)}))
 
     def _report_drops(self, now_ns: int) -> None:
         """At most once a second, of what the queue did not take since the last time."""
