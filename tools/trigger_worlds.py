@@ -3,8 +3,9 @@
     .venv/bin/python tools/trigger_worlds.py --triggers 10000 --seed 1
 
 A world is a session of some seconds at 50 messages a second, which goes through the recorder as fast as it can, and
-marks at random times, some within 1 ms of the end of a window.  The manner of a world is what is in its way: nothing, a
-slow disk, a disk that is full for a while, a memory that is too small, kill −9 of the bridge or of the recorder.
+marks at random times, some within 1 ms of the end of a window, and some of an earlier moment.  The manner of a world is
+what is in its way: nothing, a slow disk, a disk that is full for a while, a memory that is too small, kill −9 of the
+bridge or of the recorder.
 
 The judge has the entries of the session.  A window is complete if a file has all of them; the file must verify.  A
 trigger without that must have a reason: in its row of the ledger, or in a note of the recorder.
@@ -54,6 +55,8 @@ NS = 1_000_000_000
 START_NS = 1_700_000_000 * NS
 HZ = 50
 KEPT_S = 3.0
+#: Share of the marks that come up to 5 s late.
+LATE = 0.2
 RULE_TEXTS = ("mark=a,before=2,after=1", "mark=b,before=0.5,after=0.2", "mark=c,after=0", "mark=d,before=0,after=2.5")
 RULES = tuple(map(trigger, RULE_TEXTS))
 MANNERS = ("plain", "slow", "full", "small", "kill bridge", "kill recorder")
@@ -125,7 +128,8 @@ def entries_of(chosen: Random, times: Sequence[tuple[int, Trigger]]) -> Iterator
         now_ns += NS // HZ + chosen.randrange(-(10**6), 10**6)
         while waiting and waiting[0][0] <= now_ns:
             at_ns, rule = waiting.pop(0)
-            note = MarkNote(rule.pattern, f"{at_ns}").note()
+            ago_ns = chosen.randrange(1, 5 * NS) if chosen.random() < LATE else 0
+            note = MarkNote(rule.pattern, f"{at_ns}", ago_ns=ago_ns).note()
             yield from session.input(at_ns, Kind.EDGE_NOTE, (note.pack(),))
         data = encode(Message("STRING", "Chat", String(padding.encode())))
         frame = b"".join(bytes(part) for part in data)
@@ -256,24 +260,26 @@ def judge(folder: Path, notes: Sequence[Note], entries: Sequence[Entry], *, is_p
     for entry in entries:
         if entry.kind is not Kind.EDGE_NOTE or (is_prefix and entry.stamp_ns > last_ns):
             continue
-        label = str(Note.of(entry.data()).data["label"])
-        rule = next(rule for rule in RULES if rule.pattern == label)
+        mark = MarkNote.of(Note.of(entry.data()))
+        assert mark
+        rule = next(rule for rule in RULES if rule.pattern == mark.label)
         outcome.triggers += 1
-        _judge_one(entry, rule, rows, entries, reasons_of_notes, outcome)
+        _judge_one(entry, entry.stamp_ns - mark.ago_ns, rule, rows, entries, reasons_of_notes, outcome)
     return outcome
 
 
 def _judge_one(
     entry: Entry,
+    at_ns: int,
     rule: Trigger,
     rows: Sequence[tuple[dict[str, object], Path, set[int]]],
     entries: Sequence[Entry],
     reasons_of_notes: str,
     outcome: Outcome,
 ) -> None:
-    at_ns = entry.stamp_ns
-    before_s = KEPT_S if rule.before_s is None else rule.before_s
-    begin_ns, end_ns = at_ns - round(before_s * NS), at_ns + round(rule.after_s * NS)
+    begin_ns, end_ns = at_ns - round((rule.before_s or 0) * NS), at_ns + round(rule.after_s * NS)
+    if rule.before_s is None:  # all that memory has
+        begin_ns = min(begin_ns, entry.stamp_ns - round(KEPT_S * NS))
     own = [each for each in rows if each[0]["rule"] == str(rule) and each[0]["at_ns"] <= at_ns <= each[0]["last_ns"]]  # type: ignore[operator]
     wrong = ""
     for row, path, numbers in own:
