@@ -138,6 +138,8 @@ def bridge_options(
         if config.mark_from:
             raise ConfigError("--mark-from: found --relay, expected one of them: a relay reads no messages")
         listen = listen or ((DEFAULT_HOST, DEFAULT_PORT),)
+    if "peers" in given:
+        _check_peers(config, (*listen, *connect))
     tls_listen, tls_connect = secured(values, listen, connect)
     return config, BridgeOptions(
         listen,
@@ -165,6 +167,16 @@ def bridge_options(
             cpus(values["cpu_affinity"]) if values["cpu_affinity"] else frozenset(),
         ),
     )
+
+
+def _check_peers(config: Config, places: Sequence[Address]) -> None:
+    """Raise ConfigError for the profile of a port that no link has; a host has many names, and port 0 is any."""
+    ports = {str(port) for _, port in places}
+    for row in config.peers:
+        port = row.at.rpartition(":")[2]
+        if port.isdecimal() and port not in ports and "0" not in ports:
+            usual = ", ".join(f"{host}:{port}" for host, port in places)
+            raise ConfigError(f"--peer: found {row.at}, expected an address of --listen or --connect: {usual}")
 
 
 def zenoh_endpoint(values: Mapping[str, Any]) -> str | None:

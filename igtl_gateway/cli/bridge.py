@@ -240,7 +240,7 @@ class _Plan:
         values = settled(options, {})
         self.ros = not (options.no_ros or values["relay"])
         over_zenoh = zenoh_endpoint(values) is not None
-        if over_zenoh and "ros" in given(options, all_settings()) and not self.ros:  # of a file, it is not used
+        if "ros" in given(options, all_settings()) and not self.ros:  # of a file, it is not used
             raise ConfigError(
                 f"--ros {values['ros']}: found --no-ros or --relay, expected neither: they run without ROS"
             )

@@ -157,6 +157,11 @@ def test_a_slice_needs_one_output(capsys: pytest.CaptureFixture[str]) -> None:
         ("decode STAR --overwrite", "--overwrite: found no -o OUT, expected it"),
         ("sync STAR --overwrite", "--overwrite: found neither -o nor --plot, expected one"),
         ("view STAR -o OUT.rrd --at 3", "--at: found no -o OUT.png, expected it"),
+        ("bridge --no-ros --ros dds", "--ros dds: found --no-ros or --relay, expected neither"),
+        (
+            "bridge --no-ros --connect plus:18944 --peer plus:18945=plus",
+            "--peer: found plus:18945, expected an address of --listen or --connect: plus:18944",
+        ),
         ("bridge --no-ros --listen 127.0.0.1:0 --page --page-address 0.0.0.0:0", "expected --allow NETWORK"),
         ("export STAR --to csv -o OUT.mcap", "-o: found '"),
         (
