@@ -15,8 +15,8 @@ from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.versions import Self
 from igtl_gateway.config.faults import CLOCK_STEP, Faults
 from igtl_gateway.config.notations import STREAM
-from igtl_gateway.config.setting import NONE, Setting, by_name, changed, check_effect, grouped
-from igtl_gateway.config.settings import BY_SETTING, PROFILE_NAMES, TLS
+from igtl_gateway.config.setting import CLIENTS, NONE, Setting, by_name, changed, check_effect, grouped
+from igtl_gateway.config.settings import ABSENT, BY_SETTING, PROFILE_NAMES, TLS
 from igtl_gateway.convert.profiles import AUTO
 from igtl_gateway.edges.tcp import TlsFiles
 from igtl_gateway.replay.playback import checked_rate
@@ -30,6 +30,7 @@ To = Literal["igtl", "ros", "both"]
 _PEERS, _ROS = "OpenIGTLink peers", "ROS"
 #: Such a need → what to report if it is not there.
 _ABSENT = {
+    CLIENTS: ABSENT[CLIENTS],
     _PEERS: "found --to ros, expected --to igtl or --to both",
     _ROS: "found --to igtl, expected --to ros or --to both",
 }
@@ -56,8 +57,9 @@ _FIRST = (
     Setting("digest", True, "compute the SHA-256 of the sent bytes, which delays large images", option="--no-digest"),
 )
 _ADDRESSES = (
-    *map(_of_a_bridge, ("listen", "connect", "allow")),
-    *(replace(BY_SETTING[name], table=NONE, keyword=False) for name in TLS),
+    *map(_of_a_bridge, ("listen", "connect")),
+    _of_a_bridge("allow", needs=(_PEERS, CLIENTS)),
+    *(replace(BY_SETTING[name], table=NONE, keyword=False, needs=(_PEERS, *BY_SETTING[name].needs)) for name in TLS),
 )
 _FORMS = (
     Setting(
@@ -247,10 +249,13 @@ class ReplayOptions:
             ConfigError: options that contradict each other, or have no effect.
         """
         peers, ros = values["to"] != "ros", values["to"] != "igtl"
-        check_effect(by_name(REPLAY), values, changed(by_name(REPLAY), values), {_PEERS: peers, _ROS: ros}, _ABSENT)
+        met = {_PEERS: peers, _ROS: ros, CLIENTS: bool(values["listen"]) or not values["connect"]}
+        check_effect(by_name(REPLAY), values, changed(by_name(REPLAY), values), met, _ABSENT)
         if ros_args and not ros:
             raise ConfigError(f"--ros-args: {_ABSENT[_ROS]}: the option has no effect here")
         listen, connect = bridge_options.addresses(values["listen"], values["connect"]) if peers else ((), ())
+        if not (ros or listen) and (values["wait_peers"] or 0) > len(connect):
+            raise ConfigError(f"--wait-peers: found {values['wait_peers']}, expected at most {len(connect)}: --connect")
         tls_listen, tls_connect = bridge_options.secured(values, listen, connect)
         used = {each.name for each in fields(cls)}
         same: dict[str, Any] = {name: value for name, value in values.items() if name in used}

@@ -39,7 +39,7 @@ from igtl_gateway.convert.table import TO_ROS
 from igtl_gateway.convert.units import UNITS
 
 #: Such a need → what to report if it is not there.
-_ABSENT = {
+ABSENT = {
     ROS_GRAPH: "found --no-ros or --relay, expected neither",
     CLIENTS: "found --connect without --listen, expected --listen",
     ARMS: "found no --profile crtk, expected it",
@@ -92,7 +92,7 @@ def check_needs(values: Mapping[str, Any], names: Iterable[str], *, ros: bool) -
         CLIENTS: bool(values["listen"] or values["relay"]) or not values["connect"],
         ARMS: bool(values["crtk"] or arms_of_profile(values["profile"])),
     }
-    check_effect(by_name(all_settings()), values, names, met, _ABSENT)
+    check_effect(by_name(all_settings()), values, names, met, ABSENT)
 
 
 @cache

@@ -157,6 +157,12 @@ def test_a_slice_needs_one_output(capsys: pytest.CaptureFixture[str]) -> None:
         ("decode STAR --overwrite", "--overwrite: found no -o OUT, expected it"),
         ("sync STAR --overwrite", "--overwrite: found neither -o nor --plot, expected one"),
         ("view STAR -o OUT.rrd --at 3", "--at: found no -o OUT.png, expected it"),
+        ("cohort info STAR -o OUT --plan /plan", "--plan: found info, expected review"),
+        ("cohort review STAR -o OUT --max-lag 3", "--max-lag: found review, expected sync"),
+        ("merge STAR STAR -o OUT.mcap --max-lag 3", "--max-lag: found no --sync STREAM STREAM"),
+        ("replay STAR --to ros --tls", "--tls: found --to ros, expected --to igtl or --to both"),
+        ("replay STAR --to igtl --connect a:1 --allow any", "--allow: found --connect without --listen"),
+        ("replay STAR --to igtl --connect a:1 --wait-peers 2", "--wait-peers: found 2, expected at most 1: --connect"),
         ("bridge --no-ros --ros dds", "--ros dds: found --no-ros or --relay, expected neither"),
         (
             "bridge --no-ros --connect plus:18944 --peer plus:18945=plus",

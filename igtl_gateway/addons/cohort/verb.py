@@ -52,6 +52,8 @@ errors.  Tables and columns: docs/how-to/cohort.md"""
 QUERY, REPORT = "query", "report"
 _FIRST_QUESTION = "SELECT status, count(*) n FROM tasks GROUP BY status"
 _ACTIONS = (*VERB_NAMES, QUERY, REPORT)
+#: Verb → options that only it has.
+_OF_A_VERB = {"review": ("plan", "cloud", "tool"), "sync": ("stream", "pair", "max_lag")}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -214,6 +216,11 @@ def _check(options: argparse.Namespace) -> None:
     ):
         if value < least:
             raise ConfigError(f"{name}: found {value}, expected {least} or more")
+    for verb, names in _OF_A_VERB.items():
+        for name in names:
+            if options.action != verb and getattr(options, name):
+                flag = f"--{name.replace('_', '-')}"
+                raise ConfigError(f"{flag}: found {options.action}, expected {verb}: the option has no effect here")
     if options.pair and len(options.stream) != 2:
         raise ConfigError(f"--pair: found {len(options.stream)} of --stream, expected two")
     for name, seconds in (("--timeout", options.timeout), ("--max-lag", options.max_lag)):

@@ -89,6 +89,8 @@ def run(options: argparse.Namespace) -> int:
         if is_same(options.output, source.path):
             raise ConfigError(f"{options.output}: found a recording that is merged, expected another file to write to")
     given = dict(_offset(text) for text in options.offset)
+    if options.max_lag is not None and not options.sync:
+        raise ConfigError("--max-lag: found no --sync STREAM STREAM, expected it: the option has no effect here")
     if options.sync:
         if len(sources) != 2 or given:
             raise ConfigError("--sync: expected two recordings and no --offset")
