@@ -283,9 +283,9 @@ def _judge_one(
     own = [each for each in rows if each[0]["rule"] == str(rule) and each[0]["at_ns"] <= at_ns <= each[0]["last_ns"]]  # type: ignore[operator]
     wrong = ""
     for row, path, numbers in own:
-        if not row["missing"]:
+        if not row["missing"] and entry.seq in numbers:  # else it is of a mark that has not come late
             lacking = [each.seq for each in entries if begin_ns <= each.stamp_ns <= end_ns and each.seq not in numbers]
-            if not lacking and entry.seq in numbers:
+            if not lacking:
                 outcome.whole += 1
                 return
             wrong = f"{path.name}: {rule} at {at_ns}: complete, but entries {lacking[:3]} … of {len(lacking)} lack"
