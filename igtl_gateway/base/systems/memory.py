@@ -19,6 +19,9 @@ _STATM = Path("/proc/self/statm")
 _MUCH_BYTES = 32 << 20
 #: Looks at which it has grown no more.
 _CALM_LOOKS = 3
+#: What malloc has free is asked at one of this number of looks, and at each of some after memory was given back, when
+#: the last of a burst becomes free: it takes a microsecond for each of its gaps.
+_RARELY, _AFTERWARDS = 10, 30
 
 
 def own_bytes() -> int:
@@ -46,15 +49,17 @@ class IdleMemory:
         give_back: Callable[[], None] | None = GIVE_BACK,
     ) -> None:
         self._own, self._free, self._give_back = own, free, give_back
-        self._least = self._most = own()
+        self._floor = self._least = self._most = own()
         self._least_free = free()
-        self._calm = 0
+        self._has_free = False
+        self._calm, self._looks = 0, _AFTERWARDS  # since memory was given back
 
     def look(self) -> None:
         """Give memory back if there is much, and no more than at the last looks; to be called once a second."""
-        bytes_, free = self._own(), self._free()
-        if self._give_back is None or max(bytes_ - self._least, free - self._least_free) < _MUCH_BYTES:
-            self._least, self._least_free = min(self._least, bytes_) or bytes_, min(self._least_free, free)
+        bytes_ = self._own()
+        self._ask_free(bytes_)
+        if self._give_back is None or not (self._has_free or bytes_ - self._least >= _MUCH_BYTES):
+            self._least = min(self._least, bytes_) or bytes_
             self._most, self._calm = bytes_, 0
             return
         self._calm = 0 if bytes_ > self._most else self._calm + 1
@@ -63,5 +68,15 @@ class IdleMemory:
             gc.collect()  # closed links and their buffers refer to each other
             self._give_back()
             self._least = self._most = self._own()
-            self._least_free = self._free()
-            self._calm = 0
+            self._least_free, self._has_free = self._free(), False
+            self._calm = self._looks = 0
+
+    def _ask_free(self, bytes_: int) -> None:
+        """Ask what is free, now and then, if the process has more than it once had."""
+        self._looks += 1
+        self._floor = min(self._floor, bytes_)
+        is_due = self._looks <= _AFTERWARDS or self._looks % _RARELY == 0
+        if is_due and bytes_ - self._floor >= _MUCH_BYTES:
+            free = self._free()
+            self._has_free = free - self._least_free >= _MUCH_BYTES
+            self._least_free = min(self._least_free, free)

@@ -17,9 +17,10 @@ class Process:
 
     def __init__(self) -> None:
         self.own = self.used = 50 * MIB
-        self.trims = 0
+        self.trims = self.asked = 0
 
     def free(self) -> int:
+        self.asked += 1
         return self.own - self.used
 
     def give_back(self) -> None:
@@ -57,12 +58,22 @@ def test_what_was_in_use_after_a_burst_is_returned_when_it_is_free() -> None:
     process = Process()
     memory = process.memory()
     process.own = process.used = 500 * MIB
-    for _ in range(30):
-        memory.look()
-    process.used = 60 * MIB
     for _ in range(5):
         memory.look()
+    process.used = 300 * MIB
+    for _ in range(5):
+        memory.look()
+    assert process.own == 300 * MIB, "soon after a burst it is asked each time"
+    for _ in range(100):
+        memory.look()
+    asked = process.asked
+    process.used = 60 * MIB
+    for _ in range(15):
+        memory.look()
     assert process.own == 60 * MIB
+    for _ in range(50):
+        memory.look()
+    assert process.asked - asked <= 5, "later now and then, at its least never"
 
 
 def test_small_changes_and_other_systems_cost_nothing() -> None:
