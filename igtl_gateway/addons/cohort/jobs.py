@@ -133,10 +133,11 @@ def run_job(job: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def content_of(path: Path) -> str:
-    """Return the SHA-256 of a local file.  Raises UnsupportedRecording, OSError."""
-    found = hashlib.sha256()
+    """Return the SHA-256 of a local file.  Raises UnsupportedRecording, LimitExceeded, OSError."""
+    found, deadline = hashlib.sha256(), files.deadline_of(path)
     with files.open_file(path) as stream:
         while block := stream.read(_HASHED):
+            deadline.check(str(path))
             found.update(block)
     return f"sha256:{found.hexdigest()}"
 

@@ -85,7 +85,7 @@ class MeshFolders:
         folder = own or urdf.absolute().parent
         name = uri.removeprefix(_FILE) if uri.startswith(_FILE) else str(urdf.absolute().parent / uri)
         found = _inside(folder, os.path.relpath(name, folder), uri)
-        if own is None and not found.resolve().is_relative_to(folder.resolve()):
+        if own is None and not Path(os.path.realpath(found)).is_relative_to(os.path.realpath(folder)):
             raise UnsupportedRecording(f"{uri[:200]}: found a link out of {folder}, expected a file in it")
         return found
 

@@ -104,7 +104,11 @@ def sibling_file(path: Path, name: str) -> Path:
     if not name or name in {".", ".."} or Path(name).name != name or "\\" in name or "\0" in name:
         raise DamagedRecording(f"{path}: found a reference to the file {name!r}, expected a name in the same folder")
     target = folder / name
-    if target.is_symlink() and target.resolve().parent != folder.resolve():
+    try:
+        is_outside = target.is_symlink() and target.resolve().parent != folder.resolve()
+    except (OSError, RuntimeError):  # links in a circle
+        is_outside = False
+    if is_outside:
         raise DamagedRecording(f"{path}: found a reference to {name!r}, a link out of the folder")
     size_of(target)
     return target

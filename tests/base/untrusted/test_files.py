@@ -63,6 +63,12 @@ def test_a_reference_to_a_file_beside(tmp_path: Path) -> None:
         sibling_file(tmp_path / "a.mhd", "pipe")
 
 
+def test_a_reference_to_links_in_a_circle_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "a.raw").symlink_to("a.raw")
+    with pytest.raises(UnsupportedRecording, match="symbolic links"):
+        sibling_file(tmp_path / "a.mhd", "a.raw")
+
+
 def test_holes_of_a_sparse_file_cost_nothing(tmp_path: Path) -> None:
     path = tmp_path / "sparse"
     with path.open("wb") as stream:
