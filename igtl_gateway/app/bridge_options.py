@@ -11,6 +11,7 @@ from igtl_gateway.app.setting_values import config_of
 from igtl_gateway.base.addons import part_of
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.realtime import RealtimeOptions
+from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.notations import (
     DDS,
@@ -171,10 +172,10 @@ def bridge_options(
 
 def _check_peers(config: Config, places: Sequence[Address]) -> None:
     """Raise ConfigError for the profile of a port that no link has; a host has many names, and port 0 is any."""
-    ports = {str(port) for _, port in places}
+    ports = {port for _, port in places}
     for row in config.peers:
-        port = row.at.rpartition(":")[2]
-        if port.isdecimal() and port not in ports and "0" not in ports:
+        port = whole_number(row.at.rpartition(":")[2])
+        if port is not None and port not in ports and 0 not in ports:
             usual = ", ".join(f"{host}:{port}" for host, port in places)
             raise ConfigError(f"--peer: found {row.at}, expected an address of --listen or --connect: {usual}")
 
