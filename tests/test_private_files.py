@@ -31,7 +31,6 @@ EXCEPTIONS: dict[str, tuple[frozenset[str], str]] = {
     "cli/seal_keys.py": (frozenset({"os.open", "open"}), "keys are 0600 whatever is stated"),
     "addons/view/stream.py": (frozenset({"os.open", "open"}), "its mode is 0600; rerun opens it by its name"),
     "record/shared_queue.py": (frozenset({"memfd_create"}), "memory without a name"),
-    "record/host.py": (frozenset({"write_text"}), "a value of the kernel"),
     "cli/terminal.py": (frozenset({"open"}), "the null device"),
     "edges/ros_interfaces/cache.py": (frozenset({"mkdir", "open"}), "compiled message types: no data of a session"),
     "edges/ros_interfaces/build.py": (

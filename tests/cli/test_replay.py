@@ -203,7 +203,8 @@ def test_a_server_with_tls() -> None:
     [
         (("--to", "igtl", "--listen", "0.0.0.0:0"), "none may connect"),
         (("--to", "igtl", "--listen", "tls://127.0.0.1:0"), "expected --tls-cert FILE"),
-        (("--to", "ros", "--tls-ca", "ca.pem"), "found no address with TLS"),
+        (("--to", "igtl", "--tls-ca", "ca.pem"), "found no address with TLS"),
+        (("--to", "ros", "--tls-ca", "ca.pem"), "found --to ros, expected --to igtl"),
     ],
 )
 def test_addresses_that_cannot_be_are_refused(

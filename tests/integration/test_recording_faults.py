@@ -321,9 +321,10 @@ def test_a_folder_of_parts_that_is_removed_is_told_at_once(tmp_path: Path) -> No
     try:
         load.wait_answers(1)
         shutil.rmtree(path.with_suffix(""))
-        told = bridge.wait_code("record_failed")
+        told = bridge.wait_code("record_continued")
         assert str(path.with_suffix("")) in told["text"] and "was removed" in told["text"]
         load.wait_answers(1)
+        assert list(path.with_suffix("").iterdir()), "the folder is made again"
         load.close()
         assert bridge.end().code == 1
     finally:

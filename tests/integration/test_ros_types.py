@@ -1504,6 +1504,7 @@ def until_status(peer: RawPeer) -> list[Wire]:
 def peer(world: World) -> Iterator[RawPeer]:
     """One that has asked for nothing yet, and has got what every late peer gets: plans and surfaces."""
     with RawPeer(world.bridge.port) as fresh:
+        assert until_status(fresh) == [], "who asks reads the answer first"
         until_status(fresh)
         yield fresh
 
