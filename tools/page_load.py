@@ -4,9 +4,10 @@
         --against "python -m tools.page_load none {port}" --against "python -m tools.page_load open {port} page.txt"
 
 ``none``: without the page; ``open``: one browser; ``twenty``: 20, and one that never reads; ``killed``: its process is
-killed after ten seconds.  A browser here asks for the state twice a second, as the page does.  Load and browsers are
-processes of their own: what they cost must not delay the load.  The third word is a file for the share of a core that
-the process of the page has used.
+killed after ten seconds.  ``one_elsewhere``, ``twenty_elsewhere``: without the page, 1 and 20 browsers ask a program
+that only sends as many bytes: what they cost themselves.  A browser here asks for the state twice a second, as the page
+does.  Load and browsers are processes of their own: what they cost must not delay the load.  The third word is a file
+for the share of a core that the process of the page has used.
 """
 
 from __future__ import annotations
@@ -27,6 +28,10 @@ from igtl_gateway.addon.igtl import Message, Transform, encode, ns_to_ticks
 from tests.integration.bridge import RawPeer
 
 _STREAMS, _HZ = 100, 10
+#: Kind → browsers, and whether there is a page.
+_BROWSERS = {"open": (1, True), "twenty": (20, True), "killed": (1, True), "none": (0, False)}
+_BROWSERS |= {"one_elsewhere": (1, False), "twenty_elsewhere": (20, False)}
+_PAGE_BYTES = 30_000
 _POSE = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 10.0, 20.0, 30.0)
 
 
@@ -38,17 +43,21 @@ def main(words: list[str]) -> int:
         _ROLES[kind](port, *log)
         return 0
     command = [sys.executable, "-m", "igtl_gateway", "bridge", "--json", "--listen", f"127.0.0.1:{port}"]
-    bridge = subprocess.Popen([*command, *(["--page"] if kind != "none" else [])], stdout=subprocess.PIPE, text=True)
+    number, has_page = _BROWSERS[kind]
+    bridge = subprocess.Popen([*command, *(["--page"] if has_page else [])], stdout=subprocess.PIPE, text=True)
     signal.signal(signal.SIGINT, lambda *_: bridge.send_signal(signal.SIGINT))
     signal.signal(signal.SIGTERM, lambda *_: bridge.send_signal(signal.SIGINT))
     assert bridge.stdout
     events = map(json.loads, bridge.stdout)
     next(event for event in events if event["event"] == "started")
     roles = [_role("load", port)]
-    if kind != "none":
+    if number and not has_page:
+        place = _free_port()
+        roles += [_role("serves", place), _role("browsers", f"http://127.0.0.1:{place}/?t=none", str(number))]
+    if has_page:
         link = next(event["link"] for event in events if event["event"] == "page")
         page = _page_of(bridge.pid)
-        roles.append(_role("browsers", link, str({"open": 1, "twenty": 20, "killed": 1}[kind])))
+        roles.append(_role("browsers", link, str(number)))
         if kind == "twenty":
             roles.append(_role("never_reads", link))
         threading.Thread(target=_watch, args=(kind, page, log), daemon=True).start()
@@ -92,6 +101,21 @@ def _page_of(bridge: int) -> int:
     raise AssertionError("found no process of the page")
 
 
+def _free_port() -> str:
+    with socket.create_server(("127.0.0.1", 0)) as sock:
+        return str(sock.getsockname()[1])
+
+
+def _serves(port: str) -> None:
+    head = f"HTTP/1.1 200 OK\r\nPage-Version: 1\r\nContent-Length: {_PAGE_BYTES}\r\n\r\n"
+    with socket.create_server(("127.0.0.1", int(port))) as server:
+        while True:
+            sock, _ = server.accept()
+            with sock:
+                sock.recv(1 << 16)
+                sock.sendall(head.encode() + bytes(_PAGE_BYTES))
+
+
 def _browsers(link: str, number: str) -> None:
     for _ in range(int(number)):
         threading.Thread(target=_browse, args=(link,), daemon=True).start()
@@ -130,7 +154,12 @@ def _never_reads(link: str) -> None:
     sock.close()
 
 
-_ROLES: dict[str, Callable[..., None]] = {"load": _load, "browsers": _browsers, "never_reads": _never_reads}
+_ROLES: dict[str, Callable[..., None]] = {
+    "load": _load,
+    "browsers": _browsers,
+    "never_reads": _never_reads,
+    "serves": _serves,
+}
 
 
 def _watch(kind: str, page: int, log: list[str]) -> None:
