@@ -26,7 +26,6 @@ from igtl_gateway.app.timer import Timer
 from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.errors import ConfigError, Unavailable
 from igtl_gateway.base.qos import Qos
-from igtl_gateway.base.realtime import shorten_slices
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.base.systems.memory import IdleMemory
 from igtl_gateway.config.configuration import Config
@@ -198,7 +197,6 @@ class Bridge:
         try:
             self._parts.start()
             self.realtime = self.options.realtime.apply()
-            shorten_slices()
         except Exception:
             self.stop()
             if self._recording:

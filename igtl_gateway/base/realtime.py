@@ -13,8 +13,6 @@ from __future__ import annotations
 import ctypes
 import errno
 import os
-import platform
-import struct
 import sys
 import threading
 from collections.abc import Callable
@@ -33,14 +31,6 @@ MESSAGE_THREADS = (
 )
 #: Threads with such a name that pass none: it removes segments of killed processes.
 _OTHER_THREADS = ("dds.shm.wdog",)
-#: The thread that serves peers in Python: what makes it busy must not delay those that pass messages natively.
-_SERVING_THREAD = "igtl-tcp"
-
-#: Linux 6.12 gives a thread that asks for short slices its turn sooner, and not more of the processor, ns.
-_SLICE_NS = 100_000
-#: Number of sched_setattr, and its argument: size, policy, flags, niceness, priority, runtime, deadline, period.
-_SCHED_SETATTR = {"x86_64": 314, "aarch64": 274}.get(platform.machine())
-_ATTRIBUTES = struct.Struct("=IIQiIQQQ")
 
 _TASKS = Path("/proc/self/task")
 _STATUS = Path("/proc/self/status")
@@ -155,14 +145,6 @@ def message_threads(tasks: Path = _TASKS) -> dict[int, str]:
     return found
 
 
-def shorten_slices() -> int:
-    """Let the threads that pass messages natively run soon beside busy ones, where the system can; return how many can.
-
-    This needs no permission.  Real-time threads have no slices.
-    """
-    return sum(_shorten_slice(thread) for thread, name in message_threads().items() if name != _SERVING_THREAD)
-
-
 def has_capability(number: int, status: Path = _STATUS) -> bool:
     """Return whether this process has a capability of the system; False if that is unknown."""
     try:
@@ -175,17 +157,6 @@ def has_capability(number: int, status: Path = _STATUS) -> bool:
 
 if sys.platform == "linux":
     import resource
-
-    def _shorten_slice(thread: int) -> bool:
-        try:
-            policy, niceness = os.sched_getscheduler(thread), os.getpriority(os.PRIO_PROCESS, thread)
-        except OSError:  # the thread has just ended
-            return False
-        if policy != os.SCHED_OTHER or _SCHED_SETATTR is None:
-            return False
-        words = _ATTRIBUTES.pack(_ATTRIBUTES.size, policy, 0, niceness, 0, _SLICE_NS, 0, 0)
-        failed: int = ctypes.CDLL(None).syscall(_SCHED_SETATTR, thread, words, 0)
-        return not failed
 
     def _check_priority(priority: int) -> None:
         """Try the priority in a thread that ends.  Raises Unavailable."""
@@ -229,11 +200,6 @@ if sys.platform == "linux":
                 "add 'USER - memlock unlimited' to /etc/security/limits.conf and log in again "
                 "(systemd: LimitMEMLOCK=infinity, Docker: --cap-add IPC_LOCK)"
             )
-
-else:
-
-    def _shorten_slice(thread: int) -> bool:
-        return False
 
 
 def _lock_memory(mlockall: Callable[[int], int] | None = None) -> None:
