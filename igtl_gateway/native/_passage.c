@@ -1938,7 +1938,7 @@ static void free_stream(Stream *self)
     Py_TYPE(self)->tp_free((PyObject *)self);
 }
 
-/* Free what the reading thread had in use when the last reference went: it has nothing in use now, and the GIL. */
+/* Free what was in use when the last reference went, and is not any more; the caller has the GIL. */
 static void free_left(Passage *passage)
 {
     Stream **at = &passage->left_streams;
