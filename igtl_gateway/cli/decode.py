@@ -121,11 +121,13 @@ def _decode(options: argparse.Namespace, source: BufferedReader[FileIO], target:
 
 
 def _check_format(name: str, source: BufferedReader[FileIO]) -> bytes:
-    """Return the first bytes.  Raises ConfigError for a recording, or another format that `import` reads."""
+    """Return the first bytes.  Raises ConfigError if there are none, or for a format that `import` reads."""
     try:
         start = source.peek(_START)[:_START]
     except OSError as error:
         raise ConfigError(f"{name}: {_reason(error)}") from None
+    if not start:
+        raise ConfigError(f"{name}: found no bytes, expected OpenIGTLink bytes")
     kind = part_of("exchange", "formats:format_of")(start) if is_present("exchange") else None
     if kind and kind.name != _IGTL:
         raise ConfigError(

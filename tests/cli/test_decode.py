@@ -102,6 +102,15 @@ def test_a_header_that_announces_too_much(tmp_path: Path, capsys: pytest.Capture
     assert err.startswith("igtl-gateway decode: offset 106: ") and "4611686018427387904" in err
 
 
+def test_nothing_is_no_stream(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "empty.igtl"
+    path.touch()
+    code, told, err = decoded(capsys, str(path), "-o", str(tmp_path / "out.igtl"))
+    assert (code, told) == (2, [])
+    assert err == f"igtl-gateway decode: {path}: found no bytes, expected OpenIGTLink bytes\n"
+    assert not (tmp_path / "out.igtl").exists()
+
+
 def test_a_missing_file_is_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code, _, err = decoded(capsys, str(tmp_path / "none.igtl"))
     assert code == 2

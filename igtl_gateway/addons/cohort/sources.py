@@ -74,12 +74,13 @@ def _local(source: str) -> Iterator[Located]:
         names = sorted(map(Path, glob.glob(source, recursive=True)))
     for name in names:
         try:
-            facts = name.stat()
+            size = name.stat().st_size
+            changes = "" if name.is_dir() else " ".join(map(_changes, (name, *marks_files(name))))
         except (OSError, ValueError):  # a link to nothing, or no access: the job has the reason
             yield Located(str(name.absolute()), 0, "absent")
             continue
-        if not name.is_dir():
-            yield Located(str(name.absolute()), facts.st_size, " ".join(map(_changes, (name, *marks_files(name)))))
+        if changes:
+            yield Located(str(name.absolute()), size, changes)
 
 
 def _changes(path: Path) -> str:

@@ -97,6 +97,8 @@ def deidentify(
         return run.report
     except layout.LayoutError as error:
         raise DamagedRecording(f"{path}: {error}") from None
+    except GatewayError:
+        raise
     except OSError as error:
         raise GatewayError(f"cannot write to {out}: {error.strerror}") from None
     finally:

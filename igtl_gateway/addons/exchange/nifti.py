@@ -135,16 +135,25 @@ def _placement(header: Any, axes: int, where: str, notes: list[str]) -> ImagePla
     codes = {name: int(header[f"{name}_code"]) for name in ("sform", "qform")}
     if codes["sform"] > 0:
         affine = header.get_sform()
-        if codes["qform"] > 0 and not np.allclose(affine, header.get_qform(), atol=1e-3):
+        if codes["qform"] > 0 and not np.allclose(affine, _qform(header, where), atol=1e-3):
             notes.append("sform and qform differ: the position is that of sform")
     elif codes["qform"] > 0:
-        affine = header.get_qform()
+        affine = _qform(header, where)
     else:
         notes.append("neither sform nor qform is set: axes are treated as left, posterior, superior, as in ITK")
         steps = [lengths.to_ros(abs(float(step))) for step in header["pixdim"][1 : 1 + axes]]
         return ImagePlacement.of_file(np.diag(steps).tolist(), [0.0] * axes, "LPS", where)
     columns = lengths.to_ros(affine[:3, :axes]).T.tolist()
     return ImagePlacement.of_file(columns, lengths.to_ros(affine[:3, 3]).tolist(), "RAS", where)
+
+
+def _qform(header: Any, where: str) -> Any:
+    try:
+        return header.get_qform()
+    except Exception:  # of several types
+        values = " ".join(f"{float(header[name]):g}" for name in ("quatern_b", "quatern_c", "quatern_d"))
+        found = f"quatern {values} and pixdim[0] {float(header['pixdim'][0]):g}"
+        raise DamagedRecording(f"{where}: qform: found {found}, expected a rotation, and 1 or -1") from None
 
 
 def _times(header: Any, roles: list[str], shape: list[int]) -> tuple[float, ...]:

@@ -51,10 +51,10 @@ def marks_file(recording: Path) -> Path:
 
 
 def marks_files(recording: Path, *, parts: bool = True) -> list[Path]:
-    """Return the side files of a recording that exist: its own, and those of the parts of a folder."""
+    """Return the side files of a recording: its own, and those of the parts of a folder; also what is no file."""
     of_parts = sorted(recording.glob(f"*.mcap{SUFFIX}")) if parts and recording.is_dir() else []
     own = marks_file(recording)
-    return [*([own] if os.path.isfile(own) else []), *of_parts]  # a name may be too long for the system
+    return [*([own] if os.path.lexists(own) else []), *of_parts]  # a name may be too long for the system
 
 
 def added_marks(recording: Path, start_ns: int, end_ns: int, *, parts: bool = True) -> tuple[Mark, ...]:

@@ -107,6 +107,7 @@ def test_the_command_refuses_what_it_cannot_do(tmp_path: Path, capsys: pytest.Ca
         ([str(SOURCE), "-o", str(SOURCE), "--overwrite"], 2, "the recording itself"),
         ([str(SOURCE), "-o", str(damaged)], 2, "exists already"),
         ([str(damaged), "-o", str(out)], 1, "recover"),
+        ([str(tmp_path / "absent.mcap"), "-o", str(out)], 2, "absent.mcap: No such file"),
     ):
         assert main(["deidentify", *call]) == code, call
         assert said in capsys.readouterr().err

@@ -142,6 +142,22 @@ def test_without_nibabel_the_error_says_what_to_install(tmp_path: Path, monkeypa
 
 
 @table(
+    ("offset", "value", "text"),
+    [(256, np.inf, r"quatern inf 0 0 and pixdim\[0\] 1"), (76, 3, r"quatern 0 0 0 and pixdim\[0\] 3")],
+)
+def test_a_qform_that_is_no_rotation_is_named(tmp_path: Path, offset: int, value: float, text: str) -> None:
+    image = nib.Nifti1Image(np.zeros(SIZE, np.uint8), affine_of(np.eye(3)))
+    image.set_sform(None, 0)
+    image.set_qform(affine_of(np.eye(3)), 1)
+    nib.save(image, tmp_path / "some.nii")
+    bent = bytearray((tmp_path / "some.nii").read_bytes())
+    bent[offset : offset + 4] = np.float32(value).tobytes()
+    (tmp_path / "some.nii").write_bytes(bent)
+    with pytest.raises(DamagedRecording, match=f"qform: found {text}, expected a rotation, and 1 or -1"):
+        open_source(tmp_path / "some.nii")
+
+
+@table(
     ("offset", "data", "text"),
     [
         (40, b"\x00\x00", "expected 2 … 7"),

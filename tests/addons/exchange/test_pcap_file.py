@@ -221,6 +221,32 @@ def test_an_option_of_an_interface_with_another_length_is_named(tmp_path: Path, 
         items_of(tmp_path / "some.pcapng", file.data)
 
 
+@table("code", [9, 14])
+def test_a_needed_option_that_is_repeated_is_named(tmp_path: Path, code: int) -> None:
+    file = Pcapng()
+    file.interface(options=file.option(code, b"\6" * (1 if code == 9 else 8)) * 2)
+    with pytest.raises(DamagedRecording, match="block 2: found an if_tsresol or if_tsoffset twice, expected it once"):
+        items_of(tmp_path / "some.pcapng", file.data)
+
+
+@table("order", "<>")
+def test_options_that_are_not_needed_may_be_repeated_or_be_no_text(tmp_path: Path, order: str) -> None:
+    expected, _ = items_of(tmp_path / "some.pcapng", _whole(order, b"", b""))
+    file = Pcapng(order)
+    of_interface = (file.option(2, b"eth0") + file.option(8, bytes(8)) + file.option(3, b"\xff")) * 2
+    of_packet = (file.option(1, b"\xff") + file.option(2, bytes(4))) * 2
+    found, _ = items_of(tmp_path / "some.pcapng", _whole(order, of_interface, of_packet))
+    assert found and alike(found) == alike(expected)
+
+
+def _whole(order: str, of_interface: bytes, of_packet: bytes) -> bytes:
+    file = Pcapng(order)
+    file.interface(options=of_interface + file.option(9, b"\6"))
+    for data in talk():
+        file.packet(data, 10**15, options=of_packet)
+    return file.data
+
+
 def test_a_simple_packet_without_an_interface_is_damaged(tmp_path: Path) -> None:
     with pytest.raises(DamagedRecording, match="block 2"):
         items_of(tmp_path / "some.pcapng", Pcapng().simple_packet(b"abcd").data)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from pathlib import Path
 
@@ -91,6 +92,27 @@ def test_a_bad_side_file_is_named_with_the_line(lines: list[str], error: str, tm
     with pytest.raises(DamagedRecording) as caught:
         added_marks(recording, 5, 9)
     assert error in str(caught.value) and str(marks_file(recording)) in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", ["a FIFO", "a folder", "No such file", "symbolic links"])
+def test_a_side_file_that_is_none_is_named(kind: str, recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    side = marks_file(recording)
+    if kind == "a FIFO":
+        os.mkfifo(side)
+    elif kind == "a folder":
+        side.mkdir()
+    else:
+        side.symlink_to(side.name if kind == "symbolic links" else "absent")
+    new = recording.with_name("new.mcap")
+    for words in (
+        ["info"],
+        ["slice", "-o", str(new)],
+        ["deidentify", "-o", str(new)],
+        ["view", "-o", str(new) + ".rrd"],
+    ):
+        code = main([*words, str(recording)])
+        printed = "".join(capsys.readouterr())
+        assert code != 0 and f"{side}: " in printed and kind in printed and not new.exists(), words
 
 
 def test_info_shows_a_recording_with_a_bad_side_file(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
