@@ -22,6 +22,7 @@ _RATE_NS = 5 * NS_PER_S
 _PAUSE_NS, _INTERVALS = NS_PER_S, 5
 #: Of this many seconds, this many with messages are a rhythm.
 _SECONDS, _WITH = 5, 3
+_LAST_SECONDS = (1 << _SECONDS) - 1
 #: Seconds of a block whose rate is remembered if it is steady (this share of them is within this factor of the median),
 #: blocks that are kept, and blocks from which on a rate is judged.
 _BLOCK_S, _STEADY, _FACTOR, _BLOCKS, _ENOUGH = 10, 2 / 3, 1.5, 60, 3
@@ -42,7 +43,6 @@ class Rhythm:
         is_regular: whether it has ever come with a rhythm.
         rate_hz: messages per second.
         spark: messages of each of the last seconds.
-        spark_text: the same, as the page gets it.
         pauses: end and length of each pause of the last minute.
     """
 
@@ -51,14 +51,20 @@ class Rhythm:
         self.is_regular = False
         self.rate_hz = 0.0
         self.spark: deque[float] = deque(maxlen=SPARK_S)
-        self.spark_text = ""
         self._texts: deque[str] = deque(maxlen=SPARK_S)
         self.pauses: deque[tuple[int, int]] = deque(maxlen=SPARK_S)
         self._samples: deque[tuple[int, int]] = deque()
-        self._second, self._at_second, self._usual_hz = 0, 0.0, 0.0
+        self._second, self._at_second = 0, 0.0
         self._paused_until_ns = 0  # of the last pause that the guard has seen
         self._blocks: deque[float] = deque(maxlen=_BLOCKS)
-        self._seconds, self._has_rhythm = 0, False
+        self._before_hz = 0.0  # their median, if they are enough
+        self._seconds = 0
+        self._came = 0  # a bit for each of the last seconds: 1 for one with messages
+
+    @property
+    def spark_text(self) -> str:
+        """``spark`` as the page gets it."""
+        return " ".join(self._texts)
 
     def take(
         self, now_ns: int, received: int, utc_ns: int = 0, arrived_ns: int = 0, pause: tuple[int, int] = (0, 0)
@@ -90,19 +96,22 @@ class Rhythm:
     def silent_ns(self, now_ns: int) -> int:
         """Return for how long a regular stream has been silent; 0 if that is usual."""
         since_ns = now_ns - self.moved_ns
-        return since_ns if self.is_regular and since_ns >= self._longest_ns() else 0
+        return since_ns if self.is_regular and self._is_pause(since_ns) else 0
 
     def slower_than_hz(self, now_ns: int) -> float:
         """Return the rate before, if it is now far below it; 0 if it is not."""
-        before_hz = median(self._blocks) if len(self._blocks) >= _ENOUGH else 0.0
+        before_hz = self._before_hz
         is_slow = before_hz >= _LEAST_HZ and self.rate_hz < _SHARE * before_hz
         has_paused = self.silent_ns(now_ns) or (self.pauses and now_ns - self.pauses[-1][0] < _AFTER_NS)
         return before_hz if is_slow and not has_paused else 0.0
 
-    def _longest_ns(self) -> int:
-        """Return the time from which on no message is a pause."""
-        intervals_ns = round(_INTERVALS / self._usual_hz * NS_PER_S) if self._usual_hz else SILENT_NS
-        return min(max(_PAUSE_NS, intervals_ns), SILENT_NS)
+    def _is_pause(self, length_ns: int) -> bool:
+        """Return whether a time without a message is a pause; the usual interval is looked at for a long one only."""
+        if length_ns < _PAUSE_NS:
+            return False
+        came = [value for value in self.spark if value > 0]
+        intervals_ns = round(_INTERVALS / median(came) * NS_PER_S) if came else SILENT_NS
+        return length_ns >= min(intervals_ns, SILENT_NS)
 
     def _pause(self, now_ns: int, utc_ns: int, length_ns: int, fuzzy_ns: int) -> None:
         """Take a time between two messages, which is known to within ``fuzzy_ns``."""
@@ -110,7 +119,7 @@ class Rhythm:
             return
         if length_ns > self.gap_ns:
             self.gap_ns, self.gap_utc_ns = length_ns, utc_ns
-        if length_ns - fuzzy_ns >= self._longest_ns():
+        if self._is_pause(length_ns - fuzzy_ns):
             self.pauses.append((now_ns, length_ns))
 
     def _count(self, now_ns: int) -> None:
@@ -126,6 +135,7 @@ class Rhythm:
             self.spark.append(value := round(at_second - self._at_second, 1))
             self._texts.append(f"{value:g}" if value < _EXACT else f"{value:.0f}")
             self._second, self._at_second = second, at_second
+            self._came = (self._came << 1 | (value > 0)) & _LAST_SECONDS
             self._seconds += 1
             if self._seconds % _BLOCK_S == 0:
                 self._keep_block()
@@ -134,20 +144,11 @@ class Rhythm:
             samples.popleft()
         since_ns, first = samples[0]
         self.rate_hz = round((received - first) / (now_ns - since_ns) * NS_PER_S, 3) if now_ns > since_ns else 0.0
-        if seconds:
-            self._look_back()
-        self.is_regular |= self._has_rhythm and self.rate_hz >= RHYTHM_HZ
-
-    def _look_back(self) -> None:
-        """Judge the last minute: once a second, because the page has hundreds of these."""
-        values = list(self.spark)
-        came = [value for value in values if value > 0]
-        self._usual_hz = median(came) if came else 0.0
-        self._has_rhythm = sum(value > 0 for value in values[-_SECONDS:]) >= _WITH
-        self.spark_text = " ".join(self._texts)
+        self.is_regular = self.is_regular or (self._came.bit_count() >= _WITH and self.rate_hz >= RHYTHM_HZ)
 
     def _keep_block(self) -> None:
         block = list(self.spark)[-_BLOCK_S:]
         usual_hz = median(block)
         if sum(usual_hz / _FACTOR <= value <= usual_hz * _FACTOR for value in block) >= _STEADY * len(block):
             self._blocks.append(usual_hz)
+            self._before_hz = median(self._blocks) if len(self._blocks) >= _ENOUGH else 0.0

@@ -96,10 +96,13 @@ class Losses:
     def take(self, now_ns: int, lost: int, unconfirmed_bytes: int = 0) -> None:
         """Take the counts of a sample."""
         found = self._unconfirmed
-        found.append((now_ns, unconfirmed_bytes))
-        while len(found) > 1 and now_ns - found[1][0] >= _STUCK_NS:
-            found.popleft()
-        least = min(size for _, size in found) if now_ns - found[0][0] >= _STUCK_NS else 0
+        if not unconfirmed_bytes:
+            found.clear()
+        else:
+            found.append((now_ns, unconfirmed_bytes))
+            while len(found) > 1 and now_ns - found[1][0] >= _STUCK_NS:
+                found.popleft()
+        least = min(size for _, size in found) if found and now_ns - found[0][0] >= _STUCK_NS else 0
         self.stuck_bytes = least if least > _STUCK_BYTES else 0
         if lost > self.lost:
             self.lost_ns = now_ns
