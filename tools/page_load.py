@@ -31,7 +31,8 @@ _STREAMS, _HZ = 100, 10
 #: Kind → browsers, and whether there is a page.
 _BROWSERS = {"open": (1, True), "twenty": (20, True), "killed": (1, True), "none": (0, False)}
 _BROWSERS |= {"one_elsewhere": (1, False), "twenty_elsewhere": (20, False)}
-_PAGE_BYTES = 30_000
+#: Of the state with 100 streams after ten seconds.
+_PAGE_BYTES = 85_000
 _POSE = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 10.0, 20.0, 30.0)
 
 
