@@ -147,7 +147,7 @@ def test_the_verbs_work(tmp_path: Path) -> None:
         ("export", "part.mcap", "--to", "csv", "-o", "tables"): 0,
         ("export", "part.mcap", "--to", "rosbag2", "-o", "bag"): 0,
         ("import", "bag", "-o", "imported.mcap"): 0,
-        ("decode", "nothing.igtl"): 0,
+        ("decode", "nothing.igtl"): 2,
         ("keep", ".", "--retention", "1 d"): 0,  # deletes the one that is old
         ("doctor", "--host"): 1,
         ("doctor", "127.0.0.1:1", "--seconds", "0.1"): 1,
