@@ -49,6 +49,18 @@ _EPISODE = shape.fields(
 )
 _TASK = shape.fields({"task_index": shape.number, "task": shape.text}, ("task_index", "task"))
 _VIDEO = ("chunk_index", "file_index", "from_timestamp", "to_timestamp")
+#: What pandas, with which LeRobot reads the tasks, needs in its metadata of a table.
+_PANDAS_COLUMN = shape.fields(
+    {"pandas_type": shape.text, "numpy_type": shape.text},
+    ("name", "field_name", "pandas_type", "numpy_type", "metadata"),
+)
+_PANDAS = shape.fields(
+    {"column_indexes": shape.list_of(_PANDAS_COLUMN), "columns": shape.list_of(_PANDAS_COLUMN)},
+    ("index_columns", "column_indexes", "columns"),
+)
+_TEXT = frozenset({"object", "str", "string", "unicode"})
+#: Column of the tasks, None for the names of the columns → its types in pandas.
+_PANDAS_TYPES = {"task_index": frozenset({"int64"}), "task": _TEXT, None: _TEXT}
 _STATS = shape.fields(
     {"episode_index": shape.number, "stats": shape.map_of(shape.map_of(shape.anything))}, ("episode_index", "stats")
 )
@@ -163,15 +175,22 @@ def read_total_stats(root: Path) -> Mapping[str, Mapping[str, Any]]:
 
 
 def _json(path: Path, expected: shape.Shape) -> Any:
-    value = parse_json(read_bytes(path).decode("utf-8", "replace"), str(path))
+    value = parse_json(_utf8(read_bytes(path), str(path)), str(path))
     expected(value, str(path))
     return value
 
 
+def _utf8(data: bytes, place: str) -> str:
+    """Return the text, as strictly as LeRobot reads it."""
+    try:
+        return data.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise DamagedRecording(f"{place}: byte {error.start}: found {data[error.start]:#x}, expected UTF-8") from None
+
+
 def _lines(path: Path, expected: shape.Shape) -> list[Any]:
-    text = read_bytes(path).decode("utf-8", "replace")
     found = []
-    for number, line in enumerate(text.split("\n"), 1):
+    for number, line in enumerate(_utf8(read_bytes(path), str(path)).split("\n"), 1):
         if line.strip():
             value = parse_json(line, f"{path}:{number}")
             expected(value, f"{path}:{number}")
@@ -199,7 +218,9 @@ def _version21(root: Path, videos: list[str]) -> tuple[dict[int, str], list[Foun
 
 
 def _version30(root: Path, videos: list[str]) -> tuple[dict[int, str], list[FoundEpisode]]:
-    rows = _rows(root / "meta" / "tasks.parquet", ["task_index", "task"])
+    table = read_table(root / "meta" / "tasks.parquet")
+    rows = _rows(root / "meta" / "tasks.parquet", ["task_index", "task"], table)
+    _check_index(table, f"{root}/meta/tasks.parquet: metadata pandas")
     for number, row in enumerate(rows):
         _TASK(row, f"{root}/meta/tasks.parquet: row {number}")
     found: list[FoundEpisode] = []
@@ -209,6 +230,22 @@ def _version30(root: Path, videos: list[str]) -> tuple[dict[int, str], list[Foun
         check_limit("count", len(found) + table.num_rows, f"{path}: episodes")
         found += _episodes(root, path, table, videos, begins)
     return _numbered(root / "meta" / "tasks.parquet", rows), found
+
+
+def _check_index(table: pa.Table, place: str) -> None:
+    """Raise DamagedRecording unless pandas makes the text of the tasks the index of their table."""
+    found = parse_json(_utf8((table.schema.metadata or {}).get(b"pandas", b"{}"), place), place)
+    _PANDAS(found, place)
+    if found["index_columns"] != ["task"]:
+        raise shape.wrong(f"{place}.index_columns", found["index_columns"], '["task"]')
+    for part, names in (("columns", sorted(table.schema.names)), ("column_indexes", [None])):
+        columns = found[part]
+        if sorted(map(repr, (each["name"] for each in columns))) != sorted(map(repr, names)):
+            raise shape.wrong(f"{place}.{part}", [each["name"] for each in columns], f"the names {names}")
+        for each in columns:
+            types = _PANDAS_TYPES.get(each["name"], frozenset())
+            if each["field_name"] != each["name"] or not {each["pandas_type"], each["numpy_type"]} <= types:
+                raise shape.wrong(f"{place}.{part}", each, f"{each['name']} of the type {min(types, default='')}")
 
 
 def _numbered(path: Path, rows: list[Any]) -> dict[int, str]:

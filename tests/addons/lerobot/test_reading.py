@@ -17,8 +17,8 @@ from pyarrow import parquet
 from igtl_gateway.addons.lerobot import columns
 from igtl_gateway.addons.lerobot.checking import check_rules
 from igtl_gateway.addons.lerobot.export import export_lerobot
-from igtl_gateway.addons.lerobot.reading import read_table
-from igtl_gateway.base.errors import LimitExceeded
+from igtl_gateway.addons.lerobot.reading import read_data_set, read_table
+from igtl_gateway.base.errors import DamagedRecording, LimitExceeded
 from igtl_gateway.base.untrusted.limits import FileLimits, limits_in_force
 from igtl_gateway.cli import main
 from tests.addons.lerobot.sessions import Sent, arm, bars, write_session
@@ -31,6 +31,8 @@ VIEW = {
     "v2.1": "videos/chunk-000/observation.images.view/episode_000000.mp4",
     "v3.0": "videos/observation.images.view/chunk-000/file-000.mp4",
 }
+#: Types of a column of pandas that no column has.
+_TYPES = {"pandas_type": "int7", "numpy_type": "int7", "metadata": None}
 EPISODES = "meta/episodes/chunk-000/file-000.parquet"
 RECIPE = """\
 [dataset]
@@ -147,6 +149,69 @@ def test_info_that_is_no_info(text: str, expected: str, sets: Path, tmp_path: Pa
     (root / "meta" / "info.json").write_text(text, "utf-8")
     _, findings = check_rules(root)
     assert len(findings) == 1 and expected in findings[0], findings
+
+
+def test_text_that_is_not_utf_8_is_named(sets: Path, tmp_path: Path) -> None:
+    root = shutil.copytree(sets / "v2.1", tmp_path / "set")
+    for name, text in (("info.json", b'"unknown"'), ("tasks.jsonl", b"sew"), ("episodes_stats.jsonl", b"mean")):
+        path = root / "meta" / name
+        data = path.read_bytes()
+        path.write_bytes(data.replace(text, text[:2] + b"\xff" + text[3:], 1))
+        _, findings = check_rules(root)
+        place = data.index(text) + 2
+        assert findings == [f"{path}: byte {place}: found 0xff, expected UTF-8"]
+        path.write_bytes(data)
+
+
+# --- the index of the tasks, which LeRobot reads with pandas ----------------------------------------------------------
+
+
+def test_a_flipped_bit_of_the_tasks_that_pandas_refuses_is_found(sets: Path, tmp_path: Path) -> None:
+    pandas = pytest.importorskip("pandas")
+    root = shutil.copytree(sets / "v3.0", tmp_path / "set")
+    path = root / "meta" / "tasks.parquet"
+    data, expected = path.read_bytes(), pandas.read_parquet(path)
+    refused = 0
+    for at in range(data.index(b"index_columns") - 9, len(data), 5):
+        path.write_bytes(data[:at] + bytes([data[at] ^ (0x80 if at % 2 else 1)]) + data[at + 1 :])
+        try:
+            accepts = bool(pandas.read_parquet(path).equals(expected))
+        except (ValueError, TypeError, KeyError, OSError):
+            accepts = False
+        try:
+            found = read_data_set(root).tasks == {0: "sew"}
+        except DamagedRecording:
+            found = False
+        assert accepts or not found, at
+        refused += not accepts
+    assert refused > 50
+
+
+@table(
+    ("change", "text"),
+    [
+        ({"index_columns": []}, 'metadata pandas.index_columns: found [], expected ["task"]'),
+        ({"column_indexes": []}, "metadata pandas.column_indexes: found [], expected the names [None]"),
+        ({"columns": [{}]}, "metadata pandas.columns[0]: found no field 'name', expected one"),
+        ({"columns": None}, "metadata pandas.columns: found null, expected an array"),
+        (
+            {"columns": [dict.fromkeys(("name", "field_name"), "task") | _TYPES]},
+            "metadata pandas.columns: found [\"task\"], expected the names ['task', 'task_index']",
+        ),
+        (
+            {"column_indexes": [dict.fromkeys(("name", "field_name")) | _TYPES]},
+            "expected None of the type object",
+        ),
+    ],
+)
+def test_tasks_without_the_index_that_is_read(change: dict[str, Any], text: str, sets: Path, tmp_path: Path) -> None:
+    root = shutil.copytree(sets / "v3.0", tmp_path / "set")
+    path = root / "meta" / "tasks.parquet"
+    tasks = parquet.read_table(path)
+    stated = json.loads(tasks.schema.metadata[b"pandas"]) | change
+    parquet.write_table(tasks.replace_schema_metadata({"pandas": json.dumps(stated)}), path)
+    _, findings = check_rules(root)
+    assert len(findings) == 1 and text in findings[0], findings
 
 
 # --- lines and tables -----------------------------------------------------------------------------------------------
