@@ -50,11 +50,12 @@ def count_text(number: int, thing: str, things: str = "") -> str:
 
 
 def print_damaged_indexes(path: Path, chunks: int) -> None:
-    """Print that indexes of messages are damaged, and the remedy; nothing if none is."""
+    """Print that something around chunks is damaged, and the remedy; nothing if nothing is."""
     if chunks:
         print_line(
-            f"DAMAGED: the index of messages of {count_text(chunks, 'chunk')}: all messages are there, but "
-            f"programs that use the index may miss some; run: igtl-gateway recover {shlex.quote(str(path))}"
+            f"DAMAGED: the index of messages of {count_text(chunks, 'chunk')}, or schemas and channels before it: all "
+            "messages are there, but programs that use these may miss some; run: igtl-gateway recover "
+            f"{shlex.quote(str(path))}"
         )
 
 

@@ -444,10 +444,11 @@ def damaged(observed: Observer) -> Iterator[RuleMatch]:
     if observed.damage:
         yield RuleMatch("recording", observed.damage)
     if number := observed.damaged_indexes:
-        text = (
-            f"the index of messages is damaged in {number:,} chunk{'' if number == 1 else 's'}: all messages are there"
+        text = f"the index of messages is damaged in {number:,} chunk{'' if number == 1 else 's'}"
+        text += (
+            ", or schemas and channels before it are: all messages are there, but programs that use these may miss some"
         )
-        yield RuleMatch("index", f"{text}, but programs that use the index may miss some", {"chunks": number})
+        yield RuleMatch("index", text, {"chunks": number})
 
 
 def lost(observed: Observer) -> Iterator[RuleMatch]:

@@ -1,6 +1,8 @@
-"""The message indexes of chunks, which have no checksum: whether they are what the summary states.
+"""What stands around chunks, and has no checksum: whether it is what the summary states.
 
-No entry depends on them: a reader that starts in the middle of a file notices a damaged one and reads from the start.
+That is the message indexes behind a chunk, and the schemas and channels before it.  No entry depends on them: a reader
+that starts in the middle of a file notices a damaged index and reads from the start, and the summary has all schemas
+and channels.  Other programs use them.
 """
 
 from __future__ import annotations
@@ -11,12 +13,60 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.record.sessionfile.contents import ChunkEntry, Index
-from igtl_gateway.record.sessionfile.records import HEAD, MESSAGE_INDEX, MESSAGE_INDEX_HEAD, MESSAGE_RECORD
+from igtl_gateway.record.sessionfile.records import (
+    ATTACHMENT,
+    DEFINITIONS,
+    HEAD,
+    HEADER,
+    MAGIC,
+    MESSAGE_INDEX,
+    MESSAGE_INDEX_HEAD,
+    MESSAGE_RECORD,
+    METADATA,
+    PRIVATE,
+    Malformed,
+)
+
+#: Records that may stand between chunks.
+_BESIDE = {HEADER, *DEFINITIONS, MESSAGE_INDEX, ATTACHMENT, METADATA}
+#: Longer definitions are not compared: they are refused where they are read.
+_COMPARED_BYTES = 16 << 20
 
 
 def damaged_indexes(stream: IO[bytes], index: Index) -> int:
-    """Return the number of chunks whose message indexes are damaged.  Raises OSError."""
-    return sum(not _is_sound(stream, chunk) for chunk in index.chunks if not chunk.loose and chunk.places)
+    """Return the number of chunks around which something is damaged.  Raises OSError."""
+    if any(chunk.loose for chunk in index.chunks):  # messages stand between the chunks, too
+        return sum(not _is_sound(stream, chunk) for chunk in index.chunks if not chunk.loose and chunk.places)
+    ends = [len(MAGIC), *(chunk.at + chunk.length + chunk.index_length for chunk in index.chunks)]
+    return sum(
+        not (_is_declared(stream, index, at, chunk.at) and (not chunk.places or _is_sound(stream, chunk)))
+        for at, chunk in zip(ends, index.chunks, strict=False)
+    )
+
+
+def _is_declared(stream: IO[bytes], index: Index, at: int, end: int) -> bool:
+    """Whether there are records from one place to another, and among them no other schemas and channels than stated."""
+    while at < end:
+        if end - at < HEAD.size:
+            return False
+        stream.seek(at)
+        opcode, length = HEAD.unpack(stream.read(HEAD.size))
+        at += HEAD.size + length
+        if at > end or not (opcode in _BESIDE or opcode >= PRIVATE):
+            return False
+        compared = opcode in DEFINITIONS and length <= _COMPARED_BYTES
+        if compared and not _is_stated(index, opcode, stream.read(length)):
+            return False
+    return True
+
+
+def _is_stated(index: Index, opcode: int, content: bytes) -> bool:
+    found = Index(0)
+    try:
+        found.define(opcode, content)
+    except Malformed:
+        return False
+    return found.schemas.items() <= index.schemas.items() and found.channels.items() <= index.channels.items()
 
 
 def _is_sound(stream: IO[bytes], chunk: ChunkEntry) -> bool:

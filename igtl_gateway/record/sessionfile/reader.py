@@ -279,7 +279,7 @@ class SessionFile:
                 yield records.parse_attachment(content)
 
     def damaged_indexes(self) -> int:
-        """Chunks whose index of messages is damaged: no entry is lost, but other programs may miss messages."""
+        """Chunks around which something is damaged: no entry is lost, but other programs may miss messages."""
         return damaged_indexes(self._stream, self._index)
 
     def extract(self, name: str, out: IO[bytes]) -> None:
