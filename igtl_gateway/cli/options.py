@@ -6,6 +6,7 @@ import argparse
 import shutil
 import textwrap
 from collections.abc import Callable, Sequence
+from itertools import groupby
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
@@ -24,7 +25,10 @@ RECORDING_OR_BAG = "recording, or MCAP file of rosbag2"
 
 #: Verbs with more options have a usage line without them: a screen of brackets hides the arguments.
 _MANY_OPTIONS = 9
+#: Columns of a terminal for which descriptions and examples are written.
+_WRITTEN = 80
 _WIDEST_HELP = 100
+_COMMENT = "  # "
 _LINE = 76
 
 
@@ -35,10 +39,31 @@ class Options(Protocol):
 
 
 class HelpFormatter(argparse.RawDescriptionHelpFormatter):
-    """Keeps the lines of descriptions and examples; limits the width on a wide terminal."""
+    """Keeps the lines of descriptions and examples, except on a narrow terminal; limits the width on a wide one."""
 
     def __init__(self, prog: str) -> None:
         super().__init__(prog, width=min(shutil.get_terminal_size().columns, _WIDEST_HELP) - 2)
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        filled = super()._fill_text(text, width, indent)
+        return filled if self._width >= _WRITTEN - 2 else fit(filled, self._width)
+
+
+def fit(text: str, width: int) -> str:
+    """Return text whose paragraphs and comments are at most as wide as this; commands and tables keep their lines."""
+    found: list[str] = []
+    for prefix, lines in groupby(text.splitlines(), _prefix):
+        if prefix is None:
+            found += lines
+        else:
+            words = " ".join(line[len(prefix) :] for line in lines)
+            found += textwrap.wrap(words, width, initial_indent=prefix, subsequent_indent=prefix)
+    return "\n".join(found)
+
+
+def _prefix(line: str) -> str | None:
+    """Return how a line of a paragraph or of a comment begins; None: it is neither."""
+    return _COMMENT if line.startswith(_COMMENT) else None if line.startswith(" ") or not line else ""
 
 
 def default(value: object) -> str:

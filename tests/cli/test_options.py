@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import re
 import shlex
+import string
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -45,6 +46,16 @@ def commands(epilog: str) -> Iterator[list[str]]:
 
 def test_help_fits_a_terminal(parser: argparse.ArgumentParser) -> None:
     assert [line for line in parser.format_help().splitlines() if len(line) > COLUMNS] == []
+
+
+@pytest.mark.parametrize("name", available())
+def test_prose_and_comments_fit_a_narrow_terminal(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands keep their lines, to be copied."""
+    monkeypatch.setenv("COLUMNS", "40")
+    made = argparse.ArgumentParser("igtl-gateway", formatter_class=HelpFormatter)
+    complete(made, available()[name])
+    _, *lines = made.format_help().splitlines()
+    assert [line for line in lines if len(line) > 40 and line.startswith(("  #", *string.ascii_letters, "`"))] == []
 
 
 def test_examples_are_valid(parser: argparse.ArgumentParser) -> None:
