@@ -122,6 +122,7 @@ NOTES: dict[str, dict[str, str]] = {
         "zenoh_not_closed": "at the end, the router did not read; the session ends with the process",
         "ros_lost": "the middleware lost messages before the gateway took them",
         "ros_hold_overflow": "a topic had many messages before its subscribers were matched",
+        "latched_forgotten": "latched messages exceed `latched_mib`: those of the largest topic are forgotten",
         "ros_unknown_type": "the type of a topic is not installed",
         "ros_refused": "ROS refuses a topic, for example because of its name",
         "ros_publish_failed": "a message was not published",

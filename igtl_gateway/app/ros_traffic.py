@@ -14,6 +14,7 @@ from igtl_gateway.app.subscriptions import RECORDED, Subscriptions
 from igtl_gateway.app.video import VideoCodecs
 from igtl_gateway.base.addons import part_of
 from igtl_gateway.base.errors import GatewayError
+from igtl_gateway.config.settings import DEFAULT_LATCHED_MIB
 from igtl_gateway.convert.common_msgs import CompressedImage, TFMessage
 from igtl_gateway.convert.igtl_msgs import CommandReply, LinkStatusList
 from igtl_gateway.convert.rosmsg import String
@@ -83,6 +84,7 @@ class RosTraffic:
     def _make_side(self, host: NodeHost | None, passage: Passage | None) -> RosSide:
         """Return the edge over the middleware of the options."""
         options, note, wanted = self._options, self._hub.note, self._subscriptions.wanted
+        latched_mib = self._gateway.config.latched_mib or DEFAULT_LATCHED_MIB
         if options.zenoh is None:
             return RosEdge(
                 node_name=options.node_name,
@@ -92,6 +94,7 @@ class RosTraffic:
                 on_listener=self._on_first_subscriber,
                 host=host,
                 passage=passage,
+                latched_mib=latched_mib,
             )
         traffic = part_of("zenoh", "traffic:Traffic")
         side: RosSide = part_of("zenoh", "edge:ZenohEdge")(
@@ -103,6 +106,7 @@ class RosTraffic:
             endpoint=options.zenoh,
             site=options.site.name,
             traffic=traffic(options.site.classes, options.site.bytes_per_s) if options.site.name else None,
+            latched_mib=latched_mib,
         )
         return side
 

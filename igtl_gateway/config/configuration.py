@@ -30,6 +30,7 @@ replay and verification use the settings of the recorded session.
                                    # in live sessions only
     keep_mib = 48                  # MiB of the last images of all devices but the newest, and of the last messages of
                                    # topics; by default in live sessions only
+    latched_mib = 1536             # MiB of the latched messages of all topics; by default in live sessions only
 
     [[to_igtl]]                    # ROS topic → OpenIGTLink; the first matching row applies
     topic = "/camera/image_raw"    # * matches within one level, ** across levels
@@ -92,6 +93,7 @@ from igtl_gateway.config.faults import RelayFaults
 from igtl_gateway.config.setting import GATEWAY, HOST, IGTL, RECORD, TYPE_NAMES
 from igtl_gateway.config.settings import (
     DEFAULT_KEEP_MIB,
+    DEFAULT_LATCHED_MIB,
     PROFILE_NAMES,
     RECEIVE,
     SOURCE,
@@ -107,7 +109,12 @@ from igtl_gateway.convert.table import TO_IGTL
 from igtl_gateway.convert.units import UNITS, LengthUnits
 
 #: Settings that older recordings do not have, and their default in a live session.  They are None in these recordings.
-LIVE: Mapping[str, bool | int] = {"watch": True, "cautious": True, "keep_mib": DEFAULT_KEEP_MIB}
+LIVE: Mapping[str, bool | int] = {
+    "watch": True,
+    "cautious": True,
+    "keep_mib": DEFAULT_KEEP_MIB,
+    "latched_mib": DEFAULT_LATCHED_MIB,
+}
 #: Former names of the policies, in the configurations of old recordings.
 _STAMP_ALIASES = {"now": RECEIVE}
 OUT_PREFIX = "/igtl/out/"
@@ -186,8 +193,8 @@ class Config:
     """The configuration of a session; see the module for the meaning of each setting.
 
     ``watch`` adds notes.  None, as in recordings that are older than this setting, means no such notes.  Live sessions
-    set it; see ``watched``.  ``cautious`` and ``keep_mib`` are None in older recordings, too: there, peers are treated
-    as they were then, and nothing is forgotten.
+    set it; see ``watched``.  ``cautious``, ``keep_mib`` and ``latched_mib`` are None in older recordings, too: there,
+    peers are treated as they were then, and nothing is forgotten.
     """
 
     base_frame: str = "igtl"
@@ -212,6 +219,7 @@ class Config:
     watch: bool | None = None
     cautious: bool | None = None
     keep_mib: int | None = None
+    latched_mib: int | None = None
     to_igtl: tuple[ToIgtlRow, ...] = ()
     to_ros: tuple[ToRosRow, ...] = ()
     tf_out: tuple[TfOutRow, ...] = ()
@@ -383,7 +391,7 @@ class Config:
         for name in ("max_age_s", "kinds", "allow_in", "allow_out", "mark_from", "crtk"):
             if not values[name]:
                 del values[name]
-        for name in ("cautious", "keep_mib"):
+        for name in ("cautious", "keep_mib", "latched_mib"):
             if values[name] is None:
                 del values[name]
         for table in ("to_igtl", "to_ros", "tf_out"):

@@ -57,6 +57,8 @@ VIDEO_CODECS = ("h264", "vp9")
 
 #: MiB that are kept of last images, and of last messages, beside the newest of them.
 DEFAULT_KEEP_MIB = 48
+#: MiB of latched messages: three of the largest usual volumes, of which DDS may have two each.
+DEFAULT_LATCHED_MIB = 1536
 #: Upper limit of the timeout of a COMMAND, s: one day.
 MAX_TIMEOUT_S = 86_400.0
 
@@ -431,6 +433,17 @@ _ROS = (
         DEFAULT_KEEP_MIB,
         "memory for the last images of all devices, of which later ones may be parts, and as much for the last "
         "messages of ROS topics, for queries; the newest and latched ones do not count, the oldest are forgotten",
+        GATEWAY,
+        metavar="MIB",
+        unit="MiB",
+        least=1,
+        most=1 << 20,
+    ),
+    Setting(
+        "latched_mib",
+        DEFAULT_LATCHED_MIB,
+        "memory for the latched messages of all topics, which late joiners get, in each direction; beyond it those of "
+        "the topic that has most are forgotten: who joins gets none before the next",
         GATEWAY,
         metavar="MIB",
         unit="MiB",

@@ -23,6 +23,7 @@ from igtl_gateway.gateway.dialogue.marking import Marking
 from igtl_gateway.gateway.dialogue.querying import Queries
 from igtl_gateway.gateway.fastpath import FastHandler, FastPath, PrepareMessage
 from igtl_gateway.gateway.guard import Guard
+from igtl_gateway.gateway.kept import FORGOTTEN, forgotten_text
 from igtl_gateway.gateway.live_settings import LiveSettings
 from igtl_gateway.gateway.log.clocksteps import ClockStep
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -84,14 +85,16 @@ class Gateway:
         self._denied_in, self._denied_out = denied_in, denied_out = Denials(config.deny_in), Denials(config.deny_out)
         activity = Activity()
         self._tf = tf = TfOut(config, tuple(streams.device(row.request().device) for row in config.tf_out))
-        self._subscribers = subscribers = Subscribers(needs_tf=bool(tf))
-        room = None if config.keep_mib is None else config.keep_mib << 20
+        room, latched_room = (None if one is None else one << 20 for one in (config.keep_mib, config.latched_mib))
+        self._subscribers = subscribers = Subscribers(needs_tf=bool(tf), room=latched_room)
         self._forget_at_ns: int | None = None
         self._volumes = volumes = Volumes(room)
         beforehand = Beforehand(config, subscribers)
 
         composer = Composer(config, streams)
-        self._latest = latest = Latest(streams, guard, tf, composer, forms=config.knows_peers, room=room)
+        self._latest = latest = Latest(
+            streams, guard, tf, composer, forms=config.knows_peers, room=room, latched_room=latched_room
+        )
         delivery = Delivery(denied_out, tf.tree)
         tracking = Tracking(peers, latest)
         self._frames = frames = TfReceiver(tf, guard, peers, delivery, tracking)
@@ -235,7 +238,8 @@ class Gateway:
     def collect(self) -> None:
         """Take over what the native passage has counted, and plan a tick if more is kept than permitted."""
         self.fast_path.collect()
-        self._forget_at_ns = 0 if self._volumes.exceed() or self._latest.exceed() else None
+        exceeding = self._volumes.exceed() or self._latest.exceed() or self._subscribers.exceed()
+        self._forget_at_ns = 0 if exceeding else None
 
     def receivers(self) -> dict[str, int]:
         """Return stream to peers → peers that get each of its messages, as far as this is known."""
@@ -252,8 +256,9 @@ class Gateway:
     def _on_edge_note(self, entry: Entry) -> Outcome:
         event = Note.of(entry.data())
         if event.code == TICK:
-            self._forget()
-            return Outcome([*self._commands.overdue(entry), *self._links.ping(entry), *self._links.release(entry)])
+            outcome = self._forget()
+            outcome.items += [*self._commands.overdue(entry), *self._links.ping(entry), *self._links.release(entry)]
+            return outcome
         if event.code == LISTENED:
             return Outcome(self._converter.build_waiting(event.stream))
         if settings := LiveSettings.from_note(event):
@@ -263,11 +268,22 @@ class Gateway:
             self._guard.clock_stepped(step.ahead_ns)
         return Outcome(tallies=[Tally("edges", event.stream, event.code)])
 
-    def _forget(self) -> None:
-        """Keep no more than permitted: what is forgotten depends on the inputs up to this tick only."""
+    def _forget(self) -> Outcome:
+        """Keep no more than permitted: what is forgotten depends on the inputs up to this tick only.
+
+        Returns:
+            Findings and counts of the latched messages, which late joiners miss.
+        """
         self._volumes.forget()
-        self._latest.forget()
+        forgotten = {"ros_in": self._latest.forget(), "ros_out": self._subscribers.forget()}
         self._forget_at_ns = None
+        outcome = Outcome()
+        for section, sizes in forgotten.items():
+            for topic, size in sizes.items():
+                text = forgotten_text(topic, size, (self.config.latched_mib or 0) << 20)
+                outcome.items.append(Finding(Level.WARN, FORGOTTEN, text, topic, subject=topic))
+                outcome.tallies.append(Tally(section, topic, FORGOTTEN))
+        return outcome
 
     def _mark(self, mark: MarkNote) -> None:
         if self.on_mark:

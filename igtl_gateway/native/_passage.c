@@ -321,7 +321,7 @@ typedef struct {
 /* How a message begins that was published, and when it was (UTC ns). */
 struct own_message {
     int64_t begun_ns, ended_ns;
-    ssize_t size;
+    ssize_t whole, size; /* size: of ``bytes`` */
     uint8_t bytes[REMEMBERED_BYTES];
 };
 
@@ -333,7 +333,7 @@ typedef struct {
     _Atomic char by_python; /* its messages are Python's */
     pthread_mutex_t publishing;       /* guards what follows, in a latched one, until the end of each call is known */
     struct own_message *own_messages; /* of a latched one: the last REMEMBERED that Python has not taken over */
-    uint64_t begun, taken_over;       /* numbers of own messages so far */
+    uint64_t begun, taken_over, measured; /* numbers of own messages so far */
 } Publisher;
 
 /* A large message whose memory the thread that passes it and the stream share; the last one frees it. */
@@ -712,7 +712,7 @@ static void publish(Passage *self, Publisher *publisher, uint8_t *cdr, ssize_t s
     if (publisher->latched) {
         pthread_mutex_lock(&publisher->publishing);
         own = &publisher->own_messages[publisher->begun++ % REMEMBERED];
-        own->size = size < REMEMBERED_BYTES ? size : REMEMBERED_BYTES;
+        own->whole = size, own->size = size < REMEMBERED_BYTES ? size : REMEMBERED_BYTES;
         memcpy(own->bytes, cdr, (size_t)own->size);
         own->begun_ns = clock_ns(CLOCK_REALTIME);
     }
@@ -2472,6 +2472,26 @@ static PyObject *publisher_take_own(Publisher *self, PyObject *nothing)
     return found;
 }
 
+static PyObject *publisher_take_sizes(Publisher *self, PyObject *nothing)
+{
+    (void)nothing;
+    PyObject *found = PyList_New(0);
+    if (!found || !self->latched)
+        return found;
+    lock_from_python(&self->publishing);
+    uint64_t first = self->begun - self->measured < REMEMBERED ? self->measured : self->begun - REMEMBERED;
+    for (; found && first < self->begun; first++) {
+        PyObject *one = PyLong_FromSsize_t(self->own_messages[first % REMEMBERED].whole);
+        if (!one || PyList_Append(found, one))
+            Py_CLEAR(found);
+        Py_XDECREF(one);
+    }
+    if (found)
+        self->measured = self->begun;
+    pthread_mutex_unlock(&self->publishing);
+    return found;
+}
+
 static PyObject *publisher_leave(Publisher *self, PyObject *nothing)
 {
     (void)nothing;
@@ -2490,6 +2510,8 @@ static PyMethodDef publisher_methods[] = {
      "Return the numbers of messages since the last call: published, without a subscriber, failed."},
     {"take_own", (PyCFunction)publisher_take_own, METH_NOARGS,
      "Return begin and end (UTC ns) of the last calls for a latched topic since the last time, and the messages' first bytes."},
+    {"take_sizes", (PyCFunction)publisher_take_sizes, METH_NOARGS,
+     "Return the bytes of each of the last messages for a latched topic since the last time."},
     {"leave", (PyCFunction)publisher_leave, METH_NOARGS, "Leave all messages to Python, such as when our own node subscribes to the topic."},
     {NULL, NULL, 0, NULL},
 };

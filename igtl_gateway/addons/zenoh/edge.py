@@ -37,7 +37,15 @@ from igtl_gateway.addons.zenoh.site import Sites
 from igtl_gateway.addons.zenoh.subscribing import Subscribing
 from igtl_gateway.addons.zenoh.traffic import Traffic
 from igtl_gateway.convert.common_msgs import Log
-from igtl_gateway.edges.interface import OnMessage, OnNote, PlainSide, Publication, Reports, Wants
+from igtl_gateway.edges.interface import (
+    DEFAULT_LATCHED_MIB,
+    OnMessage,
+    OnNote,
+    PlainSide,
+    Publication,
+    Reports,
+    Wants,
+)
 
 _ROSOUT_QOS = Qos(1000, latched=True)
 _SERVICE_QOS = Qos(10)
@@ -62,6 +70,7 @@ class ZenohEdge(PlainSide):
         endpoint: of the router, such as ``tcp/localhost:7447``; "": that of the configuration of Zenoh.
         site: name of this site; "": clocks and latencies of other sites are not measured.
         traffic: classes of streams and budget; None: all are sent as ROS does.
+        latched_mib: bound of the latched messages of all topics.
 
     Attributes:
         publish, count_if_unsubscribed, has_subscriber: see `Publishing`.
@@ -79,6 +88,7 @@ class ZenohEdge(PlainSide):
         endpoint: str = "",
         site: str = "",
         traffic: Traffic | None = None,
+        latched_mib: int = DEFAULT_LATCHED_MIB,
     ) -> None:
         self._name = node_name
         self._namespace = namespace or "/"
@@ -103,6 +113,7 @@ class ZenohEdge(PlainSide):
             self._clock,
             self._on_subscriber,
             traffic,
+            latched_mib << 20,
         )
         self._subscribing = Subscribing(
             self._node,
@@ -305,6 +316,7 @@ class ZenohEdge(PlainSide):
                     losses_ns = now_ns() + _LOSSES_NS
                     self._subscribing.note_losses()
                     self._publishing.note_dropped()
+                    self._publishing.bound_latched()
                 if self._sites:
                     self._sites.keep()
                 while self._on_listener and self._listened:

@@ -10,6 +10,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 from igtl_gateway.addon import Clock, Level, Qos
@@ -70,6 +71,9 @@ class TopicPublisher:
         self._token: Any = None
         #: Latched messages from before the session is open.
         self._early: deque[bytes] = deque(maxlen=qos.depth if qos.latched else 0)
+        #: Bytes of each latched message that is kept: there, or by Zenoh.
+        self.kept: deque[int] = deque(maxlen=self._early.maxlen)
+        self._declare_latched: Callable[[], Any] | None = None
 
     def declare(
         self, zenoh: Any, session: Any, node: Node, number: int, type_hash: str, matched: Callable[[], None]
@@ -100,7 +104,8 @@ class TopicPublisher:
             if self.qos.latched:
                 ext = zenoh.ext
                 misses = ext.MissDetectionConfig(heartbeat=None, sporadic_heartbeat=_HEARTBEAT_S)
-                self._publisher = ext.declare_advanced_publisher(
+                self._declare_latched = partial(
+                    ext.declare_advanced_publisher,
                     session,
                     self.key,
                     cache=ext.CacheConfig(self.qos.depth),
@@ -108,6 +113,7 @@ class TopicPublisher:
                     sample_miss_detection=misses if self.qos.reliable else None,
                     **how,
                 )
+                self._publisher = self._declare_latched()
             self._listener = self._watch.declare_matching_listener(on_matching)
             on_matching(None)  # a subscriber that was there before
             self._token = session.liveliness().declare_token(token)
@@ -136,11 +142,22 @@ class TopicPublisher:
                         self.counts.unheard += 1
                         self.counts.held -= 1
                     self._early.append(cdr)
+                    self.kept.append(len(cdr))
                     self.counts.held += 1
                 else:
                     self.counts.unheard += 1
                 return ""
             return self._pass_on(cdr)
+
+    def forget(self) -> None:
+        """Forget the latched messages: Zenoh clears no cache, so that another publisher has the next ones."""
+        with self.lock:
+            self.kept.clear()
+            self.counts.unheard += len(self._early)
+            self.counts.held -= len(self._early)
+            self._early.clear()
+            if self._publisher is not None and self._declare_latched:
+                _before, self._publisher = self._publisher, self._declare_latched()
 
     def _pass_on(self, cdr: bytes) -> str:
         """To Zenoh, or to the thread that may wait for it."""
@@ -161,6 +178,7 @@ class TopicPublisher:
             self.counts.failed += 1
             return first_line(error)
         self.counts.published += 1
+        self.kept.append(len(cdr))
         return ""
 
     def close(self) -> None:
@@ -185,8 +203,9 @@ class Publishing(Publishers[TopicPublisher]):
         clock: Clock,
         matched: Callable[[str], None],
         traffic: Traffic | None,
+        latched_bytes: int,
     ) -> None:
-        super().__init__(node.connection.lock, reports, {})
+        super().__init__(node.connection.lock, reports, {}, latched_bytes)
         self._node = node
         self._clock = clock
         self._matched = matched
@@ -199,6 +218,10 @@ class Publishing(Publishers[TopicPublisher]):
             publisher.counts.failed += 1
             return "the node has stopped"
         return publisher.send(cdr)
+
+    def _forget(self, publisher: TopicPublisher) -> bool:
+        publisher.forget()
+        return True
 
     def publisher(self, topic: str) -> TopicPublisher | None:
         """Return the publisher of a topic, if there is one."""

@@ -5,12 +5,14 @@ and over Zenoh (an add-on) have in common: topics by name, refusals, discovery, 
 counts.
 """
 
+from igtl_gateway.config.settings import DEFAULT_LATCHED_MIB
 from igtl_gateway.edges.interface.publishers import DISCOVERY_NS, Publishers
 from igtl_gateway.edges.interface.reports import OnNote, Reports, TopicCounts
 from igtl_gateway.edges.interface.side import Change, OnMessage, PlainSide, Publication, RosSide, Wants
 from igtl_gateway.edges.interface.subscriptions import Deliver, Subscriptions, describe, guarded
 
 __all__ = [
+    "DEFAULT_LATCHED_MIB",
     "DISCOVERY_NS",
     "Change",
     "Deliver",

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections import deque
 from contextlib import AbstractContextManager
 from typing import Generic, Protocol, TypeVar
 
 from igtl_gateway.base.errors import RosError
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.edges.interface.reports import Reports, TopicCounts
+from igtl_gateway.gateway.kept import FORGOTTEN, beyond, forgotten_text, largest_first
+from igtl_gateway.gateway.log.note import Level
 
 #: Within this time after the start a graph without subscribers might only mean that discovery is not complete: a
 #: participant whose first announcements are lost sends the next one after 3 s.
@@ -23,6 +26,7 @@ class TopicPublisher(Protocol):
     Attributes:
         lock: guards its counts.
         has_subscriber: whether a message might reach a subscriber.
+        kept: bytes of each message that is kept for late joiners; only the last ones of latched topics are.
     """
 
     @property
@@ -43,6 +47,9 @@ class TopicPublisher(Protocol):
     @property
     def has_subscriber(self) -> bool: ...
 
+    @property
+    def kept(self) -> deque[int]: ...
+
 
 P = TypeVar("P", bound=TopicPublisher)
 
@@ -54,12 +61,20 @@ class Publishers(ABC, Generic[P]):
         lock: guards ``publishers``; only the first message of a topic takes it.
         reports: takes the notes.
         publishers: by the name as given, and by the full name.
+        latched_bytes: of the latched messages of all topics; see ``bound_latched``.
     """
 
-    def __init__(self, lock: AbstractContextManager[object], reports: Reports, publishers: dict[str, P]) -> None:
+    def __init__(
+        self,
+        lock: AbstractContextManager[object],
+        reports: Reports,
+        publishers: dict[str, P],
+        latched_bytes: int,
+    ) -> None:
         self._lock = lock
         self._reports = reports
         self._publishers = publishers
+        self._latched_bytes = latched_bytes
 
     @abstractmethod
     def _new(self, topic: str, type_name: str, qos: Qos) -> P:
@@ -68,6 +83,10 @@ class Publishers(ABC, Generic[P]):
     @abstractmethod
     def _send(self, publisher: P, cdr: bytes) -> str:
         """Send a message, and count it; return why that failed, or ``""``."""
+
+    @abstractmethod
+    def _forget(self, publisher: P) -> bool:
+        """Forget the latched messages of a publisher, which its subscribers have; False: the middleware cannot."""
 
     def _full(self, topic: str) -> str:
         """Return the full name of a topic.  May raise anything."""
@@ -141,6 +160,24 @@ class Publishers(ABC, Generic[P]):
         except Exception as error:  # rclpy raises a dozen unrelated classes here, and Zenoh one for all causes
             self._reports.refuse("publish", topic, type_name, error)
             return None
+
+    def bound_latched(self) -> None:
+        """Forget latched messages beyond the bound, those of the topic that has most first; for one thread.
+
+        Late joiners get none of the topic before its next message.  A plan stays beside volumes without number.
+        """
+        sizes = {one: sum(one.kept) for one in self.all() if one.kept}
+        for publisher in beyond(self._latched_bytes, largest_first(sizes, sizes.__getitem__), sizes.__getitem__):
+            topic, messages = publisher.topic, len(publisher.kept)
+            if not self._forget(publisher):
+                text = (
+                    f"latched messages exceed {self._latched_bytes >> 20} MiB (latched_mib); this middleware keeps them"
+                )
+                self._reports.note_once(Level.WARN, FORGOTTEN, text)
+                return
+            publisher.counts.forgotten += messages
+            text = forgotten_text(topic, sizes[publisher], self._latched_bytes)
+            self._reports.note_once(Level.WARN, FORGOTTEN, text, topic)
 
     def all(self) -> list[P]:
         """Return each publisher once."""

@@ -27,6 +27,7 @@ class TopicCounts:
         failed: refused by the middleware, or by a defect of our own.
         ``unheard``: not passed to the middleware, because there was no subscriber, and a later one would not get them.
         over_budget: dropped, because the budget of the site is exceeded.
+        forgotten: published, and no longer kept for late joiners, because latched messages exceed ``latched_mib``.
     """
 
     received: int = 0
@@ -36,6 +37,7 @@ class TopicCounts:
     failed: int = 0
     unheard: int = 0
     over_budget: int = 0
+    forgotten: int = 0
 
     def to_dict(self) -> dict[str, int]:
         """As JSON values."""

@@ -9,12 +9,17 @@ ROS 2 since Dashing.)  If rclpy or rcl are not as expected, rclpy's own publishe
 from __future__ import annotations
 
 import ctypes
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, Protocol
 
 from igtl_gateway.base.errors import RosError
+
+#: ``rmw_fastrtps_cpp::get_datawriter`` and ``DataWriter::clear_history``, as C++ names them for the linker.
+_WRITER_OF = "_ZN16rmw_fastrtps_cpp14get_datawriterEP15rmw_publisher_s"
+_CLEAR = "_ZN8eprosima7fastdds3dds10DataWriter13clear_historyEPm"
 
 #: From this size on a copy costs more than a call through ctypes, and other threads would notice the wait.
 _LARGE_BYTES = 64 * 2**10
@@ -131,3 +136,31 @@ def _publish_large(pointer: int) -> Callable[[bytes], None] | None:
             raise RosError(f"rcl refused a message of {len(cdr)} bytes (code {code})")
 
     return publish
+
+
+def clear_history(publisher: RclPublisher) -> bool:
+    """Have the middleware forget the last messages of a publisher, which late joiners would get; False: it cannot.
+
+    ROS has no function for that.  Fast DDS has one, which needs no new publisher: subscribers stay matched.
+    """
+    pointer, functions = getattr(publisher, "pointer", 0), _history_functions()
+    if not pointer or functions is None:
+        return False
+    handle_of, writer_of, clear = functions
+    writer = writer_of(handle_of(pointer))
+    return bool(writer) and clear(writer, None) == 0
+
+
+@cache
+def _history_functions() -> tuple[Any, Any, Any] | None:
+    """Return what finds the rmw_publisher_t and the writer of Fast DDS, and clears it; None without one of them."""
+    try:
+        handle_of = Rcl().function("rcl_publisher_get_rmw_handle")
+        rmw = ctypes.CDLL("librmw_fastrtps_cpp.so", mode=os.RTLD_NOLOAD | os.RTLD_NOW)
+        writer_of, clear = rmw[_WRITER_OF], rmw[_CLEAR]
+    except (OSError, AttributeError):
+        return None
+    for function in (handle_of, writer_of):
+        function.argtypes, function.restype = (ctypes.c_void_p,), ctypes.c_void_p
+    clear.argtypes, clear.restype = (ctypes.c_void_p, ctypes.c_void_p), ctypes.c_int
+    return handle_of, writer_of, clear

@@ -26,6 +26,7 @@ from typing import Any
 from igtl_gateway.base.errors import first_line
 from igtl_gateway.base.qos import Endpoint, Qos
 from igtl_gateway.config.setting import Value
+from igtl_gateway.config.settings import DEFAULT_LATCHED_MIB
 from igtl_gateway.edges.interface import Change, OnMessage, OnNote, Publication, Reports, Wants
 from igtl_gateway.edges.ros.direct import Rcl
 from igtl_gateway.edges.ros.graph import Graph
@@ -59,6 +60,7 @@ class RosEdge:
         direct: receive by our own wait set; False (or an rclpy without its internals) by the executor.
         host: where the node is; default: a node of this edge only, by ``node_name`` and ``namespace``.
         passage: the native passage, whose streams the topics may have; None: there is none.
+        latched_mib: bound of the latched messages of all topics.
 
     Attributes:
         publish, count_if_unsubscribed, has_subscriber: see `Publishing`.  They are its methods, without a layer in
@@ -77,6 +79,7 @@ class RosEdge:
         direct: bool = True,
         host: NodeHost | None = None,
         passage: Passage | None = None,
+        latched_mib: int = DEFAULT_LATCHED_MIB,
     ) -> None:
         self._on_message = on_message
         self._direct = direct
@@ -85,7 +88,9 @@ class RosEdge:
         self._reports = Reports(on_note)
         self._node = RosNode(host or NodeHost(node_name, namespace), self._reports)
         self._graph = Graph(self._node, self._topics)
-        self._publishing = Publishing(self._node, self._topics, self._graph, self._reports, on_listener)
+        self._publishing = Publishing(
+            self._node, self._topics, self._graph, self._reports, on_listener, latched_mib << 20
+        )
         self._subscribing = Subscribing(self._node, self._topics, self._graph, self._reports, self._callback)
         self._keeper = Keeper(self._node, self._publishing, self._subscribing, self._reports, wants)
         self.publish = self._publishing.publish

@@ -61,6 +61,7 @@ class Keeper:
                     self._subscribing.note_losses()
                 self._publishing.notify_first_subscribers()
                 self._publishing.send_held()
+                self._publishing.bound_latched()
                 node.notify()
                 left_ns = max(0, min(times.look_ns, times.losses_ns) - now_ns())
                 if self._publishing.is_holding():

@@ -20,7 +20,7 @@ from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.edges.interface import DISCOVERY_NS, Publishers, Reports
 from igtl_gateway.edges.ros import distributions
-from igtl_gateway.edges.ros.direct import direct_publisher
+from igtl_gateway.edges.ros.direct import clear_history, direct_publisher
 from igtl_gateway.edges.ros.graph import Graph
 from igtl_gateway.edges.ros.middleware import interface_class, profile_of
 from igtl_gateway.edges.ros.node import RosNode
@@ -36,6 +36,10 @@ HOLD_NS = 2_000_000_000
 FOREIGN_NS = 250_000_000
 _BURST_NS = 10_000_000  # between two bursts of held messages: a reader takes the first one meanwhile
 _LINGER_NS = 500_000_000  # for acknowledgements at the end; a subscriber that hangs must not delay us
+#: For the acknowledgements of what is then forgotten, all in all: a subscriber that hangs keeps no memory.
+_FORGET_NS, _FORGET_TRIES = 10_000_000, 10
+#: From this size on a latched message is counted at once, and not within a second.
+_LARGE_BYTES = 64 << 10
 #: Publishers that are made as soon as they are needed; the making of further ones gets a tenth of the time.
 _USUAL, _REST, _REST_S = 64, 9, 0.1
 _MATCHES_MAX = 10_000  # matches not reported yet: at most those of one turn of the keeper
@@ -51,8 +55,10 @@ class Publishing(Publishers[TopicPublisher]):
         graph: Graph,
         reports: Reports,
         on_listener: Callable[[str], None] | None,
+        latched_bytes: int,
     ) -> None:
-        super().__init__(threading.Lock(), reports, topics.publishers)  # not that of the node: for moments only
+        # not the lock of the node: for moments only
+        super().__init__(threading.Lock(), reports, topics.publishers, latched_bytes)
         self._node = node
         self._clock = node.clock
         self._topics = topics
@@ -68,6 +74,8 @@ class Publishing(Publishers[TopicPublisher]):
 
     def _send(self, publisher: TopicPublisher, cdr: bytes) -> str:
         failure = ""
+        if publisher.qos.latched and len(cdr) >= _LARGE_BYTES:
+            self._node.graph.wake()  # the keeper bounds what is kept
         with publisher.lock:
             if publisher.ready:
                 return publisher.send(cdr, self._clock)
@@ -200,6 +208,19 @@ class Publishing(Publishers[TopicPublisher]):
                 continue
             publisher.burst_ns = now_ns + _BURST_NS
             self._reports.publish_failed(publisher.topic, publisher.release_burst(self._clock))
+
+    def _forget(self, publisher: TopicPublisher) -> bool:
+        duration = self._node.rclpy.duration.Duration
+        for left in reversed(range(_FORGET_TRIES)):
+            with publisher.lock:  # no message comes in between
+                acked = not publisher.qos.reliable or publisher.publisher.wait_for_all_acked(duration())
+                if acked or not left:
+                    done = clear_history(publisher.publisher)
+                    if done:
+                        publisher.kept.clear()
+                    return done
+            publisher.publisher.wait_for_all_acked(duration(nanoseconds=_FORGET_NS))
+        return False
 
     def poll_matches(self) -> None:
         """Look for new subscribers."""

@@ -167,7 +167,8 @@ class TopicPublisher:
     """One publisher, with the messages that wait until it is made, and for its subscribers.
 
     ``ready`` once they need not wait: from then on `Publishing.publish` sends in the caller's thread.  All attributes
-    but ``ready`` are guarded by ``lock``, for which no other thread competes after the first seconds.
+    but ``ready`` are guarded by ``lock``, for which no other thread competes after the first seconds.  ``kept`` has the
+    bytes of each message that the middleware keeps for late joiners.
     """
 
     def __init__(self, topic: str, type_name: str, qos: Qos, counts: TopicCounts) -> None:
@@ -189,6 +190,7 @@ class TopicPublisher:
         self.ready = False
         self.left = HOLD_MESSAGES  # of what is held, after the last burst; at first, as many as there may be
         self.burst_ns = 0  # not before this time
+        self.kept: deque[int] = deque(maxlen=qos.depth if qos.latched else 0)
 
     def made(self, publisher: RclPublisher, *, deadline_ns: int, ready: bool) -> None:
         """The middleware's publisher is there; what was held is sent first."""
@@ -221,12 +223,14 @@ class TopicPublisher:
             self.counts.failed += 1
             return first_line(error)
         self.counts.published += 1
+        self.kept.append(len(cdr))
         return ""
 
     def sync(self) -> str:
         """Take over what the native passage has counted; returns a failure, or ``""``."""
         if self.native is None:
             return ""
+        self.kept.extend(self.native.take_sizes())
         published, unheard, failed = self.native.collect()
         self.counts.published += published
         self.counts.unheard += unheard

@@ -84,8 +84,8 @@ class Queries:
         sent = any(isinstance(item, Output) and item.kind is Kind.IGTL_OUT for item in items)
         if outs and (sent or not peer.may_send(igtl_type)):
             return items
-        forgotten = self._latest.has_forgotten(igtl_type, device)
-        why = "the last one is not kept: messages of all topics exceed keep_mib" if forgotten else _NONE_YET
+        setting = self._latest.forgotten(igtl_type, device)
+        why = f"the last one is not kept: messages of all topics exceed {setting}" if setting else _NONE_YET
         text = f"{message.type} of {device or 'any device'} not answered: {why}"
         refusal = answers.empty_reply(igtl_type, device, entry.stamp_ns, peer)
         return [

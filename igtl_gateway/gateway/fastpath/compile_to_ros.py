@@ -39,6 +39,7 @@ from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos, Defer, 
 from igtl_gateway.gateway.fastpath.tools import tools_form
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.to_ros.route import RosOrigin
+from igtl_gateway.gateway.to_ros.subscribers import Waiting
 from igtl_gateway.wire.header import HEADER_SIZE
 from igtl_gateway.wire.image import HEAD_SIZE as IMAGE_HEAD
 from igtl_gateway.wire.image import Image
@@ -159,11 +160,8 @@ def compile_to_ros(
 
 def _defer(rows: dict[str, ConversionToRos], to: ToRosContext) -> Defer:
     """Return what keeps messages for the first subscribers of their topics, not decoded."""
-    return lambda entry, topic, stamp_ns: (
-        entry,
-        rows[topic],
-        None,
-        replace(to, stamp_ns=stamp_ns, warnings=[], made={}),
+    return lambda entry, topic, stamp_ns: Waiting(
+        entry, rows[topic], None, replace(to, stamp_ns=stamp_ns, warnings=[], made={}), entry.size
     )
 
 

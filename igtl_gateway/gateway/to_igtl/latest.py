@@ -9,7 +9,7 @@ from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.table import row_to_igtl
 from igtl_gateway.gateway.guard import Guard
-from igtl_gateway.gateway.kept import beyond
+from igtl_gateway.gateway.kept import beyond, largest_first
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.streams import Streams, ToIgtlStream
 from igtl_gateway.gateway.to_igtl.composer import Composer
@@ -26,7 +26,9 @@ class Latest:
 
     Args:
         forms: answer with frames of the tf tree as the other type of poses, too; False in old recordings.
-        room: bytes of large messages that ``forget`` leaves; None: any number, as in old recordings.
+        room: bytes of large messages that ``forget`` leaves, of streams that are not latched; None: any number, as in
+            old recordings.
+        latched_room: the same of latched streams.
 
     Attributes:
         entries: topic → its latest message, without its payload if it was forgotten; one for each bridged topic.
@@ -41,9 +43,11 @@ class Latest:
         *,
         forms: bool = True,
         room: int | None = None,
+        latched_room: int | None = None,
     ) -> None:
         self.entries: dict[str, Entry] = {}
         self._room = room
+        self._latched_room = latched_room
         self._streams = streams
         self._guard = guard
         self._tf = tf
@@ -93,27 +97,40 @@ class Latest:
             if stream and stream.latched and entry.payload:
                 yield entry, stream
 
-    def has_forgotten(self, igtl_type: str, device: str) -> bool:
-        """Return whether a message of this type and device ("" for any) came last, and was forgotten."""
+    def forgotten(self, igtl_type: str, device: str) -> str:
+        """Return the setting for which the last message of this type and device ("" for any) was forgotten, or ""."""
         for entry in self.entries.values():
             stream = None if entry.payload else self._streams.to_igtl(entry.channel, entry.type)
             if stream and stream.conversion.igtl_type == igtl_type and device in ("", stream.device, stream.full_name):
-                return True
-        return False
+                return "latched_mib" if stream.latched else "keep_mib"
+        return ""
 
     def exceed(self) -> bool:
         """Return whether ``forget`` has anything to do."""
-        return bool(self._beyond())
+        return any(self._beyond())
 
-    def forget(self) -> None:
-        """Forget messages that alone exceed the room, then the oldest ones, until the others are within it."""
-        for entry in self._beyond():
+    def forget(self) -> dict[str, int]:
+        """Forget messages that alone exceed their room, then others, until the rest is within it.
+
+        The oldest are first, of latched streams the largest.
+
+        Returns:
+            Topic → bytes, of the latched streams.
+        """
+        others, latched = self._beyond()
+        for entry in (*others, *latched):
             self.entries[entry.channel] = replace(entry, payload=())  # in its place: answers are in their order
+        return {entry.channel: entry.size for entry in latched}
 
-    def _beyond(self) -> list[Entry]:
-        """Return the messages that are too many of the large ones: not the newest, nor those of latched streams."""
-        large = sorted((one for one in self.entries.values() if one.size > _SMALL_BYTES), key=lambda one: one.seq)[:-1]
-        return beyond(self._room, (one for one in large if not self._is_latched(one)), lambda one: one.size)
+    def _beyond(self) -> tuple[list[Entry], list[Entry]]:
+        """Return the large messages that are too many: of other streams, but not the newest, and of latched ones."""
+        large = sorted((one for one in self.entries.values() if one.size > _SMALL_BYTES), key=lambda one: one.seq)
+        latched = [one for one in large if self._is_latched(one)]
+        others = [one for one in large[:-1] if not self._is_latched(one)]
+        return (
+            beyond(self._room, others, _size),
+            beyond(self._latched_room, largest_first(latched, _size), _size),
+        )
 
     def _is_latched(self, entry: Entry) -> bool:
         stream = self._streams.to_igtl(entry.channel, entry.type)
@@ -128,3 +145,7 @@ class Latest:
             return [self._composer.convert(entry, stream, conversion)]
         except ConversionError:  # reported when it arrived
             return []
+
+
+def _size(entry: Entry) -> int:
+    return entry.size

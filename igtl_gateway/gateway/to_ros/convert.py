@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from igtl_gateway.base.buffers import join
 from igtl_gateway.base.errors import ConversionError
@@ -22,8 +23,9 @@ from igtl_gateway.gateway.output import Packed, ros_output
 from igtl_gateway.gateway.streams import Streams, ToRosStream
 from igtl_gateway.gateway.to_igtl.tf_receive import TfReceiver
 from igtl_gateway.gateway.to_ros.beforehand import Beforehand
-from igtl_gateway.gateway.to_ros.subscribers import Subscribers
+from igtl_gateway.gateway.to_ros.subscribers import Subscribers, Waiting
 from igtl_gateway.wire import Message, Raw, decode, encode
+from igtl_gateway.wire.image import Image
 
 RAW_QOS = Qos(depth=100)
 _METADATA_QOS = Qos(depth=100)
@@ -93,7 +95,7 @@ class Converter:
         waiting = self._subscribers.waiting.pop(topic, None)
         if waiting is None:
             return []
-        entry, row, content, to = waiting
+        entry, row, content, to, _ = waiting
         if content is None:  # from the fast path
             content = decode(entry.payload[0], check_crc=False).content
         try:
@@ -111,7 +113,8 @@ class Converter:
             return messages
         qos = self._streams.qos(topic)
         if qos and qos.latched:
-            self._subscribers.waiting[topic] = entry, row, content, to
+            size = memoryview(content.pixels).nbytes if isinstance(content, Image) else entry.size
+            self._subscribers.waiting[topic] = Waiting(replace(entry, payload=()), row, content, to, size)
         return ()
 
     def _metadata(self, stream: ToRosStream, to: ToRosContext) -> Item:

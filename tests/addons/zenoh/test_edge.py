@@ -34,7 +34,13 @@ class Side:
     """An edge, and what it has reported."""
 
     def __init__(
-        self, port: int, topics: tuple[str, ...] = (), depth: int = 10, name: str = "igtl_gateway", scheme: str = "tcp"
+        self,
+        port: int,
+        topics: tuple[str, ...] = (),
+        depth: int = 10,
+        name: str = "igtl_gateway",
+        scheme: str = "tcp",
+        **more: Any,
     ) -> None:
         self.messages: list[tuple[str, str, bytes, int]] = []
         self.notes: list[Note] = []
@@ -47,6 +53,7 @@ class Side:
             on_note=lambda note: self._add(self.notes, note),
             on_listener=lambda topic: self._add(self.heard, topic),
             endpoint=f"{scheme}/127.0.0.1:{port}",
+            **more,
         )
 
     def _add(self, to: list[Any], item: object) -> None:
@@ -176,7 +183,38 @@ def test_a_late_joiner_gets_latched_messages_both_ways(port: int, sides: ExitSta
 
 
 def counts(**values: int) -> dict[str, int]:
-    return dict.fromkeys(("received", "published", "held", "lost", "failed", "unheard", "over_budget"), 0) | values
+    names = ("received", "published", "held", "lost", "failed", "unheard", "over_budget", "forgotten")
+    return dict.fromkeys(names, 0) | values
+
+
+def test_latched_messages_of_all_topics_have_a_bound(port: int, sides: ExitStack) -> None:
+    """Before there is a router, and in the caches of Zenoh."""
+    latched, large = Qos(1, latched=True), "x" * 600_000
+    side = started(sides, port, (), latched_mib=1)
+    for topic in ("/a", "/b"):
+        side.edge.publish(topic, String.TYPE, text(large), latched)
+    side.wait(lambda: side.edge.counters()["/a"]["forgotten"] == 1)
+    with router(port), client(port) as plain:
+        side.wait(lambda: "zenoh_connected" in side.codes())
+        side.edge.publish("/c", String.TYPE, text(large), latched)
+        side.wait(lambda: side.edge.counters()["/b"]["forgotten"] == 1)
+        got: list[bytes] = []
+        for topic in ("/b", "/c"):
+            subscriber = zenoh.ext.declare_advanced_subscriber(
+                plain,
+                key(topic),
+                lambda sample: got.append(sample.payload.to_bytes()),
+                history=zenoh.ext.HistoryConfig(detect_late_publishers=True, max_samples=2),
+                subscriber_detection=True,
+            )
+            held.append(subscriber)
+        until(lambda: len(got) > 0)
+        side.wait(lambda: side.edge.has_subscriber("/b"))
+        side.edge.publish("/b", String.TYPE, text("live"), latched)
+        until(lambda: len(got) > 1)
+        assert got == [text(large), text("live")]
+    assert side.edge.counters()["/a"] == counts(unheard=1, forgotten=1)
+    assert [note.code for note in side.notes if note.stream in ("/a", "/b")] == ["latched_forgotten"] * 2
 
 
 def test_losses_and_foreign_messages_are_counted_and_noted(port: int, sides: ExitStack) -> None:

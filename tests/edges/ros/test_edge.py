@@ -19,7 +19,7 @@ import pytest
 from igtl_gateway.base.errors import RosError
 from igtl_gateway.base.extras import missing
 from igtl_gateway.base.qos import Qos
-from igtl_gateway.edges.ros import graph, publishing
+from igtl_gateway.edges.ros import direct, graph, publishing
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.edges.ros.middleware import interface_class
 from igtl_gateway.gateway.log.note import Level, Note
@@ -269,6 +269,49 @@ def test_late_subscriber_gets_the_latched_message(peer: Peer, edge: RosEdge) -> 
     [[_, fields]] = peer.take("/latched", 1)
     assert fields == {"data": "plan"}
     assert edge.wait_for_subscribers("/latched", 1, TIMEOUT_S)
+
+
+def test_latched_messages_of_all_topics_have_a_bound(peer: Peer) -> None:
+    """40 volumes of 256 MiB, twice each, were 20 GB in the history of Fast DDS; subscribers stay matched."""
+    heard, latched, large = Heard(), Qos(depth=1, latched=True), "x" * 600_000
+    edge, topics = heard.edge(node_name="bounded", latched_mib=1), [f"/bounded/{name}" for name in "abc"]
+    edge.start()
+    try:
+        peer.subscribe(topics[0], STRING, {"depth": 5, "latched": True})
+        edge.publish("/bounded/plan", STRING, string_cdr("plan"), latched)
+        for topic in topics:
+            edge.publish(topic, STRING, string_cdr(large), latched)
+        assert heard.until(lambda: all("latched_forgotten" in heard.codes(topic) for topic in topics[:2]))
+        assert [edge.counters()[topic]["forgotten"] for topic in ("/bounded/plan", *topics)] == [0, 1, 1, 0]
+        note = next(note for note in heard.notes if note.stream == topics[1])
+        assert note.text == (
+            "/bounded/b: 0.6 MiB of latched messages are forgotten, who joins gets none before the next: those of all "
+            "topics exceed 1 MiB (latched_mib)"
+        )
+        for topic in ("/bounded/plan", *topics[1:]):
+            peer.subscribe(topic, STRING, {"depth": 5, "latched": True})
+            assert edge.wait_for_subscribers(topic, 1, TIMEOUT_S)
+        for topic in topics[:2]:
+            edge.publish(topic, STRING, string_cdr("live"), latched)
+        assert [fields["data"] for _, fields in peer.take(topics[0], 2)] == [large, "live"]
+        assert [fields["data"] for _, fields in peer.take(topics[1], 1)] == ["live"]
+        assert [fields["data"] for _, fields in peer.take(topics[2], 1)] == [large]
+        assert [fields["data"] for _, fields in peer.take("/bounded/plan", 1)] == ["plan"]
+    finally:
+        edge.stop()
+
+
+def test_a_middleware_that_forgets_nothing_is_noted(peer: Peer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(direct, "_history_functions", lambda: None)
+    heard = Heard()
+    edge = heard.edge(node_name="unbounded", latched_mib=1)
+    edge.start()
+    try:
+        edge.publish("/unbounded", STRING, string_cdr("x" * 2_000_000), Qos(depth=1, latched=True))
+        assert heard.until(lambda: "latched_forgotten" in heard.codes(""))
+        assert edge.counters()["/unbounded"]["forgotten"] == 0
+    finally:
+        edge.stop()
 
 
 def test_quality_of_service_follows_the_publishers(peer: Peer, edge: RosEdge, heard: Heard) -> None:

@@ -12,9 +12,9 @@ from igtl_gateway.base.qos import Qos
 from igtl_gateway.config.configuration import Config, ToIgtlRow
 from igtl_gateway.convert import rosmsg
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.gateway import Gateway, Session
+from igtl_gateway.gateway import LISTENED, Gateway, Session
 from igtl_gateway.gateway.log.entry import Entry, Kind
-from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.query import EmptyQuery
@@ -118,6 +118,68 @@ def test_latched_messages_and_the_newest_are_kept_whatever_their_size() -> None:
     assert {"igtl IMAGE/scan v1 to 1", "igtl IMAGE/mask v1 to 1"} <= set(sent)
     assert script.igtl(part("Scan", side=1_100)) == ["ros /igtl/in/Scan/image"]
     assert "igtl IMAGE/picture v1 to 1" in script.igtl(Message("GET_IMAGE", "picture", EmptyQuery()))
+
+
+def with_three_latched(config: Config) -> Script:
+    script = Script(config)
+    for topic, side in (("plan", 300), ("scan", 1_100), ("mask", 900)):
+        script.ros(f"/igtl/out/{topic}", picture(side))
+    looked(script)
+    return script
+
+
+def forgotten(script: Script) -> list[Note]:
+    return [note for note in _notes(script) if note.code == "latched_forgotten"]
+
+
+LATCHED = (ToIgtlRow(topic="/igtl/out/*", qos=Qos(latched=True)),)
+
+
+def test_the_largest_latched_messages_are_forgotten_beyond_their_limit() -> None:
+    """40 volumes of 256 MiB stayed for the life of the bridge: 10 GB."""
+    script = with_three_latched(config := Config(latched_mib=1, to_igtl=LATCHED))
+    (note,) = forgotten(script)
+    assert note.stream == "/igtl/out/scan"
+    assert note.text == (
+        "/igtl/out/scan: 1.2 MiB of latched messages are forgotten, who joins gets none before the next: those of all "
+        "topics exceed 1 MiB (latched_mib)"
+    )
+    assert script.gateway.ledger.to_dict()["ros_in"]["/igtl/out/scan"]["latched_forgotten"] == 1
+    sent = script.up(1)
+    assert [one for one in sent if one.startswith("igtl")] == ["igtl IMAGE/plan v1 to 1", "igtl IMAGE/mask v1 to 1"]
+    script.igtl(Message("GET_IMAGE", "scan", EmptyQuery()))
+    assert any("messages of all topics exceed latched_mib" in note.text for note in _notes(script))
+    assert script.ros("/igtl/out/scan", picture(1_100)) == ["igtl IMAGE/scan v1 to 1"], "live messages pass"
+    looked(script)
+    assert len(forgotten(script)) == 1, "noted once for each topic"
+    assert script.gateway.ledger.to_dict()["ros_in"]["/igtl/out/scan"]["latched_forgotten"] == 2
+    assert again(config, script.log) == [entry.data() for entry in script.log if not entry.kind.is_input]
+
+
+def test_recordings_without_the_limit_forget_no_latched_message() -> None:
+    script = with_three_latched(Config(keep_mib=1, to_igtl=LATCHED))
+    assert not forgotten(script)
+    assert len([one for one in script.up(1) if one.startswith("igtl")]) == 3
+
+
+def test_messages_that_wait_for_a_first_subscriber_have_the_same_limit() -> None:
+    """They kept the message and the image that it became: 1,560 MB for 40 volumes of 20 MB."""
+    script = Script(Config(latched_mib=1))
+    script.gateway.has_subscriber = lambda *_: False
+    volumes = {device: Image((side, side, 2), 3, bytes(2 * side * side)) for device, side in (("A", 500), ("B", 600))}
+    for device, volume in volumes.items():
+        script.igtl(Message("IMAGE", device, volume))
+    looked(script)
+    (note,) = forgotten(script)
+    assert note.stream == "/igtl/in/B/volume"
+    assert script.gateway.ledger.to_dict()["ros_out"]["/igtl/in/B/volume"] == {"latched_forgotten": 1}
+    for device, built in (("A", ["ros /igtl/in/A/volume"]), ("B", [])):
+        assert listened(script, f"/igtl/in/{device}/volume") == built
+
+
+def listened(script: Script, topic: str) -> list[str]:
+    """What the first subscriber of a topic causes."""
+    return script.feed(Kind.EDGE_NOTE, (Note(Level.INFO, LISTENED, "", topic).pack(),))
 
 
 def test_a_live_session_that_forgets_is_verified(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
