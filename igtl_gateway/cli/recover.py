@@ -182,6 +182,7 @@ _NAMES = {
     "metadata": "metadata",
     "ledger": "the ledger",
     "attachment": "an attachment",
+    "header": "the header",
 }
 
 

@@ -28,7 +28,15 @@ from igtl_gateway.record.sessionfile.copying import CopyWriter
 from igtl_gateway.record.sessionfile.merged import MERGE_METADATA, parse_merge
 from igtl_gateway.record.sessionfile.reader import SessionFile, prologue_of
 from igtl_gateway.record.sessionfile.salvage import HAS_SESSION, Salvage, Salvaged
-from igtl_gateway.record.sessionfile.salvage_report import ATTACHMENT, LEDGER, METADATA, NUMBER, Loss, SalvageReport
+from igtl_gateway.record.sessionfile.salvage_report import (
+    ATTACHMENT,
+    HEADER,
+    LEDGER,
+    METADATA,
+    NUMBER,
+    Loss,
+    SalvageReport,
+)
 from igtl_gateway.record.sessionfile.side_file import RecordingPart
 
 #: Characters of a reason; a reader of the ledger must not meet the damage in it.
@@ -97,6 +105,8 @@ def _attempt(
         compression: Compression = file.compression if in_turn else "none"
         with CopyWriter(place, file.profile, file.library, file.recorded_session, compression=compression) as writer:
             losses = list(_copy_beside(file, writer))
+            if not file.has_header:
+                losses.append(_loss(HEADER, "not readable: which program wrote the file"))
             messages = _in_turn(file) if in_turn else _in_order(file, place.parent)
             for schema, channel, message in messages:
                 writer.write(schema, channel, message)

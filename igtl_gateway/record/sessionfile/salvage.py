@@ -75,7 +75,8 @@ class Salvage:
 
     Attributes:
         path: the file.
-        profile, library: of the file's header; ``""`` where that is lost.
+        has_header: whether the file's header can be read.
+        profile, library: of the header; without it, the profile is that of a session, or ``""`` in another file.
         session, format_version, ledger, foreign: as of SessionFile.
         recorded_session: the session metadata as the file has it, of whatever version.
         growing: another process is writing it.
@@ -92,6 +93,7 @@ class Salvage:
             raise UnsupportedRecording(f"{path}: the file is empty")
         self.report = SalvageReport(self._file.size)
         self.position = 0
+        self.has_header = False
         self.profile = self.library = ""
         self.compression: Compression = "none"
         self.growing = files.is_being_written(stream)
@@ -111,6 +113,8 @@ class Salvage:
             and not any(is_marked(channel) for channel, _ in self._channels.values())
             and not self.library.startswith("igtl-gateway")
         )
+        if not (self.has_header or self.foreign):
+            self.profile = layout.MCAP_PROFILE
         self.recorded_session = session or {}
         self.format_version, self.session = migrations.read_session(path, session)
         start = self._file.read(0, len(MAGIC))
@@ -236,7 +240,7 @@ class Salvage:
                 limits.check_limit("count", len(self._attachments), f"{self.path}: attachments")
             elif span.opcode == records.HEADER:
                 if header := _parsed(records.parse_header, self._file.small_content(span)):
-                    self.profile, self.library = header.profile, header.library
+                    self.has_header, self.profile, self.library = True, header.profile, header.library
             elif span.opcode in records.DEFINITIONS:
                 self.define(span.opcode, self._file.small_content(span), is_checked=False)
             elif span.opcode == records.METADATA and (

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 MAX_LOSSES = 1_000
 
 #: Kinds of losses.
-CUT_OFF, CHUNK, BYTES, CHANNEL, NUMBER, METADATA, LEDGER, ATTACHMENT = (
-    "cut_off", "chunk", "bytes", "channel", "number", "metadata", "ledger", "attachment",
+CUT_OFF, CHUNK, BYTES, CHANNEL, NUMBER, METADATA, LEDGER, ATTACHMENT, HEADER = (
+    "cut_off", "chunk", "bytes", "channel", "number", "metadata", "ledger", "attachment", "header",
 )  # fmt: skip
 
 

@@ -92,6 +92,16 @@ def test_times_out_of_order_cost_only_these_entries(tmp_path: Path, numbers: tup
     assert not again.report.lost and again.facts["earlier"] == found.facts
 
 
+def test_a_header_that_cannot_be_read_is_named_and_rosbags_reads_the_rest(tmp_path: Path) -> None:
+    data = _session({})
+    for bad in (data.replace(b"igtl-gateway", b"igtl-gatew\xff\xff", 1), bytes(16) + data[16:]):
+        found, _ = _recovered(tmp_path, bad)
+        assert [(loss.what, loss.text) for loss in found.report.lost] == [
+            ("header", "not readable: which program wrote the file")
+        ]
+        assert not (found.notes or found.report.whole)
+
+
 @pytest.mark.slow
 @table(
     ("key", "text"),
