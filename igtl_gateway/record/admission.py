@@ -4,6 +4,9 @@ Strategy: a burst of pictures is larger than the queue, and its sender can wait:
 read from its connection, TCP makes it wait, and nothing is lost.  The live side comes first all the same.  A recorder
 that does not come on is not waited for, nor one that has not caught up after `HOLD_NS`: then large messages pass, and
 those that find no room are dropped and counted, until it has caught up.
+
+How large the outputs of a message are shows when it has passed.  So two that pass at one time, in the I/O thread and in
+that of large messages, would each take the room of the other's outputs: they may do so only while little waits.
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ WAITS = "record_waits"
 #: The longest time for which large messages wait, from the first that does until the recorder has caught up; and the
 #: time after which a note reports it.
 HOLD_NS, _NOTED_NS = 60 * NS_PER_S, NS_PER_S
-#: It has caught up when no more than this part of the bound waits.
+#: It has caught up when no more than this part of the bound waits; up to there messages pass beside each other.
 _CALM_PART = 4
 
 
@@ -77,7 +80,8 @@ class Admission:
         waiting, most = recorder.queue.waiting[1] + self._passing, recorder.queue.max_large_bytes
         if waiting <= most // _CALM_PART:
             self._since, self._is_noted, self._is_over = None, False, False
-        if not waiting or waiting + size <= most or self._is_over:
+        room = most // _CALM_PART if self._passing else most
+        if not waiting or waiting + size <= room or self._is_over:
             return True
         now_ns = self._clock.monotonic_ns()
         self._since = self._since or (now_ns, recorder.queue.done_bytes)

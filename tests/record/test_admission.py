@@ -64,6 +64,18 @@ def test_messages_that_pass_at_one_time_share_the_room(world: World) -> None:
     assert world.admission.admit(200)
 
 
+def test_a_message_beside_another_leaves_room_for_the_outputs_of_both(world: World) -> None:
+    assert world.admission.admit(300)
+    assert not world.admission.admit(300), "both and their outputs are more than there is room for"
+    world.waiting(600)
+    world.admission.leave(300)
+    assert world.admission.admit(300)
+    world.admission.leave(300)
+    world.waiting(50)
+    assert world.admission.admit(100)
+    assert world.admission.admit(100) and not world.admission.admit(1)
+
+
 def test_without_a_recorder_or_with_one_that_does_not_come_on_nothing_waits(world: World) -> None:
     world.waiting(MOST)
     assert not world.passes(100)
