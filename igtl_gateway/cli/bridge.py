@@ -349,10 +349,10 @@ class _Show:
             return
         bridge, watch = session.bridge, session.watch
         events = watch.take(bridge.hub.now_ns()) + bridge.take_reports()
+        session.sample()  # first: who reads of an event here finds it in the state
         self._out.events(events)
         bridge.collect()
         self._out.status(bridge, watch, (self._clock.monotonic_ns() - self._started_ns) / NS_PER_S)
-        session.sample()
         if page:
             page.update(session, events)
 

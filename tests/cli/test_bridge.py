@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any, cast
+
 import pytest
 
 from igtl_gateway.app.note_rate import Event
+from igtl_gateway.base.clock import ManualClock
+from igtl_gateway.cli.bridge import _Show
 from igtl_gateway.cli.bridge_output import TextOutput
 from igtl_gateway.gateway import TICK
 from igtl_gateway.gateway.log.entry import Kind
@@ -30,3 +35,20 @@ def test_ticks_drive_the_gateway_and_tell_people_nothing(capsys: pytest.CaptureF
     tick = Event(0, Kind.EDGE_NOTE, Note(Level.INFO, TICK, "a deadline has come"), ())
     out.events([tick, Event(1, Kind.LINK, Note(Level.INFO, "link_up", "connected"), (1,)), tick])
     assert capsys.readouterr().out == "= connected [link 1]\n"
+
+
+def test_an_event_that_is_told_is_in_the_state_already() -> None:
+    calls: list[str] = []
+    out = SimpleNamespace(events=lambda _: calls.append("told"), status=lambda *_: None)
+    bridge = SimpleNamespace(hub=SimpleNamespace(now_ns=lambda: 0), take_reports=list, collect=lambda: None)
+
+    def take(_now_ns: int) -> list[Event]:
+        calls.append("taken")
+        return []
+
+    watch = SimpleNamespace(take=take)
+    session: Any = SimpleNamespace(bridge=bridge, watch=watch, sample=lambda: calls.append("state"))
+    show = _Show(cast(Any, out), None, [], ManualClock(), cast(Any, SimpleNamespace(page=None)))
+    show._session = session
+    show.update(session)
+    assert calls == ["taken", "state", "told"]
