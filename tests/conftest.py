@@ -84,6 +84,7 @@ SLOW = (
     "addons/view/test_shots.py",
     "addons/review/test_error.py",
     "integration/test_simulate.py",
+    "integration/test_black_box_live.py",
     "integration/test_crash.py",
     "integration/test_relay.py",
     "integration/test_lifecycle.py",

@@ -66,7 +66,8 @@ def _state_of(recorder: Recorder) -> str:
 def _where(bridge: Bridge, summary: RecordingSummary) -> str:
     """Return the file of a recording, or how many files it has."""
     if bridge.options.recording.snapshot_s:
-        return f"{count_text(len(summary.files), 'snapshot')} of {summary.path}"
+        what = "file" if bridge.options.recording.triggers else "snapshot"
+        return f"{count_text(len(summary.files), what)} of {summary.path}"
     beside = [path for path in summary.files if path.parent == summary.path.parent]  # parts are inside of the path
     if len(beside) > 1:
         return f"{len(beside)} files, the last one {beside[-1]}"
@@ -142,6 +143,8 @@ class TextOutput:
         until = f", to ROS after its discovery ({DISCOVERY_NS // NS_PER_S} s)" if bridge.ros else ""
         print_line(f"passage      {f'Python ({bridge.native_off})' if bridge.native_off else f'native{until}'}")
         print_line(f"recording    {bridge.options.record or 'off (--record FILE)'}")
+        if rules := bridge.options.recording.triggers:
+            print_line(f"black box    by {', '.join(map(str, rules))}")
         if metrics:
             print_line(f"metrics      {metrics.url}")
         if config.faults:

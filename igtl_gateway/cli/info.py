@@ -283,7 +283,7 @@ def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_n
         ("settings", [f"{change['at']}  {change['text']}" for change in summary["changes"]]),
         ("host's clock", [f"{step['at']}  {step['text']}" for step in summary["clock_steps"]]),
         ("marks", [*map(_mark, summary["marks"]), *_side_lines(summary["added_marks"])]),
-        ("triggers", [_trigger(row, start_ns) for row in (summary["ledger"] or {}).get(layout.TRIGGERS_KEY, ())]),
+        ("triggers", _triggers((summary["ledger"] or {}).get(layout.TRIGGERS_KEY, ()), start_ns)),
         ("problems", [f"{number:>7,}  {code}" for code, number in summary["problems"].items()] or ["   none"]),
         ("first note of each problem", _firsts(notes, start_ns)),
         ("losses", [_NOT_YET] if "being_recorded" in summary else losses(summary["ledger"]) or ["   none"]),
@@ -370,6 +370,11 @@ def _mark(mark: dict[str, Any]) -> str:
     text = ": ".join(filter(None, (mark["label"], mark["text"]))) + (f" ({mark['who']})" if mark["who"] else "")
     end = "" if mark["end_s"] is None else f" to {mark['end_s']:.3f} s" + (" (open)" if mark["open"] else "")
     return f"{mark['at_s']:>9.3f} s{end}  {text}" + (" [added]" if mark["added"] else "")
+
+
+def _triggers(rows: Sequence[dict[str, Any]], start_ns: int) -> list[str]:
+    """Return a line for each trigger, in the order of their times: a mark may have come late."""
+    return [_trigger(row, start_ns) for row in sorted(rows, key=lambda row: row["at_ns"])]
 
 
 def _trigger(row: dict[str, Any], start_ns: int) -> str:

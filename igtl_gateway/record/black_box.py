@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +77,7 @@ class _Window:
         why_not: why there is none.
         failed: what was left of files that could not be written to their end.
         forgotten_ns: the newest input before those of the file, which memory may forget; 0: there is none.
+        is_rewritten: whether it was written again for a window that begins earlier.
         written: number of the last entry in the file.
         is_open: whether the last input is in the file, and so its outputs are.
         skipped: entries that the format cannot hold.
@@ -90,6 +92,7 @@ class _Window:
     why_not: str = ""
     failed: list[Path] = field(default_factory=list)
     forgotten_ns: int = 0
+    is_rewritten: bool = False
     written: int = 0
     is_open: bool = True
     skipped: int = 0
@@ -132,6 +135,7 @@ class BlackBox(Ring):
         self._on_obstacle = on_obstacle
         self._linger_ns = max(_LEAST_LINGER_NS, *(self._before_ns(rule) for rule in rules))
         self._window: _Window | None = None
+        self._ended: _Window | None = None  # closed since nothing came, until the next input comes
         self._last_ns = 0  # of the last entry
         self._came_ns = clock.monotonic_ns()  # when it came
         self._last_seq = 0
@@ -156,6 +160,10 @@ class BlackBox(Ring):
         """Keep an entry, write it to an open window, and look whether it triggers."""
         self._last_ns, self._came_ns = entry.stamp_ns, self._clock.monotonic_ns()
         super().write(entry)
+        if self._ended and entry.kind.is_input:
+            ended, self._ended = self._ended, None
+            if ended.writer and entry.stamp_ns <= ended.end_ns:
+                self._report_late(ended, ended.writer)
         window = self._window
         if window:
             if entry.kind.is_input and entry.stamp_ns > window.end_ns:
@@ -176,6 +184,7 @@ class BlackBox(Ring):
         if now_ns > window.end_ns + self._linger_ns:
             self._last_ns = max(self._last_ns, window.end_ns + 1)
             self._finish()
+            self._ended = window
         elif not window.writer:
             self._try_again(window)
 
@@ -218,9 +227,11 @@ class BlackBox(Ring):
             self._open_window(window)
         else:
             _count(window.rows, cause, begin_ns)
-            window.end_ns, window.begin_ns = max(window.end_ns, end_ns), min(window.begin_ns, begin_ns)
-            if window.writer and begin_ns == window.begin_ns and self._first_seq(begin_ns) < window.first:
-                self._open_earlier(window, window.writer)
+            window.end_ns = max(window.end_ns, end_ns)
+            if begin_ns < window.begin_ns:
+                window.begin_ns = begin_ns
+                if window.writer and self._first_seq(begin_ns) < window.first:
+                    self._open_earlier(window, window.writer)
             if not window.is_open:
                 window.is_open = True
                 self._catch_up(window)
@@ -280,7 +291,10 @@ class BlackBox(Ring):
                 self._on_obstacle("", False)
 
     def _open_earlier(self, window: _Window, writer: SessionWriter) -> None:
-        """Write the file of a window again, with what memory has before it."""
+        """Write the file of a window again, with what memory has before it; the second time all, and no third time."""
+        if window.is_rewritten:
+            window.begin_ns = min(window.begin_ns, self._entries[0].stamp_ns)
+        window.is_rewritten = True
         window.failed.append(writer.path)
         window.writer = None
         self._open_window(window)
@@ -291,7 +305,8 @@ class BlackBox(Ring):
 
     def _catch_up(self, window: _Window) -> None:
         """Write what memory has behind the last entry of the file, up to the end of the window."""
-        waiting = [entry for entry in self._entries if entry.seq > window.written]
+        waiting = list(takewhile(lambda entry: entry.seq > window.written, reversed(self._entries)))
+        waiting.reverse()
         later = (at for at, entry in enumerate(waiting) if entry.kind.is_input and entry.stamp_ns > window.end_ns)
         end = next(later, None)
         window.is_open = end is None
@@ -356,6 +371,13 @@ class BlackBox(Ring):
         code, level = (INCOMPLETE, Level.WARN) if missing else (SAVED, Level.INFO)
         data = {"path": str(window.writer.path), "rows": len(rows), "incomplete": len(missing)}
         self._on_note(Note(level, code, text, data=data))
+
+    def _report_late(self, window: _Window, writer: SessionWriter) -> None:
+        """Write a note of a file that was closed before all of its window came, as the bridge had no processor."""
+        why = "entries that came after the file was closed"
+        text = f"black box, {_names(window.rows)}: {writer.path}; incomplete: {why}"
+        rows = [self._judged(row, window) | {"missing": why} for row in window.rows[:_IN_NOTE]]
+        self._on_note(Note(Level.WARN, INCOMPLETE, text, data={"path": str(writer.path), "triggers": rows}))
 
     def _judged(self, row: _Row, window: _Window) -> dict[str, Any]:
         """Return the row of the ledger, with what its windows lack, or ""."""

@@ -139,7 +139,7 @@ class Recorder:
             try:
                 taken = not (self._closing or self._ended) and self._queue.reserve(entry)
             finally:
-                if taken is False:
+                if taken is False and not self._tells_end():
                     self._count_drop(entry)
         if self._queue.pressing:
             self.wake()
@@ -268,6 +268,10 @@ class Recorder:
                 self._pipe.send(answer)
         except OSError:
             pass  # the listening thread detects its end
+
+    def _tells_end(self) -> bool:
+        """Whether an entry that comes now is a note of this recorder about its end, which no file can have."""
+        return self._closing and threading.current_thread() is self._thread
 
     def _count_drop(self, entry: Entry) -> None:
         """The caller holds the lock."""

@@ -111,8 +111,9 @@ _Found = Iterator[tuple[str, bool, str]]
 
 
 def _note(entry: Entry) -> Note | None:
+    """Return what may trigger: no note of the black box itself, and none of the end of a link with the bridge."""
     note = Note.of(entry.data())
-    return None if note.code in _OWN else note
+    return None if note.code in _OWN or note.data.get("reason") == STOPPED else note
 
 
 def _of_codes(codes: frozenset[str]) -> Callable[[Trigger, Entry, MessageDecoder], _Found]:
@@ -127,7 +128,7 @@ def _of_codes(codes: frozenset[str]) -> Callable[[Trigger, Entry, MessageDecoder
 def _any_note(rule: Trigger, entry: Entry, _decoder: MessageDecoder) -> _Found:
     note = _note(entry)
     if note and matches(rule.pattern, note.code):
-        yield "", True, f"{note.code}: {note.text}"
+        yield "", True, note.text if rule.pattern == note.code else f"{note.code}: {note.text}"
 
 
 def _mark(rule: Trigger, entry: Entry, _decoder: MessageDecoder) -> _Found:
@@ -143,9 +144,8 @@ def _moment_ns(rule: Trigger, entry: Entry) -> int:
 
 
 def _link_down(rule: Trigger, entry: Entry, _decoder: MessageDecoder) -> _Found:
-    note = Note.of(entry.data())
-    is_lost = note.code == LINK_DOWN and note.data.get("reason") != STOPPED
-    if is_lost and matches(rule.pattern, str(note.data.get("peer", ""))):
+    note = _note(entry)
+    if note and note.code == LINK_DOWN and matches(rule.pattern, str(note.data.get("peer", ""))):
         yield "", True, note.text
 
 

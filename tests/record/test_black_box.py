@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -16,8 +18,10 @@ from igtl_gateway.convert.rosmsg import DiagnosticStatus, Header
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.marks import MarkNote
 from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.record.black_box import BlackBox
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
+from igtl_gateway.record.prologue import Prologue
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.schemas import RosTypes
@@ -82,6 +86,12 @@ VALUE = "value=/force,field=wrench.force.z,above=5"
         ("value=/force,field=header.frame_id,above=1", [_force(9)], []),
         ("mark=slip*", [_note("mark", label="slip-2"), _note("mark", label="other")], [0]),
         ("note=bad_*", [_note("bad_crc", Kind.NOTE), _note("tick"), _note(TRIGGERED), _note(SAVED)], [0]),
+        (
+            "note=link_*",
+            [_note("link_down", Kind.LINK, reason=each) for each in ("stopped", "closed by the peer")],
+            [1],
+        ),
+        ("loss", [_note("truncated", reason=each) for each in ("stopped", "closed by the peer")], [1]),
         ("note=**", [_note(code) for code in (TRIGGERED, SAVED, INCOMPLETE)], []),
     ],
 )
@@ -89,6 +99,12 @@ def test_what_triggers(rule: str, entries: list[Entry], fires: list[int]) -> Non
     triggers = Triggers((trigger(rule),), RosTypes())
     found = [number for number, entry in enumerate(entries) for _ in triggers.look(entry)]
     assert found == fires
+
+
+@table(("rule", "why"), [("note=bad_crc", "text of bad_crc"), ("note=bad_*", "bad_crc: text of bad_crc")])
+def test_a_code_stands_once(rule: str, why: str) -> None:
+    (cause,) = Triggers((trigger(rule),), RosTypes()).look(_note("bad_crc"))
+    assert cause.why == why
 
 
 def test_bytes_that_are_not_of_the_type_trigger_nothing() -> None:
@@ -273,6 +289,37 @@ def test_info_states_why_the_file_is_there(tmp_path: Path, capsys: pytest.Captur
     assert main(["verify", str(first)]) == 0
 
 
+def test_info_lists_triggers_by_their_time(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    entries = _with_marks(5.0, labels="slip")
+    late = MarkNote("late", ago_ns=6 * NS).note()
+    entries.append(Entry(len(entries) + 1, entries[-1].stamp_ns + 1, Kind.EDGE_NOTE, payload=(late.pack(),)))
+    _play(tmp_path / "box.mcap", entries, "mark=slip,after=9", "mark=late,after=1")
+    (path,) = tmp_path.glob("*.mcap")
+    assert main(["info", str(path)]) == 0
+    lines = capsys.readouterr().out.partition("  triggers\n")[2].splitlines()[:2]
+    assert [line.split()[3] for line in lines] == ["late:", "slip:"]
+
+
+def test_notes_about_the_end_of_the_recorder_are_no_losses(tmp_path: Path) -> None:
+    """The bridge hands each note over as an entry."""
+    entries = _with_marks(9.99)
+    notes: list[Note] = []
+
+    def on_note(note: Note) -> None:
+        notes.append(note)
+        number = len(entries) + len(notes)
+        recorder(Entry(number, entries[-1].stamp_ns + number, Kind.EDGE_NOTE, payload=(note.pack(),)))
+
+    recorder = Recorder(
+        tmp_path / "box.mcap", samples.SESSION, qos_of=lambda _topic, _type: None, on_note=on_note, clock=ManualClock(),
+        options=RecordOptions(snapshot_s=2.0, triggers=(trigger("mark=slip,after=1"),)), rule=RULE, host=in_thread,
+    )  # fmt: skip
+    for entry in entries:
+        recorder(entry)
+    summary = recorder.close({"streams": {}})
+    assert [note.code for note in notes] == [TRIGGERED, INCOMPLETE] and not summary.dropped
+
+
 def box(folder: Path, notes: list[Note], clock: ManualClock, seconds: float) -> Recorder:
     """A black box that a mark triggers, with a second after it."""
     return Recorder(
@@ -294,6 +341,90 @@ def test_a_window_ends_where_nothing_comes(tmp_path: Path) -> None:
 
     wait_until(saved)
     recorder.close({})
+
+
+@table(
+    ("late", "codes"),
+    [
+        (NS // 2, [SAVED, INCOMPLETE]),  # of the window of the file that is closed
+        (2 * NS, [SAVED]),
+    ],
+)
+def test_what_comes_after_its_file_was_closed_is_told(late: int, codes: list[str], tmp_path: Path) -> None:
+    notes: list[Note] = []
+    clock = ManualClock()
+    recorder = box(tmp_path, notes, clock, seconds=2.0)
+    entries = _with_marks(9.99)
+    for entry in entries:
+        recorder(entry)
+
+    def saved() -> bool:
+        clock.advance(NS // 10)
+        return any(note.code == SAVED for note in notes)
+
+    wait_until(saved)
+    last = entries[-1]
+    recorder(Entry(last.seq + 1, last.stamp_ns + late, Kind.IGTL_IN, "STATUS/Arm", "STATUS", _status(1).payload))
+    recorder.close({})
+    assert [note.code for note in notes if note.code != TRIGGERED] == codes
+
+
+class Looks(deque[Entry]):
+    """Memory that counts how often it is looked through from its begin."""
+
+    passes = 0
+
+    def __iter__(self) -> Iterator[Entry]:
+        self.passes += 1
+        return super().__iter__()
+
+
+def _memory(folder: Path, rule: str, files: list[Path]) -> tuple[BlackBox, Looks]:
+    """A black box with a session of 10 s in memory."""
+    types, rules = RosTypes(), (trigger(rule),)
+
+    def open_file(path: Path, facts: dict[str, str], prologue: Sequence[Entry]) -> SessionWriter:
+        files.append(path)
+        return SessionWriter(path, facts, qos_of=lambda _topic, _type: None, prologue=prologue, types=types)
+
+    found = BlackBox(
+        folder / "box.mcap", open_file, Prologue(RULE), seconds=20, max_bytes=1 << 30, rules=rules,
+        triggers=Triggers(rules, types), clock=ManualClock(), counters=dict, on_note=lambda _note: None,
+    )  # fmt: skip
+    found._entries = looks = Looks()
+    for entry in session(10):
+        found.write(entry)
+    looks.passes = 0
+    return found, looks
+
+
+def test_a_message_that_triggers_a_thousand_times_looks_through_memory_as_one_that_does_once(tmp_path: Path) -> None:
+    counts = []
+    for number in (1, 1_000):
+        found, looks = _memory(tmp_path, "diagnostics", [])
+        statuses = tuple(DiagnosticStatus(2, f"motor {each}", "hot") for each in range(number))
+        cdr = DiagnosticArray(Header(), statuses).pack()
+        found.write(
+            Entry(10_000, samples.START_NS + 10 * NS, Kind.ROS_IN, "/diagnostics", DiagnosticArray.TYPE, (cdr,))
+        )
+        counts.append(looks.passes)
+        found.close({})
+    assert counts[0] == counts[1]
+
+
+def test_marks_of_ever_earlier_moments_have_the_file_written_again_twice(tmp_path: Path) -> None:
+    files: list[Path] = []
+    found, _ = _memory(tmp_path, "mark=slip,before=0.1,after=1", files)
+    first_ns = found._entries[0].stamp_ns
+    for number in range(1, 51):
+        note = MarkNote("slip", ago_ns=number * NS // 10).note()
+        found.write(Entry(10_000 + number, samples.START_NS + 10 * NS + number, Kind.EDGE_NOTE, payload=(note.pack(),)))
+    found.close({})
+    assert len(files) == 3
+    (path,) = tmp_path.glob("*.mcap")
+    with SessionFile.open(path) as file:
+        assert next(file.entries()).stamp_ns == first_ns, "the second time with all that memory has"
+        assert file.ledger and not any(row["missing"].startswith("5") for row in file.ledger["triggers"])
 
 
 @pytest.mark.parametrize("comes_back", [False, True], ids=["missing", "in time"])

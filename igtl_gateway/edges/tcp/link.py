@@ -206,7 +206,7 @@ class Link:
         if reason in _FAULTS:
             self._context.faults[reason] += 1
         else:
-            self._loop.run(self.receiver.note_truncated)
+            self._loop.run(partial(self.receiver.note_truncated, reason))
         counts = self.counters()
         data = {
             "peer": self.peer,

@@ -331,12 +331,12 @@ class Receiver:
         expected = HEADER_SIZE + int.from_bytes(head[BODY_SIZE], "big") if len(head) == HEADER_SIZE else None
         return {"received": self.pending, "expected": expected, "head": head.hex(), "peer": self._link.peer}
 
-    def note_truncated(self) -> None:
-        """Note that the link ends inside a message, if it does."""
+    def note_truncated(self, reason: str) -> None:
+        """Note that the link ends inside a message, if it does, for this reason."""
         if not self.pending:
             return
         self._context.faults["truncated"] += 1
-        data = self.unfinished()
+        data = self.unfinished() | {"reason": reason}
         text = f"{self._link.peer} went inside a message: {data['received']} of {data['expected'] or '?'} bytes"
         if self._framer.pending_head().startswith(_TLS_ALERT) and not self.messages:
             text += "; it speaks TLS"

@@ -186,6 +186,7 @@ def test_peer_gone_inside_a_message(world: World, part: int, expected: int | Non
     (note,) = seen.of("truncated")
     assert note.data["head"] == message(2)[: min(part, 58)].hex()
     assert (note.data["received"], note.data["expected"]) == (part, expected)
+    assert note.data["reason"] == seen.of("down")[0].data["reason"]
     assert [event[0] for event in seen.events] == ["up", "frame", "truncated", "down"]
 
 
