@@ -7,8 +7,10 @@ marks at random times, some within 1 ms of the end of a window, and some of an e
 what is in its way: nothing, a slow disk, a disk that is full for a while, a memory that is too small, kill −9 of the
 bridge or of the recorder.
 
-The judge has the entries of the session.  A window is complete if a file has all of them; the file must verify.  A
-trigger without that must have a reason: in its row of the ledger, or in a note of the recorder.
+The judge has the entries of the session, of a killed bridge those that it had handed over.  A window is complete if a
+file has all of them, from its first nanosecond to its last; the file must verify.  A trigger without that must have a
+reason: in its row of the ledger, or in a note of the recorder.  No more triggers may be without a row than notes were
+dropped, unless the recorder was killed.
 """
 
 from __future__ import annotations
@@ -26,6 +28,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from random import Random
+from struct import Struct
 from typing import Any
 from unittest.mock import patch
 
@@ -64,9 +67,23 @@ MANNERS = ("plain", "slow", "full", "small", "kill bridge", "kill recorder")
 QUICK = MANNERS[:4]
 #: Codes of notes that state why a trigger has no complete window.
 _REASONS = ("record_failed", "record_drop")
+#: What a reason contains → how the table names it.
+_NAMES = {
+    "the recorder's process has ended": "the recorder was killed: it is in a note",
+    "was not closed": "the recorder was killed: it is in a note",
+    "no file: ": "no file, the disk was full: in its row or a note",
+    "memory had them no more": "memory had no room for the window: in its row",
+    "the disk or the machine was too slow": "entries of the window are missing, the disk or the machine was too slow: "
+    "in its row",
+    "the recording ended": "the recording ended within the window: in its row",
+    "are not in the recording": "they were dropped with other entries: `record_drop` has the count",
+}
 _RULE = StateInputRule(frozenset({LINKS_TOPIC}))
 _SESSION = {"config": "{}"}
 _DEADLINE_S = 60.0
+#: A bridge that will be killed pauses after this number of entries, s; where it writes how many it has handed over.
+_BATCH, _PAUSE_S = 20, 0.005
+_FED_NAME, _FED = "fed", Struct("=Q")
 
 
 @dataclass(slots=True)
@@ -203,8 +220,8 @@ def _noting(found: list[int]) -> hosts.Host:
     return host
 
 
-def play(folder: Path, manner: str, seed: int, count: int, clock: Clock) -> tuple[list[Note], list[Entry]]:
-    """Record a world in this process; return the notes of the recorder and the entries of the session."""
+def play(folder: Path, manner: str, seed: int, count: int, clock: Clock) -> tuple[list[Note], list[Entry], int]:
+    """Record a world in this process; return the recorder's notes, all entries, and the number of dropped marks."""
     chosen = Random(seed)
     times = trigger_times(chosen, count)
     entries = list(entries_of(chosen, times))
@@ -224,24 +241,28 @@ def play(folder: Path, manner: str, seed: int, count: int, clock: Clock) -> tupl
                 os.kill(processes[0], signal.SIGKILL)
             elif fed % 100 == 0:
                 time.sleep(chosen.random() * 0.02)  # the recorder comes near
-        recorder.close({"streams": {}})
-    return notes, entries
+        summary = recorder.close({"streams": {}})
+    return notes, entries, summary.dropped.get(Kind.EDGE_NOTE.value, 0)
 
 
-def judge(folder: Path, notes: Sequence[Note], entries: Sequence[Entry], *, is_prefix: bool = False) -> Outcome:
+def judge(
+    folder: Path,
+    notes: Sequence[Note],
+    entries: Sequence[Entry],
+    dropped: int | None,
+) -> Outcome:
     """Return how each trigger ended.
 
     Args:
         folder: has the files.
         notes: of the recorder.
         entries: of the session.
-        is_prefix: the session ended somewhere: triggers after the last entry of any file were not made.
+        dropped: marks that were, and so have not triggered; None: unknown, the recorder was killed.
     """
     outcome = Outcome()
     rows: list[tuple[dict[str, object], Path, set[int]]] = []
     reasons_of_notes = "; ".join(note.text for note in notes if note.code in _REASONS)
     rows += [(row, Path(), set()) for note in notes for row in note.data.get("triggers", ()) if note.code == INCOMPLETE]
-    last_ns = 0
     for path in sorted(folder.glob("*.mcap")):
         try:
             with SessionFile.open(path) as file:
@@ -252,19 +273,21 @@ def judge(folder: Path, notes: Sequence[Note], entries: Sequence[Entry], *, is_p
             reasons_of_notes += f"; {path.name} was not closed"
             continue
         outcome.files += 1
-        last_ns = max([last_ns, *(entry.stamp_ns for entry in content)])
         if not report.good:
             outcome.silent.append(f"{path.name} does not verify: {report.differences[:1]}")
         numbers = {entry.seq for entry in content}
         rows += [(row, path, numbers) for row in ledger.get(layout.TRIGGERS_KEY, ())]
+    unseen = 0
     for entry in entries:
-        if entry.kind is not Kind.EDGE_NOTE or (is_prefix and entry.stamp_ns > last_ns):
+        if entry.kind is not Kind.EDGE_NOTE:
             continue
         mark = MarkNote.of(Note.of(entry.data()))
         assert mark
         rule = next(rule for rule in RULES if rule.pattern == mark.label)
         outcome.triggers += 1
-        _judge_one(entry, entry.stamp_ns - mark.ago_ns, rule, rows, entries, reasons_of_notes, outcome)
+        unseen += not _judge_one(entry, entry.stamp_ns - mark.ago_ns, rule, rows, entries, reasons_of_notes, outcome)
+    if dropped is not None and unseen > dropped:
+        outcome.silent.append(f"{unseen} triggers without a row, though {dropped} marks were dropped")
     return outcome
 
 
@@ -276,7 +299,8 @@ def _judge_one(
     entries: Sequence[Entry],
     reasons_of_notes: str,
     outcome: Outcome,
-) -> None:
+) -> bool:
+    """Judge a trigger; return whether there is a row of it."""
     begin_ns, end_ns = at_ns - round((rule.before_s or 0) * NS), at_ns + round(rule.after_s * NS)
     if rule.before_s is None:  # all that memory has
         begin_ns = min(begin_ns, entry.stamp_ns - round(KEPT_S * NS))
@@ -287,16 +311,17 @@ def _judge_one(
             lacking = [each.seq for each in entries if begin_ns <= each.stamp_ns <= end_ns and each.seq not in numbers]
             if not lacking:
                 outcome.whole += 1
-                return
+                return True
             wrong = f"{path.name}: {rule} at {at_ns}: complete, but entries {lacking[:3]} … of {len(lacking)} lack"
     explained = next((str(row["missing"]) for row, _, _ in own if row["missing"]), "")
     if not own:  # the recorder did not see it, or its file was not closed
         explained = reasons_of_notes
     if explained and not wrong:
         outcome.explained += 1
-        outcome.reasons[explained.partition(": ")[2][:60] or explained[:60]] += 1
+        outcome.reasons[next((name for part, name in _NAMES.items() if part in explained), explained)] += 1
     else:
         outcome.silent.append(wrong or f"{rule} at {at_ns}: no file and no note")
+    return bool(own)
 
 
 def world(manner: str, seed: int, count: int) -> Outcome:
@@ -304,21 +329,23 @@ def world(manner: str, seed: int, count: int) -> Outcome:
     with tempfile.TemporaryDirectory(prefix="igtl-worlds-") as name:
         folder = Path(name)
         if manner != "kill bridge":
-            return judge(folder, *play(folder, manner, seed, count, SystemClock()))
+            notes, entries, dropped = play(folder, manner, seed, count, SystemClock())
+            return judge(folder, notes, entries, None if manner == "kill recorder" else dropped)
         words = [sys.executable, __file__, "--play", str(folder), "--seed", str(seed), "--triggers", str(count)]
         with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as bridge:
             assert bridge.stdout
+            chosen = Random(seed)
+            entries = list(entries_of(chosen, trigger_times(chosen, count)))
             recorder = int(bridge.stdout.readline())
-            time.sleep(Random(seed).random())
+            time.sleep(Random(seed).random() * len(entries) / _BATCH * _PAUSE_S)
             bridge.kill()
         deadline = time.monotonic() + _DEADLINE_S
         while Path(f"/proc/{recorder}/stat").exists() and time.monotonic() < deadline:
             if Path(f"/proc/{recorder}/stat").read_text().rpartition(") ")[2].startswith("Z"):
                 break
             time.sleep(0.02)
-        chosen = Random(seed)
-        entries = list(entries_of(chosen, trigger_times(chosen, count)))
-        return judge(folder, (), entries, is_prefix=True)
+        (fed,) = _FED.unpack((folder / _FED_NAME).read_bytes())
+        return judge(folder, (), entries[:fed], 0)
 
 
 def run(triggers: int, seed: int, manners: Sequence[str] = MANNERS, each: int = 80) -> Outcome:
@@ -342,11 +369,14 @@ def _play_until_killed(folder: Path, seed: int, count: int) -> None:
         folder / "box.mcap", _SESSION, qos_of=lambda _topic, _type: None, on_note=lambda _note: None,
         clock=SystemClock(), options=options_of("kill bridge"), rule=_RULE, host=_noting(processes),
     )  # fmt: skip
+    file = (folder / _FED_NAME).open("wb", buffering=0)
+    file.write(_FED.pack(0))
     print(processes[0], flush=True)
-    for number, entry in enumerate(entries):
+    for number, entry in enumerate(entries, 1):
         recorder(entry)
-        if number % 20 == 0:
-            time.sleep(0.005)
+        os.pwrite(file.fileno(), _FED.pack(number), 0)
+        if number % _BATCH == 0:
+            time.sleep(_PAUSE_S)
     time.sleep(_DEADLINE_S)
 
 
@@ -361,10 +391,11 @@ def main() -> int:
         _play_until_killed(options.play, options.seed, options.triggers)
         return 0
     found = run(options.triggers, options.seed, options.manner or MANNERS)
-    print(f"{found.triggers:,} triggers: {found.whole:,} complete in {found.files:,} files that verify, ")
-    print(f"{found.explained:,} with a reason, {len(found.silent)} silent")
+    print("| triggers | how they ended |", "| --- | --- |", sep="\n")
+    print(f"| {found.whole:,} | all of their windows in {found.files:,} files, which verify |")
     for reason, number in found.reasons.most_common():
-        print(f"{number:>7,}  {reason}")
+        print(f"| {number:,} | {reason} |")
+    print(f"| {len(found.silent)} | without file and without reason |")
     print(*found.silent, sep="\n")
     return bool(found.silent)
 
