@@ -25,7 +25,8 @@ from igtl_gateway.edges.ros.graph import Graph
 from igtl_gateway.edges.ros.middleware import interface_class, profile_of
 from igtl_gateway.edges.ros.node import RosNode
 from igtl_gateway.edges.ros.receiver import EventPolling, UnmanagedCallbackGroup
-from igtl_gateway.edges.ros.topics import HOLD_BYTES, HOLD_MESSAGES, TopicPublisher, Topics
+from igtl_gateway.edges.ros.topics import HOLD_ALL_BYTES, HOLD_BYTES, HOLD_MESSAGES, TopicPublisher, Topics
+from igtl_gateway.gateway.kept import beyond, largest_first
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.native.passage import Publisher as NativePublisher
 
@@ -86,10 +87,13 @@ class Publishing(Publishers[TopicPublisher]):
                 failure = publisher.send_oldest(self._clock)
         if overflown:  # the failure is of an older message, and counted
             self._reports.publish_failed(publisher.topic, failure)
-            limit = f"{HOLD_MESSAGES} messages or {HOLD_BYTES >> 20} MiB"
-            text = f"more than {limit} before all subscribers were matched; the matched ones got the oldest"
-            self._reports.note_once(Level.INFO, "ros_hold_overflow", f"{publisher.topic}: {text}", publisher.topic)
+            self._note_overflow(publisher)
         return ""
+
+    def _note_overflow(self, publisher: TopicPublisher) -> None:
+        limit = f"{HOLD_MESSAGES} messages or {HOLD_BYTES >> 20} MiB, or {HOLD_ALL_BYTES >> 20} MiB of all topics,"
+        text = f"more than {limit} before all subscribers were matched; the matched ones got the oldest"
+        self._reports.note_once(Level.INFO, "ros_hold_overflow", f"{publisher.topic}: {text}", publisher.topic)
 
     def native(self, topic: str, type_name: str) -> NativePublisher | None:
         """Return a publisher for the native passage; None: Python publishes, such as while messages are held."""
@@ -201,11 +205,20 @@ class Publishing(Publishers[TopicPublisher]):
     # ── for the keeper's thread ───────────────────────────────────────────────────────────────────────────────
 
     def send_held(self) -> None:
-        """Send a burst of the held messages whose subscribers are matched, unless the last one was just now."""
-        for publisher in self.all():
+        """Send a burst of the held messages whose subscribers are matched, unless the last one was just now.
+
+        Those of the topics that hold most are sent, too, until all topics together hold no more than they may.
+        """
+        holding = {one: one.held_bytes for one in self.all() if one.is_made and not one.ready}
+        too_many = beyond(HOLD_ALL_BYTES, largest_first(holding, holding.__getitem__), holding.__getitem__)
+        for publisher in holding:
             now_ns = self._clock.monotonic_ns()
-            if publisher.ready or now_ns < publisher.burst_ns or not self._can_send(publisher):
+            if now_ns < publisher.burst_ns:
                 continue
+            if not self._can_send(publisher):
+                if publisher not in too_many:
+                    continue
+                self._note_overflow(publisher)
             publisher.burst_ns = now_ns + _BURST_NS
             self._reports.publish_failed(publisher.topic, publisher.release_burst(self._clock))
 

@@ -24,6 +24,8 @@ from igtl_gateway.native.passage import Subscription as NativeSubscription
 HOLD_MESSAGES = 2000
 #: Bytes held for one topic: ten Full HD RGB images.
 HOLD_BYTES = 64 << 20
+#: Bytes held for all topics together, beside what comes within a turn of the keeper.
+HOLD_ALL_BYTES = 4 * HOLD_BYTES
 #: Held messages that are sent at once, beside those that come meanwhile: half of the depth that readers usually have.
 BURST_MESSAGES = 5
 

@@ -301,6 +301,24 @@ def test_latched_messages_of_all_topics_have_a_bound(peer: Peer) -> None:
         edge.stop()
 
 
+def test_what_is_held_for_subscribers_has_a_bound_for_all_topics(monkeypatch: pytest.MonkeyPatch) -> None:
+    """60 topics held 1.2 GB in the seconds after the start; those that hold most are sent to who is there."""
+    monkeypatch.setattr(publishing, "DISCOVERY_NS", 1 << 60)
+    monkeypatch.setattr(publishing, "HOLD_ALL_BYTES", 1 << 20)
+    heard, sizes = Heard(), {"/held/pose": 10, "/held/mask": 700_000, "/held/scan": 800_000}
+    edge = heard.edge(node_name="holding")
+    edge.start()
+    try:
+        for topic, size in sizes.items():
+            edge.publish(topic, STRING, string_cdr("x" * size), Qos())
+        assert edge._node.wait(lambda: edge.counters()["/held/scan"]["published"] == 1, TIMEOUT_S)
+        assert edge.counters()["/held/scan"]["published"] == 1
+        assert [edge.counters()[topic]["held"] for topic in sizes] == [1, 1, 0]
+        assert [note.stream for note in heard.notes if note.code == "ros_hold_overflow"] == ["/held/scan"]
+    finally:
+        edge.stop()
+
+
 def test_a_middleware_that_forgets_nothing_is_noted(peer: Peer, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(direct, "_history_functions", lambda: None)
     heard = Heard()
