@@ -109,16 +109,22 @@ class Job:
 
     def _last(self) -> str:
         """Return the last line but those of what to do next, or in a terminal."""
-        lines = [line.strip().removeprefix(self._error).removeprefix(self._path) for line in self.lines]
+        lines = [self._plain(line) for line in self.lines]
         return next(
             (each for each in reversed(lines) if each and each != "next" and not each.startswith((PROGRAM, _TERMINAL))),
             "",
         )
 
+    def _plain(self, line: str) -> str:
+        """Return a line without the names of the verb and the file."""
+        return line.strip().removeprefix(self._error).removeprefix(self._path)
+
     def _failure(self) -> str:
+        """Return the state of work that has failed: by the begin of its error, as its exit code shows no more."""
         place = _HAS_NOTHING.get(self.action)
         words = part_of(*place) if place else ()
-        return NOTHING if any(word in line for word in words for line in self.lines) else FAILED
+        errors = [self._plain(line) for line in self.lines if line.startswith(self._error)]
+        return NOTHING if any(error.startswith(words) for error in errors) else FAILED
 
     def _take(self, line: str) -> None:
         self.lines.append(line)

@@ -46,6 +46,15 @@ def test_a_review_without_a_cloud_is_not_applicable(tmp_path: Path) -> None:
     assert job["state"] == NOTHING and job["last"].startswith("found no point cloud")
 
 
+def test_a_review_of_a_file_whose_name_has_such_words_has_failed(tmp_path: Path) -> None:
+    path = tmp_path / "found no point cloud.mcap"
+    path.write_bytes(b"no recording")
+    jobs = Jobs()
+    assert jobs.start("review", path.name, path)[0]
+    wait(lambda: jobs.rows()[0]["state"] != RUNNING)
+    assert jobs.rows()[0]["state"] == FAILED
+
+
 def test_each_action_is_a_verb() -> None:
     for words, _addon in ACTIONS.values():
         assert words(Path("/x/a.mcap"))[1] == "/x/a.mcap"
