@@ -45,7 +45,7 @@ class NativeReader:
         self._on_large = on_large
         self._on_error = on_error
         self._admission = admission
-        self._is_awaited = False  # all that waits here passes at once
+        self._awaited: Link | None = None  # its large messages pass at once, before those of others
         self._is_stopping = False
         self._handled = threading.Condition()  # notified of a large message that is handled
         self._turns = Turns()  # of the second thread alone, as what follows
@@ -78,10 +78,10 @@ class NativeReader:
     def wait_large(self, link: Link) -> None:
         """Wait until the large messages of a link are handled: what Python handles next came after them."""
         with self._handled:
-            self._is_awaited = True
+            self._awaited = link
             self._handled.notify_all()
             self._handled.wait_for(lambda: not link.large_waiting or self._is_stopping)
-            self._is_awaited = False
+            self._awaited = None
 
     def _read(self) -> None:
         while not self._is_stopping:
@@ -120,7 +120,10 @@ class NativeReader:
         size = link.large_bytes
         if not size:
             return
-        self._wait_until_admitted(size)
+        if first := self._wait_until_admitted(link, size):
+            self._ask(link)
+            self._handle(first)
+            return
         message = link.take_large()
         try:
             if message is not None and not isinstance(message, bool):  # else it has passed natively
@@ -135,11 +138,15 @@ class NativeReader:
             if not link.is_native:  # what Python handles next has waited for it
                 self._attend(link.number)
 
-    def _wait_until_admitted(self, size: int) -> None:
+    def _wait_until_admitted(self, link: Link, size: int) -> Link | None:
+        """Wait until a message of this size passes; return another link if that one has to be handled first."""
         while not self._admission.admit(size):
             self._passage.fill()  # what passed before: the recorder waits for it
             with self._handled:
-                if self._is_awaited or self._is_stopping:
+                if self._awaited is link or self._is_stopping:
                     self._admission.enter(size)
-                    return
+                    return None
+                if self._awaited and self._awaited.large_bytes:
+                    return self._awaited
                 self._handled.wait(_LOOK_S)
+        return None
