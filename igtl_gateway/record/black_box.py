@@ -142,6 +142,12 @@ class BlackBox(Ring):
         self._gaps: list[tuple[int, int, int]] = []  # between two entries, UTC ns, and how many are missing
         self._untold: dict[Trigger, tuple[int, int]] = {}  # → when the last note was, and triggers since then
 
+    @property
+    def present(self) -> Path | None:
+        """The file that is being written."""
+        writer = self._window.writer if self._window else None
+        return writer.path if writer else None
+
     def saw(self, entry: Entry) -> None:
         """Take notice of the number of each entry, also of those that are not recorded: a gap is a loss."""
         missing = entry.seq - self._last_seq - 1

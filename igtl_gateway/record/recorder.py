@@ -367,7 +367,10 @@ class Recorder:
             self._queue.close()
         self._on_worker_end()
         then = "the bridge stops" if self.options.stop_on_failure else "the bridge goes on without recording"
-        self._on_note(Note(Level.ERROR, FAILED, f"{failure}; {then}; igtl-gateway recover repairs the file"))
+        left = f"igtl-gateway recover repairs {values.window or 'the file'}"
+        if self.options.snapshot_s and not values.window:
+            left = "what was in memory is lost"
+        self._on_note(Note(Level.ERROR, FAILED, f"{failure}; {then}; {left}"))
 
     def _summary_of_lost(self) -> RecordingSummary:
         """As far as this end knows."""

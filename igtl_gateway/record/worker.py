@@ -133,6 +133,7 @@ class WorkerState:
         taken_away: the last file that was removed or changed while it was written, and where it goes on; or ``""``.
         before: entries that were written, left out and dropped before the last start.
         saved: snapshots and files of the black box: their number and bytes.
+        window: the file of the black box that is being written, or "".
     """
 
     written_entries: int = 0
@@ -144,6 +145,7 @@ class WorkerState:
     taken_away: str = ""
     before: tuple[int, int, int] = (0, 0, 0)
     saved: tuple[int, int] = (0, 0)
+    window: str = ""
 
     def counters(self, not_queued: Counter[str]) -> dict[str, Any]:
         """As they go into the ledger, with what the queue did not take."""
@@ -470,6 +472,7 @@ class _RecorderWorker:
             self._taken_away,
             self._before_start,
             (len(self._writer.files), self._writer.size) if isinstance(self._writer, Ring) else (0, 0),
+            str(self._box.present or "") if self._box else "",
         )
 
     def _present(self) -> str:

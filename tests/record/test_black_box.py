@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 from collections import deque
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -9,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from igtl_gateway.base.buffers import join
-from igtl_gateway.base.clock import ManualClock
+from igtl_gateway.base.clock import ManualClock, SystemClock
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.cli import main
 from igtl_gateway.config.triggers import KINDS, Trigger, text_of_table, trigger
@@ -27,10 +29,12 @@ from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.schemas import RosTypes
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.record.triggers import _CONCERNS, _LOOKS, INCOMPLETE, SAVED, TRIGGERED, Triggers
+from igtl_gateway.record.worker import FAILED
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.text import Status
 from tests.record import samples
 from tests.record.test_parts import RULE, session, wait_until
+from tests.record.test_recorder import workers
 from tests.tables import table
 from tools.trigger_worlds import QUICK, run
 
@@ -298,6 +302,26 @@ def test_info_lists_triggers_by_their_time(tmp_path: Path, capsys: pytest.Captur
     assert main(["info", str(path)]) == 0
     lines = capsys.readouterr().out.partition("  triggers\n")[2].splitlines()[:2]
     assert [line.split()[3] for line in lines] == ["late:", "slip:"]
+
+
+@pytest.mark.parametrize("is_open", [False, True], ids=["no window", "a window"])
+def test_a_killed_recorder_leaves_a_file_that_is_named(is_open: bool, tmp_path: Path) -> None:
+    notes: list[Note] = []
+    recorder = Recorder(
+        tmp_path / "box.mcap", samples.SESSION, qos_of=lambda _topic, _type: None, on_note=notes.append, rule=RULE,
+        clock=SystemClock(), options=RecordOptions(snapshot_s=20.0, triggers=(trigger("mark=slip,after=60"),)),
+    )  # fmt: skip
+    for entry in _with_marks(*[3.0] * is_open):
+        recorder(entry)
+    if is_open:
+        wait_until(lambda: bool(recorder._state.window))
+    (worker,) = workers(os.getpid())
+    os.kill(worker, signal.SIGKILL)
+    wait_until(lambda: any(note.code == FAILED for note in notes))
+    recorder.close({})
+    (path,) = tmp_path.glob("*.mcap") if is_open else ("",)
+    end = f"igtl-gateway recover repairs {path}" if is_open else "what was in memory is lost"
+    assert notes[-1].text.endswith(f"; {end}")
 
 
 def test_notes_about_the_end_of_the_recorder_are_no_losses(tmp_path: Path) -> None:
