@@ -1,4 +1,4 @@
-"""The thread of large messages: who is waited for passes at once, and nobody else does."""
+"""The thread of large messages: those of a link that is waited for pass at once, and no others do."""
 
 from __future__ import annotations
 
