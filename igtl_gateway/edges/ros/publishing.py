@@ -222,6 +222,11 @@ class Publishing(Publishers[TopicPublisher]):
             publisher.burst_ns = now_ns + _BURST_NS
             self._reports.publish_failed(publisher.topic, publisher.release_burst(self._clock))
 
+    def bound_latched(self) -> None:
+        for publisher in self.all():
+            publisher.measure()
+        super().bound_latched()
+
     def _forget(self, publisher: TopicPublisher) -> bool:
         duration = self._node.rclpy.duration.Duration
         for left in reversed(range(_FORGET_TRIES)):

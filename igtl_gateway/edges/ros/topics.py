@@ -232,12 +232,16 @@ class TopicPublisher:
         """Take over what the native passage has counted; returns a failure, or ``""``."""
         if self.native is None:
             return ""
-        self.kept.extend(self.native.take_sizes())
         published, unheard, failed = self.native.collect()
         self.counts.published += published
         self.counts.unheard += unheard
         self.counts.failed += failed
         return f"rcl refused {failed} messages" if failed else ""
+
+    def measure(self) -> None:
+        """Take over how large the latched messages of the native passage were; for the keeper's thread."""
+        if self.native:
+            self.kept.extend(self.native.take_sizes())
 
     def close(self) -> None:
         """The publisher is about to be destroyed: all further messages fail."""

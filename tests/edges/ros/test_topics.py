@@ -122,6 +122,24 @@ def test_echo_knows_own_messages_also_when_the_clock_was_set_back() -> None:
     assert echo.is_own(b"before", on_its_way) and not echo.is_own(b"behind", publisher.stamps[0])
 
 
+def test_a_latched_publisher_knows_how_much_is_kept() -> None:
+    _, middleware, clock = writer_and_publisher()
+    publisher = TopicPublisher("/plan", "std_msgs/msg/String", Qos(depth=3, latched=True), TopicCounts())
+    publisher.made(cast(Any, middleware), deadline_ns=0, ready=True)
+    publisher.send(b"four", clock)
+    publisher.measure()
+    sent = [[10, 20], [30]]
+    publisher.native = cast(Any, SimpleNamespace(take_sizes=lambda: sent.pop(0)))
+    publisher.measure()
+    assert list(publisher.kept) == [4, 10, 20]
+    publisher.measure()
+    assert list(publisher.kept) == [10, 20, 30]
+    volatile = TopicPublisher("/pose", "std_msgs/msg/String", Qos(), TopicCounts())
+    volatile.made(cast(Any, middleware), deadline_ns=0, ready=True)
+    volatile.send(b"four", clock)
+    assert not volatile.kept
+
+
 def test_echo_knows_what_the_native_passage_has_sent() -> None:
     _, publisher, clock = writer_and_publisher()
     echo, begun_ns = EchoFilter(), clock.utc_ns()

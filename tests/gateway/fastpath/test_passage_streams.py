@@ -514,6 +514,11 @@ def test_clouds_of_thousands_of_points_pass_natively(monkeypatch: pytest.MonkeyP
             peer.send(join(encode(message)) + landmarks)
             wait_for(lambda: here.received("ros_in") == 62 and here.received("igtl_in") == 62)
         assert handled == []
+        marks = "/igtl/in/Marks/points"
+        sizes = Counter(len(cdr) for topic, cdr in here.middleware.published if topic == marks)
+        taken = Counter(here.ros._native[marks].take_sizes())  # without those that Python has published
+        assert 10 < taken.total() < sizes.total() and taken <= sizes, "latched: the edge knows how much is kept"
+        assert here.ros._native[marks].take_sizes() == []
     check_recording(path, config, here.bridge.losses)
 
 
