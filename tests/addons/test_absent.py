@@ -16,6 +16,7 @@ from typing import Any
 import pytest
 
 from igtl_gateway.base.addons import ADDONS
+from tests.integration.bridge import string
 from tests.places import FIXTURES, ROOT
 
 STAR, SMALL, OTHER = (FIXTURES / f"{name}.mcap" for name in ("star", "paper-types", "brain"))
@@ -118,7 +119,7 @@ def _outcome(tmp_path: Path, absent: tuple[str, ...], runs: list[tuple[object, .
     package = tmp_path / "copy" / "igtl_gateway"
     out = tmp_path / "out"
     out.mkdir()
-    out.joinpath("bytes.igtl").write_bytes(b"")
+    out.joinpath("bytes.igtl").write_bytes(string("hello", "Guest"))
     folders = {"addons"} if absent == EVERY else set(absent)
 
     def left_out(folder: str, names: list[str]) -> set[str]:
