@@ -25,7 +25,7 @@ from igtl_gateway.convert.common_msgs import JointState, PoseStamped
 from igtl_gateway.convert.crtk import STATE_COMMANDS, Motion, namespaces, row_of
 from igtl_gateway.convert.poses import determinant, distance_from_rotation, nearest_quaternion, unit_quaternion
 from igtl_gateway.convert.units import LengthUnits
-from igtl_gateway.gateway.command_motion import Motions, check_joint_speed, check_pose_speed
+from igtl_gateway.gateway.command_motion import LONGEST_NS, Motions, check_joint_speed, check_pose_speed
 from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.robot_command import CODES, Refused, RobotCommand, SetPoint
@@ -175,31 +175,39 @@ class CommandGuard:
         if point.rotation is None:
             found = f"a deviation of {off:.3g}" if off > _NOT_RIGID else "a reflection"
             raise Refused("command_not_rigid", f"{device}: found {found}, expected an orthonormal rotation matrix")
-        measured, measured_frame = self._measured_pose(command)
-        frame = arms.frame_id or measured_frame
+        measured = self._measured_pose(command)
+        frame = arms.frame_id or (measured.frame if measured else None)
+        if command.frame_id and frame is None:
+            raise Refused(
+                "command_unknown_state",
+                f"{device}: found frame {command.frame_id[:80]!r} and no {command.base}/measured_cp of the last "
+                "second, expected one for the frame",
+            )
+        last = self._motions.last(device)
+        point.frame = last.frame if frame is None and last else frame
         if command.frame_id and frame and command.frame_id != frame:
             raise Refused("command_frame", f"{device}: found frame {command.frame_id[:80]!r}, expected {frame!r}")
         _check_workspace(device, arms.workspace, place)
         if command.name.streamed and (arms.max_speed or arms.max_turn_speed):
-            reaches = self._motions.reaches(command, measured, "measured_cp")
+            reaches = self._motions.reaches(command, measured, "measured_cp", frame)
             check_pose_speed(command, place, point.rotation, reaches)
         return frame or command.frame_id
 
-    def _measured_pose(self, command: RobotCommand) -> tuple[SetPoint | None, str]:
-        """Return the last measured pose of the arm and its frame, unless it is invalid or too old."""
+    def _measured_pose(self, command: RobotCommand) -> SetPoint | None:
+        """Return the last measured pose of the arm, unless it is invalid or too old."""
         entry = self._latest(f"{command.base}/measured_cp")
         if entry is None or entry.type != PoseStamped.TYPE:
-            return None, ""
+            return None
         try:
             pose = PoseStamped.unpack(entry.payload[0])
         except ConversionError:
-            return None, ""
+            return None
         finite = all(map(math.isfinite, pose.pose)) and any(pose.pose[3:])
         recent = command.arrived_ns - entry.stamp_ns <= _STATE_NS
         if not (finite and recent and pose.header.stamp_ns > 0):
-            return None, ""
+            return None
         rotation = unit_quaternion(pose.pose[3:])
-        return SetPoint(entry.stamp_ns, pose.header.stamp_ns, pose.pose[:3], rotation), pose.header.frame_id
+        return SetPoint(entry.stamp_ns, pose.header.stamp_ns, pose.pose[:3], rotation, pose.header.frame_id)
 
     # -- joints -------------------------------------------------------------------------------------------------
 
@@ -236,11 +244,23 @@ class CommandGuard:
             check_joint_speed(command, goal, values if relative else None, reaches)
 
     def _goal_of_steps(self, command: RobotCommand, steps: Sequence[float], measured: SetPoint) -> list[float]:
-        """Return where the steps of a relative command end at the farthest: the state might not show earlier steps."""
-        unseen_s = 0.0
-        if command.name.streamed and self._motions.moved_since(command, measured):
-            unseen_s = (command.arrived_ns - measured.arrived_ns) / NS_PER_S
-        speeds = command.arms.joint_speed or (0.0,)
+        """Return where the steps of a relative command end at the farthest: the state might not show earlier steps.
+
+        The speed limit bounds the earlier steps of a stream; the first that the state does not show may have made use
+        of ``LONGEST_NS``.  Steps without it have no bound, so that they need a later state.  Raises Refused.
+        """
+        if not self._motions.moved_since(command, measured):
+            return [at + step for at, step in zip(measured.values, steps, strict=True)]
+        speeds = command.arms.joint_speed if command.name.streamed else ()
+        if not speeds:
+            if command.arms.joint_min:
+                raise Refused(
+                    "command_unknown_state",
+                    f"{command.device}: found no {command.base}/measured_js after the last command to {command.arm}, "
+                    "expected one for the range",
+                )
+            return [at + step for at, step in zip(measured.values, steps, strict=True)]
+        unseen_s = (command.arrived_ns - measured.arrived_ns + LONGEST_NS) / NS_PER_S
         limits = speeds * len(steps) if len(speeds) == 1 else speeds
         if len(limits) != len(steps):
             limits = (max(speeds),) * len(steps)

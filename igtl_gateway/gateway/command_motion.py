@@ -57,8 +57,13 @@ class Motions:
         _, point = self._of_arm.get(command.arm, ("", None))
         return point is not None and point.arrived_ns > measured.arrived_ns
 
-    def reaches(self, command: RobotCommand, measured: SetPoint | None, state: str) -> list[Reach]:
-        """Return what limits the motion to a set point; ``state`` is the topic of ``measured``.  Raises Refused."""
+    def reaches(
+        self, command: RobotCommand, measured: SetPoint | None, state: str, frame: str | None = None
+    ) -> list[Reach]:
+        """Return what limits the motion to a set point in ``frame``; ``state`` is the topic of ``measured``.
+
+        Poses of two frames have no distance: a stream does not go on in another one.  Raises Refused.
+        """
         device = command.device
         mover, point = self._of_arm.get(command.arm, ("", None))
         last = self._of_device.get(device)
@@ -70,7 +75,14 @@ class Motions:
                 f"for {_ms(PAUSE_NS)} ms",
             )
         passed_ns = _passed_ns(last, command) if last else 0
+        other_frame = last is not None and None not in (last.frame, frame) and last.frame != frame
         if last and pause_ns < PAUSE_NS:
+            if other_frame:
+                raise Refused(
+                    "command_frame",
+                    f"{device}: found frame {_frame(frame)}, expected {_frame(last.frame)}, that of the last one "
+                    f"{_ms(pause_ns)} ms ago",
+                )
             return [Reach(last, min(passed_ns, LONGEST_NS), "from the last one")]
         if measured is None or self.moved_since(command, measured):
             raise Refused(
@@ -79,7 +91,7 @@ class Motions:
                 "expected one for the speed limit",
             )
         begin = [Reach(measured, BEGIN_NS, f"from {command.base}/{state}")]
-        return [*begin, Reach(last, passed_ns, "from the last one")] if last else begin
+        return [*begin, Reach(last, passed_ns, "from the last one")] if last and not other_frame else begin
 
 
 def _passed_ns(last: SetPoint, command: RobotCommand) -> int:
@@ -146,6 +158,10 @@ def _most(speed: float, reach: Reach) -> float:
 
 def _too_fast(device: str, found: str, reach: Reach, limit: str) -> str:
     return f"{device}: found {found} {reach.origin} in {_ms(reach.span_ns)} ms, expected {limit}"
+
+
+def _frame(name: str | None) -> str:
+    return repr((name or "")[:80])
 
 
 def _ms(ns: int) -> str:

@@ -79,9 +79,11 @@ class SetPoint:
         stamp_ns: the stamp of its sender, UTC ns; 0: none.
         values: position of the tool, m, or of the joints, rad or m; empty for other commands.
         rotation: orientation of the tool, as it is published; None for joints.
+        frame: frame of the pose; "" if the arm names none, None if it is not known.
     """
 
     arrived_ns: int
     stamp_ns: int = 0
     values: Sequence[float] = ()
     rotation: Quaternion | None = None
+    frame: str | None = None

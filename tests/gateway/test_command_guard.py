@@ -328,6 +328,11 @@ def test_commands_out_of_order_twice_or_in_another_frame_are_refused() -> None:
         other.ros("/PSM1/servo_cp", PoseStamped(Header(script.now_ns + 5 * NS_PER_MS, frame), POSE))
         (sent,) = other.sent()
         assert script.igtl(sent)[-1] == line, frame
+    script.now_ns += 2 * NS_PER_S  # measured_cp is too old to show the right frame
+    for name in ("servo_cp", "move_cp"):
+        other.ros(f"/PSM1/{name}", PoseStamped(Header(script.now_ns, "camera"), POSE))
+        (sent,) = other.sent()
+        assert script.igtl(sent)[-1] == "note command_unknown_state", name
 
 
 def test_without_a_recent_state_a_speed_limit_refuses_and_without_limits_it_passes() -> None:
