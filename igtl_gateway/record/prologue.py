@@ -82,6 +82,8 @@ class Prologue:
         elif self._input is not None and self._rule.guards(entry):
             self._refused = False
             self._add(self._commands, entry.channel, self._input)
+        elif self._input is not None and not self._refused and self._rule.refuses(entry):
+            self._refuse(self._input)
         elif self._input is not None and not self._refused and self._rule.by_output(entry):
             self._add(self._learned, self._input.seq, self._input)
             self._input = None
@@ -101,6 +103,13 @@ class Prologue:
         """The inputs to be fed to a gateway first, in their order."""
         found = {entry.seq: entry for kept in (*self._tables(), self._large) for entry in kept.values()}
         return [found[seq] for seq in sorted(found)]
+
+    def _refuse(self, entry: Entry) -> None:
+        """Forget an input that is a refused command to a robot: of a device with a long name, or in a BIND."""
+        self._refused = True
+        key = entry.kind, entry.channel, entry.links
+        if self._last.get(key) is entry:
+            self._bytes -= self._last.pop(key).size
 
     def _keep_large(self, entry: Entry) -> None:
         """Keep the last of its stream: a first one taught the gateway no more than that."""

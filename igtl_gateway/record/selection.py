@@ -18,6 +18,8 @@ from igtl_gateway.gateway.log.changes import is_change
 from igtl_gateway.gateway.log.clocksteps import ClockStep
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.marks import is_phase
+from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.gateway.robot_command import CODES
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.shared_queue import owned
 
@@ -91,6 +93,10 @@ class StateInputRule:
     def commands_robot(self, entry: Entry) -> bool:
         """Whether it is a command of a peer to a robot, accepted or not."""
         return entry.kind is Kind.IGTL_IN and any(matches(glob, entry.channel) for glob in self.commands)
+
+    def refuses(self, entry: Entry) -> bool:
+        """Whether it is the note about a refused command to a robot: not every stream shows its commands."""
+        return bool(self.commands) and entry.kind is Kind.NOTE and Note.of(entry.data()).code in CODES
 
     def guards(self, entry: Entry) -> bool:
         """Whether it is a state of a robot or an accepted command to it."""

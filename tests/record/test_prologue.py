@@ -125,3 +125,20 @@ def test_of_a_robot_the_last_accepted_command_and_no_refused_one() -> None:
         samples.note(6),
     ]
     assert kept(Prologue(rule), entries) == [2, 4]
+
+
+def test_a_refused_command_whose_stream_shows_no_command_is_not_kept() -> None:
+    """The header has 20 bytes of a longer name; a BIND is a command by its children."""
+    rule = StateInputRule(robots=("/PSM*/servo_cp",), commands=("*/PSM*/servo_cp",))
+    entries = [
+        samples.igtl(1, device="PSM_OF_A_LONG_N_59e3"),
+        samples.ros(2, Kind.ROS_OUT, topic="/PSM_OF_A_LONG_NAME/servo_cp"),
+        samples.igtl(3, device="PSM_OF_A_LONG_N_59e3"),
+        samples.note(4, code="command_speed"),
+        samples.igtl(5, message_type="BIND", device="all"),
+        samples.note(6, code="command_frame"),
+        samples.igtl(8, message_type="BIND", device="both"),
+        samples.note(9, code="command_old"),
+        samples.ros(10, Kind.ROS_OUT, topic="/PSM1/servo_cp"),
+    ]
+    assert kept(Prologue(rule), entries) == [1, 8]
