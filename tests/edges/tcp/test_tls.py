@@ -388,14 +388,30 @@ def test_a_relay_with_tls_to_the_client_and_perhaps_to_the_server(world: World, 
     ("tls", "role", "text"),
     [
         (TlsFiles(), "server", "found no certificate"),
-        (TlsFiles(PEMS / "none.pem"), "server", "cannot be read"),
+        (TlsFiles(PEMS / "none.pem"), "server", "No such file"),
         (TlsFiles(PEMS / "ca.pem"), "client", "expected a certificate and its own key"),
         (TlsFiles(PEMS / "server.pem", PEMS / "viewer.pem"), "server", "expected a certificate and its own key"),
         (TlsFiles(None, PEMS / "viewer.pem"), "client", "found no --tls-cert"),
         (TlsFiles(PEMS / "server.pem", None, PEMS / "README.md"), "server", "expected certificates as PEM"),
-        (TlsFiles(None, None, PEMS / "none.pem"), "client", "cannot be read"),
+        (TlsFiles(None, None, PEMS / "none.pem"), "client", "No such file"),
     ],
 )
 def test_files_that_are_of_no_use(tls: TlsFiles, role: str, text: str) -> None:
     with pytest.raises(ConfigError, match=text):
         getattr(tls, role)()
+
+
+@pytest.mark.parametrize("kind", ["a FIFO", "a device"])
+def test_nothing_waits_for_what_is_no_file(kind: str, tmp_path: Path) -> None:
+    path, good = tmp_path / "some.pem", PEMS / "server.pem"
+    if kind == "a FIFO":
+        os.mkfifo(path)
+    else:
+        path.symlink_to("/dev/zero")
+    for option, tls in (
+        ("--tls-cert", TlsFiles(path)),
+        ("--tls-key", TlsFiles(good, path)),
+        ("--tls-ca", TlsFiles(good, None, path)),
+    ):
+        with pytest.raises(ConfigError, match=f"{option} {path}: found {kind}, expected a file"):
+            tls.server()

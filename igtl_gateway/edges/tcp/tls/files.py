@@ -6,7 +6,8 @@ import ssl
 from dataclasses import dataclass
 from pathlib import Path
 
-from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.errors import ConfigError, RecordingError
+from igtl_gateway.base.untrusted.files import open_file
 
 Context = ssl.SSLContext
 
@@ -66,7 +67,8 @@ class TlsFiles:
 
 
 def _readable(option: str, path: Path) -> None:
+    """Raise ConfigError for what is no file: OpenSSL waits for a FIFO, and reads a device without end."""
     try:
-        path.read_bytes()
-    except OSError as error:
-        raise ConfigError(f"{option} {path}: cannot be read: {error.strerror}") from None
+        open_file(path).close()
+    except RecordingError as error:
+        raise ConfigError(f"{option} {error}") from None
