@@ -35,7 +35,8 @@ from typing import Any
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
-from tests import domains  # noqa: E402 (of this checkout)
+from igtl_gateway.edges.reserved import BACKLOG  # noqa: E402 (of this checkout)
+from tests import domains  # noqa: E402
 from tools import attacks  # noqa: E402
 
 _REST_S = 0.002
@@ -66,7 +67,7 @@ def echo() -> None:
 
 def sink() -> None:
     """A server that reads all that any peer sends, and does nothing with it."""
-    server = socket.create_server(("127.0.0.1", 0), backlog=_MANY)
+    server = socket.create_server(("127.0.0.1", 0), backlog=BACKLOG)  # else connections wait for a second
     _say(server.getsockname()[1])
     peers = selectors.DefaultSelector()
     peers.register(server, selectors.EVENT_READ)

@@ -34,16 +34,21 @@ class Refusals:
 
     def refuse(self, sock: _Closable, peer: str, reason: str, detail: str = "") -> None:
         """Close the connection of a peer, and note why: now, and while it repeats once a second with the count."""
-        self.counts[reason] += 1
-        with suppress(OSError):
-            sock.close()
+        self.refuse_all((sock,), peer, reason, detail)
+
+    def refuse_all(self, socks: Sequence[_Closable], peer: str, reason: str, detail: str = "") -> None:
+        """Do the same for several; ``peer``: one of them."""
+        self.counts[reason] += len(socks)
+        for sock in socks:
+            with suppress(OSError):
+                sock.close()
 
         def make(count: int) -> Note:
             data = {"peer": peer, "reason": reason, "count": count} | ({"detail": detail} if detail else {})
             text = f"connection of {peer} refused: {reason}" + (f" ({detail})" if detail else "")
             return Note(Level.WARN, "refused", text, data=data)
 
-        self._reporter.note_rate_limited(f"refused: {reason}", make)
+        self._reporter.note_rate_limited(f"refused: {reason}", make, len(socks))
 
 
 class Admission(Protocol):

@@ -69,30 +69,31 @@ class Listener:
 
     def _accept(self, mask: int) -> None:
         """Take what has connected, while there is room."""
+        now_ns = self._loop.now()
         for _ in range(_AT_ONCE):
-            self._refuse(self._lobby.make_room())
+            if self._lobby.is_full:
+                self._refuse(self._lobby.make_room())
             if self._lobby.is_full:
                 self._loop.unwatch(self._sock)
-                return
+                break
             try:
                 sock, address = self._sock.accept()
             except (BlockingIOError, InterruptedError, ConnectionAbortedError):
-                if self._lobby.is_crowd(self._loop.now()):
+                if self._lobby.is_crowd(now_ns):
                     self._pause(_GATHERING_S)
-                return
+                break
             except OSError as exc:
                 # out of descriptors, mostly: the listener would stay ready and the loop spin
                 text = f"cannot accept connections at {address_text(self._sock.getsockname())}: {exc.strerror}"
                 self._reporter.note(0, Note(Level.ERROR, "accept_failed", text))
                 self._pause(NOTE_EVERY_S)
-                return
-            now_ns, peer = self._loop.now(), address_text(address)
+                break
             self._lobby.arrived(now_ns)
             if address[0] in self._allow:
-                self._lobby.add(Waiting(sock, address[0], peer), now_ns)
-                self._ask_to_admit()
+                self._lobby.add(Waiting(sock, address), now_ns)
             else:
-                self._refusals.refuse(sock, peer, "not in the allow-list")
+                self._refusals.refuse(sock, address_text(address), "not in the allow-list")
+        self._ask_to_admit()
 
     def _admit(self, mask: int) -> None:
         """Make a link of one that waits and is due."""
@@ -130,7 +131,9 @@ class Listener:
         for one in gone:
             with suppress(OSError):
                 one.sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _RESET)
-            self._refusals.refuse(one.sock, one.peer, "it left before its turn")
+        if gone:
+            peer = next(iter(gone)).peer
+            self._refusals.refuse_all([one.sock for one in gone], peer, "it left before its turn")
 
     def _pause(self, pause_s: float) -> None:
         self._loop.unwatch(self._sock)

@@ -19,8 +19,10 @@ import sys
 from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from igtl_gateway.base.stamp import NS_PER_MS
+from igtl_gateway.edges.tcp.sockets import address_text
 from igtl_gateway.wire.header import HEADER_SIZE
 
 #: Connections that wait here at most; the system has a queue of its own.
@@ -47,12 +49,19 @@ class Waiting:
     """
 
     sock: socket.socket
-    host: str
-    peer: str
+    address: tuple[Any, ...]
     due_ns: int = 0
     in_crowd: bool = False
     has_left: bool = False
     is_empty: bool = False
+
+    @property
+    def host(self) -> str:
+        return str(self.address[0])
+
+    @property
+    def peer(self) -> str:
+        return address_text(self.address)
 
 
 class Lobby:

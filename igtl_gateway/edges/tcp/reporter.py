@@ -55,14 +55,14 @@ class Reporter:
         except Exception:  # the last resort: there is no other callback
             _log.exception("on_note raised at: %s", note.text)
 
-    def note_rate_limited(self, fact: str, make: Callable[[int], Note]) -> None:
-        """Note a fact now, and while it repeats once a second with the count."""
+    def note_rate_limited(self, fact: str, make: Callable[[int], Note], times: int = 1) -> None:
+        """Note a fact now, and while it repeats once a second with the count; it has come ``times`` more."""
         repeated = self._repeated.get(fact)
         if repeated is None:
             repeated = self._repeated[fact] = _RepeatedFact(make)
             self._loop.call_soon(partial(self._note_repeated, fact, repeated))
         repeated.make = make
-        repeated.count += 1
+        repeated.count += times
 
     def note_error(self, exc: Exception) -> None:
         """Note an unexpected exception of our own code that concerns no single link."""

@@ -9,6 +9,7 @@ import struct
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import lru_cache
 from typing import Any, Protocol
 
 from igtl_gateway.base.errors import ConfigError, Unavailable
@@ -52,8 +53,12 @@ class AllowList:
         self._any = "any" in allow
         self._networks = [_network(text) for text in allow if text != "any"]
         self.opens = self._any or bool(self._networks)
+        self._allows = lru_cache(maxsize=256)(self._look_up)  # as long as to accept a connection takes
 
     def __contains__(self, host: str) -> bool:
+        return self._allows(host)
+
+    def _look_up(self, host: str) -> bool:
         ip = _ip(host)
         return ip.is_loopback or self._any or any(ip in network for network in self._networks)
 

@@ -30,7 +30,7 @@ class Crowd:
         for name in names:
             ours, self.peers[name] = socket.socketpair()
             self.lobby.arrived(self.now_ns)
-            self.lobby.add(Waiting(ours, host, name), self.now_ns)
+            self.lobby.add(Waiting(ours, (host, name)), self.now_ns)
 
     def leave(self, *names: str, message: bytes = b"") -> None:
         for name in names:
@@ -68,7 +68,7 @@ class Crowd:
 
     def _close(self, one: Waiting) -> str:
         one.sock.close()
-        return one.peer
+        return str(one.address[1])
 
 
 @pytest.fixture
@@ -154,7 +154,7 @@ def test_who_is_reset_has_nothing_to_read_any_more(crowd: Crowd) -> None:
         for number in range(CROWD):
             peer = socket.create_connection(server.getsockname())
             crowd.lobby.arrived(crowd.now_ns)
-            crowd.lobby.add(Waiting(server.accept()[0], "here", str(number)), crowd.now_ns)
+            crowd.lobby.add(Waiting(server.accept()[0], ("here", str(number))), crowd.now_ns)
             peer.sendall(bytes(HEADER_SIZE))
             peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
             peer.close()
