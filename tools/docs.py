@@ -55,11 +55,10 @@ from igtl_gateway.doctor.protocols import PROTOCOLS
 from igtl_gateway.doctor.rules import RULES, Rule
 from igtl_gateway.edges.ros.parameters import constraints, description
 from igtl_gateway.gateway import metadata
-from igtl_gateway.gateway.command_guard import CODES as CODES_OF_COMMANDS
 from igtl_gateway.gateway.diagnostics import DIAGNOSTICS_TOPIC
 from igtl_gateway.gateway.dialogue import answers
 from igtl_gateway.gateway.dialogue.links import LINKS_TOPIC
-from igtl_gateway.gateway.log.fates import DROPPED, KEPT
+from igtl_gateway.gateway.log.fates import DROPPED, KEPT, REFUSED_COMMANDS
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.elements import Elements
 from igtl_gateway.wire.header import Header
@@ -1235,7 +1234,7 @@ def _direction(row: crtk.CrtkName) -> str:
 
 
 def _command_codes() -> str:
-    return table(("note", "reason"), ((f"`{code}`", meaning) for code, meaning in CODES_OF_COMMANDS.items()))
+    return table(("note", "reason"), ((f"`{code}`", meaning) for code, meaning in REFUSED_COMMANDS.items()))
 
 
 def _cohort_columns() -> str:

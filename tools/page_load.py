@@ -5,7 +5,8 @@
 
 ``none``: without the page; ``open``: one browser; ``twenty``: 20, and one that never reads; ``killed``: its process is
 killed after ten seconds.  ``one_elsewhere``, ``twenty_elsewhere``: without the page, 1 and 20 browsers ask a program
-that only sends as many bytes: what they cost themselves.  A browser here asks for the state twice a second, as the page
+that only sends as many bytes: what they cost themselves; ``computes_elsewhere``: it also computes for 7 ms each second,
+with the page's priority.  A browser here asks for the state twice a second, as the page
 does.  Load and browsers are processes of their own: what they cost must not delay the load.  The third word is a file
 for the share of a core that the process of the page has used.
 """
@@ -25,14 +26,16 @@ from pathlib import Path
 from urllib.parse import urlsplit
 
 from igtl_gateway.addon.igtl import Message, Transform, encode, ns_to_ticks
+from igtl_gateway.base.systems.processes import stand_back
 from tests.integration.bridge import RawPeer
 
 _STREAMS, _HZ = 100, 10
 #: Kind → browsers, and whether there is a page.
 _BROWSERS = {"open": (1, True), "twenty": (20, True), "killed": (1, True), "none": (0, False)}
-_BROWSERS |= {"one_elsewhere": (1, False), "twenty_elsewhere": (20, False)}
+_BROWSERS |= {"one_elsewhere": (1, False), "twenty_elsewhere": (20, False), "computes_elsewhere": (1, False)}
 #: Of the state with 100 streams after ten seconds.
 _PAGE_BYTES = 85_000
+_COMPUTING_S = 0.007
 _POSE = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 10.0, 20.0, 30.0)
 
 
@@ -54,6 +57,8 @@ def main(words: list[str]) -> int:
     roles = [_role("load", port)]
     if number and not has_page:
         place = _free_port()
+        if kind == "computes_elsewhere":
+            roles.append(_role("computes", ""))
         roles += [_role("serves", place), _role("browsers", f"http://127.0.0.1:{place}/?t=none", str(number))]
     if has_page:
         link = next(event["link"] for event in events if event["event"] == "page")
@@ -105,6 +110,17 @@ def _page_of(bridge: int) -> int:
 def _free_port() -> str:
     with socket.create_server(("127.0.0.1", 0)) as sock:
         return str(sock.getsockname()[1])
+
+
+def _computes(_: str) -> None:
+    """As the process of the page does, in a session of its own."""
+    os.setsid()
+    stand_back(10)
+    while True:
+        time.sleep(1)
+        end = time.thread_time() + _COMPUTING_S
+        while time.thread_time() < end:
+            sum(range(100))
 
 
 def _serves(port: str) -> None:
@@ -160,6 +176,7 @@ _ROLES: dict[str, Callable[..., None]] = {
     "browsers": _browsers,
     "never_reads": _never_reads,
     "serves": _serves,
+    "computes": _computes,
 }
 
 

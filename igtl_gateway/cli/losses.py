@@ -6,9 +6,8 @@ from typing import Any
 
 from igtl_gateway.cli.common import count_text
 from igtl_gateway.gateway.log.entry import Kind
-from igtl_gateway.gateway.log.fates import DROPPED, NOT_FOR
+from igtl_gateway.gateway.log.fates import DROPPED, NOT_FOR, REFUSED_COMMANDS
 from igtl_gateway.gateway.log.ledger import PEERS, gaps
-from igtl_gateway.gateway.robot_command import CODES
 from igtl_gateway.record.sessionfile import layout
 
 #: What the log calls it → what people call it.
@@ -20,7 +19,7 @@ DIRECTIONS = {
 }
 
 #: Reason of a loss → its text for people.
-_REASONS = DROPPED | {code: f"command refused: {text}" for code, text in CODES.items()}
+_REASONS = DROPPED | {code: f"command refused: {text}" for code, text in REFUSED_COMMANDS.items()}
 
 #: The code of the note → what people call it; others stand for themselves.
 _LINK_FAULTS = {

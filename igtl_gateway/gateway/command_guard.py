@@ -28,13 +28,13 @@ from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.gateway.command_motion import LONGEST_NS, Motions, check_joint_speed, check_pose_speed
 from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.log.entry import Entry
-from igtl_gateway.gateway.robot_command import CODES, Refused, RobotCommand, SetPoint
+from igtl_gateway.gateway.robot_command import Refused, RobotCommand, SetPoint
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.sensor import Sensor
 from igtl_gateway.wire.text import String
 from igtl_gateway.wire.transform import Transform
 
-__all__ = ["CODES", "Checked", "CommandGuard", "Refused"]
+__all__ = ["Checked", "CommandGuard", "Refused"]
 
 #: Largest deviation of RᵀR from the identity: ten times what float32 and a rounded text cause.
 _NOT_RIGID = 1e-4

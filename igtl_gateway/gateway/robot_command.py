@@ -9,33 +9,12 @@ from igtl_gateway.convert.arms import ArmsRow
 from igtl_gateway.convert.crtk import CrtkName
 from igtl_gateway.convert.poses import Quaternion
 
-#: Codes of the notes about refused commands, and what they mean; also the fates of the messages.
-CODES = {
-    "command_not_allowed": "no allow_in has the device",
-    "command_type": "the OpenIGTLink type is not that of the CRTK name",
-    "command_unstamped": "the command has no stamp, so its age is not known",
-    "command_old": "the stamp is older than max_age_s",
-    "command_early": "the stamp is more than max_age_s in the future",
-    "command_backwards": "the stamp is not after that of the last accepted command",
-    "command_not_finite": "a number is NaN or infinite",
-    "command_not_rigid": "the matrix is not a rotation",
-    "command_frame": "the pose is in another frame",
-    "command_unknown_state": "the state of the arm that a limit needs is not known",
-    "command_workspace": "the pose is outside the workspace",
-    "command_speed": "the tool or its rotation would be too fast",
-    "command_joint_count": "the number of joints is not that of the arm",
-    "command_joint_range": "a joint is outside its range",
-    "command_joint_speed": "a joint would be too fast",
-    "command_force": "force or torque is too large",
-    "command_word": "the word is not one of state_command",
-}
-
 #: The tool in another frame, not another arm: ``/PSM1/local`` moves what ``/PSM1`` moves.
 _SAME_ARM = "/local"
 
 
 class Refused(Exception):
-    """A command is refused: ``code`` is one of ``CODES``."""
+    """A command is refused: ``code`` is one of ``REFUSED_COMMANDS``."""
 
     def __init__(self, code: str, text: str) -> None:
         super().__init__(text)

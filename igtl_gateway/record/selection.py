@@ -17,9 +17,9 @@ from igtl_gateway.base.globs import matches
 from igtl_gateway.gateway.log.changes import is_change
 from igtl_gateway.gateway.log.clocksteps import ClockStep
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.fates import REFUSED_COMMANDS
 from igtl_gateway.gateway.log.marks import is_phase
 from igtl_gateway.gateway.log.note import Note
-from igtl_gateway.gateway.robot_command import CODES
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.shared_queue import owned
 
@@ -96,7 +96,7 @@ class StateInputRule:
 
     def refuses(self, entry: Entry) -> bool:
         """Whether it is the note about a refused command to a robot: not every stream shows its commands."""
-        return bool(self.commands) and entry.kind is Kind.NOTE and Note.of(entry.data()).code in CODES
+        return bool(self.commands) and entry.kind is Kind.NOTE and Note.of(entry.data()).code in REFUSED_COMMANDS
 
     def guards(self, entry: Entry) -> bool:
         """Whether it is a state of a robot or an accepted command to it."""

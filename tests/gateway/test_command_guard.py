@@ -29,8 +29,8 @@ from igtl_gateway.convert.common_msgs import (
 from igtl_gateway.convert.poses import rotation_matrix
 from igtl_gateway.convert.rosmsg import Header, RosMessage, String, TransformStamped
 from igtl_gateway.gateway import LINKS_TOPIC
-from igtl_gateway.gateway.command_guard import CODES
 from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.log.fates import REFUSED_COMMANDS
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.replay.verify import verify
 from igtl_gateway.wire import Message
@@ -307,7 +307,7 @@ def test_a_bad_command_is_refused_with_its_reason_and_nothing_is_published(
 
 def test_every_code_has_a_bad_case() -> None:
     elsewhere = {"command_not_allowed", "command_backwards", "command_frame", "command_unknown_state"}
-    assert {code for *_, code in BAD} | elsewhere == set(CODES)
+    assert {code for *_, code in BAD} | elsewhere == set(REFUSED_COMMANDS)
 
 
 def test_commands_out_of_order_twice_or_in_another_frame_are_refused() -> None:
@@ -408,7 +408,7 @@ def test_the_document_has_each_name_and_each_code() -> None:
     page = (ROOT / "docs" / "how-to" / "crtk.md").read_text("utf-8")
     for row in crtk.NAMES:
         assert f"| `{row.name}` | {row.ros_type.replace('/msg/', '/')} | {row.igtl_type} |" in page
-    for code, meaning in CODES.items():
+    for code, meaning in REFUSED_COMMANDS.items():
         assert f"| `{code}` | {meaning} |" in page
 
 

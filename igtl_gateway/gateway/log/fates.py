@@ -15,7 +15,7 @@ KEPT = {
     MARKED: "a COMMAND Mark, which the gateway answered",
 }
 
-#: Reason why a message was dropped → its text for people, besides the codes of ``robot_command`` and NOT_FOR.
+#: Reason why a message was dropped → its text for people, besides ``REFUSED_COMMANDS`` and NOT_FOR.
 DROPPED = {
     "no_peer": "no peer was connected",
     "not_wanted": "no connected peer takes it: type, pace or frame",
@@ -46,6 +46,27 @@ DROPPED = {
     "link_down": "its link was closed while fault injection delayed it",
     "queue": "the send queue of the peer was full",
     "link_closed": "the link was closing",
+}
+
+#: Codes of the notes about refused commands, and what they mean; also the fates of the messages.
+REFUSED_COMMANDS = {
+    "command_not_allowed": "no allow_in has the device",
+    "command_type": "the OpenIGTLink type is not that of the CRTK name",
+    "command_unstamped": "the command has no stamp, so its age is not known",
+    "command_old": "the stamp is older than max_age_s",
+    "command_early": "the stamp is more than max_age_s in the future",
+    "command_backwards": "the stamp is not after that of the last accepted command",
+    "command_not_finite": "a number is NaN or infinite",
+    "command_not_rigid": "the matrix is not a rotation",
+    "command_frame": "the pose is in another frame",
+    "command_unknown_state": "the state of the arm that a limit needs is not known",
+    "command_workspace": "the pose is outside the workspace",
+    "command_speed": "the tool or its rotation would be too fast",
+    "command_joint_count": "the number of joints is not that of the arm",
+    "command_joint_range": "a joint is outside its range",
+    "command_joint_speed": "a joint would be too fast",
+    "command_force": "force or torque is too large",
+    "command_word": "the word is not one of state_command",
 }
 
 #: Reason of an output that a peer does not get: this, and the name of its profile.

@@ -11,12 +11,11 @@ import pytest
 from igtl_gateway.base.errors import ConversionError, WireError
 from igtl_gateway.cli.losses import losses, reason_text
 from igtl_gateway.convert.profiles import PROFILES
-from igtl_gateway.gateway.log.fates import DROPPED, KEPT, NOT_FOR
+from igtl_gateway.gateway.log.fates import DROPPED, KEPT, NOT_FOR, REFUSED_COMMANDS
 from igtl_gateway.gateway.log.ledger import Ledger, gaps
-from igtl_gateway.gateway.robot_command import CODES
 from tests.places import PACKAGE
 
-REASONS = {*DROPPED, *CODES}
+REASONS = {*DROPPED, *REFUSED_COMMANDS}
 
 
 def fates_in(tree: ast.Module) -> Iterator[ast.expr]:
