@@ -2450,46 +2450,44 @@ static void publisher_dealloc(Publisher *self)
     Py_TYPE(self)->tp_free((PyObject *)self);
 }
 
-static PyObject *publisher_take_own(Publisher *self, PyObject *nothing)
+static PyObject *show_own(const struct own_message *own)
 {
-    (void)nothing;
+    return Py_BuildValue("LLy#", (long long)own->begun_ns, (long long)own->ended_ns, (const char *)own->bytes,
+                         (Py_ssize_t)own->size);
+}
+
+static PyObject *show_size(const struct own_message *own) { return PyLong_FromSsize_t(own->whole); }
+
+/* A list of the messages that have been published since the last call with this counter, as far as they are remembered. */
+static PyObject *take_new(Publisher *self, uint64_t *taken, PyObject *(*show)(const struct own_message *))
+{
     PyObject *found = PyList_New(0);
     if (!found || !self->latched)
         return found;
     lock_from_python(&self->publishing);
-    uint64_t first = self->begun - self->taken_over < REMEMBERED ? self->taken_over : self->begun - REMEMBERED;
+    uint64_t first = self->begun - *taken < REMEMBERED ? *taken : self->begun - REMEMBERED;
     for (; found && first < self->begun; first++) {
-        const struct own_message *own = &self->own_messages[first % REMEMBERED];
-        PyObject *one = Py_BuildValue("LLy#", (long long)own->begun_ns, (long long)own->ended_ns,
-                                      (const char *)own->bytes, (Py_ssize_t)own->size);
+        PyObject *one = show(&self->own_messages[first % REMEMBERED]);
         if (!one || PyList_Append(found, one))
             Py_CLEAR(found);
         Py_XDECREF(one);
     }
     if (found)
-        self->taken_over = self->begun;
+        *taken = self->begun;
     pthread_mutex_unlock(&self->publishing);
     return found;
+}
+
+static PyObject *publisher_take_own(Publisher *self, PyObject *nothing)
+{
+    (void)nothing;
+    return take_new(self, &self->taken_over, show_own);
 }
 
 static PyObject *publisher_take_sizes(Publisher *self, PyObject *nothing)
 {
     (void)nothing;
-    PyObject *found = PyList_New(0);
-    if (!found || !self->latched)
-        return found;
-    lock_from_python(&self->publishing);
-    uint64_t first = self->begun - self->measured < REMEMBERED ? self->measured : self->begun - REMEMBERED;
-    for (; found && first < self->begun; first++) {
-        PyObject *one = PyLong_FromSsize_t(self->own_messages[first % REMEMBERED].whole);
-        if (!one || PyList_Append(found, one))
-            Py_CLEAR(found);
-        Py_XDECREF(one);
-    }
-    if (found)
-        self->measured = self->begun;
-    pthread_mutex_unlock(&self->publishing);
-    return found;
+    return take_new(self, &self->measured, show_size);
 }
 
 static PyObject *publisher_leave(Publisher *self, PyObject *nothing)
