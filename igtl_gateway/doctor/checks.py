@@ -444,9 +444,9 @@ def damaged(observed: Observer) -> Iterator[RuleMatch]:
     if observed.damage:
         yield RuleMatch("recording", observed.damage)
     if number := observed.damaged_indexes:
-        text = f"the index of messages is damaged in {number:,} chunk{'' if number == 1 else 's'}"
-        text += (
-            ", or schemas and channels before it are: all messages are there, but programs that use these may miss some"
+        text = (
+            f"the index of messages is damaged in {number:,} chunk{'' if number == 1 else 's'}, or schemas and "
+            "channels before it are: all messages are there, but programs that use these may miss some"
         )
         yield RuleMatch("index", text, {"chunks": number})
 

@@ -51,7 +51,7 @@ def marks_file(recording: Path) -> Path:
 
 
 def marks_files(recording: Path, *, parts: bool = True) -> list[Path]:
-    """Return the side files of a recording: its own, and those of the parts of a folder; also what is no file."""
+    """Return the side files of a recording, or of the parts of a folder, even those that are not regular files."""
     of_parts = sorted(recording.glob(f"*.mcap{SUFFIX}")) if parts and recording.is_dir() else []
     own = marks_file(recording)
     return [*([own] if os.path.lexists(own) else []), *of_parts]  # a name may be too long for the system

@@ -67,7 +67,7 @@ class TlsFiles:
 
 
 def _readable(option: str, path: Path) -> None:
-    """Raise ConfigError for what is no file: OpenSSL waits for a FIFO, and reads a device without end."""
+    """Raise ConfigError if this is not a regular file: OpenSSL would block on a FIFO, and never finish a device."""
     try:
         open_file(path).close()
     except RecordingError as error:
