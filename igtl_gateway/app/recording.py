@@ -23,6 +23,7 @@ from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.version import __version__
 from igtl_gateway.config.configuration import Config
+from igtl_gateway.convert import crtk
 from igtl_gateway.convert.igtl_msgs import Command, CommandReply
 from igtl_gateway.edges.interface import RosSide
 from igtl_gateway.gateway import LINKS_TOPIC
@@ -238,13 +239,12 @@ def state_rule(config: Config) -> StateInputRule:
     commands = frozenset({"COMMAND", "RTS_COMMAND", Command.TYPE, CommandReply.TYPE})
     mixed = frozenset(TF_QOS) if config.tf_out else frozenset()
     robots: list[str] = []
-    to_robots: tuple[str, ...] = ()
-    if config.all_arms and config.allow_in:
-        states = ("measured_cp", "measured_js")
-        robots += (f"{row.arms}{below}/{name}" for row in config.all_arms for below in ("", "/**") for name in states)
+    arms = [f"{row.arms}{below}" for row in config.all_arms for below in ("", "/**")]
+    if arms and config.allow_in:
+        robots += (f"{arm}/{state}" for arm in arms for state in ("measured_cp", "measured_js"))
         robots += (f"/{glob}" for glob in config.allow_in)
-        to_robots = tuple(f"*/{glob}" for glob in config.allow_in)
-    return StateInputRule(frozenset({LINKS_TOPIC}), commands, mixed, tuple(robots), to_robots)
+    stamped = tuple(f"{arm}/{row.name}" for arm in arms for row in crtk.NAMES)
+    return StateInputRule(frozenset({LINKS_TOPIC}), commands, mixed, tuple(robots), stamped)
 
 
 def session_facts(config: Config, *, over_zenoh: bool = False) -> dict[str, str]:

@@ -78,7 +78,7 @@ class ReplayAccount:
             elif how.recompute and not channel.kind.is_input:
                 fixed[RECOMPUTED] += channel.count
         fixed[UNREAD] = sum(channel.count for channel in file.skipped)
-        before = sum(entry.kind in how.kinds for entry in file.prologue())
+        before = sum(entry.kind.is_input and entry.kind in how.kinds for entry in file.prologue())
         return cls(file.entry_count + fixed[UNREAD] + before, _fixed=fixed, _kinds=how.kinds)
 
     def begin(self) -> None:

@@ -153,10 +153,11 @@ def planned_entries(
         found = file.entries_of_kinds(how.kinds)
     else:
         found = file.entries_with_state(start_ns, latched_state_rule(is_latched))
-    entries: Iterable[Entry] = chain(file.prologue(), found)
     if how.recompute:
         has_links = any(c.kind is Kind.LINK for c in file.channels if c.count)
-        entries = through_gateway(entries, config, has_links=has_links, made=made)
+        entries = through_gateway(found, config, has_links=has_links, before=file.prologue(), made=made)
+    else:
+        entries = chain((entry for entry in file.prologue() if entry.kind.is_input), found)
     # a relay sends one form of a message, and with fault injection several messages of a stream after one input
     mine = passed_over if Kind.IGTL_OUT in how.kinds else None
     entries = one_side_of_relay(role, entries, mine) if config.relay else first_form_only(entries, mine)

@@ -6,7 +6,6 @@ import argparse
 import json
 from collections.abc import Sequence
 from functools import partial
-from itertools import chain
 from pathlib import Path
 
 from igtl_gateway.base.errors import ConfigError, UnsupportedRecording
@@ -89,12 +88,8 @@ def run(options: argparse.Namespace) -> int:
         if window.start_ns >= window.end_ns:
             raise ConfigError(f"--start, --end: found an end {_apart(window)} the start, expected one after it")
         _check_streams(file, options.streams)
-        # what a part of a split recording brings along of the time before it is older than its first entry
         part = Slice(
-            lambda: chain(file.prologue(), file.entries()),
-            config_to_run(file.session, options.config),
-            window,
-            file.entries_starting_at,
+            file.entries, config_to_run(file.session, options.config), window, file.entries_starting_at, file.prologue()
         )
         wanted = [mark for mark in marks() if _is_in(mark, window)]
         _write(file, part, window, options)
@@ -154,7 +149,7 @@ def _write(file: SessionFile, part: Slice, window: SliceWindow, options: argpars
     own = (layout.PART_KEY, layout.PREVIOUS_KEY, layout.SNAPSHOT_KEY, layout.TRIGGER_KEY)
     facts = {**{key: value for key, value in file.session.items() if key not in own}, **facts}
     with written(options.output, overwrite=options.overwrite) as place:
-        writer = SessionWriter(place, facts, qos_of=qos_of, compression="zstd")
+        writer = SessionWriter(place, facts, qos_of=qos_of, compression="zstd", prologue=part.before())
         for entry in part.entries():
             writer.write(entry)
         losses = {} if file.foreign else layout.declared_losses(file.ledger)

@@ -85,7 +85,7 @@ class CommandGuard:
             device: a device that is a command.
             stamp_ns: its own stamp, UTC ns; 0: none.
             frame_id: the frame that its metadata name; "" if none.
-            guard: the guard of the session, for the time of the host's clock.
+            guard: the guard of the session, for the time of the host's clock, and for verdicts.
 
         Raises:
             Refused: with code and text.
@@ -101,12 +101,15 @@ class CommandGuard:
             raise Refused("command_type", f"{device}: found {type(content).__name__}, expected {name.igtl_type}")
         command = RobotCommand(device, name, arms, namespaces(device)[0], entry.stamp_ns, stamp_ns, frame_id)
         point = SetPoint(entry.stamp_ns, max(stamp_ns, 0))
+        published = guard.verdicts.next(device) if guard.verdicts else None
         try:
             frame = self._examine(command, content, point, entry.stamp_ns - guard.ahead_ns)
         except Refused:
-            if not guard.restoring:
+            if not guard.verdicts:
                 raise
             frame = frame_id
+        if published and published.type == PoseStamped.TYPE:
+            frame = point.frame = PoseStamped.unpack(published.payload[0]).header.frame_id
         return Checked(command, point, frame)
 
     def published(self, checked: Checked) -> None:
@@ -183,8 +186,9 @@ class CommandGuard:
                 f"{device}: found frame {command.frame_id[:80]!r} and no {command.base}/measured_cp of the last "
                 "second, expected one for the frame",
             )
-        last = self._motions.last(device)
-        point.frame = last.frame if frame is None and last else frame
+        if frame is None:
+            frame = self._motions.frame_of_stream(command)
+        point.frame = frame
         if command.frame_id and frame and command.frame_id != frame:
             raise Refused("command_frame", f"{device}: found frame {command.frame_id[:80]!r}, expected {frame!r}")
         _check_workspace(device, arms.workspace, place)

@@ -52,6 +52,12 @@ class Motions:
         """Return the last published command of a device."""
         return self._of_device.get(device)
 
+    def frame_of_stream(self, command: RobotCommand) -> str | None:
+        """Return the frame of the stream that a command goes on with, "" if it has none; None for a first command."""
+        last = self._of_device.get(command.device)
+        goes_on = last is not None and command.name.streamed and command.arrived_ns - last.arrived_ns < PAUSE_NS
+        return last.frame if last and goes_on else None
+
     def moved_since(self, command: RobotCommand, measured: SetPoint) -> bool:
         """Return whether the arm has had a command since a state was measured."""
         _, point = self._of_arm.get(command.arm, ("", None))

@@ -20,6 +20,7 @@ from igtl_gateway.convert.rosmsg import TransformStamped
 from igtl_gateway.gateway.guarded_stream import CODES, STALE, GuardedStream, Place, findings_of
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.outcome import Item
+from igtl_gateway.gateway.verdicts import Verdicts
 from igtl_gateway.wire.transform import Position, Transform
 
 __all__ = ["CODES", "MAX_WATCHED", "STALE", "Guard", "GuardedStream", "check_stamp", "translation_of"]
@@ -34,13 +35,13 @@ class Guard:
 
     Attributes:
         ahead_ns: how far gateway time is ahead of the host's clock; see ``session.clocksteps``.
-        restoring: the inputs are those from before the start of a recording: its commands to robots were accepted.
+        verdicts: the results of the commands to robots in the input, if it is one of a prologue.
     """
 
     def __init__(self, *, watch: bool) -> None:
         self.watch = watch
         self.ahead_ns = 0
-        self.restoring = False
+        self.verdicts: Verdicts | None = None
         self._streams: dict[tuple[int, str], GuardedStream] = {}
         self._others: dict[int, GuardedStream] = {}
 

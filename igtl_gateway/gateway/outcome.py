@@ -7,7 +7,7 @@ turns findings into notes, and adds the fate to the loss ledger.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -38,6 +38,7 @@ class Finding:
         subject: None: every finding is reported; else only the first with this code and subject from ``by``.
         by: link to which the subject belongs; 0: the whole session.
         loss: stream and reason of an output that is not sent; always counted.
+        data: further facts for the note.
     """
 
     level: Level
@@ -48,6 +49,7 @@ class Finding:
     subject: str | None = None
     by: int = 0
     loss: tuple[str, str] | None = None
+    data: Mapping[str, Any] | None = None
 
 
 Item = Output | Finding
@@ -138,7 +140,7 @@ class Bookkeeper:
             if item.loss:
                 self.ledger.drop(_IGTL_OUT, *item.loss)
             if item.subject is None or self._is_new(item.by, item.code, item.subject):
-                outputs.append(note_output(item.level, item.code, item.text, item.stream, item.links))
+                outputs.append(note_output(item.level, item.code, item.text, item.stream, item.links, item.data))
         return outputs
 
     def _count_sent(self, output: Output) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.values import value
@@ -56,6 +57,13 @@ def ros_output(topic: str, message: RosMessage | Packed, stamp_ns: int) -> Outpu
     return Output(Kind.ROS_OUT, topic, message.TYPE, (message.pack(),), (), stamp_ns)
 
 
-def note_output(level: Level, code: str, text: str, stream: str = "", links: tuple[int, ...] = ()) -> Output:
+def note_output(
+    level: Level,
+    code: str,
+    text: str,
+    stream: str = "",
+    links: tuple[int, ...] = (),
+    data: Mapping[str, Any] | None = None,
+) -> Output:
     """Return the output of a note."""
-    return Output(Kind.NOTE, payload=(Note(level, code, text, stream).pack(),), links=links)
+    return Output(Kind.NOTE, payload=(Note(level, code, text, stream, dict(data or {})).pack(),), links=links)

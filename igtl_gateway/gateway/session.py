@@ -5,7 +5,8 @@ Live traffic, replay, verification, slices and the viewer use the gateway throug
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from functools import lru_cache
 from typing import Protocol
 
@@ -21,6 +22,7 @@ from igtl_gateway.gateway.log.ledger import Ledger
 from igtl_gateway.gateway.log.marks import MarkNote, OpenPhases
 from igtl_gateway.gateway.relay import RelayGateway
 from igtl_gateway.gateway.to_ros.subscribers import HasSubscriber
+from igtl_gateway.gateway.verdicts import Verdicts
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.header import HEADER_SIZE, NAMES, TICKS_AT, U64, Header
 
@@ -134,6 +136,20 @@ class Session:
         last = outputs[-1] if outputs else entry
         self._numbers.seq, self._numbers.stamp_ns = last.seq, last.stamp_ns
         return outputs
+
+    def restored(self, entry: Entry, outputs: Iterable[Entry]) -> list[Entry]:
+        """Return the entries that an input of a prologue causes, as :meth:`recorded`; ``outputs``: its own there."""
+        with self.judged(outputs):
+            return self.recorded(entry)
+
+    @contextmanager
+    def judged(self, outputs: Iterable[Entry]) -> Iterator[None]:
+        """Give the commands to robots in an input of a prologue the results that its outputs there show."""
+        self.gateway.guard.verdicts = Verdicts(outputs)
+        try:
+            yield
+        finally:
+            self.gateway.guard.verdicts = None
 
 
 def header_names(message: Buffer) -> tuple[str, str, int]:

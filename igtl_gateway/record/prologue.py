@@ -1,10 +1,13 @@
 """The prologue: the inputs that the gateway needs before a file that begins in the middle of a session.
 
 The state of the gateway follows from all inputs since the beginning.  Most of them have left nothing behind, so a
-few stand for all: links, inputs by which the gateway learned something (a first message of a stream, a version, a
-refusal: it shows in their outputs), the last messages of mixed topics, the last accepted command to each topic of a
-robot, and the last input of each other stream, which a query may ask for.  They are kept within bounds; where a state
-is made of more, only all parts together give it.
+few stand for all: links, inputs by which the gateway learned something (a first message of a stream, a version: it
+shows in their outputs), the last messages of mixed topics, the last accepted command to each topic of a robot, and the
+last input of each other stream, which a query may ask for.  They are kept within bounds; where a state is made of
+more, only all parts together give it.
+
+Whether a command to a robot was accepted may follow from more than these.  So the outputs that show it follow their
+input: refusals, and what reached the robot.
 
 Of a disconnected peer only the inputs that taught the gateway something are kept; its link entries are dropped first.
 So a long session, in which peers come and go, does not forget the connected ones.
@@ -30,63 +33,57 @@ LARGEST_BYTES, MAX_LARGE_BYTES = 64 << 20, 128 << 20
 MAX_FORGOTTEN = 20
 
 
-class Prologue:
-    """Sees all entries in their order; remembers the inputs that matter.
+#: An input, and the outputs that show the results of the commands to robots in it.
+_Group = tuple[Entry, ...]
+_Table = OrderedDict[Hashable, _Group]
 
-    Attributes:
-        forgotten: stream → size of its last input, which was too large to be kept.
-    """
+
+class Prologue:
+    """Sees all entries in their order; remembers the inputs that matter."""
 
     def __init__(self, rule: StateInputRule, max_entries: int = MAX_ENTRIES, max_bytes: int = MAX_BYTES) -> None:
         self._rule = rule
         self._max_entries, self._max_bytes = max_entries, max_bytes
-        self._input: Entry | None = None
-        self._links: OrderedDict[Hashable, Entry] = OrderedDict()  # by number
-        self._gone: OrderedDict[Hashable, Entry] = OrderedDict()  # by number: links of disconnected peers
-        self._learned: OrderedDict[Hashable, Entry] = OrderedDict()  # by number
-        self._last: OrderedDict[Hashable, Entry] = OrderedDict()  # by stream and link
-        self._commands: OrderedDict[Hashable, Entry] = OrderedDict()  # accepted, by topic
-        self._refused = False  # nothing shows yet that the input, a command to a robot, was accepted
-        self._mixed: OrderedDict[Hashable, Entry] = OrderedDict()  # by number
-        self._large: OrderedDict[Hashable, Entry] = OrderedDict()  # by stream and link
-        self._bytes = self._large_bytes = 0
-        self.forgotten: OrderedDict[str, int] = OrderedDict()
+        self._group: _Group = ()  # of the last input, which its outputs complete
+        self._taught = False  # whether the gateway learned something by it
+        self._links: _Table = OrderedDict()  # by number
+        self._gone: _Table = OrderedDict()  # by number: links of disconnected peers
+        self._learned: _Table = OrderedDict()  # by number
+        self._last: _Table = OrderedDict()  # by stream and link
+        self._commands: _Table = OrderedDict()  # accepted, by topic
+        self._mixed: _Table = OrderedDict()  # by number
+        self._large: _Table = OrderedDict()  # by stream and link
+        self._count = self._bytes = self._large_bytes = 0
+        self._forgotten: OrderedDict[str, int] = OrderedDict()  # stream → size of its last input
 
     def observe(self, entry: Entry) -> None:
         """Take notice of the next entry."""
         if entry.kind is Kind.LINK:
-            self._input = None
-            came = next((seq for seq, link in self._links.items() if link.links == entry.links), None)
+            self.skip()
+            came = next((seq for seq, (link, *_) in self._links.items() if link.links == entry.links), None)
             if came is None:
-                self._add(self._links, entry.seq, entry)
+                self._add(self._links, entry.seq, (entry,))
             else:  # its second entry: the link is down
                 self._gone[came] = self._links.pop(came)
-                self._add(self._gone, entry.seq, entry)
+                self._add(self._gone, entry.seq, (entry,))
         elif entry.kind.is_input:
-            self._input, self._refused = None, False
-            if entry.size > self._max_bytes // 8:  # one picture must not push out everything else
-                self._keep_large(entry)
+            self.skip()
+            if entry.size > LARGEST_BYTES:
+                self._drop_large(entry)
+                self._forget(entry)
                 return
-            entry = owned(entry)  # a large one may be lent
-            self._input, self._refused = entry, self._rule.commands_robot(entry)
-            if self._refused:
-                return
-            if self._rule.by_input(entry):
-                self._add(self._learned, entry.seq, entry)
-            elif self._rule.mixes(entry):
-                self._add(self._mixed, entry.seq, entry)
-                if len(self._mixed) > MAX_MIXED:
-                    self._bytes -= self._mixed.popitem(last=False)[1].size
-            elif entry.kind is not Kind.EDGE_NOTE:
-                self._add(self._last, (entry.kind, entry.channel, entry.links), entry)
-        elif self._input is not None and self._rule.guards(entry):
-            self._refused = False
-            self._add(self._commands, entry.channel, self._input)
-        elif self._input is not None and not self._refused and self._rule.refuses(entry):
-            self._refuse(self._input)
-        elif self._input is not None and not self._refused and self._rule.by_output(entry):
-            self._add(self._learned, self._input.seq, self._input)
-            self._input = None
+            self._group = (owned(entry),)  # a large one may be lent
+            self._taught = self._rule.by_input(entry)
+        elif self._group and self._rule.judges(entry):
+            self._group += (owned(entry),)
+        elif self._group and not self._taught:
+            self._taught = self._rule.by_output(entry)
+
+    @property
+    def forgotten(self) -> OrderedDict[str, int]:
+        """Stream → size of its last input, which was too large to be kept."""
+        self._settle()
+        return self._forgotten
 
     def copy(self) -> Prologue:
         """Return another one that has seen the same, and sees what follows for itself."""
@@ -97,54 +94,75 @@ class Prologue:
 
     def skip(self) -> None:
         """Entries follow that this does not see: an output after them need not be of the last input that it saw."""
-        self._input = None
+        self._settle()
+        self._group = ()
 
     def entries(self) -> list[Entry]:
-        """The inputs to be fed to a gateway first, in their order."""
-        found = {entry.seq: entry for kept in (*self._tables(), self._large) for entry in kept.values()}
-        return [found[seq] for seq in sorted(found)]
+        """The inputs to be fed to a gateway first, in their order, each with what it needs of its outputs."""
+        self._settle()
+        found = {group[0].seq: group for kept in (*self._tables(), self._large) for group in kept.values()}
+        return [entry for seq in sorted(found) for entry in found[seq]]
 
-    def _refuse(self, entry: Entry) -> None:
-        """Forget an input that is a refused command to a robot: of a device with a long name, or in a BIND."""
-        self._refused = True
-        key = entry.kind, entry.channel, entry.links
-        if self._last.get(key) is entry:
-            self._bytes -= self._last.pop(key).size
-
-    def _keep_large(self, entry: Entry) -> None:
-        """Keep the last of its stream: a first one taught the gateway no more than that."""
-        key = entry.kind, entry.channel, entry.links
-        before = self._large.pop(key, None)
-        self._large_bytes -= before.size if before else 0
-        self.forgotten.pop(entry.channel, None)
-        if entry.size > LARGEST_BYTES:
-            self._forget(entry)
+    def _settle(self) -> None:
+        """Keep the last input, as far as its outputs are known: more of them may follow."""
+        if not self._group:
             return
-        self._large[key] = owned(entry)
-        self._large_bytes += entry.size
+        entry, *results = self._group
+        if self._size(self._group) > self._max_bytes // 8 or len(results) > self._max_entries // 8:
+            self._keep_large(self._group)  # one picture must not push out everything else
+            return
+        for output in results:
+            if output.kind is Kind.ROS_OUT:
+                self._add(self._commands, output.channel, self._group)
+        if self._taught:
+            self._add(self._learned, entry.seq, self._group)
+        elif self._rule.mixes(entry):
+            self._add(self._mixed, entry.seq, self._group)
+            if len(self._mixed) > MAX_MIXED:
+                self._pop_oldest(self._mixed)
+        elif entry.kind is not Kind.EDGE_NOTE and not self._rule.is_invalid(entry):
+            self._add(self._last, (entry.kind, entry.channel, entry.links), self._group)
+
+    def _keep_large(self, group: _Group) -> None:
+        """Keep the last of its stream: a first one taught the gateway no more than that."""
+        entry = group[0]
+        self._drop_large(entry)
+        self._large[entry.kind, entry.channel, entry.links] = group
+        self._large_bytes += self._size(group)
         while self._large_bytes > MAX_LARGE_BYTES:
             _, gone = self._large.popitem(last=False)
-            self._large_bytes -= gone.size
-            self._forget(gone)
+            self._large_bytes -= self._size(gone)
+            self._forget(gone[0])
+
+    def _drop_large(self, entry: Entry) -> None:
+        """Another large input of a stream has come."""
+        before = self._large.pop((entry.kind, entry.channel, entry.links), ())
+        self._large_bytes -= self._size(before)
+        self._forgotten.pop(entry.channel, None)
 
     def _forget(self, entry: Entry) -> None:
-        self.forgotten[entry.channel] = entry.size
-        if len(self.forgotten) > MAX_FORGOTTEN:
-            self.forgotten.popitem(last=False)
+        self._forgotten[entry.channel] = entry.size
+        if len(self._forgotten) > MAX_FORGOTTEN:
+            self._forgotten.popitem(last=False)
 
-    def _add(self, kept: OrderedDict[Hashable, Entry], key: Hashable, entry: Entry) -> None:
-        before = kept.pop(key, None)
-        kept[key] = entry
-        self._bytes += entry.size - (before.size if before else 0)
-        while self._bytes > self._max_bytes or self._count() > self._max_entries:
+    def _add(self, kept: _Table, key: Hashable, group: _Group) -> None:
+        before = kept.pop(key, ())
+        kept[key] = group
+        self._count += len(group) - len(before)
+        self._bytes += self._size(group) - self._size(before)
+        while self._bytes > self._max_bytes or self._count > self._max_entries:
             # the last of a stream are the least: pictures, mostly
-            least = next(part for part in self._tables() if part)
-            _, gone = least.popitem(last=False)
-            self._bytes -= gone.size
+            self._pop_oldest(next(part for part in self._tables() if part))
 
-    def _count(self) -> int:
-        return sum(map(len, self._tables()))
+    def _pop_oldest(self, kept: _Table) -> None:
+        _, gone = kept.popitem(last=False)
+        self._count -= len(gone)
+        self._bytes -= self._size(gone)
 
-    def _tables(self) -> tuple[OrderedDict[Hashable, Entry], ...]:
+    @staticmethod
+    def _size(group: _Group) -> int:
+        return sum(entry.size for entry in group)
+
+    def _tables(self) -> tuple[_Table, ...]:
         """All that is kept, the least first."""
         return self._last, self._mixed, self._gone, self._commands, self._learned, self._links

@@ -26,6 +26,8 @@ from igtl_gateway.record.shared_queue import owned
 _IGTL = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT})
 _ROS = frozenset({Kind.ROS_IN, Kind.ROS_OUT})
 _ALWAYS = frozenset({Kind.LINK, Kind.EDGE_NOTE})
+#: The stamp of a message that begins with a header, in CDR, and one that is not set.
+_CDR_STAMP, _NO_STAMP = slice(4, 12), bytes(8)
 #: Streams counted one by one; the rest together.
 MAX_STREAMS = 1_000
 OTHERS = "(others)"
@@ -68,14 +70,14 @@ class StateInputRule:
             repeated in a prologue.
         robots: globs of topics: the states of robots, and the accepted commands to them, by which the guard judges the
             next command.
-        commands: globs of streams of OpenIGTLink with commands to robots.
+        stamped: globs of topics whose messages without a stamp are not valid, so that none is the last of its stream.
     """
 
     topics: frozenset[str] = frozenset()
     types: frozenset[str] = frozenset()
     mixed: frozenset[str] = frozenset()
     robots: tuple[str, ...] = ()
-    commands: tuple[str, ...] = ()
+    stamped: tuple[str, ...] = ()
 
     def by_input(self, entry: Entry) -> bool:
         """Whether the input itself shows it."""
@@ -90,13 +92,19 @@ class StateInputRule:
         """Whether it is a message of a mixed topic."""
         return entry.channel in self.mixed
 
-    def commands_robot(self, entry: Entry) -> bool:
-        """Whether it is a command of a peer to a robot, accepted or not."""
-        return entry.kind is Kind.IGTL_IN and any(matches(glob, entry.channel) for glob in self.commands)
+    def is_invalid(self, entry: Entry) -> bool:
+        """Whether it is a message of ROS that its sender has marked as not valid, by a header without a stamp."""
+        if entry.kind is not Kind.ROS_IN or bytes(entry.data()[_CDR_STAMP]) != _NO_STAMP:
+            return False
+        return any(matches(glob, entry.channel) for glob in self.stamped)
 
-    def refuses(self, entry: Entry) -> bool:
-        """Whether it is the note about a refused command to a robot: not every stream shows its commands."""
-        return bool(self.commands) and entry.kind is Kind.NOTE and Note.of(entry.data()).code in REFUSED_COMMANDS
+    def judges(self, output: Entry) -> bool:
+        """Whether an output shows the result of a command to a robot: that it was refused, or what was published."""
+        if not self.robots:
+            return False
+        if output.kind is Kind.NOTE:
+            return Note.of(output.data()).code in REFUSED_COMMANDS
+        return output.kind is Kind.ROS_OUT and self.guards(output)
 
     def guards(self, entry: Entry) -> bool:
         """Whether it is a state of a robot or an accepted command to it."""

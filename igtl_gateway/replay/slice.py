@@ -9,6 +9,9 @@ The unit is the *group*: an input and all entries before the next input.  In the
 recorded outputs; in the prologue, outputs are computed.  Entry numbers start at 1; gaps in a group (entries that the
 recorder lost) stay gaps.
 
+A recording that begins midway has a prologue of its own, which becomes that of the slice: only there are the results of
+the commands to robots before it.
+
 Globs also leave out inputs in the window, and other outputs can depend on them.  If the outputs of a group differ
 therefore, they are computed, and the report counts the group.
 """
@@ -27,6 +30,7 @@ from igtl_gateway.gateway import LINK_UP, LINKS_TOPIC, TICK, Session, make_core
 from igtl_gateway.gateway.log.changes import SETTING
 from igtl_gateway.gateway.log.clocksteps import CLOCK_STEP
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.groups import InputGroup, input_groups
 from igtl_gateway.gateway.log.marks import MARK, is_phase
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.replay.source import matches_any
@@ -63,21 +67,6 @@ class SliceWindow:
     globs: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class InputGroup:
-    """An input and all entries before the next input.
-
-    Attributes:
-        input: the input.
-        outputs: its outputs in order.
-        extent: number of entry numbers in the group, including lost entries.
-    """
-
-    input: Entry
-    outputs: Sequence[Entry]
-    extent: int
-
-
 @dataclass(slots=True)
 class SliceReport:
     """The result of slicing a session.
@@ -100,23 +89,6 @@ class SliceReport:
     ledger: dict[str, object] = field(default_factory=dict)
 
 
-def input_groups(entries: Iterable[Entry]) -> Iterator[InputGroup]:
-    """Yield the groups of a session; outputs before the first input are left out."""
-    cause: Entry | None = None
-    outputs: list[Entry] = []
-    last = 0
-    for entry in entries:
-        if entry.kind.is_input:
-            if cause:
-                yield InputGroup(cause, outputs, entry.seq - cause.seq)
-            cause, outputs = entry, []
-        elif cause:
-            outputs.append(entry)
-        last = entry.seq
-    if cause:
-        yield InputGroup(cause, outputs, last + 1 - cause.seq)
-
-
 class Slice:
     """A slice of a session; the constructor finds the necessary depth of the prologue.
 
@@ -129,11 +101,20 @@ class Slice:
         window: the requested part.
         read_from: returns the entries from a time on (UTC ns, entry number of an earlier entry or 0) without reading
             those before it; default: those of ``read``.
+        before: the prologue of the session, if it begins midway.
     """
 
-    def __init__(self, read: _Read, config: Config, window: SliceWindow, read_from: _ReadFrom | None = None) -> None:
+    def __init__(
+        self,
+        read: _Read,
+        config: Config,
+        window: SliceWindow,
+        read_from: _ReadFrom | None = None,
+        before: Iterable[Entry] = (),
+    ) -> None:
         self._read, self._config, self._window = read, config, window
         self._read_from = read_from
+        self._before = [group for group in input_groups(before) if _is_needed(group, window)]
         self._state: dict[int, Entry] | None = None  # the prologue of Depth.STATE, once it is known
         depths = (Depth.STATE, Depth.SMALL) if window.globs else tuple(Depth)
         tried: list[SliceReport] = []
@@ -150,6 +131,10 @@ class Slice:
         self.report = SliceReport(self._depth)
         return self._cut(self.report, rewrite=bool(self._window.globs))
 
+    def before(self) -> list[Entry]:
+        """Return the prologue of the slice: what the state needs of that of the session."""
+        return [entry for group in self._groups_before(self._depth) for entry in (group.input, *group.outputs)]
+
     def _tried(self, depth: Depth) -> SliceReport:
         report = SliceReport(depth)
         for _ in self._cut(report, rewrite=False):
@@ -161,6 +146,9 @@ class Slice:
         window, depth = self._window, report.depth
         session = Session(make_core(self._config, fast_path=False))
         seq, stamp_ns = 1, 0
+        for group in self._groups_before(depth):
+            report.prologue += 1
+            session.restored(group.input, group.outputs)
         for group in self._groups(depth):
             cause = group.input
             if cause.stamp_ns >= window.end_ns:
@@ -191,6 +179,17 @@ class Slice:
             stamp_ns = (outputs[-1] if outputs else moved).stamp_ns
         report.ledger = session.gateway.ledger.to_dict()
 
+    def _groups_before(self, depth: Depth) -> list[InputGroup]:
+        """Return the groups of the prologue; at the least depth without pictures that others follow in the session."""
+        if depth is not Depth.STATE:
+            return self._before
+        followed = {key for entry in self._prologue_of_state().values() for key in _keys(entry)}
+        return [
+            group
+            for group in self._before
+            if group.input.size <= SMALL_BYTES or not followed.issuperset(_keys(group.input))
+        ]
+
     def _groups(self, depth: Depth) -> Iterator[InputGroup]:
         """Yield the groups of the prologue, possibly without outputs, and all groups from the window on."""
         start_ns = self._window.start_ns
@@ -200,14 +199,18 @@ class Slice:
                 if group.input.stamp_ns >= start_ns or group.input.seq in kept:
                     yield group
             return
-        if self._state is None:
-            self._state = _prologue(self._read(), self._window, depth)
-        for seq in sorted(self._state):
-            yield InputGroup(self._state[seq], (), 1)
-        rest = self._read_from(start_ns, max(self._state, default=0)) if self._read_from else self._read()
+        state = self._prologue_of_state()
+        for seq in sorted(state):
+            yield InputGroup(state[seq], (), 1)
+        rest = self._read_from(start_ns, max(state, default=0)) if self._read_from else self._read()
         for group in input_groups(rest):
             if group.input.stamp_ns >= start_ns:
                 yield group
+
+    def _prologue_of_state(self) -> dict[int, Entry]:
+        if self._state is None:
+            self._state = _prologue(self._read(), self._window, Depth.STATE)
+        return self._state
 
 
 def _moved(entry: Entry, cause: Entry, moved: Entry) -> Entry:
@@ -232,6 +235,12 @@ def _wanted(group: InputGroup, window: SliceWindow) -> bool:
     entry = group.input
     is_mark = entry.kind is Kind.EDGE_NOTE and _code(entry) == MARK
     return not window.globs or is_mark or _carries_state(group) or _selected(group, window.globs)
+
+
+def _is_needed(group: InputGroup, window: SliceWindow) -> bool:
+    """Return whether a group of the prologue of the session may influence the window."""
+    in_time = group.input.stamp_ns < window.start_ns
+    return in_time and (not window.globs or _carries_state(group) or _selected(group, window.globs))
 
 
 def _selected(group: InputGroup, globs: tuple[str, ...]) -> bool:

@@ -9,6 +9,7 @@ from igtl_gateway.base.globs import matches
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway import LINK_UP, Session, make_core
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.groups import input_groups
 from igtl_gateway.gateway.log.note import Level, Note
 
 #: The link for all peers, for recordings without links.
@@ -19,11 +20,17 @@ FORMS, RELAY, STREAMS, RECOMPUTED = "other_forms", "other_side", "not_chosen", "
 
 
 def through_gateway(
-    entries: Iterable[Entry], config: Config, *, has_links: bool, made: Counter[Kind] | None = None
+    entries: Iterable[Entry],
+    config: Config,
+    *,
+    has_links: bool,
+    before: Iterable[Entry] = (),
+    made: Counter[Kind] | None = None,
 ) -> Iterator[Entry]:
     """Yield the recorded inputs and the outputs that the gateway computes from them.
 
     Args:
+        before: the prologue of the recording; its inputs and their outputs come first.
         has_links: whether the recording has links; if not, one peer with header version 1 is assumed.
         made: counts the computed outputs.
     """
@@ -32,12 +39,18 @@ def through_gateway(
     if not has_links:
         note = Note(Level.INFO, LINK_UP, "replay").pack()
         session.recorded(Entry(0, 0, Kind.LINK, payload=(note,), links=(_ANY_LINK,)))
+    for group in input_groups(before):
+        yield from _counted(group.input, session.restored(group.input, group.outputs), made)
     for entry in entries:
         if entry.kind.is_input:
-            yield entry
-            for output in session.recorded(entry):
-                made[output.kind] += 1
-                yield output
+            yield from _counted(entry, session.recorded(entry), made)
+
+
+def _counted(entry: Entry, outputs: Sequence[Entry], made: Counter[Kind]) -> Iterator[Entry]:
+    yield entry
+    for output in outputs:
+        made[output.kind] += 1
+        yield output
 
 
 def first_form_only(entries: Iterable[Entry], passed_over: Counter[str] | None = None) -> Iterator[Entry]:

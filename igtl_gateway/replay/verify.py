@@ -24,6 +24,7 @@ from igtl_gateway.convert.table import TO_ROS
 from igtl_gateway.gateway import Session, make_core
 from igtl_gateway.gateway.guard import CODES
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.groups import input_groups
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.gateway.stream_units import StreamUnits
 from igtl_gateway.record.sessionfile import layout
@@ -165,12 +166,11 @@ def verify(
         entries: entries of the recording in order.
         config: configuration of the gateway, usually the recorded one.
         losses: declared losses of the recording.
-        before: inputs from before the start of the recording (its prologue).
+        before: the prologue of the recording.
         decoder: decoder for the recording, to report differences with units.
     """
     verifier = _Verifier(config, losses, decoder or LeafDecoder(units=StreamUnits(config)))
-    for entry in before:
-        verifier.before(entry)
+    verifier.before(before)
     for entry in entries:
         verifier.take(entry)
     return verifier.end()
@@ -179,8 +179,7 @@ def verify(
 class _Verifier:
     def __init__(self, config: Config, losses: DeclaredLosses, decoder: LeafDecoder) -> None:
         # without the fast path: its recorded outputs are checked against the full path
-        self._core = make_core(config, fast_path=False)
-        self._session = Session(self._core)
+        self._session = Session(make_core(config, fast_path=False))
         self._losses, self._decoder = losses, decoder
         self._left, self._left_of = losses.entries, dict(losses.streams)  # remaining declared losses
         self._report = VerifyReport()
@@ -192,11 +191,10 @@ class _Verifier:
         # whether an input may be lost since the last recorded one: also before a file that begins behind a loss
         self._gap = losses.midway and losses.entries > 0
 
-    def before(self, entry: Entry) -> None:
-        """Process an input from before the start."""
-        self._core.guard.restoring = True
-        self._session.recorded(entry)
-        self._core.guard.restoring = False
+    def before(self, prologue: Iterable[Entry]) -> None:
+        """Process what came before the start."""
+        for group in input_groups(prologue):
+            self._session.restored(group.input, group.outputs)
 
     def take(self, entry: Entry) -> None:
         """Process the next entry of the recording."""

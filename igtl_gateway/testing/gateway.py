@@ -23,6 +23,7 @@ from igtl_gateway.convert.rosmsg import RosMessage
 from igtl_gateway.convert.table import TO_IGTL, TO_ROS
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP, TICK, Session, make_core
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.groups import input_groups
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.sessionfile.beside import written
 from igtl_gateway.record.sessionfile.reader import SessionFile
@@ -197,8 +198,9 @@ class ManualGateway:
         """
         first = len(self.log)
         with SessionFile.open(recording) as file:
-            for entry in file.prologue():
-                self._replay(entry)
+            for group in input_groups(file.prologue()):
+                with self._session.judged(group.outputs):
+                    self._replay(group.input)
             del self.log[first:]  # the prologue only sets the state; its outputs belong to the original session
             wanted = {entry.seq for entry in select_entries(file.entries(), _MESSAGES_IN, streams)} if streams else None
             for entry in select_entries(file.entries(), _INPUTS):

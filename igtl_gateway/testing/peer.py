@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -194,13 +194,14 @@ class ReplayPeer:
     def _entries(self) -> Iterator[Entry]:
         """Return the messages to play, in order."""
         present = {channel.kind for channel in self._file.channels if channel.count}
-        entries: Iterable[Entry] = chain(self._file.prologue(), self._file.entries())
+        before = self._file.prologue()
+        entries = self._file.entries()
         if self._side == "peers":
-            return select_entries(self._file.entries(), frozenset({Kind.IGTL_IN}), self._streams)
+            return select_entries(entries, frozenset({Kind.IGTL_IN}), self._streams)
         if self._config.relay:
-            entries = one_side_of_relay(self._role, entries)
+            entries = one_side_of_relay(self._role, chain(before, entries))
         elif Kind.IGTL_OUT not in present:
-            entries = through_gateway(entries, self._config, has_links=Kind.LINK in present)
+            entries = through_gateway(entries, self._config, has_links=Kind.LINK in present, before=before)
         outputs = select_entries(
             entries if self._config.relay else first_form_only(entries), frozenset({Kind.IGTL_OUT}), self._streams
         )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from igtl_gateway.gateway.live_settings import LiveSettings
@@ -114,31 +116,79 @@ def test_one_picture_does_not_push_out_the_rest(monkeypatch: pytest.MonkeyPatch)
     assert list(seen.forgotten) == ["TRANSFORM/CT"]
 
 
-def test_of_a_robot_the_last_accepted_command_and_no_refused_one() -> None:
-    rule = StateInputRule(robots=("/PSM*/measured_cp", "/PSM1/servo_cp"), commands=("*/Probe",))
+ROBOTS = StateInputRule(robots=("/PSM*/measured_cp", "/PSM*/servo_cp"), stamped=("/PSM*/measured_cp",))
+
+
+def test_of_a_robot_the_last_accepted_command_and_the_result_of_the_last_one() -> None:
     entries = [
         samples.ros(1, topic="/PSM1/measured_cp"),
         samples.igtl(2, device="Probe"),
         samples.ros(3, Kind.ROS_OUT, topic="/PSM1/servo_cp"),
-        samples.ros(4, topic="/PSM1/measured_cp"),
-        samples.igtl(5, device="Probe"),
-        samples.note(6),
+        samples.igtl(4, device="Probe"),
+        samples.ros(5, Kind.ROS_OUT, topic="/PSM1/servo_cp"),
+        samples.ros(6, topic="/PSM1/measured_cp"),
+        samples.igtl(7, device="Probe"),
+        samples.note(8, code="command_speed"),
+        samples.igtl(9, device="Probe"),
+        samples.note(10, code="command_old"),
     ]
-    assert kept(Prologue(rule), entries) == [2, 4]
+    assert kept(Prologue(ROBOTS), entries) == [4, 5, 6, 9, 10]
 
 
-def test_a_refused_command_whose_stream_shows_no_command_is_not_kept() -> None:
-    """The header has 20 bytes of a longer name; a BIND is a command by its children."""
-    rule = StateInputRule(robots=("/PSM*/servo_cp",), commands=("*/PSM*/servo_cp",))
+def test_a_refused_command_that_was_the_first_message_of_its_peer_is_kept() -> None:
+    rule = StateInputRule(frozenset({"/igtl/links"}), robots=ROBOTS.robots)
     entries = [
-        samples.igtl(1, device="PSM_OF_A_LONG_N_59e3"),
-        samples.ros(2, Kind.ROS_OUT, topic="/PSM_OF_A_LONG_NAME/servo_cp"),
-        samples.igtl(3, device="PSM_OF_A_LONG_N_59e3"),
+        samples.note(1, Kind.LINK),
+        samples.igtl(2, device="Probe"),
+        samples.ros(3, Kind.ROS_OUT, topic="/igtl/links"),
         samples.note(4, code="command_speed"),
-        samples.igtl(5, message_type="BIND", device="all"),
+        samples.igtl(5, device="Probe"),
         samples.note(6, code="command_frame"),
-        samples.igtl(8, message_type="BIND", device="both"),
-        samples.note(9, code="command_old"),
-        samples.ros(10, Kind.ROS_OUT, topic="/PSM1/servo_cp"),
     ]
-    assert kept(Prologue(rule), entries) == [1, 8]
+    assert kept(Prologue(rule), entries) == [1, 2, 4, 5, 6]
+
+
+def test_of_a_bind_the_results_of_all_its_commands() -> None:
+    entries = [
+        samples.igtl(1, message_type="BIND", device="both"),
+        samples.note(2, code="command_old"),
+        samples.note(3, code="warning"),
+        samples.ros(4, Kind.ROS_OUT, topic="/PSM1/servo_cp"),
+        samples.igtl(5, message_type="BIND", device="both"),
+        samples.note(6, code="command_frame"),
+    ]
+    assert kept(Prologue(ROBOTS), entries) == [1, 2, 4, 5, 6]
+
+
+def test_a_file_may_begin_before_the_outputs_are_complete() -> None:
+    seen = Prologue(ROBOTS)
+    assert kept(seen, [samples.igtl(1, message_type="BIND", device="both"), samples.note(2, code="command_old")]) == [
+        1,
+        2,
+    ]
+    assert kept(seen, [samples.ros(3, Kind.ROS_OUT, topic="/PSM1/servo_cp")]) == [1, 2, 3]
+
+
+def test_the_bound_counts_the_results_of_commands() -> None:
+    seen = Prologue(ROBOTS, max_entries=80)
+    entries = []
+    for seq in range(1, 60, 2):
+        entries += [samples.igtl(seq, device=f"n{seq}"), samples.note(seq + 1, code="command_old")]
+    assert kept(seen, entries) == list(range(1, 61))
+    # one message with so much in it counts as a large one: it must not push out everything else
+    many = [samples.igtl(61, message_type="BIND", device="many")]
+    many += [samples.note(seq, code="command_old") for seq in range(62, 80)]
+    assert kept(seen, many) == list(range(1, 80))
+    others = [samples.igtl(seq, device=f"m{seq}") for seq in range(81, 181)]
+    assert kept(seen, others) == [*range(61, 80), *range(101, 181)]
+
+
+def test_a_state_that_is_not_valid_is_not_the_last_one() -> None:
+    """CRTK: a stamp of 0.  The gateway goes on with the one before."""
+    head = b"\0\1\0\0"
+    stamped = replace(samples.ros(1, topic="/PSM1/measured_cp"), payload=(head + b"\1" * 8,))
+    unstamped = [
+        replace(samples.ros(seq, topic=topic), payload=(head + bytes(8),))
+        for seq, topic in ((2, "/PSM1/measured_cp"), (3, "/other"))
+    ]
+    assert kept(Prologue(ROBOTS), [stamped, *unstamped]) == [1, 3]

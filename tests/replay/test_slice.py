@@ -14,9 +14,10 @@ from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.units import UNITS
 from igtl_gateway.gateway import LINK_UP
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.groups import input_groups
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.sessionfile.reader import SessionFile
-from igtl_gateway.replay.slice import SMALL_BYTES, Depth, Slice, SliceReport, SliceWindow, input_groups
+from igtl_gateway.replay.slice import SMALL_BYTES, Depth, Slice, SliceReport, SliceWindow
 from igtl_gateway.replay.verify import DeclaredLosses, verify
 from tests.places import FIXTURES
 from tests.tables import table

@@ -23,10 +23,10 @@ from igtl_gateway.convert.table import TO_IGTL, TO_ROS
 from igtl_gateway.convert.units import UNITS
 from igtl_gateway.gateway import core, streams
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.groups import input_groups
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
-from igtl_gateway.replay.slice import input_groups
 from igtl_gateway.replay.verify import MAX_KEPT, UNKNOWN, DeclaredLosses, VerifyReport, compare, verify
 from igtl_gateway_lab.simulate.catalogue import SCENARIOS
 from igtl_gateway_lab.simulate.scenario import Scenario

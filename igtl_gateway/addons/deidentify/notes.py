@@ -8,6 +8,8 @@ from typing import Any
 from igtl_gateway.addon import CLOCK_STEP, LISTENED, PARTNER, SETTING, SETTINGS, TICK, Mark, MarkNote, Note
 from igtl_gateway.addon.igtl import BODIES
 from igtl_gateway.addons.deidentify.context import Context
+from igtl_gateway.gateway.log.fates import REFUSED_COMMANDS
+from igtl_gateway.gateway.verdicts import DEVICE
 
 #: Codes of inputs; a note with another code becomes ``OTHER``.
 CODES = frozenset({
@@ -25,6 +27,7 @@ CODES = frozenset({
     *"trigger trigger_saved trigger_incomplete".split(),
     *"record_continued record_part_lost".split(),
     *"retention_deleted retention_kept retention_clock retention_failed".split(),
+    *REFUSED_COMMANDS,
     *"upload_confirmed upload_waits upload_reached upload_differs stamps_corrected deidentified".split(),
 })  # fmt: skip
 OTHER = "other"
@@ -72,6 +75,8 @@ def _data(data: dict[str, Any], context: Context) -> dict[str, Any]:
         if key in ("peer", "local") and isinstance(value, str):
             kept[key] = context.names.address(value, "peer" if key == "peer" else "host")
             context.report.add("address")
+        elif key == DEVICE and isinstance(value, str):
+            kept[key] = context.names.name(value)
         elif (key == "role" and value in _ROLES) or (key in _NUMBERS and type(value) in (int, float)):
             kept[key] = value
         elif key == "dropped" and type(value) is int:

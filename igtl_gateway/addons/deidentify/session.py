@@ -46,6 +46,7 @@ from igtl_gateway.addons.deidentify.report import Report
 from igtl_gateway.addons.deidentify.ros import RosCleaner
 from igtl_gateway.app.sealing import SealVerification, verify_seal
 from igtl_gateway.convert.names import short_device_name
+from igtl_gateway.gateway.log.groups import input_groups
 from igtl_gateway.gateway.metadata import FULL_NAME, restore_metadata
 from igtl_gateway.record.sessionfile.seal_check import UNSEALED
 
@@ -135,9 +136,12 @@ class _Run:
     def write(self, path: Path) -> None:
         """Write the new session."""
         session = Session(make_core(self._config, fast_path=False))
-        before = list(self._cleaned(self._prologue()))
-        for entry in before:
-            session.recorded(entry)
+        before: list[Entry] = []
+        for group in input_groups(self._file.prologue()):
+            for entry in self._cleaned((group.input,)):
+                outputs = list(self._cleaned(group.outputs))
+                session.restored(entry, outputs)
+                before += (entry, *outputs)
 
         def qos_of(topic: str, ros_type: str) -> Qos | None:
             return self._qos.get((topic, ros_type)) or session.gateway.qos(topic)
@@ -197,6 +201,10 @@ class _Run:
                 topic, source_ns = self._context.names.topic(entry.channel), self._context.times.ns(entry.source_ns)
                 self._qos[topic, entry.type] = self._recorded_qos(entry)
                 return Entry(entry.seq, stamp_ns, entry.kind, topic, entry.type, (data,), entry.links, source_ns)
+            case Kind.ROS_OUT:  # a command to a robot, in a prologue: its topic is its device
+                data = self._ros.clean(entry.type, entry.data(), entry.channel)
+                topic = f"/{self._context.names.name(entry.channel.removeprefix('/'))}"
+                return Entry(entry.seq, stamp_ns, entry.kind, topic, entry.type, (data,))
             case _:
                 note = clean_note(entry.data(), self._context)
                 return Entry(entry.seq, stamp_ns, entry.kind, payload=(note,), links=entry.links)

@@ -20,6 +20,7 @@ from igtl_gateway.gateway.outcome import Finding, Item, Outcome, conversion_fail
 from igtl_gateway.gateway.streams import Streams, ToRosStream
 from igtl_gateway.gateway.to_ros.convert import Converter
 from igtl_gateway.gateway.to_ros.volumes import Volumes
+from igtl_gateway.gateway.verdicts import DEVICE
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.bind import Bind
 from igtl_gateway.wire.fields import visible
@@ -64,7 +65,9 @@ class Router:
         try:
             checked = self._robots.check(entry, message.content, device, stamp_ns, restored.frame_id, self._guard)
         except Refused as error:
-            return Outcome([Finding(Level.WARN, error.code, str(error), entry.channel, entry.links)], error.code)
+            facts = {DEVICE: device}
+            finding = Finding(Level.WARN, error.code, str(error), entry.channel, entry.links, data=facts)
+            return Outcome([finding], error.code)
         outcome = self._routed(entry, message, restored, checked.frame_id)
         if outcome.fate == CONVERTED:
             self._robots.published(checked)

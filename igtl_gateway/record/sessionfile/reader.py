@@ -297,6 +297,8 @@ class SessionFile:
     def prologue(self) -> list[Entry]:
         """Inputs before the first entry, which the gateway's state follows from; for files that begin midway.
 
+        Outputs after an input show the results of the commands to robots in it; see ``Session.restored``.
+
         Raises DamagedRecording.
         """
         place = next((each for each in self._index.attachments if each.name == layout.PROLOGUE_ATTACHMENT), None)
