@@ -181,6 +181,9 @@ if TYPE_CHECKING:
     from igtl_gateway.gateway.log.clocksteps import CLOCK_STEP as CLOCK_STEP
     from igtl_gateway.gateway.log.entry import Entry as Entry
     from igtl_gateway.gateway.log.entry import Kind as Kind
+    from igtl_gateway.gateway.log.fates import REFUSED_COMMANDS as REFUSED_COMMANDS
+    from igtl_gateway.gateway.log.fates import REFUSED_DEVICE as REFUSED_DEVICE
+    from igtl_gateway.gateway.log.groups import input_groups as input_groups
     from igtl_gateway.gateway.log.marks import Mark as Mark
     from igtl_gateway.gateway.log.marks import MarkNote as MarkNote
     from igtl_gateway.gateway.log.marks import ago_ns as ago_ns
@@ -247,6 +250,8 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("gateway", "LINK_DOWN LINK_UP LISTENED PARTNER TICK Session header_names make_core"),
     ("gateway.log.changes", "SETTING SETTINGS"),
     ("gateway.log.clocksteps", "CLOCK_STEP"),
+    ("gateway.log.fates", "REFUSED_COMMANDS REFUSED_DEVICE"),
+    ("gateway.log.groups", "input_groups"),
     ("gateway.log.marks", "Mark MarkNote ago_ns"),
     ("record.sessionfile.added_marks", "added_marks marks_files"),
     ("replay.recorded_marks", "carry_marks marked_moment marks_of"),

@@ -10,12 +10,9 @@ from collections import defaultdict, deque
 from collections.abc import Iterable
 
 from igtl_gateway.gateway.log.entry import Entry, Kind
-from igtl_gateway.gateway.log.fates import REFUSED_COMMANDS
+from igtl_gateway.gateway.log.fates import REFUSED_COMMANDS, REFUSED_DEVICE
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.gateway.robot_command import Refused
-
-#: Key in the data of the note about a refused command: its device, which need not be that of the message, as in a BIND.
-DEVICE = "device"
 
 
 class Verdicts:
@@ -32,7 +29,7 @@ class Verdicts:
             if output.kind is Kind.ROS_OUT:
                 self._of[output.channel.removeprefix("/")].append(output)
             elif output.kind is Kind.NOTE and (note := Note.of(output.data())).code in REFUSED_COMMANDS:
-                self._of[str(note.data.get(DEVICE, ""))].append(Refused(note.code, note.text))
+                self._of[str(note.data.get(REFUSED_DEVICE, ""))].append(Refused(note.code, note.text))
 
     def next(self, device: str) -> Entry | None:
         """Return what was published of the next command with this device; None: not known.

@@ -5,11 +5,21 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from igtl_gateway.addon import CLOCK_STEP, LISTENED, PARTNER, SETTING, SETTINGS, TICK, Mark, MarkNote, Note
+from igtl_gateway.addon import (
+    CLOCK_STEP,
+    LISTENED,
+    PARTNER,
+    REFUSED_COMMANDS,
+    REFUSED_DEVICE,
+    SETTING,
+    SETTINGS,
+    TICK,
+    Mark,
+    MarkNote,
+    Note,
+)
 from igtl_gateway.addon.igtl import BODIES
 from igtl_gateway.addons.deidentify.context import Context
-from igtl_gateway.gateway.log.fates import REFUSED_COMMANDS
-from igtl_gateway.gateway.verdicts import DEVICE
 
 #: Codes of inputs; a note with another code becomes ``OTHER``.
 CODES = frozenset({
@@ -75,7 +85,7 @@ def _data(data: dict[str, Any], context: Context) -> dict[str, Any]:
         if key in ("peer", "local") and isinstance(value, str):
             kept[key] = context.names.address(value, "peer" if key == "peer" else "host")
             context.report.add("address")
-        elif key == DEVICE and isinstance(value, str):
+        elif key == REFUSED_DEVICE and isinstance(value, str):
             kept[key] = context.names.name(value)
         elif (key == "role" and value in _ROLES) or (key in _NUMBERS and type(value) in (int, float)):
             kept[key] = value

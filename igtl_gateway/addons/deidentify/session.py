@@ -30,6 +30,7 @@ from igtl_gateway.addon import (
     carry_marks,
     config_to_run,
     header_names,
+    input_groups,
     layout,
     make_core,
     verify_recording,
@@ -46,7 +47,6 @@ from igtl_gateway.addons.deidentify.report import Report
 from igtl_gateway.addons.deidentify.ros import RosCleaner
 from igtl_gateway.app.sealing import SealVerification, verify_seal
 from igtl_gateway.convert.names import short_device_name
-from igtl_gateway.gateway.log.groups import input_groups
 from igtl_gateway.gateway.metadata import FULL_NAME, restore_metadata
 from igtl_gateway.record.sessionfile.seal_check import UNSEALED
 

@@ -48,6 +48,9 @@ DROPPED = {
     "link_closed": "the link was closing",
 }
 
+#: Key in the data of the note about a refused command: its device, which need not be that of the message, as in a BIND.
+REFUSED_DEVICE = "device"
+
 #: Codes of the notes about refused commands, and what they mean; also the fates of the messages.
 REFUSED_COMMANDS = {
     "command_not_allowed": "no allow_in has the device",

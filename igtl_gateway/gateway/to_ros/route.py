@@ -13,14 +13,13 @@ from igtl_gateway.convert.names import short_device_name
 from igtl_gateway.gateway.command_guard import CommandGuard, Refused
 from igtl_gateway.gateway.guard import STALE, Guard, GuardedStream, check_stamp, translation_of
 from igtl_gateway.gateway.log.entry import Entry
-from igtl_gateway.gateway.log.fates import CONVERTED
+from igtl_gateway.gateway.log.fates import CONVERTED, REFUSED_DEVICE
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.metadata import RestoredMetadata
 from igtl_gateway.gateway.outcome import Finding, Item, Outcome, conversion_failure
 from igtl_gateway.gateway.streams import Streams, ToRosStream
 from igtl_gateway.gateway.to_ros.convert import Converter
 from igtl_gateway.gateway.to_ros.volumes import Volumes
-from igtl_gateway.gateway.verdicts import DEVICE
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.bind import Bind
 from igtl_gateway.wire.fields import visible
@@ -65,7 +64,7 @@ class Router:
         try:
             checked = self._robots.check(entry, message.content, device, stamp_ns, restored.frame_id, self._guard)
         except Refused as error:
-            facts = {DEVICE: device}
+            facts = {REFUSED_DEVICE: device}
             finding = Finding(Level.WARN, error.code, str(error), entry.channel, entry.links, data=facts)
             return Outcome([finding], error.code)
         outcome = self._routed(entry, message, restored, checked.frame_id)
