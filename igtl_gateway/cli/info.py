@@ -15,7 +15,7 @@ from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.base.untrusted.text import parse_json
 from igtl_gateway.cli.common import count_text, print_damaged_indexes, size_text, utc_text
-from igtl_gateway.cli.info_source import STANDARD_INPUT, recording_of
+from igtl_gateway.cli.info_source import STANDARD_INPUT, Recording, recording_of
 from igtl_gateway.cli.losses import DIRECTIONS, losses
 from igtl_gateway.cli.merge_output import print_merge
 from igtl_gateway.cli.next_steps import info_steps, print_next
@@ -56,11 +56,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    with recording_of(options.file) as place:
-        return _run(options, place)
+    with recording_of(options.file) as recording:
+        return _run(options, recording)
 
 
-def _run(options: argparse.Namespace, place: Path) -> int:
+def _run(options: argparse.Namespace, recording: Recording) -> int:
+    place = recording.place
     try:
         with SessionFile.open(place, incomplete=True) as file:
             content = ContentSummary.of(file.entries(), whole_number(file.session.get("slice_start_ns")) or 0)
@@ -73,6 +74,10 @@ def _run(options: argparse.Namespace, place: Path) -> int:
                 summary["missing_parts"] = [list(each) for each in file.missing_parts]
             if file.merge:
                 summary["merge"] = dict(file.merge.facts)
+            if recording.bag:
+                summary |= recording.bag
+                for stream in summary["streams"]:
+                    stream.pop("unit", None)  # of the configuration of the temporary session
     except LimitExceeded:
         raise
     except DamagedRecording as error:
@@ -86,7 +91,11 @@ def _run(options: argparse.Namespace, place: Path) -> int:
         types = [each["stream"] for each in summary["streams"] if each["direction"] in _IGTL]
         problems = bool(summary["problems"])
         print_damaged_indexes(options.file, summary["damaged_indexes"])
-        print_next(*info_steps(str(options.file), is_foreign=summary["foreign"], has_problems=problems, types=types))
+        if options.file != STANDARD_INPUT:  # no other verb reads it
+            name, is_bag = str(options.file), bool(recording.bag)
+            print_next(
+                *info_steps(name, is_foreign=summary["foreign"], is_bag=is_bag, has_problems=problems, types=types)
+            )
     # the retention deletes the first parts, and nothing deletes one between others
     has_gap = any(first for first, _ in summary.get("missing_parts", []))
     bad_marks = bool(summary["added_marks"] and summary["added_marks"]["problem"])
@@ -223,7 +232,8 @@ def _order(item: tuple[tuple[Kind, str, str], StreamSummary]) -> tuple[int, str,
 
 def _print(summary: dict[str, Any], notes: list[tuple[int, Kind, Note]], start_ns: int) -> None:
     session = summary["session"]
-    kind = "MCAP file of another program" if summary["foreign"] else f"session log version {summary['format_version']}"
+    foreign = "bag of rosbag2" if Path(summary["file"]).is_dir() else "MCAP file of another program"
+    kind = foreign if summary["foreign"] else f"session log version {summary['format_version']}"
     if "merge" in summary:
         kind = f"merged session of {count_text(len(summary['merge']['parts']), 'part')}"
     parts = summary.get("parts", [])

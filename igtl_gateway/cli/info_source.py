@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import shutil
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Any
 
 from igtl_gateway.base.addons import part_of
 from igtl_gateway.base.errors import ConfigError, RecordingError, UnsupportedRecording
@@ -20,15 +22,29 @@ from igtl_gateway.record.sessionfile.side_file import SIDE_FILE
 STANDARD_INPUT = Path("-")
 
 
+@dataclass(frozen=True)
+class Recording:
+    """A recording to read.
+
+    Attributes:
+        place: its file or folder, or a temporary file with the content of another source.
+        bag: facts of the bag whose content a temporary session has, instead of those of that session; empty for others.
+    """
+
+    place: Path
+    bag: Mapping[str, Any] = field(default_factory=dict)
+
+
 @contextmanager
-def recording_of(path: Path) -> Iterator[Path]:
+def recording_of(path: Path) -> Iterator[Recording]:
     """Context manager: the recording at a path, or a temporary one with the content of a bag or the standard input.
 
     Raises UnsupportedRecording, DamagedRecording; ConfigError without standard input.
     """
     if path != STANDARD_INPUT and not _is_bag(path):
-        yield path
+        yield Recording(path)
         return
+    bag: dict[str, Any] = {}
     with TemporaryDirectory(prefix="igtl-gateway-") as folder:
         place = Path(folder) / "session.mcap"
         if path == STANDARD_INPUT:
@@ -44,8 +60,9 @@ def recording_of(path: Path) -> Iterator[Path]:
                 shutil.copyfileobj(sys.stdin.buffer, file)
         else:
             part_of("exchange", "as_session:write_session")(path, place)
+            bag = {"foreign": True, "bytes": _size(path), "session": {}, "ledger": None}
         try:
-            yield place
+            yield Recording(place, bag)
         except RecordingError as error:  # it names the temporary file
             raise type(error)(str(error).replace(str(place), str(path))) from None
 
@@ -59,3 +76,7 @@ def _is_bag(path: Path) -> bool:
             return False
     except UnsupportedRecording:
         return True
+
+
+def _size(bag: Path) -> int:
+    return sum(file.stat().st_size for file in bag.iterdir() if file.is_file())

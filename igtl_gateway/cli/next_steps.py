@@ -21,20 +21,21 @@ def print_next(*steps: tuple[str, str], title: str = "next") -> None:
     print_line(title, *(f"  {cell(step, columns)}  {what}" for step, what in steps))
 
 
-def info_steps(file: str, *, is_foreign: bool, has_problems: bool, types: Sequence[str]) -> list[tuple[str, str]]:
+def info_steps(
+    file: str, *, is_foreign: bool, is_bag: bool, has_problems: bool, types: Sequence[str]
+) -> list[tuple[str, str]]:
     """Return what follows ``info`` of a complete recording.
 
     Args:
         file: the recording.
         is_foreign: whether another program wrote it.
+        is_bag: whether it is the folder of a bag, which only ``info`` and ``import`` read.
         has_problems: whether notes report problems.
         types: OpenIGTLink types in it.
     """
     if is_foreign:
-        return [
-            (command("import", file, "-o", "session.mcap"), "make a session of it"),
-            (command("view", file), "show it in rerun"),
-        ]
+        steps = [(command("import", file, "-o", "session.mcap"), "make a session of it")]
+        return steps if is_bag else [*steps, (command("view", file), "show it in rerun")]
     steps = [(command("verify", file), "compute all outputs again and compare them")]
     if has_problems:
         steps.append((command("doctor", file), "find the causes of the problems"))

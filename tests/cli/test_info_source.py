@@ -27,9 +27,19 @@ def test_a_bag_of_ros_2(storage: str, tmp_path: Path, capsys: pytest.CaptureFixt
         for number in range(5):
             content = types.types["std_msgs/msg/String"](data=f"{number}")
             writer.write(topic, 1_700_000_000_000_000_000 + number, types.serialize_cdr(content, "std_msgs/msg/String"))
-    assert main(["info", str(tmp_path / "bag"), "--json"]) == 0
+    bag = tmp_path / "bag"
+    assert main(["info", str(bag), "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert found["file"] == str(tmp_path / "bag")
+    assert found["file"] == str(bag)
+    # what is stated is of the bag, not of the temporary session in which it is read
+    size = sum(file.stat().st_size for file in bag.iterdir())
+    assert (found["foreign"], found["bytes"], found["session"], found["ledger"]) == (True, size, {}, None)
+    assert not any("unit" in stream for stream in found["streams"])
+    assert main(["info", str(bag)]) == 0
+    told = capsys.readouterr().out
+    assert told.startswith(f"{bag}: bag of rosbag2, ") and "made by" not in told and "units" not in told
+    (step,) = told.split("next\n")[1].splitlines()
+    assert step.split("  ")[1] == f"igtl-gateway import {bag} -o session.mcap"
     assert [(each["stream"], each["messages"]) for each in found["streams"] if each["stream"] == "/said"] == [
         ("/said", 5)
     ]
@@ -54,6 +64,10 @@ def test_the_standard_input(
         monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=stream, isatty=lambda: False))
         assert main(["info", "-", "--json"]) == 0
     assert json.loads(capsys.readouterr().out) == expected | {"file": "-"}
+    with CRTK.open("rb") as stream:
+        monkeypatch.setattr("sys.stdin", SimpleNamespace(buffer=stream, isatty=lambda: False))
+        assert main(["info", "-"]) == 0
+    assert "next" not in capsys.readouterr().out.splitlines(), "no other verb reads the standard input"
     monkeypatch.setattr("sys.stdin", SimpleNamespace(isatty=lambda: True))
     assert main(["info", "-"]) == 2
     assert "expected one: igtl-gateway info - < out.mcap" in capsys.readouterr().err

@@ -27,9 +27,13 @@ def test_steps_stand_in_two_columns(capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("facts", "verbs"),
     [
-        ({"is_foreign": False, "has_problems": False, "types": ["STRING/A"]}, ["verify", "replay", "view"]),
-        ({"is_foreign": False, "has_problems": True, "types": []}, ["verify", "doctor", "view"]),
-        ({"is_foreign": True, "has_problems": False, "types": []}, ["import", "view"]),
+        (
+            {"is_foreign": False, "is_bag": False, "has_problems": False, "types": ["STRING/A"]},
+            ["verify", "replay", "view"],
+        ),
+        ({"is_foreign": False, "is_bag": False, "has_problems": True, "types": []}, ["verify", "doctor", "view"]),
+        ({"is_foreign": True, "is_bag": False, "has_problems": False, "types": []}, ["import", "view"]),
+        ({"is_foreign": True, "is_bag": True, "has_problems": False, "types": []}, ["import"]),
     ],
 )
 def test_what_follows_info(facts: dict[str, object], verbs: list[str]) -> None:
