@@ -28,7 +28,6 @@ _WORD = re.compile(rf"\b({'|'.join(sorted(_CREATING))}|open|FileIO)\(")
 #: Module → what it creates by itself, and why it may.
 EXCEPTIONS: dict[str, tuple[frozenset[str], str]] = {
     "base/systems/files.py": (frozenset({"os.open"}), "its mode is 0600; it is extended, and no link is followed"),
-    "cli/seal_keys.py": (frozenset({"os.open", "open"}), "keys are 0600 whatever is stated"),
     "addons/view/stream.py": (frozenset({"os.open", "open"}), "its mode is 0600; rerun opens it by its name"),
     "record/shared_queue.py": (frozenset({"memfd_create"}), "memory without a name"),
     "cli/terminal.py": (frozenset({"open"}), "the null device"),

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import argparse
 import os
-from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.cli.terminal import print_line
-from igtl_gateway.record.seal.keys import SigningKey, key_id, load_trusted
-from igtl_gateway.record.sessionfile.beside import write_error
+from igtl_gateway.record.seal.keys import SigningKey, key_id, load_trusted, trusted_with
+from igtl_gateway.record.sessionfile.beside import written
+from igtl_gateway.record.sessionfile.new_file import open_new
 
 EXAMPLES = """\
   # write the private key recorder.key (mode 0600) and recorder.key.pub
@@ -41,12 +41,18 @@ def run(options: argparse.Namespace) -> int:
         for path in files:
             _show(path)
         return 0
-    key = SigningKey.load(files[0]).successor() if options.action == ROTATE else SigningKey.generate()
+    old = SigningKey.load(files[0]) if options.action == ROTATE else None
     path = files[-1]
     public = path.with_name(f"{path.name}.pub")
-    # a program that is killed between the two leaves no secret
-    _create_pair([(public, key.public_pem()), (path, key.private_pem())])
-    print_line(f"{path}: private key {key.id}, readable by its owner only", f"{public}: public key")
+    if key := _left_alone(path, public, old):
+        note = "found without its public key, and kept"
+        with written(public) as place:
+            _write(place, key.public_pem())
+    else:
+        key = old.successor() if old else SigningKey.generate()
+        note = "readable by its owner only"
+        _create_pair(path, public, key)
+    print_line(f"{path}: private key {key.id}, {note}", f"{public}: public key")
     return 0
 
 
@@ -60,28 +66,40 @@ def _show(path: Path) -> None:
         print_line(f"{path}: private key {key.id}{after}")
 
 
-def _create_pair(files: Sequence[tuple[Path, bytes]]) -> None:
-    """Write new files of mode 0600, all or none.  Raises ConfigError if one exists, GatewayError."""
-    created: list[Path] = []
-    try:
-        for path, data in files:
-            _create(path, data, created)
-    except BaseException:
-        for path in created:
-            with suppress(OSError):
-                path.unlink()
-        raise
+def _left_alone(path: Path, public: Path, old: SigningKey | None) -> SigningKey | None:
+    """Return the private key that a program left which was killed before it wrote the public one; None: no files.
+
+    Args:
+        path: the private key.
+        public: its public key.
+        old: the key that must introduce it; None: it may be any key.
+
+    Raises ConfigError for other files.
+    """
+    if os.path.lexists(path) and not os.path.lexists(public):
+        with suppress(ConfigError):
+            key = SigningKey.load(path)
+            if not old or key.public in trusted_with(frozenset([old.public]), key.introductions) - {old.public}:
+                return key
+    for each in (public, path):
+        if os.path.lexists(each):
+            raise ConfigError(f"{each}: exists already, expected a new file: keys are not replaced")
+    return None
 
 
-def _create(path: Path, data: bytes, created: list[Path]) -> None:
-    try:
-        handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        created.append(path)
-        with open(handle, "wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(handle)
-    except FileExistsError:
-        raise ConfigError(f"{path}: exists already, expected a new file: keys are not replaced") from None
-    except (OSError, ValueError) as error:
-        raise write_error(path, error) from None
+def _create_pair(path: Path, public: Path, key: SigningKey) -> None:
+    """Write both files, then move them to their places: the private key first, as the public one follows from it.
+
+    Raises GatewayError.
+    """
+    with written(public) as public_place, written(path) as place:
+        _write(public_place, key.public_pem())
+        _write(place, key.private_pem())
+
+
+def _write(place: Path, data: bytes) -> None:
+    """Write a new file so that it survives a power failure.  Raises OSError."""
+    with open_new(place) as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())

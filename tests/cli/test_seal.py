@@ -5,6 +5,8 @@ from __future__ import annotations
 import errno
 import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -14,6 +16,7 @@ from igtl_gateway.cli import main
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
+from igtl_gateway.record.seal.keys import SigningKey, load_trusted
 from tests.places import ROOT
 from tests.record import samples
 
@@ -122,6 +125,88 @@ def test_of_a_pair_of_keys_there_are_both_or_none(tmp_path: Path, monkeypatch: p
     assert written == 2 and not list(tmp_path.iterdir())
     assert _run("seal", "keys", "new", tmp_path / "key") == 0
     assert {each.name for each in tmp_path.iterdir()} == {"key", "key.pub"}
+
+
+#: Runs ``seal keys`` again and again, each run in a folder and a process of its own, and ends the run number N by
+#: SIGKILL before its Nth line of these modules: so between all calls of the system that make a file.
+_KILLS = """
+import argparse, itertools, os, signal, sys
+from pathlib import Path
+from igtl_gateway.cli import seal_keys
+from igtl_gateway.base.systems import files
+from igtl_gateway.record.seal import keys
+from igtl_gateway.record.sessionfile import beside, new_file
+
+keys.SigningKey.generate().private_pem()  # loads the library
+traced = {module.__file__ for module in (seal_keys, files, beside, new_file)}
+folder, options = Path(sys.argv[1]), argparse.Namespace(action=sys.argv[3], files=[Path(word) for word in sys.argv[4:]])
+for number in itertools.count(1, int(sys.argv[2])):
+    (folder / str(number)).mkdir()
+    process = os.fork()
+    if not process:
+        left = number
+
+        def step(frame, event, _):
+            global left
+            if frame.f_code.co_filename not in traced:
+                return None
+            left -= event == "line"
+            if not left:
+                os.kill(os.getpid(), signal.SIGKILL)
+            return step
+
+        os.chdir(folder / str(number))
+        sys.settrace(step)
+        os._exit(seal_keys.run(options))
+    code = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
+    if code != -signal.SIGKILL:
+        sys.exit(code)
+"""
+
+
+@pytest.mark.parametrize(("action", "stride"), [("new", 1), ("rotate", 5)])
+def test_a_kill_at_any_moment_leaves_nothing_or_what_the_next_run_completes(
+    action: str, stride: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    old, runs = tmp_path / "old", tmp_path / "runs"
+    runs.mkdir()
+    assert _run("seal", "keys", "new", old) == 0
+    words = ["seal", "keys", action, *[str(old)] * (action == "rotate"), "key"]
+    subprocess.run([sys.executable, "-c", _KILLS, str(runs), str(stride), *words[2:]], check=True, timeout=120)
+    left = dict[str, int]()
+    for folder in sorted(runs.iterdir(), key=lambda each: int(each.name)):
+        monkeypatch.chdir(folder)
+        before = sorted(each.name for each in folder.iterdir() if not each.name.startswith("."))
+        key = Path("key").read_bytes() if "key" in before else b""
+        capsys.readouterr()
+        code = _run(*words)
+        captured = capsys.readouterr()
+        if before == ["key", "key.pub"]:
+            assert code == 2 and "keys are not replaced" in captured.err
+            assert "key" in {each.name for each in folder.iterdir()}
+        else:
+            assert code == 0, (folder.name, before, captured.err)
+            assert before in ([], ["key"])
+        if key:
+            assert Path("key").read_bytes() == key
+            assert code or ("key: private key" in captured.out and "kept" in captured.out)
+        found = SigningKey.load(Path("key"))
+        assert load_trusted([Path("key.pub")]) == {found.public}
+        assert len(found.introductions) == (action == "rotate")
+        assert Path("key").stat().st_mode & 0o777 == 0o600
+        left[" ".join(before)] = left.get(" ".join(before), 0) + 1
+    assert len(left) == 3 and sum(left.values()) > 20, left
+
+
+def test_a_key_without_its_public_half_is_not_taken_for_another(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    old, key = tmp_path / "old", tmp_path / "key"
+    assert _run("seal", "keys", "new", old) == 0 and _run("seal", "keys", "new", key) == 0
+    (tmp_path / "key.pub").unlink()
+    assert _run("seal", "keys", "rotate", old, key) == 2
+    assert "keys are not replaced" in capsys.readouterr().err
+    assert not (tmp_path / "key.pub").exists()
 
 
 def test_a_split_recording_is_checked_with_its_side_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
