@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import GatewayError, parse_json, write_text, written
+from igtl_gateway.addon import GatewayError, open_file, parse_json, write_text, written
 
 NAME = ".igtl-gateway-page.json"
 #: Bytes that are read, and recordings with results.
@@ -61,7 +61,7 @@ class Results:
 def _read(path: Path) -> dict[str, tuple[Mark, dict[str, str]]]:
     """Return what a file has; nothing of one that is not ours."""
     try:
-        with path.open("rb") as file:
+        with open_file(path) as file:
             found = parse_json(file.read(_MAX_BYTES).decode(), str(path))
     except (GatewayError, OSError, ValueError):
         return {}

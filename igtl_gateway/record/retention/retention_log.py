@@ -9,6 +9,7 @@ from typing import Any
 
 from igtl_gateway.base.stamp import utc_text
 from igtl_gateway.base.systems.files import open_plain
+from igtl_gateway.base.untrusted import limits
 
 LOG_NAME = "igtl-gateway-retention.jsonl"
 
@@ -40,12 +41,19 @@ class RetentionLog:
             os.close(file)
 
     def has_deleted(self, name: str) -> bool:
-        """Return whether a recording of this name was deleted, or is about to be."""
+        """Return whether a recording of this name was deleted, or is about to be.
+
+        The log is read from its end, as far back as the limit ``free`` allows.
+        """
+        most = limits.current_limits().free
         try:
-            lines = self.path.read_text("ascii", "replace").splitlines()
+            with os.fdopen(self._open(os.O_RDONLY), "rb") as file:
+                file.seek(max(file.seek(0, os.SEEK_END) - most, 0))
+                lines = file.read(most).split(b"\n")
         except OSError:
             return False
-        return any('"event": "delete"' in line and f'"file": {json.dumps(name)}' in line for line in lines)
+        named = f'"file": {json.dumps(name)}'.encode("ascii")
+        return any(b'"event": "delete"' in line and named in line for line in lines)
 
     def check(self) -> None:
         """Raise OSError if no line can be added."""

@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.untrusted.files import size_of
 from igtl_gateway.wire.image import LITTLE_ENDIAN, RAS, SCALARS, Image
 from igtl_gateway_lab.simulate.star_numbers import Array
 
@@ -102,6 +103,7 @@ def read_nifti_volume(path: Path) -> MrVolume:
     import nibabel
 
     try:
+        size_of(path)  # nibabel would wait for a FIFO
         file = nibabel.squeeze_image(nibabel.load(path, mmap=False))
         affine = np.asarray(file.affine, np.float64)[:3]
         _check(len(file.shape) == 3, f"dimensions: found {file.shape}, expected one volume of 3 dimensions")

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -25,6 +26,11 @@ def test_a_file_that_is_not_ours(tmp_path: Path, text: str) -> None:
     assert results.of("a.mcap", (1, 1)) == {}
     results.add("a.mcap", (1, 1), "verify", "done")
     assert Results(tmp_path).of("a.mcap", (1, 1)) == {"verify": "done"}
+
+
+def test_a_fifo_of_somebody_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / NAME)
+    assert Results(tmp_path).of("a.mcap", (1, 1)) == {}
 
 
 def test_a_folder_that_cannot_be_written(tmp_path: Path) -> None:

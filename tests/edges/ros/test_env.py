@@ -218,6 +218,14 @@ def test_the_profile_for_lock_step_is_the_other_one_with_quick_acknowledgements(
         assert str(env.LOCK_STEP_PROFILE) in {os.environ[name] for name in env.PROFILE_VARIABLES}
 
 
+def test_a_fifo_of_another_user_in_the_shared_memory_is_not_waited_for(tmp_path: Path) -> None:
+    segment = tmp_path / "fastrtps_00000000000000a1"
+    segment.write_bytes(bytes(8192))
+    os.mkfifo(tmp_path / f"{segment.name}_el")
+    assert env.free_shared_memory(tmp_path) == 0
+    assert segment.exists()
+
+
 def test_memory_of_processes_that_are_gone_is_freed(tmp_path: Path) -> None:
     def segment(name: str, size: int = 8192) -> list[Path]:
         paths = [tmp_path / name, tmp_path / f"{name}_el"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import hashlib
+import os
 import struct
 from pathlib import Path
 from typing import Any
@@ -112,6 +113,12 @@ def test_a_broken_file_is_refused_in_one_sentence(tmp_path: Path, data: bytes, t
 def test_a_file_that_is_not_there(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"nothing\.nii: cannot be read"):
         read_nifti_volume(tmp_path / "nothing.nii")
+
+
+def test_a_fifo_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "head.nii")
+    with pytest.raises(ConfigError, match=r"head\.nii: cannot be read: .*found a FIFO, expected a file"):
+        read_nifti_volume(tmp_path / "head.nii")
 
 
 def value_at(read: MrVolume, point: Any) -> float:
