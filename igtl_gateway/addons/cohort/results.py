@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,7 @@ from igtl_gateway.addon import (
 )
 from igtl_gateway.addons.cohort.columns import SCHEMA_VERSION, TABLES, Row
 from igtl_gateway.addons.cohort.parts import MANIFEST, PARTS, Parts, files_of, parts_of, unreadable
-from igtl_gateway.addons.cohort.tables import PROVENANCE, arrow_table, joined, schema
+from igtl_gateway.addons.cohort.tables import PROVENANCE, arrow_table, concatenated, joined, schema
 from igtl_gateway.base.systems.files import lock
 
 _LOCK = ".lock"
@@ -51,7 +51,7 @@ class Results:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._found = Parts()
-        self._current: tuple[list[str], dict[tuple[str, str], Row]] | None = None  # of these parts
+        self._latest: tuple[list[str], pa.Table] | None = None  # of these parts
         if (folder / MANIFEST).exists():
             self._found = parts_of(folder)
         elif folder.exists() and not folder.is_dir():
@@ -90,19 +90,32 @@ class Results:
 
     def read(self, table: str) -> pa.Table:
         """Return all rows of a table that count, ordered by file.  Raises GatewayError."""
+        tasks = self._latest_tasks()
+        if table == "tasks":
+            return tasks
         found = joined(table, map(_read, self.files(table)))
-        tasks = pa.array([row["task"] for row in self.current().values()], pa.string())
-        return found.filter(pc.is_in(found["task"], value_set=tasks)) if table != "tasks" else _latest(found, self)
+        return found.filter(pc.is_in(found["task"], value_set=tasks["task"].combine_chunks()))
 
-    def current(self) -> dict[tuple[str, str], Row]:
-        """Return (file, verb) → the row of the latest task.  Raises GatewayError."""
-        if self._current is None or self._current[0] != self.parts:
-            rows: dict[tuple[str, str], Row] = {}
-            for path in self.files("tasks"):
-                for row in _read(path).to_pylist():
-                    rows[row["file"], row["verb"]] = row
-            self._current = list(self.parts), rows
-        return self._current[1]
+    def known(self, verb: str, names: Iterable[str]) -> dict[str, Row]:
+        """Return file → the row of its latest task with a verb, for those of these files that have one.
+
+        Raises GatewayError.
+        """
+        tasks = self._latest_tasks()
+        asked = pc.and_(
+            pc.equal(tasks["verb"], verb), pc.is_in(tasks["file"], value_set=pa.array(list(names), pa.string()))
+        )
+        return {row["file"]: row for row in tasks.filter(asked).to_pylist()}
+
+    def _latest_tasks(self) -> pa.Table:
+        """Return the latest task of each file and verb, ordered by file and task.  Raises GatewayError."""
+        if self._latest is None or self._latest[0] != self.parts:
+            # in Arrow: as rows of Python, a million takes gigabytes
+            tasks = concatenated("tasks", map(_read, self.files("tasks")))
+            numbered = tasks.append_column("row", pa.array(range(len(tasks)), pa.int64()))
+            last = numbered.group_by(["file", "verb"], use_threads=False).aggregate([("row", "max")])["row_max"]
+            self._latest = list(self.parts), joined("tasks", [tasks.take(last.sort())])
+        return self._latest[1]
 
     def add(self, rows: Mapping[str, Sequence[Row]], provenance: Mapping[str, Any]) -> None:
         """Write rows as one part, all or none.  Raises GatewayError."""
@@ -160,11 +173,6 @@ class Results:
             yield
         except OSError as error:
             raise GatewayError(f"cannot write to {self.folder}: {error.strerror or error}") from None
-
-
-def _latest(tasks: pa.Table, results: Results) -> pa.Table:
-    rows = sorted(results.current().values(), key=lambda row: (row["file"], row["task"]))
-    return pa.Table.from_pylist(rows, schema=tasks.schema)
 
 
 def _read(path: Path) -> pa.Table:

@@ -74,10 +74,10 @@ def run_cohort(
     """
     with results.locked():
         summary = RunSummary(len(files))
-        known = results.current()
+        known = results.known(work.verb, (each.shown for each in files))
         todo: list[KnownFile] = []
         for each in files:
-            row = known.get((each.shown, work.verb))
+            row = known.get(each.shown)
             if row and row["version"] == __version__ and row["settings"] == work.text and row["status"] in ends.FINAL:
                 if row["mark"] == each.mark and each.mark:
                     summary.before += 1
@@ -87,7 +87,7 @@ def run_cohort(
                 todo.append((each, ""))
         progress(summary)
         if todo:
-            _do(work, todo, results, where, summary, progress)
+            _do(work, todo, known, results, where, summary, progress)
         results.compact()
     return summary
 
@@ -95,6 +95,7 @@ def run_cohort(
 def _do(
     work: RunSettings,
     todo: Sequence[KnownFile],
+    known: Mapping[str, Row],
     results: Results,
     where: RunPlace,
     summary: RunSummary,
@@ -103,7 +104,6 @@ def _do(
     clock = SystemClock()
     provenance = {"verb": work.verb, "settings": work.text, "igtl_gateway_version": __version__}
     rows: dict[str, list[Row]] = {}
-    known = results.current()
     waiting, since_ns = 0, clock.monotonic_ns()
 
     def flush() -> None:
@@ -117,7 +117,7 @@ def _do(
         with closing(_replies(work, todo, where)) as replies:
             for (file, _), reply in replies:
                 if reply["status"] == ends.UNCHANGED:
-                    rows.setdefault("tasks", []).append(known[file.shown, work.verb] | {"mark": file.mark})
+                    rows.setdefault("tasks", []).append(known[file.shown] | {"mark": file.mark})
                 else:
                     _add(rows, work, file, reply)
                 summary.ends[reply["status"]] += 1

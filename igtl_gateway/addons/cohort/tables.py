@@ -61,9 +61,14 @@ def _whole(value: int) -> int | None:
 _CLEAN: Mapping[str, Callable[[Any], Any]] = {"text": _text, "real": _real, "int": _whole, "time": _whole}
 
 
+def concatenated(name: str, tables: Iterable[pa.Table]) -> pa.Table:
+    """Return the rows of several tables of one name, in their order."""
+    return pa.concat_tables([each.cast(schema(name)) for each in tables] or [arrow_table(name, [])])
+
+
 def joined(name: str, tables: Iterable[pa.Table]) -> pa.Table:
     """Return the rows of several tables of one name, ordered by file and task; the order in a task stays."""
-    whole = pa.concat_tables([each.cast(schema(name)) for each in tables] or [arrow_table(name, [])])
+    whole = concatenated(name, tables)
     numbered = whole.append_column("row", pa.array(range(len(whole)), pa.int64()))
     keys = [("file", "ascending"), ("task", "ascending"), ("row", "ascending")]
     return numbered.sort_by(keys).drop_columns(["row"])
