@@ -83,6 +83,7 @@ if TYPE_CHECKING:
     from igtl_gateway.base.untrusted.limits import Deadline as Deadline
     from igtl_gateway.base.untrusted.limits import check_limit as check_limit
     from igtl_gateway.base.untrusted.numbers import whole_number as whole_number
+    from igtl_gateway.base.untrusted.parquet_file import parquet_columns as parquet_columns
     from igtl_gateway.base.untrusted.parquet_file import read_parquet as read_parquet
     from igtl_gateway.base.untrusted.parquet_file import read_parquet_schema as read_parquet_schema
     from igtl_gateway.base.untrusted.text import check_nesting as check_nesting
@@ -285,7 +286,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("base.untrusted.text", "check_nesting parse_json printable"),
     ("base.untrusted.xml_text", "Element parse_xml"),
     ("base.untrusted.yaml_text", "parse_yaml"),
-    ("base.untrusted.parquet_file", "read_parquet read_parquet_schema"),
+    ("base.untrusted.parquet_file", "parquet_columns read_parquet read_parquet_schema"),
     # ROS messages of any type, by the definitions in a file
     ("base.untrusted", "ros_definitions"),
     ("base.untrusted.decoding", "MessageDecoder new_store register_types"),

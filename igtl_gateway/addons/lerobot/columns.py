@@ -65,7 +65,12 @@ def is_numeric(table: pa.Table, name: str) -> bool:
 def is_form(kind: pa.DataType) -> bool:
     """Return whether a type is a number, or a list of one length of them."""
     if pa.types.is_fixed_size_list(kind):
-        return kind.list_size > 0 and is_form(kind.value_type) and not pa.types.is_fixed_size_list(kind.value_type)
+        return kind.list_size > 0 and is_number(kind.value_type)
+    return is_number(kind)
+
+
+def is_number(kind: pa.DataType) -> bool:
+    """Return whether a type is a number."""
     return bool(pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_boolean(kind))
 
 

@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import GatewayError, open_recording
+from igtl_gateway.addon import GatewayError, open_recording, parquet_columns
 from igtl_gateway.addons.lerobot.checking import check_rules, first_findings
 from igtl_gateway.addons.lerobot.checking_stats import numbers_of
-from igtl_gateway.addons.lerobot.columns import Tables, is_numeric, matrix_of
+from igtl_gateway.addons.lerobot.columns import Tables, is_number, is_numeric, matrix_of
 from igtl_gateway.addons.lerobot.comparing_pictures import PictureCheck
 from igtl_gateway.addons.lerobot.frames import Episode, Plan, build
-from igtl_gateway.addons.lerobot.reading import FoundDataSet, read_table, read_total_stats
+from igtl_gateway.addons.lerobot.reading import FoundDataSet, read_total_stats
 from igtl_gateway.addons.lerobot.recipe_file import read_recipe
 from igtl_gateway.addons.lerobot.stats import QUANTILES, Stats, number_stats
 from igtl_gateway.addons.lerobot.writing import PROVENANCE, RECIPE, facts_of, own_columns, trace_of
@@ -162,20 +162,20 @@ def _shown(value: Any) -> str:
 
 def _provenance(found: FoundDataSet, plan: Plan) -> Iterator[str]:
     path = found.root / "meta" / PROVENANCE
+    expected = trace_of(plan)
     try:
-        table = read_table(path)
+        with parquet_columns(path) as columns:
+            if columns.schema.names != expected.schema.names or columns.rows != expected.num_rows:
+                yield f"meta/{PROVENANCE}: found other columns or rows, expected those of the recipe"
+                return
+            for name in expected.schema.names:  # each alone, and only numbers: none has more memory than it should
+                is_plain = is_number(columns.schema.field(name).type)
+                if not is_plain or not is_numeric(table := columns.read([name]), name):
+                    yield f"meta/{PROVENANCE}: {name}: found missing values or no numbers, expected numbers"
+                    continue
+                one, two = matrix_of(table, name)[:, 0], matrix_of(expected, name)[:, 0]
+                if not np.array_equal(one, two):
+                    row = int(np.argmax(one != two))
+                    yield f"meta/{PROVENANCE}: {name}: row {row}: found {one[row]}, expected {two[row]}"
     except GatewayError as error:
         yield str(error)
-        return
-    expected = trace_of(plan)
-    if table.schema.names != expected.schema.names or table.num_rows != expected.num_rows:
-        yield f"meta/{PROVENANCE}: found other columns or rows, expected those of the recipe"
-        return
-    for name in table.schema.names:
-        if not is_numeric(table, name):
-            yield f"meta/{PROVENANCE}: {name}: found missing values or no numbers, expected numbers"
-            continue
-        one, two = matrix_of(table, name)[:, 0], matrix_of(expected, name)[:, 0]
-        if not np.array_equal(one, two):
-            row = int(np.argmax(one != two))
-            yield f"meta/{PROVENANCE}: {name}: row {row}: found {one[row]}, expected {two[row]}"

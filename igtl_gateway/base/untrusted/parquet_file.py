@@ -7,6 +7,8 @@ compressed pages of zeros, and sizes that are not true.  So the footer and the h
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -25,6 +27,50 @@ _SHOWN = 200
 _ERRORS = (pa.ArrowException, OSError, ValueError, OverflowError, IndexError, KeyError)
 
 
+class ParquetColumns:
+    """An open Parquet file, whose columns are read when they are needed.
+
+    Args:
+        stream: the file.
+        path: its name.
+
+    Attributes:
+        rows: number of rows, as the footer states it.
+        schema: names and types of the columns.
+
+    Raises as :func:`read_parquet`.
+    """
+
+    def __init__(self, stream: BinaryIO, path: Path) -> None:
+        self._stream, self._path = stream, path
+        self.rows, self._size, self._strings = check_sizes(stream, path)
+        try:
+            self.schema: pa.Schema = _opened(stream).schema_arrow
+        except _ERRORS as error:
+            raise _invalid(path, error) from None
+
+    def read(self, names: list[str] | None = None) -> pa.Table:
+        """Return the columns with these names; None: all.  Raises as :func:`read_parquet`."""
+        try:
+            table = _opened(self._stream, read_dictionary=self._strings).read(names, use_threads=False)
+            table.validate(full=True)  # the numbers in a dictionary are not checked before
+            strings = sum(map(_string_bytes, table.columns))
+            check_unpacked(self._size, strings, f"{self._path}: bytes of all strings")
+            schema = (
+                self.schema if names is None else pa.schema([self.schema.field(each) for each in table.schema.names])
+            )
+            return table.cast(schema) if table.schema != schema else table
+        except _ERRORS as error:
+            raise _invalid(self._path, error) from None
+
+
+@contextmanager
+def parquet_columns(path: Path) -> Iterator[ParquetColumns]:
+    """Context manager: a Parquet file, open.  Raises as :func:`read_parquet`."""
+    with open_file(path) as stream:
+        yield ParquetColumns(stream, path)
+
+
 def read_parquet(path: Path) -> pa.Table:
     """Read a Parquet file.
 
@@ -33,26 +79,14 @@ def read_parquet(path: Path) -> pa.Table:
         DamagedRecording: it is not valid.
         LimitExceeded: it would unpack to more than the limits allow.
     """
-    with open_file(path) as stream:
-        size, strings = check_sizes(stream, path)
-        try:
-            schema = _opened(stream).schema_arrow
-            table = _opened(stream, read_dictionary=strings).read(use_threads=False)
-            table.validate(full=True)  # the numbers in a dictionary are not checked before
-            check_unpacked(size, sum(map(_string_bytes, table.columns)), f"{path}: bytes of all strings")
-            return table.cast(schema) if table.schema != schema else table
-        except _ERRORS as error:
-            raise _invalid(path, error) from None
+    with parquet_columns(path) as found:
+        return found.read()
 
 
 def read_parquet_schema(path: Path) -> pa.Schema:
     """Return the schema of a Parquet file.  Raises as :func:`read_parquet`."""
-    with open_file(path) as stream:
-        check_sizes(stream, path)
-        try:
-            return _opened(stream).schema_arrow
-        except _ERRORS as error:
-            raise _invalid(path, error) from None
+    with parquet_columns(path) as found:
+        return found.schema
 
 
 def _invalid(path: Path, error: Exception) -> DamagedRecording:

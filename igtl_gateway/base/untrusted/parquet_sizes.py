@@ -92,11 +92,12 @@ class _Strings:
         return self.others + self.dictionary * (max(self.numbers, 1) if self.has_delta else 1)
 
 
-def check_sizes(stream: BinaryIO, path: Path) -> tuple[int, list[str]]:
+def check_sizes(stream: BinaryIO, path: Path) -> tuple[int, int, list[str]]:
     """Check what a file unpacks to, as far as its headers state it; strings in dictionaries are not included.
 
     Returns:
-        The size of the file, and the paths of the columns with strings that may be numbers in a dictionary.
+        The numbers of rows and of bytes of the file, and the paths of the columns with strings that may be numbers in a
+        dictionary.
 
     Raises:
         DamagedRecording: it is not valid.
@@ -107,10 +108,11 @@ def check_sizes(stream: BinaryIO, path: Path) -> tuple[int, list[str]]:
     columns = _columns(footer, f"{path}: schema")
     groups = _structures(footer, 4, f"{path}: row groups")
     check_limit("count", len(groups) * max(len(columns), 1), f"{path}: row groups × columns")
-    deadline, pages, unpacked, what = Deadline(size), 0, 0, f"{path}: bytes of all values"
+    deadline, pages, unpacked, total, what = Deadline(size), 0, 0, 0, f"{path}: bytes of all values"
     plain = {each.path for each in columns if each.type != _BYTE_ARRAY}
     for number, group in enumerate(groups):
         chunks, rows = _structures(group, 1, f"{path}: row group {number}"), _integer(group, 3, f"{path}: rows")
+        total += rows
         if len(chunks) != len(columns) or (not columns and rows):
             raise DamagedRecording(
                 f"{path}: row group {number}: found {len(chunks)} columns and {rows} rows, expected {len(columns)}"
@@ -133,7 +135,7 @@ def check_sizes(stream: BinaryIO, path: Path) -> tuple[int, list[str]]:
             unpacked += strings.most
             if strings.has_delta:
                 plain.add(column.path)
-    return size, sorted({each.path for each in columns} - plain)
+    return total, size, sorted({each.path for each in columns} - plain)
 
 
 def _footer(stream: BinaryIO, size: int, path: Path) -> Fields:

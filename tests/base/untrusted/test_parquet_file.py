@@ -16,7 +16,7 @@ from pyarrow import parquet
 
 from igtl_gateway.base.errors import DamagedRecording, GatewayError, LimitExceeded
 from igtl_gateway.base.untrusted.limits import FileLimits, limits_in_force
-from igtl_gateway.base.untrusted.parquet_file import read_parquet, read_parquet_schema
+from igtl_gateway.base.untrusted.parquet_file import parquet_columns, read_parquet, read_parquet_schema
 from tests.tables import table
 
 MIB = 1 << 20
@@ -207,3 +207,23 @@ def test_a_footer_is_bounded_by_its_length(tmp_path: Path) -> None:
     path.write_bytes(b"PAR1" + bytes(100_000) + struct.pack("<I", 100_000) + b"PAR1")
     with limits_in_force(SMALL), pytest.raises(LimitExceeded, match="bytes of the footer: found 100000"):
         read_parquet(path)
+
+
+@table("name", good_tables())
+def test_columns_one_by_one_are_those_of_the_table(name: str, tmp_path: Path) -> None:
+    expected = good_tables()[name]
+    path = written(tmp_path / "a.parquet", expected, row_group_size=100)
+    with parquet_columns(path) as found:
+        assert found.rows == expected.num_rows
+        assert found.schema == read_parquet_schema(path)
+        for column in expected.schema.names:
+            assert found.read([column])[column].equals(read_parquet(path)[column])
+
+
+def test_of_a_large_table_one_column_takes_the_memory_of_a_column(tmp_path: Path) -> None:
+    numbers = np.arange(400_000) % 7
+    path = written(tmp_path / "a.parquet", pa.table({f"c{number}": numbers for number in range(16)}))
+    with parquet_columns(path) as found:
+        before = pa.total_allocated_bytes()
+        column = found.read(["c3"])
+        assert pa.total_allocated_bytes() - before < 2 * numbers.nbytes, column.schema
