@@ -207,14 +207,20 @@ class Handler(BaseHTTPRequestHandler):
             self.get(self.path.partition("?")[0])
 
     def _is_for_us(self) -> bool:
-        """Return whether a request names this machine as its host; if not, it is answered."""
+        """Return whether a request names this machine as its host; if not, it is answered.
+
+        RFC 9112, 3.2: a request has one host, except for one of HTTP/1.0, which may have none.
+        """
         self.server.has_asked(self.connection)
         hosts = self.headers.get_all("Host") or []
-        strange = [host for host in hosts if host not in self.server.hosts]
-        if strange:
-            text = f"Host: found {strange[0][:100]!r}, expected {self.server.hosts.expected}\n"
+        if len(hosts) > 1 or (not hosts and self.request_version not in ("HTTP/0.9", "HTTP/1.0")):
+            self.answer(400, "text/plain; charset=utf-8", f"Host: found {len(hosts)}, expected one\n")
+            return False
+        if hosts and hosts[0] not in self.server.hosts:
+            text = f"Host: found {hosts[0][:100]!r}, expected {self.server.hosts.expected}\n"
             self.answer(403, "text/plain; charset=utf-8", text)
-        return not strange
+            return False
+        return True
 
     def post(self, path: str, body: bytes) -> None:
         """Answer a POST of JSON to a path, without its query."""
