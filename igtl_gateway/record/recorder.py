@@ -32,6 +32,7 @@ from igtl_gateway.record.host import Host, in_process
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.pace import DISK, Pace
 from igtl_gateway.record.selection import MAX_STREAMS, OTHERS, StateInputRule
+from igtl_gateway.record.sessionfile.side_file import SIDE_FILE, parts_folder
 from igtl_gateway.record.sessionfile.writer import QosOf
 from igtl_gateway.record.shared_queue import QueueSlot, QueueWriter
 from igtl_gateway.record.worker import FAILED, THREAD, RecordingSummary, WorkerSettings, WorkerState
@@ -90,6 +91,7 @@ class Recorder:
         self._done, self._done_ns = 0, clock.monotonic_ns()  # what the worker had taken, and since when
         self._stalled = self._is_blocked = False
         self._summary: RecordingSummary | None = None
+        self._files: list[Path] = []  # all that were begun
         self._sending = threading.Lock()  # of the pipe
         settings = WorkerSettings(path, dict(session), self.options, rule or StateInputRule())
         try:
@@ -308,6 +310,8 @@ class Recorder:
                     self._command("fail", f"recording to {self._path} failed: {type(error).__name__}: {error}")
             case "state":
                 self._state = values[0]
+            case "files":
+                self._files += map(Path, values[0])
             case "qos":
                 self._send(self._qos(*values))
             case "drops":
@@ -374,11 +378,14 @@ class Recorder:
 
     def _summary_of_lost(self) -> RecordingSummary:
         """As far as this end knows."""
-        values = self.counters()
-        files = (self._path,) if self._path.is_file() else ()
+        values, path, begun = self.counters(), self._path, self._files
+        if self.options.split_bytes or self.options.split_s:
+            path = parts_folder(path)
+            begun = [*begun, path / SIDE_FILE]
+        files = tuple(each for each in begun if each.is_file())
         return RecordingSummary(
-            self._path,
-            sum(path.stat().st_size for path in files),
+            path,
+            sum(each.stat().st_size for each in files),
             values["written_entries"],
             values["dropped"],
             values["left_out"],

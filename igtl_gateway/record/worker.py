@@ -261,6 +261,8 @@ class _RecorderWorker:
         self._noted = Once()  # types without a definition
         self._reported_refused: set[str] = set()
         self._told_state = WorkerState()
+        self._begun: list[str] = []  # files that the other end does not know yet
+        self._runs = False  # the first message states whether the first file could be created
         self._is_cut = False  # the next file follows one that was taken away
         self._left_out_before = 0  # of the pause that is on
         self._before_start = 0, 0, 0
@@ -373,7 +375,7 @@ class _RecorderWorker:
 
     def _open_file(self, path: Path, facts: dict[str, str], prologue: Sequence[Entry]) -> SessionWriter:
         alone = self.options.snapshot_s > 0 or self._is_cut  # the seal of a file that was taken away is not at its end
-        return SessionWriter(
+        writer = SessionWriter(
             path,
             self._session | facts,
             qos_of=self._qos_of,
@@ -385,9 +387,21 @@ class _RecorderWorker:
             types=self._types,
             sealer=self._seals.next_file(path, alone=alone) if self._seals else None,
         )
+        self._begun.append(str(path))
+        if self._runs:
+            self._tell_files()
+        return writer
+
+    def _tell_files(self) -> None:
+        """Name the files that were begun: if this process is killed, the other end knows them."""
+        begun, self._begun = self._begun, []
+        if begun:
+            self._send("files", begun)
 
     def run(self) -> None:
         """Write what comes, until the end."""
+        self._runs = True
+        self._tell_files()
         if self._refused_text:
             self._fail(self._refused_text)
         self._apply_retention()

@@ -318,10 +318,55 @@ def test_a_killed_recorder_leaves_a_file_that_is_named(is_open: bool, tmp_path: 
     (worker,) = workers(os.getpid())
     os.kill(worker, signal.SIGKILL)
     wait_until(lambda: any(note.code == FAILED for note in notes))
-    recorder.close({})
-    (path,) = tmp_path.glob("*.mcap") if is_open else ("",)
-    end = f"igtl-gateway recover repairs {path}" if is_open else "what was in memory is lost"
+    files = tuple(tmp_path.glob("*.mcap"))
+    end = f"igtl-gateway recover repairs {files[0]}" if is_open else "what was in memory is lost"
     assert notes[-1].text.endswith(f"; {end}")
+    summary = recorder.close({})
+    assert len(files) == is_open and summary.files == files
+    assert summary.size == sum(path.stat().st_size for path in files)
+
+
+_TWO = (trigger("mark=slip,after=1"), trigger("mark=late,before=1,after=60"))
+
+
+@pytest.mark.parametrize(
+    ("options", "count"),
+    [
+        pytest.param(RecordOptions(snapshot_s=20.0, triggers=_TWO), 2, id="a closed and an open window"),
+        pytest.param(RecordOptions(snapshot_s=20.0), 1, id="a snapshot"),
+        pytest.param(RecordOptions(split_s=3.0), 5, id="parts, and their side file"),
+        pytest.param(RecordOptions(), 2, id="a file that was stopped, and the next one"),
+    ],
+)
+def test_the_summary_of_a_killed_recorder_has_the_files_that_are_there(
+    options: RecordOptions, count: int, tmp_path: Path
+) -> None:
+    notes: list[Note] = []
+    recorder = Recorder(
+        tmp_path / "box.mcap", samples.SESSION, qos_of=lambda _topic, _type: None, on_note=notes.append, rule=RULE,
+        clock=SystemClock(), options=options,
+    )  # fmt: skip
+    entries = _with_marks(2.0, 8.0, labels="slip late")
+    for entry in entries[:-1]:
+        recorder(entry)
+    if options.snapshot_s and not options.triggers:
+        recorder.snapshot().result(20)
+    elif not (options.snapshot_s or options.split_s):
+        recorder.stop().result(20)
+        recorder.start()
+    recorder(entries[-1])
+
+    def found() -> set[Path]:
+        return {path for path in tmp_path.rglob("*") if path.is_file()}
+
+    wait_until(lambda: len(found()) == count and len(recorder._files) >= count - bool(options.split_s))
+    (worker,) = workers(os.getpid())
+    os.kill(worker, signal.SIGKILL)
+    wait_until(lambda: any(note.code == FAILED for note in notes))
+    summary = recorder.close({})
+    assert set(summary.files) == found() and len(summary.files) == count
+    assert summary.size == sum(path.stat().st_size for path in found())
+    assert summary.path == tmp_path / ("box" if options.split_s else "box.mcap")
 
 
 def test_notes_about_the_end_of_the_recorder_are_no_losses(tmp_path: Path) -> None:
