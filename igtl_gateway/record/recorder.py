@@ -91,7 +91,6 @@ class Recorder:
         self._done, self._done_ns = 0, clock.monotonic_ns()  # what the worker had taken, and since when
         self._stalled = self._is_blocked = False
         self._summary: RecordingSummary | None = None
-        self._files: list[Path] = []  # all that were begun
         self._sending = threading.Lock()  # of the pipe
         settings = WorkerSettings(path, dict(session), self.options, rule or StateInputRule())
         try:
@@ -101,13 +100,14 @@ class Recorder:
         self._pipe, self._queue = self._place.pipe, self._place.queue
         self._pace = Pace(self._place.times)
         try:
-            refused = self._pipe.recv()
+            refused, begun = self._pipe.recv()
         except (EOFError, OSError):
-            refused = f"cannot record to {path}: the recorder did not start: {self._place.wait()}"
+            refused, begun = f"cannot record to {path}: the recorder did not start: {self._place.wait()}", []
         if refused:
             self._pipe.close()
             self._place.wait()
             raise RecordingError(refused)
+        self._files: list[Path] = list(map(Path, begun))
         self._thread = threading.Thread(target=self._listen, name="recorder", daemon=True)
         self._thread.start()
 

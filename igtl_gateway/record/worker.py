@@ -181,7 +181,9 @@ def run_worker(
     rank: Callable[[bool], bool] = lambda hurried: True,
     times: Times = lambda: None,
 ) -> None:
-    """Record until the other end requests the end, or has ended.  Reports first whether the file could be created.
+    """Record until the other end requests the end, or has ended.
+
+    Reports first why the file could not be created, or "", and which files were begun.
 
     ``orphaned``: whether the bridge has ended though the pipe is open: its forked processes have the pipe, too.
     ``times``: of this thread.
@@ -206,7 +208,7 @@ def _run_worker(
     except RecordingError as error:
         refused = str(error)
     with suppress(OSError):  # gone already: the file is closed like any other
-        pipe.send(refused)
+        pipe.send((refused, worker.take_begun() if worker else []))
     if worker:
         worker.run()
 
@@ -388,20 +390,18 @@ class _RecorderWorker:
             sealer=self._seals.next_file(path, alone=alone) if self._seals else None,
         )
         self._begun.append(str(path))
-        if self._runs:
-            self._tell_files()
+        if self._runs:  # if this process is killed, the other end knows them
+            self._send("files", self.take_begun())
         return writer
 
-    def _tell_files(self) -> None:
-        """Name the files that were begun: if this process is killed, the other end knows them."""
+    def take_begun(self) -> list[str]:
+        """Return the files that were begun and not named yet."""
         begun, self._begun = self._begun, []
-        if begun:
-            self._send("files", begun)
+        return begun
 
     def run(self) -> None:
         """Write what comes, until the end."""
         self._runs = True
-        self._tell_files()
         if self._refused_text:
             self._fail(self._refused_text)
         self._apply_retention()
