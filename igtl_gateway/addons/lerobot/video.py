@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from fractions import Fraction
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import numpy.typing as npt
@@ -102,9 +102,9 @@ def read_video(path: Path, size: tuple[int, int] | None = None) -> Iterator[tupl
     with open_file(path) as stream:
         length = os.fstat(stream.fileno()).st_size
         check_samples(stream, length, str(path))
-        deadline = deadline_of(path)
+        deadline, source = deadline_of(path), _Source(stream)
         try:
-            with av.open(stream, format="mp4") as file:
+            with av.open(source, format="mp4") as file:
                 if not file.streams.video:
                     raise DamagedRecording(f"{path}: found no video, expected one")
                 codec = file.streams.video[0].codec_context
@@ -121,7 +121,27 @@ def read_video(path: Path, size: tuple[int, int] | None = None) -> Iterator[tupl
                         with deadline.paused():
                             yield float(frame.time or 0.0), picture
         except (av.FFmpegError, OSError, ValueError, OverflowError, MemoryError) as error:
-            raise DamagedRecording(f"{path}: cannot be decoded: {_reason(error)}") from None
+            raise DamagedRecording(f"{path}: cannot be decoded: {_reason(source.error or error)}") from None
+
+
+class _Source:
+    """What FFmpeg reads: it would print a traceback of an error of the system, so the file ends there.
+
+    Attributes:
+        error: the error.
+    """
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        self.error: OSError | None = None
+        self.seek, self.tell = stream.seek, stream.tell
+
+    def read(self, size: int) -> bytes:
+        try:
+            return self._stream.read(size)
+        except OSError as error:
+            self.error = error
+            return b""
 
 
 def _check_size(path: Path, found: tuple[int, int], expected: tuple[int, int] | None) -> None:

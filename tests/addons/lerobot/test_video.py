@@ -73,3 +73,12 @@ def test_decoding_has_a_limit_of_time(path: Path, monkeypatch: pytest.MonkeyPatc
         pytest.raises(LimitExceeded, match=r"a\.mp4: found more than 3 s of work, expected at most 3 s \(--limit sec"),
     ):
         list(read_video(path))
+
+
+@pytest.mark.skipif(not Path("/proc/self/mem").exists(), reason="needs a file that cannot be read")
+def test_an_error_of_the_disk_is_one_sentence(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """FFmpeg's reader would print a traceback of it."""
+    (tmp_path / "a.mp4").symlink_to("/proc/self/mem")
+    with pytest.raises(DamagedRecording, match=r"a\.mp4: cannot be decoded: Input/output error"):
+        list(read_video(tmp_path / "a.mp4"))
+    assert capfd.readouterr() == ("", "")
