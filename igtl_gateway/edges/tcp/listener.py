@@ -66,6 +66,7 @@ class Listener:
         """An unexpected error of our own code: it is noted, and the listener pauses for a second."""
         self._reporter.note_error(exc)
         self._pause(NOTE_EVERY_S)
+        self._ask_to_admit()  # those that had come in before it
 
     def _accept(self, mask: int) -> None:
         """Take what has connected, while there is room."""

@@ -10,9 +10,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 import pytest
+from hypothesis.stateful import run_state_machine_as_test
 
 from igtl_gateway.edges.tcp import PeerLimits, listener, registry
 from igtl_gateway.edges.tcp.sockets import tune_socket
+from tests.edges.tcp import listener_model
+from tests.edges.tcp.listener_model import NONE, OWN_FAULT, Model
 from tests.edges.tcp.world import DEADLINE_S, HERE, World, message
 
 
@@ -123,3 +126,17 @@ def test_an_error_of_our_own_is_noted_and_the_next_peer_is_served(
     assert note.data["error"] == "ZeroDivisionError: our own fault"
     world.peer(port).send(message(1))
     assert seen.wait("frame", 1, 1) == [message(1)]
+
+
+def test_in_any_order_of_events_every_client_is_served(monkeypatch: pytest.MonkeyPatch) -> None:
+    listener_model.make_small(monkeypatch)
+    run_state_machine_as_test(Model)
+
+
+def test_who_came_before_an_error_of_our_own_is_served(monkeypatch: pytest.MonkeyPatch) -> None:
+    listener_model.make_small(monkeypatch)
+    model = Model()
+    model.come(2, HERE)
+    model.system.faults.extend([NONE, OWN_FAULT])
+    model.teardown()
+    assert model.linked == [f"{HERE}:1"]
