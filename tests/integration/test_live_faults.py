@@ -599,7 +599,7 @@ def killed(folder: Path) -> Killed:
         client.close()
         again.wait_code("link_down")
         finished = ended(again, paths[1])
-        orphan = Path(f"/proc/{recorder}").exists()
+        orphan = not ends(recorder)
         entries, ledger = read(paths[0])
         return Killed(
             entries,
@@ -616,6 +616,16 @@ def killed(folder: Path) -> Killed:
             orphan,
             [name for name in memory if Path(name).exists()],
         )
+
+
+def ends(process: int) -> bool:
+    """Wait until a process has ended; False if it does not."""
+    deadline = time.monotonic() + TIMEOUT_S
+    while is_there := Path(f"/proc/{process}").exists():
+        if time.monotonic() > deadline:
+            break
+        time.sleep(0.02)
+    return not is_there
 
 
 def shared_memory(process: int) -> list[str]:

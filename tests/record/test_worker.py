@@ -6,7 +6,7 @@ import random
 import subprocess
 import sys
 import threading
-import time
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import count
 from multiprocessing import Pipe
@@ -17,12 +17,14 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 
 from igtl_gateway.base.clock import Clock, ManualClock, SystemClock
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record import host, shared_queue
 from igtl_gateway.record.host import WorkerHost, in_process, in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.seal.keys import SigningKey
+from igtl_gateway.record.selection import StateInputRule
 from igtl_gateway.record.sessionfile import stream
 from igtl_gateway.record.sessionfile.chunk_rows import add_rows
 from igtl_gateway.record.sessionfile.reader import SessionFile
@@ -230,36 +232,44 @@ def test_pictures_around_the_end_of_the_ring(tmp_path: Path, monkeypatch: pytest
         assert list(file.entries()) == put
 
 
+class Bridge:
+    """The worker's end of the pipe to a bridge.  It waits in the time of a clock, to which no load adds anything.
+
+    Args:
+        put: called after two seconds; after three the bridge is gone.
+    """
+
+    def __init__(self, clock: ManualClock, put: Callable[[], object]) -> None:
+        self.polls: list[int] = []
+        self.written: list[int] = []  # when the worker has reported it
+        self._clock = clock
+        self._put = put
+
+    def send(self, words: Any) -> None:
+        if words and words[0] == "state" and words[1].written_entries:
+            self.written.append(self._clock.monotonic_ns())
+
+    def poll(self, timeout: float | None = 0.0) -> bool:
+        before_ns = self._clock.monotonic_ns()
+        self.polls.append(before_ns)
+        self._clock.advance(round((timeout or 0.0) * NS_PER_S))
+        if before_ns < 2 * NS_PER_S <= self._clock.monotonic_ns():
+            self._put()
+        return self._clock.monotonic_ns() >= 3 * NS_PER_S
+
+    def recv(self) -> None:
+        raise EOFError
+
+
 def test_a_queue_in_which_nothing_comes_is_polled_once_in_a_flush_interval(tmp_path: Path) -> None:
-    polls: list[float] = []
-
-    def orphaned() -> bool:  # asked at each poll that no signal ended
-        polls.append(time.monotonic())
-        return False
-
-    def host(settings: WorkerSettings, clock: Clock) -> WorkerHost:
-        ours, theirs = Pipe()
-        place = memory(QUEUE_BYTES, QUEUE_BYTES)
-        getter, putter = QueueReader(place), QueueWriter(place, 1000, QUEUE_BYTES)
-        arguments = (settings, getter, theirs, clock, orphaned, lambda hurried: True)
-        threading.Thread(target=run_worker, args=arguments, daemon=True).start()
-        return WorkerHost(ours, putter, lambda: "its end")
-
-    recorder = Recorder(
-        tmp_path / "a.mcap",
-        samples.SESSION,
-        qos_of=lambda *_: None,
-        on_note=lambda note: None,
-        clock=SystemClock(),
-        options=RecordOptions(flush_s=0.5),
-        host=host,
-    )
-    time.sleep(2.0)
-    assert len(polls) <= 8, "twenty times a second at first, then twice"
-    recorder(samples.igtl(1))
-    time.sleep(1.0)
-    assert recorder.counters()["written_entries"] == 1, "within the interval"
-    assert recorder.close({}).entries == 1
+    clock, place = ManualClock(samples.START_NS), memory(QUEUE_BYTES, QUEUE_BYTES)
+    writer = QueueWriter(place, 1000, QUEUE_BYTES)
+    bridge: Any = Bridge(clock, lambda: writer.put(samples.igtl(1)))
+    settings = WorkerSettings(tmp_path / "a.mcap", samples.SESSION, RecordOptions(flush_s=0.5), StateInputRule())
+    run_worker(settings, QueueReader(place), bridge, clock)
+    idle = [at_ns for at_ns in bridge.polls if at_ns < 2 * NS_PER_S]
+    assert len(idle) <= 8, "twenty times a second at first, then twice"
+    assert bridge.written[0] - 2 * NS_PER_S <= NS_PER_S // 2, "within the interval"
 
 
 def test_its_process_imports_no_gateway_and_no_numpy() -> None:
