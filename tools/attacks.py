@@ -85,8 +85,11 @@ def _attacks() -> dict[str, list[bytes]]:
     return made
 
 
+#: What a program sends that has a connection for each message.
+_STRING = message("STRING", struct.pack(">HH", 3, 5) + b"Hello")
+
 #: Attacks that are made of connections.
-_MANNERS = ("connect and leave", "half a header", "a message and reset")
+_MANNERS = ("connect and leave", "half a header", "a message and reset", "a message and leave")
 
 
 def names() -> list[str]:
@@ -168,6 +171,7 @@ def churn(manner: str, port: int, links: int, rate: float, seconds: float) -> in
         "connect and leave": lambda sock: None,
         "half a header": lambda sock: sock.sendall(bytes(29)),
         "a message and reset": _reset,
+        "a message and leave": lambda sock: sock.sendall(_STRING),
     }
     print("ready", flush=True)
     begun, open_links = time.monotonic(), list[socket.socket]()

@@ -197,6 +197,18 @@ def test_beside_a_thousand_that_came_and_left_a_new_peer_is_served_at_once(world
     assert seen.of("frame").index(message(5000)) < 100
 
 
+def test_each_of_two_hundred_that_leave_a_message_at_once_is_heard(world: World) -> None:
+    """A program may have a connection for each message."""
+    edge, seen = world.edge()
+    _, port = edge.listen("127.0.0.1", 0)
+    for number in range(200):
+        with socket.create_connection(("127.0.0.1", port), DEADLINE_S) as sock:
+            sock.sendall(message(number))
+    edge.start()
+    assert seen.wait("frame", 200) == [message(number) for number in range(200)]
+    assert not edge.refused()
+
+
 def test_a_crowd_that_comes_and_leaves_makes_few_links(world: World) -> None:
     edge, seen = world.edge()
     _, port = edge.listen("127.0.0.1", 0)
