@@ -163,18 +163,19 @@ class PartsWriter:
             self._rests = True
             self._end(ledger, last_part=False)
 
-    def abandon(self) -> int:
-        """Leave a part that cannot be written further, and rest; return how many entries it may not have."""
+    def abandon(self) -> tuple[int, bool]:
+        """Leave a part that cannot be written further, and rest; as SoleFile.abandon."""
         if self._rests or self._ended:
             self._rests = True
-            return 0
+            return 0, False
         part = self._part
         if not part.has_failed:
-            return 0
+            return 0, False
         self._rests = self._ended = True
-        self._left.append(part.path)
+        if not part.was_taken:
+            self._left.append(part.path)
         self._left_entries += part.flushed_entries
-        return part.entries - part.flushed_entries
+        return part.entries - part.flushed_entries, part.was_taken
 
     def begin(self) -> Path:
         """Begin the next part after a rest, and return its path.  Raises RecordingError."""
@@ -217,8 +218,6 @@ class PartsWriter:
         return found
 
     def _next(self) -> None:
-        if self._parts or self._left or not self._rests:
-            self._previous = self._part.path.name
         self._asked = False
         number = self._number + 1
         while (path := part_path(self.path, number)) not in self._old and os.path.lexists(path):
@@ -239,7 +238,10 @@ class PartsWriter:
         facts = {layout.PART_KEY: str(number)}
         if self._previous:
             facts[layout.PREVIOUS_KEY] = self._previous
-        return self._open_part(part_path(self.path, number), facts, self._prologue.entries())
+        path = part_path(self.path, number)
+        part = self._open_part(path, facts, self._prologue.entries())
+        self._previous = path.name
+        return part
 
     def _end(self, ledger: dict[str, Any], *, last_part: bool = True) -> None:
         part = self._part

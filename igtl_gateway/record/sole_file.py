@@ -114,16 +114,20 @@ class SoleFile:
             self._closed_entries += self.file.entries
             self._previous, self.file = self.file.path.name, None
 
-    def abandon(self) -> int:
-        """Leave a file that cannot be written further, and rest; return how many entries it may not have."""
+    def abandon(self) -> tuple[int, bool]:
+        """Leave a file that cannot be written further, and rest.
+
+        Returns how many entries it may not have, and whether it was taken away: then it is not a file of the recording.
+        """
         file = self.file
         if file is None or not file.has_failed:
-            return 0
+            return 0, False
         self.file = None
-        self._closed.append(file.path)
+        if not file.was_taken:
+            self._closed.append(file.path)
         self._closed_entries += file.flushed_entries
         self._previous = file.path.name
-        return file.entries - file.flushed_entries
+        return file.entries - file.flushed_entries, file.was_taken
 
     def begin(self) -> Path:
         """Open the next file after a rest, and return its path.  Raises RecordingError."""

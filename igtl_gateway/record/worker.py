@@ -870,10 +870,10 @@ class _RecorderWorker:
 
     def _abandon(self, writer: SoleFile | PartsWriter) -> None:
         """Leave a file that cannot be written further."""
-        path = writer.present
         self._row_writer = None
-        if lost := writer.abandon():
-            self._dropped[UNFLUSHED if path and path.exists() else TAKEN] += lost
+        lost, was_taken = writer.abandon()
+        if lost:
+            self._dropped[TAKEN if was_taken else UNFLUSHED] += lost
 
     # -- the end ----------------------------------------------------------------------------------------------
 

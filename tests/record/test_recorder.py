@@ -870,15 +870,20 @@ def test_a_file_that_is_taken_away_ends_the_recording_if_that_is_to_stop(
     assert (note.level, note.code) == (Level.ERROR, worker_module.FAILED)
     assert words in note.text and "the bridge stops" in note.text
     assert words in bench.recorder.failure
-    assert words in bench.recorder.close({}).failure
+    summary = bench.recorder.close({})
+    assert words in summary.failure
+    assert (summary.entries, summary.dropped, summary.files) == (0, {worker_module.TAKEN: 2}, ())
 
 
 def test_a_folder_that_is_taken_away_ends_the_recording(tmp_path: Path) -> None:
     path = tmp_path / "folder" / "session.mcap"
     path.parent.mkdir()
     bench = Bench(path)
+    empty = path.stat().st_size
     bench.recorder(samples.ros(1))
     bench.wait_drained()
+    bench.clock.advance(1_000_000_000)
+    wait_until(lambda: path.stat().st_size > empty)
     _remove_folder(path)
     bench.clock.advance(1_000_000_000)
     bench.recorder(samples.ros(2))
@@ -886,7 +891,35 @@ def test_a_folder_that_is_taken_away_ends_the_recording(tmp_path: Path) -> None:
     (note,) = bench.notes
     assert note.code == worker_module.FAILED
     assert "the file was removed" in note.text and "the bridge goes on without recording" in note.text
-    assert "there is no folder" in bench.recorder.close({}).failure
+    summary = bench.recorder.close({})
+    assert "there is no folder" in summary.failure
+    assert (summary.entries, summary.dropped, summary.files) == (0, {worker_module.TAKEN: 2}, ())
+
+
+@pytest.mark.parametrize("split", [False, True], ids=["one file", "parts"])
+def test_the_next_start_after_a_file_was_taken_away_names_it(tmp_path: Path, split: bool) -> None:
+    place = tmp_path / "folder"
+    place.mkdir()
+    bench = Bench(place / "session.mcap", split_bytes=(1 << 30) * split)
+    folder = place / "session" if split else place
+    first = folder / ("session_0.mcap" if split else "session.mcap")
+    empty = first.stat().st_size
+    bench.recorder(samples.ros(1))
+    bench.wait_drained()
+    bench.clock.advance(1_000_000_000)
+    wait_until(lambda: first.stat().st_size > empty)
+    _remove_folder(place / "session.mcap")
+    bench.clock.advance(1_000_000_000)
+    bench.wait_notes(1)
+    place.mkdir()
+    bench.recorder.start()
+    wait_until(lambda: not bench.recorder.rests)
+    bench.recorder(samples.ros(2))
+    summary = bench.recorder.close({})
+    (second,) = [path for path in summary.files if path.suffix == ".mcap"]
+    assert (summary.entries, summary.dropped) == (1, {worker_module.TAKEN: 1})
+    with SessionFile.open(second) as file:
+        assert file.session["previous_part"] == first.name
 
 
 @pytest.mark.parametrize("sealed", [False, True], ids=["not sealed", "sealed"])

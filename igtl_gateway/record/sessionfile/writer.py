@@ -91,8 +91,10 @@ class SessionWriter:
         sealer: Sealer | None = None,
     ) -> None:
         self.path = path
-        #: Entries written so far, and at the last flush: a failure of the disk may cost those in between.
+        #: Entries written so far, and those that a failure leaves: as of the last flush, none of a file taken away.
         self.entries = self.flushed_entries = 0
+        #: Whether another program has removed, replaced or changed the file.
+        self.was_taken = False
         #: Stamps of the first and the last one, 0 before there is one.
         self.start_ns = self.end_ns = 0
         #: ROS types without a definition: their messages are recorded, but other tools cannot decode them.
@@ -324,8 +326,10 @@ class SessionWriter:
         """After an error the contents of file and buffers are unknown, so nothing more is written."""
         self._failure = f"recording to {self.path} failed: {os_error_text(error)}"
         self._abandon()
-        kind = FileTaken if isinstance(error, _TakenAway) else RecordingError
-        return kind(self._failure)
+        if isinstance(error, _TakenAway):
+            self.was_taken, self.flushed_entries = True, 0
+            return FileTaken(self._failure)
+        return RecordingError(self._failure)
 
     def _abandon(self) -> None:
         """Close the file without another attempt to write."""
