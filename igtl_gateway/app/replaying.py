@@ -18,11 +18,12 @@ from igtl_gateway.app.replay_plan import check_sends, check_streams, plan_replay
 from igtl_gateway.app.replay_sides import ReplaySides, open_sides
 from igtl_gateway.app.rows import with_sends
 from igtl_gateway.base.clock import SystemClock
-from igtl_gateway.base.errors import ConfigError, GatewayError
+from igtl_gateway.base.errors import GatewayError
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.config.faults import LOSS, Fate, Faults
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.replay.moment import check_part
 from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.replay.recorded_marks import marked_moment, marks_of
 from igtl_gateway.replay.restamp import Restamper
@@ -206,22 +207,12 @@ def _part(options: ReplayOptions, file: SessionFile) -> tuple[int | None, int | 
     marks = partial(marks_of, file)
     if options.start is not None:
         start_ns = marked_moment(options.start, file.start_ns, "--start", marks)
-        end = since_text(file.start_ns, file.end_ns)
-        if start_ns > file.end_ns:
-            raise ConfigError(f"--start: found {since_text(file.start_ns, start_ns)}, expected at most {end}")
     if options.end is not None:
         end_ns = marked_moment(options.end, file.start_ns, "--end", marks)
     elif options.duration is not None:
         end_ns = (file.start_ns if start_ns is None else start_ns) + round(options.duration * NS_PER_S)
-    if end_ns is not None and end_ns < (start_ns or file.start_ns):
-        expected = since_text(file.start_ns, start_ns or file.start_ns)
-        raise ConfigError(f"--end: found {since_text(file.start_ns, end_ns)}, expected at least {expected}")
+    check_part(start_ns, end_ns, file.start_ns, file.end_ns, is_empty_part=False)
     return start_ns, end_ns
-
-
-def since_text(start_ns: int, recorded_ns: int | None) -> str:
-    """Return a recorded time for people, from ``start_ns``."""
-    return "the beginning" if recorded_ns is None else f"{(recorded_ns - start_ns) / NS_PER_S:+.3f} s"
 
 
 def _restamper(options: ReplayOptions, file: SessionFile, tell: Callable[[str], None]) -> Restamper | None:

@@ -11,7 +11,7 @@ from igtl_gateway.app.player import Jump, Player
 from igtl_gateway.app.player_services import PlayerServices
 from igtl_gateway.app.replay_options import REPLAY, ReplayOptions
 from igtl_gateway.app.replay_sides import ReplaySides
-from igtl_gateway.app.replaying import ReplayEvents, run_replay, since_text
+from igtl_gateway.app.replaying import ReplayEvents, run_replay
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.cli.common import stop_event
 from igtl_gateway.cli.keys import FASTER, HELP, NEXT, PAUSE, QUIT, SLOWER, can_read_keys, keyboard, read_lines
@@ -24,6 +24,7 @@ from igtl_gateway.config.faults import Fate
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.replay.moment import since_text
 
 EXAMPLES = """\
   # serve the session to the first client

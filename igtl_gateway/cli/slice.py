@@ -10,7 +10,6 @@ from pathlib import Path
 
 from igtl_gateway.base.errors import ConfigError, UnsupportedRecording
 from igtl_gateway.base.qos import Qos
-from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.files import is_same
 from igtl_gateway.base.version import __version__
 from igtl_gateway.cli.common import count_text, size_text
@@ -31,6 +30,7 @@ from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.beside import written
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
+from igtl_gateway.replay.moment import check_part
 from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.replay.recorded_marks import carry_marks, marked_moment, marks_of
 from igtl_gateway.replay.slice import Slice, SliceReport, SliceWindow
@@ -80,13 +80,16 @@ def run(options: argparse.Namespace) -> int:
         if is_same(options.output, options.file):
             raise ConfigError(f"{options.output}: found the recording itself, expected another file to write to")
         marks = partial(marks_of, file)
+        start_ns, end_ns = (
+            None if text is None else marked_moment(text, file.start_ns, name, marks)
+            for name, text in (("--start", options.start), ("--end", options.end))
+        )
+        check_part(start_ns, end_ns, file.start_ns, file.end_ns, is_empty_part=True)
         window = SliceWindow(
-            file.start_ns if options.start is None else marked_moment(options.start, file.start_ns, "--start", marks),
-            file.end_ns + 1 if options.end is None else marked_moment(options.end, file.start_ns, "--end", marks),
+            file.start_ns if start_ns is None else start_ns,
+            file.end_ns + 1 if end_ns is None else end_ns,
             tuple(options.streams),
         )
-        if window.start_ns >= window.end_ns:
-            raise ConfigError(f"--start, --end: found an end {_apart(window)} the start, expected one after it")
         _check_streams(file, options.streams)
         part = Slice(
             file.entries, config_to_run(file.session, options.config), window, file.entries_starting_at, file.prologue()
@@ -123,11 +126,6 @@ def _unlogged(marks: Sequence[Mark], part: Path, start_ns: int) -> list[Mark]:
         for mark in marks
         if mark.is_added or (mark.time_ns >= start_ns and (mark.label, mark.time_ns) not in known)
     ]
-
-
-def _apart(window: SliceWindow) -> str:
-    apart_ns = window.start_ns - window.end_ns
-    return f"{apart_ns / NS_PER_S:g} s before" if apart_ns else "at"
 
 
 def _write(file: SessionFile, part: Slice, window: SliceWindow, options: argparse.Namespace) -> None:

@@ -186,12 +186,15 @@ def is_gateway(observed: Observer) -> Iterator[RuleMatch]:
 def disconnects_at_version(observed: Observer) -> Iterator[RuleMatch]:
     """A peer disconnects immediately after a message.
 
-    In a recording one case is not a finding, because people stop programs.  A program that cannot read a header version
+    One that left inside its own first message, or sent another protocol, has not left for what it received.  In a
+    recording one case is not a finding, because people stop programs.  A program that cannot read a header version
     reconnects and disconnects again and again.
     """
     matches: dict[tuple[str, int], list[RuleMatch]] = {}
     for peer in observed.peers.values():
         if not peer.down_ns or not peer.reason.startswith(("closed by the peer", "receiving failed")):
+            continue
+        if peer.head and not peer.messages:
             continue
         for version, sent_ns in peer.first_sent_ns.items():
             after_ns = peer.down_ns - sent_ns

@@ -38,6 +38,28 @@ def moment(text: str, start_ns: int, option: str) -> int:
     return _checked(ns if seconds >= FIRST_UTC_S else start_ns + ns, text, option)
 
 
+def since_text(start_ns: int, recorded_ns: int | None) -> str:
+    """Return a recorded time for people, from ``start_ns``."""
+    return "the beginning" if recorded_ns is None else f"{(recorded_ns - start_ns) / NS_PER_S:+.3f} s"
+
+
+def check_part(start_ns: int | None, end_ns: int | None, first_ns: int, last_ns: int, *, is_empty_part: bool) -> None:
+    """Raise ConfigError unless a part of a recording, from --start to --end, can hold a message.
+
+    Args:
+        start_ns, end_ns: UTC ns; None: of the recording.
+        first_ns, last_ns: of the recording, UTC ns.
+        is_empty_part: a part whose end is its start has nothing.
+    """
+    begin_ns = first_ns if start_ns is None else start_ns
+    if begin_ns > last_ns:
+        found, expected = since_text(first_ns, begin_ns), since_text(first_ns, last_ns)
+        raise ConfigError(f"--start: found {found}, expected at most {expected}")
+    if end_ns is not None and end_ns < begin_ns + is_empty_part:
+        found, expected = since_text(first_ns, end_ns), since_text(first_ns, begin_ns)
+        raise ConfigError(f"--end: found {found}, expected {'after' if is_empty_part else 'at least'} {expected}")
+
+
 def _iso(text: str, option: str) -> int:
     try:
         time = iso_time(text)

@@ -77,9 +77,12 @@ def test_equal_slices_are_equal_files(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (["--start", "2", "--end", "1"], "--end"),
-        (["--start", "soon"], "--start"),
-        (["--end", "0"], "--end"),
+        (["--start", "2", "--end", "1"], "--end: found +1.000 s, expected after +2.000 s"),
+        (["--start", "2", "--end", "2"], "--end: found +2.000 s, expected after +2.000 s"),
+        (["--start", "100"], "--start: found +100.000 s, expected at most +"),
+        (["--start", "100", "--end", "101"], "--start: found +100.000 s, expected at most +"),
+        (["--start", "soon"], "--start: found 'soon'"),
+        (["--end", "0"], "--end: found +0.000 s, expected after +0.000 s"),
     ],
 )
 def test_what_makes_no_window_is_refused(

@@ -128,6 +128,18 @@ CASES: dict[str, tuple[Callable[[], Scene], list[str]]] = {
     "announces too much": (lambda: poses(scene(), [1e2]).note("too_large", 1, head="0001" + b"IMAGE".hex()), ["E110"]),
     "cut": (lambda: poses(scene(), [100]).note("truncated", 1, head="0001" + b"IMAGE".hex()), ["W109"]),
     "leaves at a version": (lambda: scene(CLIENT).send(2).down(received_bytes=1), ["E203"]),
+    "leaves at a version, inside a later message": (
+        lambda: poses(scene(CLIENT), [100]).send(2).note("truncated", 1, head="0001" + b"IMAGE".hex()).down(),
+        ["E203", "W109"],
+    ),
+    "leaves inside its first message": (
+        lambda: scene(CLIENT).send(2).note("truncated", 1, head="0001" + b"IMAGE".hex()).down(received_bytes=8),
+        ["W109"],
+    ),
+    "speaks TLS": (
+        lambda: scene(CLIENT).send(1).note("truncated", 1, head="160301").down(received_bytes=3),
+        ["E107"],
+    ),
     "left by chance": (lambda: poses(scene(), [100]).send(2).down(), []),
     "left later": (lambda: scene(CLIENT).send(2).after(2 * NS_PER_S).down(received_bytes=1), []),
     "comes and goes": (
