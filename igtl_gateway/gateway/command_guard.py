@@ -25,7 +25,7 @@ from igtl_gateway.convert.common_msgs import JointState, PoseStamped
 from igtl_gateway.convert.crtk import STATE_COMMANDS, Motion, namespaces, row_of
 from igtl_gateway.convert.poses import determinant, distance_from_rotation, nearest_quaternion, unit_quaternion
 from igtl_gateway.convert.units import LengthUnits
-from igtl_gateway.gateway.command_motion import LONGEST_NS, Motions, check_joint_speed, check_pose_speed
+from igtl_gateway.gateway.command_motion import LONGEST_NS, SHOWN_NS, Motions, check_joint_speed, check_pose_speed
 from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.robot_command import Refused, RobotCommand, SetPoint
@@ -179,8 +179,8 @@ class CommandGuard:
             found = f"a deviation of {off:.3g}" if off > _NOT_RIGID else "a reflection"
             raise Refused("command_not_rigid", f"{device}: found {found}, expected an orthonormal rotation matrix")
         measured = self._measured_pose(command)
-        frame = arms.frame_id or (measured.frame if measured else None)
-        if command.frame_id and frame is None:
+        frame = self._frame(command, measured)
+        if frame is None and command.frame_id:
             raise Refused(
                 "command_unknown_state",
                 f"{device}: found frame {command.frame_id[:80]!r} and no {command.base}/measured_cp of the last "
@@ -189,13 +189,27 @@ class CommandGuard:
         if frame is None:
             frame = self._motions.frame_of_stream(command)
         point.frame = frame
-        if command.frame_id and frame and command.frame_id != frame:
+        if command.frame_id and command.frame_id != frame:
             raise Refused("command_frame", f"{device}: found frame {command.frame_id[:80]!r}, expected {frame!r}")
         _check_workspace(device, arms.workspace, place)
         if command.name.streamed and (arms.max_speed or arms.max_turn_speed):
             reaches = self._motions.reaches(command, measured, "measured_cp", frame)
             check_pose_speed(command, place, point.rotation, reaches)
-        return frame or command.frame_id
+        return frame or ""
+
+    def _frame(self, command: RobotCommand, measured: SetPoint | None) -> str | None:
+        """Return the frame of the poses of an arm; None if nothing shows it.
+
+        An arm that names no frame has that of the configuration.  Raises Refused if it names another one.
+        """
+        configured, shown = command.arms.frame_id, measured.frame if measured else None
+        if configured and shown and shown != configured:
+            raise Refused(
+                "command_frame",
+                f"{command.device}: found {command.base}/measured_cp in frame {shown[:80]!r}, expected "
+                f"{configured!r} (frame_id)",
+            )
+        return configured or shown
 
     def _measured_pose(self, command: RobotCommand) -> SetPoint | None:
         """Return the last measured pose of the arm, unless it is invalid or too old."""
@@ -250,8 +264,9 @@ class CommandGuard:
     def _goal_of_steps(self, command: RobotCommand, steps: Sequence[float], measured: SetPoint) -> list[float]:
         """Return where the steps of a relative command end at the farthest: the state might not show earlier steps.
 
-        The speed limit bounds the earlier steps of a stream; the first that the state does not show may have made use
-        of ``LONGEST_NS``.  Steps without it have no bound, so that they need a later state.  Raises Refused.
+        The speed limit bounds the earlier steps of a stream: those since ``SHOWN_NS`` before the state, of which the
+        first may have made use of ``LONGEST_NS``.  Steps without it have no bound, so that they need a later state.
+        Raises Refused.
         """
         if not self._motions.moved_since(command, measured):
             return [at + step for at, step in zip(measured.values, steps, strict=True)]
@@ -260,11 +275,11 @@ class CommandGuard:
             if command.arms.joint_min:
                 raise Refused(
                     "command_unknown_state",
-                    f"{command.device}: found no {command.base}/measured_js after the last command to {command.arm}, "
-                    "expected one for the range",
+                    f"{command.device}: found no {command.base}/measured_js {SHOWN_NS // NS_PER_MS} ms after the last "
+                    f"command to {command.arm}, expected one for the range",
                 )
             return [at + step for at, step in zip(measured.values, steps, strict=True)]
-        unseen_s = (command.arrived_ns - measured.arrived_ns + LONGEST_NS) / NS_PER_S
+        unseen_s = (command.arrived_ns - measured.arrived_ns + SHOWN_NS + LONGEST_NS) / NS_PER_S
         limits = speeds * len(steps) if len(speeds) == 1 else speeds
         if len(limits) != len(steps):
             limits = (max(speeds),) * len(steps)
@@ -282,7 +297,8 @@ class CommandGuard:
         except ConversionError:
             return None
         values = np.asarray(joints.position, float)
-        valid = len(values) and np.isfinite(values).all() and joints.header.stamp_ns > 0
+        named = len(joints.name) in (0, len(values))
+        valid = named and len(values) and np.isfinite(values).all() and joints.header.stamp_ns > 0
         return SetPoint(entry.stamp_ns, joints.header.stamp_ns, values.tolist()) if valid else None
 
 

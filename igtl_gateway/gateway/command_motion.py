@@ -23,6 +23,8 @@ from igtl_gateway.gateway.robot_command import Refused, RobotCommand, SetPoint
 LONGEST_NS = 100 * NS_PER_MS
 #: A command may begin as far from the measured state as the arm moves in this time: what noise and lag need.
 BEGIN_NS = 20 * NS_PER_MS
+#: A measured state shows the commands that arrived this long before it: what a robot and its network take.
+SHOWN_NS = 50 * NS_PER_MS
 #: After this time without a command, the measured state counts, and another command may move the arm.
 PAUSE_NS = 500 * NS_PER_MS
 
@@ -59,9 +61,9 @@ class Motions:
         return last.frame if last and goes_on else None
 
     def moved_since(self, command: RobotCommand, measured: SetPoint) -> bool:
-        """Return whether the arm has had a command since a state was measured."""
+        """Return whether the arm has had a command that a state does not show."""
         _, point = self._of_arm.get(command.arm, ("", None))
-        return point is not None and point.arrived_ns > measured.arrived_ns
+        return point is not None and point.arrived_ns + SHOWN_NS > measured.arrived_ns
 
     def reaches(
         self, command: RobotCommand, measured: SetPoint | None, state: str, frame: str | None = None
@@ -93,8 +95,8 @@ class Motions:
         if measured is None or self.moved_since(command, measured):
             raise Refused(
                 "command_unknown_state",
-                f"{device}: found no {command.base}/{state} of the last second and after the last command, "
-                "expected one for the speed limit",
+                f"{device}: found no {command.base}/{state} of the last second and {_ms(SHOWN_NS)} ms after the last "
+                "command, expected one for the speed limit",
             )
         begin = [Reach(measured, BEGIN_NS, f"from {command.base}/{state}")]
         return [*begin, Reach(last, passed_ns, "from the last one")] if last and not other_frame else begin

@@ -449,3 +449,14 @@ def test_random_sessions_verify(steps: list[tuple[int, int, tuple[float, float, 
                 script.igtl(Message("NDARRAY", "PSM2/measured_js", joint_array(x), stamp))
     report = verify(iter(script.log), Config.from_dict(config.to_dict()))
     assert report.good, report.differences[0]
+
+
+@table("names", [JOINTS.name[:2], (*JOINTS.name, "roll")])
+def test_a_state_whose_names_do_not_fit_its_joints_is_none(names: tuple[str, ...]) -> None:
+    """Of sensor_msgs/JointState: all arrays have the same length.  It is not known which joints are shown."""
+    script = arm()
+    command = Sensor(np.zeros(len(JOINTS.position), ">f8"))
+    script.ros("/PSM1/measured_js", JointState(Header(script.now_ns), names, JOINTS.position))
+    assert send(script, "move_jp", command, "SENSOR") == ["note command_unknown_state"]
+    script.ros("/PSM1/measured_js", JointState(Header(script.now_ns), (), JOINTS.position))
+    assert send(script, "move_jp", command, "SENSOR") == ["ros /PSM1/move_jp"]

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import math
 import os
+from collections import Counter
 from typing import Any
 
 import numpy as np
 import pytest
 
-from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.base.stamp import NS_PER_MS, ns_to_ticks
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.arms import ArmsRow
 from igtl_gateway.convert.common_msgs import JointState, PoseStamped
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.gateway.log.entry import Kind
-from igtl_gateway.wire import Message
+from igtl_gateway.gateway.log.fates import REFUSED_COMMANDS
+from igtl_gateway.wire import Item, Message
 from igtl_gateway.wire.sensor import Sensor
 from igtl_gateway.wire.text import String
 from igtl_gateway.wire.transform import Transform
@@ -24,7 +26,7 @@ from tests.script import T0_NS, Script
 from tests.tables import table
 
 #: Worlds of the gate, and of a search: IGTL_GATEWAY_WORLDS=10000.
-WORLDS = int(os.environ.get("IGTL_GATEWAY_WORLDS", "40"))
+WORLDS = int(os.environ.get("IGTL_GATEWAY_WORLDS", "150"))
 _COMMANDS = ("*/servo_*", "*/*/servo_*", "*/move_*", "*/state_command")
 _MOTION = {"command_speed", "command_joint_speed", "command_unknown_state"}
 
@@ -285,7 +287,7 @@ def test_steps_that_the_state_does_not_show_yet_do_not_pass_the_range() -> None:
         now_ns += 10 * NS_PER_MS
         codes.append(robot.servo(0.0099, now_ns, now_ns, "servo_jr"))
         total += 0.0099 * (not codes[-1])
-    assert 0.15 < total <= 0.3, f"{total:.3f} rad"
+    assert 0.1 < total <= 0.3, f"{total:.3f} rad"
     assert codes[0] == "" and codes[-1] == "command_joint_range"
 
 
@@ -314,9 +316,37 @@ def test_steps_without_a_speed_limit_need_a_state_after_the_last_command(
     assert robot.servo(0.0 if before else 0.2, now_ns, now_ns, before or name) == ""
     now_ns += 10 * NS_PER_MS
     assert robot.servo(0.2, now_ns, now_ns, name) == "command_unknown_state"
+    robot.now_ns += 60 * NS_PER_MS
     robot.measure(0.05)
-    now_ns += 10 * NS_PER_MS
+    now_ns += 70 * NS_PER_MS
     assert robot.servo(0.2, now_ns, now_ns, name) == ""
+
+
+@pytest.mark.parametrize(("name", "speed"), [("move_jr", (1.0,)), ("servo_jr", ())])
+def test_a_state_that_was_on_its_way_does_not_show_the_last_steps(name: str, speed: tuple[float, ...]) -> None:
+    """It was measured before the first step of 0.2 rad, and came 1 ms after it: a second one would end at 0.4."""
+    robot = Robot(joint_min=(-0.3, -1.0), joint_max=(0.3, 1.0), joint_speed=speed)
+    start_ns = robot.now_ns
+    assert robot.servo(0.2, start_ns + 10 * NS_PER_MS, start_ns + 10 * NS_PER_MS, name) == ""
+    for ms, place, code in ((11, 0.0, "command_unknown_state"), (57, 0.0, "command_unknown_state"), (61, 0.05, "")):
+        robot.now_ns = start_ns + (ms - 1) * NS_PER_MS
+        robot.measure(place)
+        at_ns = start_ns + (ms + 1) * NS_PER_MS
+        assert robot.servo(0.2, at_ns, at_ns, name) == code, ms
+
+
+def test_a_stream_of_steps_keeps_within_the_range_of_an_arm_that_is_50_ms_late() -> None:
+    """Each state comes after the last step, and shows where the arm was commanded to be 50 ms earlier."""
+    robot = Robot(joint_min=(-0.3, -1.0), joint_max=(0.3, 1.0))
+    start_ns = robot.now_ns
+    where = {0: 0.0}
+    for ms in range(10, 800, 10):
+        robot.now_ns = start_ns + (ms - 2) * NS_PER_MS
+        robot.measure(where[max((at for at in where if at <= ms - 50), default=0)])
+        at_ns = start_ns + ms * NS_PER_MS
+        passed = robot.servo(0.0099, at_ns, at_ns, "servo_jr") == ""
+        where[ms] = where[max(where)] + 0.0099 * passed
+    assert 0.1 < where[max(where)] <= 0.3, f"{where[max(where)]:.3f} rad"
 
 
 # -- frames -----------------------------------------------------------------------------------------------------------
@@ -337,6 +367,31 @@ def test_a_stream_does_not_go_on_in_another_frame() -> None:
         robot.now_ns = max(robot.now_ns, now_ns + (ms - 5) * NS_PER_MS)
         measure("ECM", 0.1)
         assert robot.servo(x, now_ns + ms * NS_PER_MS, now_ns + ms * NS_PER_MS) == code, ms
+
+
+@pytest.mark.parametrize("name", ["servo_cp", "move_cp"])
+@pytest.mark.parametrize(
+    ("shown", "configured", "named", "code"),
+    [
+        ("PSM1_base", "ECM", "", "command_frame"),  # the same numbers are another place
+        ("PSM1_base", "ECM", "ECM", "command_frame"),
+        ("", "", "camera", "command_frame"),  # nothing confirms it
+        ("", "ECM", "ECM", ""),
+        ("", "ECM", "", ""),
+        ("", "", "", ""),
+    ],
+)
+def test_a_pose_is_in_the_frame_that_the_arm_shows(
+    name: str, shown: str, configured: str, named: str, code: str
+) -> None:
+    robot = Robot(frame_id=configured)
+    robot.ros("/PSM1/measured_cp", PoseStamped(Header(robot.now_ns, shown), (0.0,) * 6 + (1.0,)))
+    metadata = (Item.of("ros.frame_id", named),) if named else ()
+    message = Message("TRANSFORM", f"PSM1/{name}", _at(0.0), ns_to_ticks(robot.now_ns), 2, metadata=metadata)
+    line = robot.igtl(message)[-1]
+    assert line == (f"note {code}" if code else f"ros /PSM1/{name}")
+    if not code:
+        assert PoseStamped.unpack(robot.published(f"/PSM1/{name}")).header.frame_id == configured
 
 
 # -- jitter -----------------------------------------------------------------------------------------------------------
@@ -360,17 +415,19 @@ def test_an_honest_stream_at_half_the_limit_keeps_moving_with_jitter() -> None:
 
 
 @pytest.mark.slow
-def test_in_random_worlds_no_window_is_faster_than_the_limit() -> None:
-    """Stalls, bursts, reordering, repetition, lies of stamps and of states, several streams; 10,000 worlds pass."""
-    sent = passed = pauses = 0
+def test_in_random_worlds_every_promise_is_kept() -> None:
+    """Stalls, bursts, BINDs, frames, ranges, lies of stamps and of states, several streams and arms, a clock that is
+    set; 20,000 worlds pass."""
+    sent = passed = 0
+    seen: Counter[str] = Counter()
+    codes: Counter[str] = Counter()
     for seed in range(WORLDS):
         world = World(seed)
         world.run()
-        assert world.fastest() <= 1 + 1e-9, f"world {seed}: {world.fastest():.4f} times the limit"
-        for ms, fresh in world.beginnings():
-            pauses += 1
-            assert ms <= 20 + 1e-6 and fresh, f"world {seed}: begins {ms:.3f} ms from the arm"
-        assert min(world.takeovers(), default=NS_PER_S) >= 500 * NS_PER_MS, f"world {seed}"
-        sent += world.sent
-        passed += sum(len(log.at_ns) for log in world.topics.values())
-    assert passed > sent / 20 and pauses > WORLDS / 4, f"{passed} of {sent} commands, {pauses} beginnings"
+        assert not world.judge.broken, f"world {seed}: {world.judge.broken[0]}"
+        sent, passed = sent + world.sent, passed + world.judge.moves
+        seen, codes = seen + world.judge.seen, codes + world.codes
+    assert passed > sent / 10, f"{passed} of {sent} commands"
+    rules = {"begins", "goes on", "window", "workspace", "named frame", "range jp", "range jr", "force"}
+    assert rules <= {rule for rule, times in seen.items() if times >= WORLDS / 8}, seen
+    assert set(REFUSED_COMMANDS) <= set(codes), "no world has the others"

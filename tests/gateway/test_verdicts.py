@@ -55,7 +55,7 @@ def session_of(seed: int, monkeypatch: pytest.MonkeyPatch) -> tuple[Config, list
 
     with monkeypatch.context() as patched:
         patched.setattr(Session, "input", logged)
-        World(seed).run()
+        World(seed, recorded=True).run()
     return configs[0], log
 
 
