@@ -244,7 +244,8 @@ def state_rule(config: Config) -> StateInputRule:
         robots += (f"{arm}/{state}" for arm in arms for state in ("measured_cp", "measured_js"))
         robots += (f"/{glob}" for glob in config.allow_in)
     stamped = tuple(f"{arm}/{row.name}" for arm in arms for row in crtk.NAMES)
-    return StateInputRule(frozenset({LINKS_TOPIC}), commands, mixed, tuple(robots), stamped)
+    aged = config.max_age_s > 0 or any(row.max_age_s for row in config.to_igtl)
+    return StateInputRule(frozenset({LINKS_TOPIC}), commands, mixed, tuple(robots), stamped, aged)
 
 
 def session_facts(config: Config, *, over_zenoh: bool = False) -> dict[str, str]:

@@ -46,10 +46,11 @@ class Prologue:
         self._max_entries, self._max_bytes = max_entries, max_bytes
         self._group: _Group = ()  # of the last input, which its outputs complete
         self._taught = False  # whether the gateway learned something by it
+        self._sent = False  # whether it was sent to peers
         self._links: _Table = OrderedDict()  # by number
         self._gone: _Table = OrderedDict()  # by number: links of disconnected peers
         self._learned: _Table = OrderedDict()  # by number
-        self._last: _Table = OrderedDict()  # by stream and link
+        self._last: _Table = OrderedDict()  # by stream and link; the last that was sent, by topic
         self._commands: _Table = OrderedDict()  # accepted, by topic
         self._mixed: _Table = OrderedDict()  # by number
         self._large: _Table = OrderedDict()  # by stream and link
@@ -73,11 +74,12 @@ class Prologue:
                 self._forget(entry)
                 return
             self._group = (owned(entry),)  # a large one may be lent
-            self._taught = self._rule.by_input(entry)
+            self._taught, self._sent = self._rule.by_input(entry), False
         elif self._group and self._rule.judges(entry):
             self._group += (owned(entry),)
-        elif self._group and not self._taught:
-            self._taught = self._rule.by_output(entry)
+        elif self._group:
+            self._taught = self._taught or self._rule.by_output(entry)
+            self._sent = self._sent or entry.kind is Kind.IGTL_OUT
 
     @property
     def forgotten(self) -> OrderedDict[str, int]:
@@ -114,6 +116,8 @@ class Prologue:
         for output in results:
             if output.kind is Kind.ROS_OUT:
                 self._add(self._commands, output.channel, self._group)
+        if self._sent and self._rule.aged and entry.kind is Kind.ROS_IN:
+            self._add(self._last, entry.channel, self._group)
         if self._taught:
             self._add(self._learned, entry.seq, self._group)
         elif self._rule.mixes(entry):

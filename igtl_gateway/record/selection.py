@@ -71,6 +71,7 @@ class StateInputRule:
         robots: globs of topics: the states of robots, and the accepted commands to them, by which the guard judges the
             next command.
         stamped: globs of topics whose messages without a stamp are not valid, so that none is the last of its stream.
+        aged: whether messages that are too old are withheld, so that the last that was sent counts beside the last one.
     """
 
     topics: frozenset[str] = frozenset()
@@ -78,6 +79,7 @@ class StateInputRule:
     mixed: frozenset[str] = frozenset()
     robots: tuple[str, ...] = ()
     stamped: tuple[str, ...] = ()
+    aged: bool = False
 
     def by_input(self, entry: Entry) -> bool:
         """Whether the input itself shows it."""

@@ -192,3 +192,14 @@ def test_a_state_that_is_not_valid_is_not_the_last_one() -> None:
         for seq, topic in ((2, "/PSM1/measured_cp"), (3, "/other"))
     ]
     assert kept(Prologue(ROBOTS), [stamped, *unstamped]) == [1, 3]
+
+
+@pytest.mark.parametrize(("aged", "expected"), [(True, [1, 5]), (False, [5])])
+def test_where_old_messages_are_withheld_the_last_that_was_sent_is_kept(aged: bool, expected: list[int]) -> None:
+    entries = [
+        samples.ros(1),
+        samples.igtl(2, Kind.IGTL_OUT),
+        samples.ros(3),
+        samples.ros(5),
+    ]
+    assert kept(Prologue(replace(RULE, aged=aged)), entries) == expected
