@@ -123,6 +123,15 @@ class Fit:
         spread = float(np.std(sums, ddof=1))
         return float(sums.mean()) / spread * math.sqrt(len(sums)) if spread > 0 else math.inf, likelihood
 
+    def advantage_by_bands(self, lag_s: float, other_s: float) -> float:
+        """Return the second one of ``advantage``, with noise of another size in each band of frequency."""
+        both = [probe.covered(lag_s) & probe.covered(other_s) for probe in self.probes]
+        return sum(
+            probe.advantage_by_bands(lag_s, other_s, inside)
+            for probe, inside in zip(self.probes, both, strict=True)
+            if np.count_nonzero(inside) >= _WINDOW_SAMPLES
+        )
+
     def solve(
         self, start_s: float, *, with_skew: bool, first_s: float = -math.inf, last_s: float = math.inf
     ) -> Solution | None:

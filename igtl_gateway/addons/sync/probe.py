@@ -7,6 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from igtl_gateway.addons.sync.bands import likelihood_ratio
 from igtl_gateway.addons.sync.signal import Filtered, Floats
 from igtl_gateway.addons.sync.statistics import chi_squared, half_waves, occupancy
 
@@ -48,6 +49,7 @@ class Probe:
         reverses: bool = True,
     ) -> None:
         self.times, self.target, self.faster, self.direction = times, target, faster, direction
+        self._cut_off_hz = cut_off_hz
         seconds = max(float(times[-1] - times[0]), 1e-9)
         slow = min(int(2 * seconds / _DRIFT_S), _MOST_DRIFT)
         part = ((times - times[0]) / seconds)[:, np.newaxis]
@@ -96,6 +98,11 @@ class Probe:
         """Return the residuals at a lag of the samples that are inside (M)."""
         target, predicted = self._beside_drift(lag_s, inside)
         return target - predicted
+
+    def advantage_by_bands(self, lag_s: float, other_s: float, inside: Mask) -> float:
+        """Return twice the logarithm of the ratio of the likelihoods of two lags, by bands of frequency."""
+        first, second = self.residual(lag_s, inside), self.residual(other_s, inside)
+        return likelihood_ratio(self.some[inside], first, second, self._cut_off_hz, self.drift.shape[1])
 
     def prediction(self, lag_s: float) -> tuple[Floats, Floats]:
         """Return times (M) and what the faster signal shows of the target at a lag (M), without the drift."""

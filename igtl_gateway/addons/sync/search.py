@@ -156,8 +156,23 @@ def rival(curve: Curve, best: int, probes: Sequence[Probe], deciders: Sequence[b
         if other == best or ratio < (_SIMILAR_R2 if is_one else _SIMILAR_OF_SEVERAL):
             continue
         lags = float(curve.lags[best]), float(curve.lags[other])
-        t, votes = chooses.advantage(*lags)
-        is_clear = t >= _CLEAR_T or (votes >= 0 and fit.advantage(*lags)[1] >= least)
-        if not is_clear or (is_one and ratio > _EQUAL_R2):
+        if not _is_clear(fit, chooses, *lags, least) or (is_one and ratio > _EQUAL_R2):
             return lags[1]
     return math.nan
+
+
+def _is_clear(fit: Fit, chooses: Fit, lag_s: float, other_s: float, least: float) -> bool:
+    """Whether a lag is clearly better than another one: those that choose, and all of them, have to prefer it.
+
+    Noise of one size at all frequencies hides a difference, and that of another size in each band exaggerates one where
+    little is left.  So one of them suffices if the other one does not contradict.
+    """
+    t, votes = chooses.advantage(lag_s, other_s)
+    if t >= _CLEAR_T:
+        return True
+    likelihood = fit.advantage(lag_s, other_s)[1]
+    if votes < 0 or likelihood < 0:
+        return False
+    if likelihood >= least:
+        return True
+    return chooses.advantage_by_bands(lag_s, other_s) >= 0 and fit.advantage_by_bands(lag_s, other_s) >= least

@@ -200,6 +200,15 @@ def test_a_jaw_that_repeats_itself_does_not_choose(number: int, seed: int) -> No
     assert abs(lag.lag_s - case.lag_s) < case.frame_s
 
 
+@pytest.mark.parametrize("number", [3, 47])
+def test_noise_of_other_frequencies_does_not_hide_a_lag(number: int) -> None:
+    """With noise of one size at all frequencies, two lags were almost equally good."""
+    case = trajectory(number, 1)
+    lag = measure_together([case.jaw, case.insertion], max_lag_s=5.0)
+    assert lag.verdict.has_lag
+    assert abs(lag.lag_s - case.lag_s) < case.frame_s
+
+
 @pytest.mark.parametrize("number", [0, 8, 37])
 def test_an_insertion_from_place_to_place_chooses(number: int) -> None:
     """Also one that never reverses (0, 8), and between lags that are nearer than the steps of the search (37)."""
