@@ -252,7 +252,7 @@ def _remarks(lag: Lag) -> Iterator[str]:
     elif not math.isnan(lag.period_s):
         yield (
             f"period {lag.period_s:.2f} s; move irregularly, add another movement (--pair), "
-            f"or search less than a quarter of it (--max-lag {math.floor(lag.period_s / 4 * 100) / 100:g})"
+            f"or state that the lag is below a quarter of it (--max-lag {math.floor(lag.period_s / 4 * 100) / 100:g})"
         )
     if lag.verdict is Verdict.AT_EDGE:
         yield "search further (--max-lag)"
