@@ -146,7 +146,7 @@ def test_a_message_does_not_wait_for_all_that_another_peer_has_sent(world: World
     seen.wait("frame", 602)
     frames = [(number, frame) for what, number, frame in seen.events if what == "frame"]
     assert position(frames, 2) <= 2
-    assert position(frames, 3) <= 200
+    assert position(frames, 3) <= 400  # its turn comes by time: how many are handled until then depends on the load
     assert [number_of(frame) for number, frame in frames if number == 1] == list(range(600))
     assert edge.counters()[1].received_messages == 600
 
