@@ -57,8 +57,9 @@ class Motions:
     def frame_of_stream(self, command: RobotCommand) -> str | None:
         """Return the frame of the stream that a command goes on with, "" if it has none; None for a first command."""
         last = self._of_device.get(command.device)
-        goes_on = last is not None and command.name.streamed and command.arrived_ns - last.arrived_ns < PAUSE_NS
-        return last.frame if last and goes_on else None
+        if last is None or not command.name.streamed or command.arrived_ns - last.arrived_ns >= PAUSE_NS:
+            return None
+        return last.frame
 
     def moved_since(self, command: RobotCommand, measured: SetPoint) -> bool:
         """Return whether the arm has had a command that a state does not show."""

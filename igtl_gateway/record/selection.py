@@ -96,7 +96,7 @@ class StateInputRule:
 
     def is_invalid(self, entry: Entry) -> bool:
         """Whether it is a message of ROS that its sender has marked as not valid, by a header without a stamp."""
-        if entry.kind is not Kind.ROS_IN or bytes(entry.data()[_CDR_STAMP]) != _NO_STAMP:
+        if not self.stamped or entry.kind is not Kind.ROS_IN or entry.data()[_CDR_STAMP] != _NO_STAMP:
             return False
         return any(matches(glob, entry.channel) for glob in self.stamped)
 

@@ -33,7 +33,7 @@ from igtl_gateway.addon import (
 )
 from igtl_gateway.addons.cohort.columns import SCHEMA_VERSION, TABLES, Row
 from igtl_gateway.addons.cohort.parts import MANIFEST, PARTS, Parts, files_of, parts_of, unreadable
-from igtl_gateway.addons.cohort.tables import PROVENANCE, arrow_table, concatenated, joined, schema
+from igtl_gateway.addons.cohort.tables import PROVENANCE, arrow_table, concatenated, joined, numbered, schema
 from igtl_gateway.base.systems.files import lock
 
 _LOCK = ".lock"
@@ -112,8 +112,8 @@ class Results:
         if self._latest is None or self._latest[0] != self.parts:
             # in Arrow: as rows of Python, a million takes gigabytes
             tasks = concatenated("tasks", map(_read, self.files("tasks")))
-            numbered = tasks.append_column("row", pa.array(range(len(tasks)), pa.int64()))
-            last = numbered.group_by(["file", "verb"], use_threads=False).aggregate([("row", "max")])["row_max"]
+            groups = numbered(tasks).group_by(["file", "verb"], use_threads=False)
+            last = groups.aggregate([("row", "max")])["row_max"]
             self._latest = list(self.parts), joined("tasks", [tasks.take(last.sort())])
         return self._latest[1]
 

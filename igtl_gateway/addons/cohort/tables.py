@@ -68,7 +68,10 @@ def concatenated(name: str, tables: Iterable[pa.Table]) -> pa.Table:
 
 def joined(name: str, tables: Iterable[pa.Table]) -> pa.Table:
     """Return the rows of several tables of one name, ordered by file and task; the order in a task stays."""
-    whole = concatenated(name, tables)
-    numbered = whole.append_column("row", pa.array(range(len(whole)), pa.int64()))
     keys = [("file", "ascending"), ("task", "ascending"), ("row", "ascending")]
-    return numbered.sort_by(keys).drop_columns(["row"])
+    return numbered(concatenated(name, tables)).sort_by(keys).drop_columns(["row"])
+
+
+def numbered(table: pa.Table) -> pa.Table:
+    """Return a table with the numbers of its rows as the last column, ``row``."""
+    return table.append_column("row", pa.array(range(len(table)), pa.int64()))

@@ -96,7 +96,7 @@ def free_shared_memory(folder: Path) -> int:
 
 
 def _is_free(lock: Path) -> bool:
-    """Whether no process holds the lock.  Raises OSError for what is no ordinary file: any user may write there."""
+    """Return whether no process holds the lock.  Raises OSError if it is not a regular file; any user may make one."""
     with os.fdopen(files.open_plain(lock), "rb") as file:
         try:
             files.lock(file.fileno())
