@@ -144,6 +144,7 @@ NOTES: dict[str, dict[str, str]] = {
         "record_moves": "the recorder writes again",
         "record_waits": "large messages of peers wait until the recorder has room",
         "record_continued": "another program removed or changed the file; the recording goes on in the next file",
+        "record_split_held": "a part of a split recording goes on although it is due to end; the text has the reason",
         "record_part_lost": "another program removed or truncated a closed part of a split recording",
         "record_refused": "an entry cannot be recorded",
         "record_undefined": "the definition of a ROS type is unknown; its messages are recorded without it",

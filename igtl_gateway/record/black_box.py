@@ -5,7 +5,8 @@ until the window after the trigger ends.  A mark that comes late has its window 
 as memory has it, and its file goes on to the mark.  A trigger within the window, or whose own window begins in it,
 extends it: overlapping windows are one file, which is written again if a later trigger's window begins before it.  So
 the file stays open for the longest window before a trigger, and only then gets its ledger, in which each trigger has a
-row.
+row.  No more than `MAX_PER_MINUTE` windows have files of their own within a minute: each file has the last message of
+each stream, which may be much more than its window.  Of more, those that follow each other are one file.
 
 Memory has the bound of the ring, also while the disk is slow or full: if a file cannot be written, it is tried again
 while memory has the window; then a note names the triggers that have none.
@@ -13,6 +14,7 @@ while memory has the window; then a note names the triggers that have none.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -35,6 +37,9 @@ from igtl_gateway.record.triggers import INCOMPLETE, SAVED, TRIGGERED, Cause, Tr
 
 #: Triggers of one rule within this time are one row, with their count, and one note.
 _TOGETHER_NS = NS_PER_S
+#: Windows that have files of their own within a minute; the others continue the file before them.
+MAX_PER_MINUTE = 60
+_MINUTE_NS = 60 * NS_PER_S
 #: Rows of one file; further triggers count in the last row of their rule.
 MAX_ROWS = 10_000
 #: Rows that a note has.
@@ -140,6 +145,7 @@ class BlackBox(Ring):
         self._came_ns = clock.monotonic_ns()  # when it came
         self._last_seq = 0
         self._gaps: list[tuple[int, int, int]] = []  # between two entries, UTC ns, and how many are missing
+        self._opened_ns: deque[int] = deque(maxlen=MAX_PER_MINUTE)  # stamps of triggers that opened windows
         self._untold: dict[Trigger, tuple[int, int]] = {}  # → when the last note was, and triggers since then
 
     @property
@@ -224,10 +230,11 @@ class BlackBox(Ring):
         window, rule, at_ns = self._window, cause.rule, cause.at_ns
         begin_ns = self._begin_ns(cause)
         end_ns = max(at_ns + round(rule.after_s * NS_PER_S), cause.noted_ns)
-        if window and not self._can_extend(window, begin_ns):
+        if window and not self._can_extend(window, begin_ns, cause.noted_ns):
             self._finish()
             window = None
         if window is None:
+            self._opened_ns.append(cause.noted_ns)
             window = self._window = _Window(end_ns, begin_ns)
             _count(window.rows, cause, begin_ns)
             self._open_window(window)
@@ -243,11 +250,13 @@ class BlackBox(Ring):
                 self._catch_up(window)
         self._report(cause)
 
-    def _can_extend(self, window: _Window, begin_ns: int) -> bool:
+    def _can_extend(self, window: _Window, begin_ns: int, now_ns: int) -> bool:
         """Return whether a window that begins here continues an open one, of whose time memory has the rest."""
         if window.is_open or not window.writer:
             return True
-        return begin_ns <= window.end_ns and self._entries[0].seq <= window.written + 1
+        opened = self._opened_ns
+        are_many = len(opened) == MAX_PER_MINUTE and now_ns - opened[0] < _MINUTE_NS
+        return (begin_ns <= window.end_ns or are_many) and self._entries[0].seq <= window.written + 1
 
     def _report(self, cause: Cause) -> None:
         """Write a note of the trigger: at most one a second of each rule, with the count of those before it."""

@@ -2,6 +2,10 @@
 
 A part ends only before an input, so outputs lie in the part of their cause.  After a crash the side file lacks the last
 part, and everything else opens as it is.
+
+Each part begins with a prologue, which may be much larger than what is recorded.  It does not count towards the size
+of a part, and it must not fill the disk: a part with a large one goes on until it has as many bytes of its own, for a
+minute at most if parts end by time, and no more than `MAX_PER_MINUTE` parts begin in a minute.
 """
 
 from __future__ import annotations
@@ -9,6 +13,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+from collections import deque
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -31,6 +36,12 @@ from igtl_gateway.record.sessionfile.side_file import (
 )
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 
+#: Parts that begin in a minute, at most: what would begin one more goes on in the part that is there.
+MAX_PER_MINUTE = 60
+_MINUTE_NS = 60 * NS_PER_S
+#: Prologues up to this size, bytes, hold no split back.
+_SMALL_PROLOGUE = 1 << 20
+
 _DELETED = "deleted"
 #: What another program does to a closed part: it takes it to another place, or damages it.
 REMOVED, TRUNCATED = "was removed", "was truncated"
@@ -46,12 +57,13 @@ class PartsWriter:
         path: ``name.mcap``, which names the folder.
         open_part: makes the writer of a part.
         prologue: has to be fresh.
-        max_bytes, max_s: a part ends when it has this size or duration; 0: never.
+        max_bytes, max_s: a part ends when it has this size without its prologue, or this duration; 0: never.
         overwrite: replace an existing split recording.
         waits: rest at first; the first part has number 1 then: it begins midway, as those after it.
         later: create the folder with the first part, not now.
         counters: of the recorder so far, for the ledger of a part that is not the last.
         on_closed: called when a part is closed.
+        on_held: called with the reason when a split is held back, once until parts end on time again.
 
     Raises RecordingError when the folder or the first part cannot be created.
     """
@@ -69,8 +81,9 @@ class PartsWriter:
         later: bool = False,
         counters: Callable[[], dict[str, Any]],
         on_closed: Callable[[], None] = lambda: None,
+        on_held: Callable[[str], None] = lambda _why: None,
     ) -> None:
-        self._on_closed = on_closed
+        self._on_closed, self._on_held = on_closed, on_held
         self.path = parts_folder(path)
         self._open_part = open_part
         self._prologue = prologue
@@ -83,6 +96,9 @@ class PartsWriter:
         self._left_entries = 0
         self._number = 0
         self._asked = False  # the next part
+        self._begun_ns: deque[int] = deque(maxlen=MAX_PER_MINUTE)  # stamps of the inputs before which parts began
+        self._is_held = self._was_held = False  # the end of this part, and that of the part before
+        self._begin_bytes = self._prologue_bytes = 0  # of this part
         self._previous = ""  # name of the part before
         self._rests = self._ended = waits  # ended: the part is one of the complete ones
         self._overwrite = overwrite
@@ -135,6 +151,8 @@ class PartsWriter:
             if entry.kind.is_input and self._part.entries and self._full(entry):
                 self._end({"recorder": self._counters(), layout.GOES_ON_KEY: True}, last_part=False)
                 self._next()
+                self._begun_ns.append(entry.stamp_ns)
+                self._was_held, self._is_held = self._is_held, False
             self._part.write(entry)
         self._prologue.observe(entry)
 
@@ -227,19 +245,43 @@ class PartsWriter:
         self._ended = False
 
     def _full(self, entry: Entry) -> bool:
-        lasted_ns = entry.stamp_ns - self._part.start_ns
-        return bool(
-            self._asked
-            or (self._max_bytes and self._part.size >= self._max_bytes)
-            or (self._max_ns and lasted_ns >= self._max_ns)
-        )
+        """Whether the part ends before this input."""
+        lasted_ns, own = entry.stamp_ns - self._part.start_ns, self._part.size - self._begin_bytes
+        is_late = bool(self._max_ns and lasted_ns >= self._max_ns)
+        if not (self._asked or is_late or (self._max_bytes and own >= self._max_bytes)):
+            return False
+        why = self._hindrance(entry.stamp_ns, own, is_old=is_late and lasted_ns >= _MINUTE_NS)
+        if why and not self._is_held:
+            self._is_held = True
+            if not self._was_held:
+                self._on_held(why)
+        return not why
+
+    def _hindrance(self, now_ns: int, own: int, *, is_old: bool) -> str:
+        """Why a part that is due to end goes on; ``""``: it ends.
+
+        Args:
+            own: its bytes without the prologue.
+            is_old: its time is over, and a minute, too.
+        """
+        begun = self._begun_ns
+        if len(begun) == MAX_PER_MINUTE and now_ns - begun[0] < _MINUTE_NS:
+            return f"{MAX_PER_MINUTE} parts began within a minute, which is the limit"
+        if max(own, _SMALL_PROLOGUE) < self._prologue_bytes and not (self._asked or is_old):
+            until = " and a minute has not passed" if self._max_ns else ""
+            return (
+                f"each part begins with the last messages of the streams ({self._prologue_bytes / 1e6:,.0f} MB), "
+                f"and this one has less than that of its own{until}"
+            )
+        return ""
 
     def _open(self, number: int) -> SessionWriter:
         facts = {layout.PART_KEY: str(number)}
         if self._previous:
             facts[layout.PREVIOUS_KEY] = self._previous
-        path = part_path(self.path, number)
-        part = self._open_part(path, facts, self._prologue.entries())
+        path, prologue = part_path(self.path, number), self._prologue.entries()
+        part = self._open_part(path, facts, prologue)
+        self._begin_bytes, self._prologue_bytes = part.size, sum(entry.size for entry in prologue)
         self._previous = path.name
         return part
 

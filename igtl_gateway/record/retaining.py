@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
+from collections.abc import Set
 from pathlib import Path
 
 from igtl_gateway.base.clock import Clock
@@ -32,15 +33,19 @@ class RetentionThread:
         path: the recording.
         options: rule, and what protects a recording.
         clock: decides about ages.
+        files: absolute paths of the files that the recorder has begun; it may grow.
     """
 
-    def __init__(self, path: Path, options: RecordOptions, clock: Clock) -> None:
+    def __init__(self, path: Path, options: RecordOptions, clock: Clock, files: Set[Path] = frozenset()) -> None:
         assert options.retention
         self._live = parts_folder(path) if options.split_bytes or options.split_s else None
         folder = path.absolute().parent
         self._uploads = UploadProtection(folder, all_files=options.uploaded)
         self._seals = options.seal is not None
-        self._retention = Retention(folder, options.retention, clock, self._hindrance, is_live=self._is_live)
+        self._files = files
+        self._retention = Retention(
+            folder, options.retention, clock, self._hindrance, is_live=self._is_live, is_running=self._is_running
+        )
         self._notes: deque[Note] = deque()
         self._last: dict[str, str] = {}  # code → text of the last note
         self._deleted_parts = False
@@ -94,6 +99,9 @@ class RetentionThread:
     def _is_live(self, folder: Path) -> bool:
         return self._live is not None and folder == self._live.absolute()
 
+    def _is_running(self, recording: StoredRecording) -> bool:
+        return self._is_live(recording.parent) or recording.path in self._files
+
     def _report(self, report: RetentionReport) -> None:
         if report.deleted:
             if any(self._is_live(each.recording.parent) for each in report.deleted):
@@ -104,7 +112,10 @@ class RetentionThread:
             )
         self._note(Level.WARN, CLOCK, f"ages do not count: {report.clock}" if report.clock else "")
         kept = [each for each in report.kept if each.kept != "an earlier part is kept"]
-        self._note(Level.WARN, KEPT, f"retention keeps {_text(kept)}: {kept[0].kept}" if kept else "")
+        text = f"retention keeps {_text(kept)}: {kept[0].kept}" if kept else ""
+        if not text and report.is_above:
+            text = "the session that runs is larger than half of the size; older recordings do not give way to it"
+        self._note(Level.WARN, KEPT, text)
         problem = report.problem or ("" if report.complete else f"found more than {MOST_FILES:,} files in the folder")
         self._note(Level.ERROR, FAILED, f"no retention: {problem}" if problem else "")
 

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 #: Codes of the recorder's notes.
 DROPPED, FAILED, REFUSED, UNDEFINED = "record_drop", "record_failed", "record_refused", "record_undefined"
 THREAD = "record_thread"
-CONTINUED, LOST_PART = "record_continued", "record_part_lost"
+CONTINUED, LOST_PART, HELD = "record_continued", "record_part_lost", "record_split_held"
 PAUSED, RESUMED, SNAPSHOT = "record_paused", "record_resumed", "record_snapshot"
 STARTED, STOPPED = "record_started", "record_stopped"
 #: A file begins without large inputs that its outputs may depend on.
@@ -264,6 +264,7 @@ class _RecorderWorker:
         self._reported_refused: set[str] = set()
         self._told_state = WorkerState()
         self._begun: list[str] = []  # files that the other end does not know yet
+        self._files: set[Path] = set()  # all that were begun
         self._runs = False  # the first message states whether the first file could be created
         self._is_cut = False  # the next file follows one that was taken away
         self._left_out_before = 0  # of the pause that is on
@@ -284,7 +285,7 @@ class _RecorderWorker:
         if self.options.retention:
             from igtl_gateway.record.retaining import RetentionThread  # here: it imports readers and numpy
 
-            self._retention = RetentionThread(settings.path, self.options, clock)
+            self._retention = RetentionThread(settings.path, self.options, clock, self._files)
         self._rests = self.options.waits
         self._row_writer = self._writer_of_rows()
 
@@ -317,6 +318,7 @@ class _RecorderWorker:
                 later=later,
                 counters=self._counters,
                 on_closed=self._apply_retention,
+                on_held=self._report_held,
             )
         if options.waits and not later:
             try_file(path, path.with_name(f".{path.name}.trial"))
@@ -390,6 +392,7 @@ class _RecorderWorker:
             sealer=self._seals.next_file(path, alone=alone) if self._seals else None,
         )
         self._begun.append(str(path))
+        self._files.add(path.absolute())
         if self._runs:  # if this process is killed, the other end knows them
             self._send("files", self.take_begun())
         return writer
@@ -823,6 +826,9 @@ class _RecorderWorker:
                 self._missing = self._missing or text
             text += f"; {part.entries:,} entries were in the file"
             self._note(Note(level, LOST_PART, text, data={"lost": part.entries, "path": str(part.path)}))
+
+    def _report_held(self, why: str) -> None:
+        self._note(Note(Level.WARN, HELD, f"{self._writer.path}: the part goes on, the next one begins later: {why}"))
 
     def _report_drops(self, now_ns: int) -> None:
         """At most once a second, of what the queue did not take since the last time."""

@@ -20,7 +20,7 @@ from igtl_gateway.convert.rosmsg import DiagnosticStatus, Header
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.marks import MarkNote
 from igtl_gateway.gateway.log.note import Level, Note
-from igtl_gateway.record.black_box import BlackBox
+from igtl_gateway.record.black_box import MAX_PER_MINUTE, BlackBox
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.prologue import Prologue
@@ -221,6 +221,22 @@ def test_windows_that_overlap_are_one_file(
         assert {each.seq for each in entries if begin <= each.stamp_ns <= end} <= set(numbers)
         assert content[0].stamp_ns >= begin and content[-1].stamp_ns <= end + 100
         assert rows and not any(row["missing"] for row in rows)
+
+
+def test_no_more_files_than_the_bound_begin_in_a_minute(tmp_path: Path) -> None:
+    moments = [0.5 + number / 20 for number in range(180)]
+    entries = _with_marks(*moments)
+    _play(tmp_path / "box.mcap", entries, "mark=slip,before=0,after=0.001")
+    found = sorted(tmp_path.glob("*.mcap"))
+    assert MAX_PER_MINUTE <= len(found) <= MAX_PER_MINUTE + 1
+    count = 0
+    for path in found:
+        with SessionFile.open(path) as file:
+            rows = file.ledger["triggers"] if file.ledger else []
+            count += sum(row["count"] for row in rows)
+            assert not any(row["missing"] for row in rows)
+        assert main(["verify", str(path)]) == 0
+    assert count == len(moments), "each has its window"
 
 
 @table(

@@ -9,6 +9,8 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +25,7 @@ from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.host import in_thread
 from igtl_gateway.record.options import RecordOptions
+from igtl_gateway.record.parts import MAX_PER_MINUTE
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import StateInputRule
 from igtl_gateway.record.sessionfile.reader import SessionFile
@@ -30,7 +33,7 @@ from igtl_gateway.record.worker import RecordingSummary
 from igtl_gateway.replay.verify import DeclaredLosses, verify
 from tests.record import samples
 
-SECOND_NS = 1_000_000_000
+NS = SECOND_NS = 1_000_000_000
 RULE = StateInputRule(frozenset({LINKS_TOPIC}))
 
 
@@ -53,12 +56,18 @@ def session(seconds: int = 5, hz: int = 20) -> list[Entry]:
     return entries
 
 
-def record(path: Path, entries: list[Entry], **options: Any) -> RecordingSummary:
+def _unexpected(note: Note) -> None:
+    pytest.fail(note.text)
+
+
+def record(
+    path: Path, entries: list[Entry], on_note: Callable[[Note], None] = _unexpected, **options: Any
+) -> RecordingSummary:
     recorder = Recorder(
         path,
         samples.SESSION,
         qos_of=lambda _topic, _type: None,
-        on_note=lambda note: pytest.fail(note.text),
+        on_note=on_note,
         clock=ManualClock(),
         host=in_thread,
         options=RecordOptions(**options),
@@ -167,6 +176,57 @@ def test_parts_by_size(path: Path) -> None:
     sizes = [file.stat().st_size for file in summary.files if file.suffix == ".mcap"]
     assert len(sizes) == 4
     assert all(1 << 20 <= size < (1 << 20) + 500_000 for size in sizes[:-1])
+
+
+def streams(seconds: float, hz: int, *, picture_bytes: int, poses: int = 1) -> list[Entry]:
+    """A picture, then messages of ``poses`` other streams in turn."""
+    picture = samples.igtl(1, message_type="IMAGE", device="CT", body=os.urandom(picture_bytes))
+    return [picture] + [
+        replace(samples.igtl(2 + number, device=f"Tool{number % poses}"), stamp_ns=samples.START_NS + number * NS // hz)
+        for number in range(1, int(seconds * hz) + 1)
+    ]
+
+
+@pytest.mark.parametrize("options", [{"split_bytes": 1 << 20}, {"split_bytes": 1 << 14, "split_s": 100.0}])
+def test_the_prologue_does_not_count_towards_the_size(path: Path, options: dict[str, Any]) -> None:
+    entries = streams(2, 500, picture_bytes=3 << 20)
+    notes: list[Note] = []
+    summary = record(path, entries, notes.append, compression="none", chunk_bytes=8 << 10, **options)
+    assert len([file for file in summary.files if file.suffix == ".mcap"]) <= 2
+    assert summary.size < 9 << 20
+    with SessionFile.open(summary.path) as file:
+        assert list(file.entries()) == [samples.flat(entry) for entry in entries]
+
+
+def test_a_part_with_a_large_prologue_goes_on_until_it_has_as_much_of_its_own_or_for_a_minute(path: Path) -> None:
+    entries = streams(200, 10, picture_bytes=3 << 20)
+    notes: list[Note] = []
+    summary = record(path, entries, notes.append, split_s=1.0, compression="none")
+    starts = []
+    for file in summary.files[:-1]:
+        with SessionFile.open(file) as part:
+            starts.append(part.start_ns)
+    assert all(59 * NS < two - one < 62 * NS for one, two in pairwise(starts[1:-1])), "a minute each"
+    assert len(starts) == 5
+    assert [note.code for note in notes] == ["record_split_held"], "once, not at each part"
+    assert "3 MB" in notes[0].text
+
+
+def test_no_more_parts_begin_in_a_minute_than_the_bound_says(path: Path) -> None:
+    entries = streams(100, 50, picture_bytes=10)
+    notes: list[Note] = []
+    summary = record(path, entries, notes.append, split_s=0.1)
+    starts = []
+    for file in summary.files[:-1]:
+        with SessionFile.open(file) as part:
+            starts.append(part.start_ns)
+    for at, start_ns in enumerate(starts):
+        assert sum(start_ns <= each < start_ns + 60 * NS for each in starts[at:]) <= MAX_PER_MINUTE + 1
+    assert MAX_PER_MINUTE < len(starts) <= 2 * MAX_PER_MINUTE + 2
+    assert {note.code for note in notes} == {"record_split_held"} and len(notes) <= 3
+    assert "60 parts" in notes[0].text
+    with SessionFile.open(summary.path) as whole:
+        assert list(whole.entries()) == [samples.flat(entry) for entry in entries]
 
 
 def test_rosbags_reads_the_folder_by_its_side_file(path: Path) -> None:

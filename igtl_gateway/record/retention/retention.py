@@ -6,6 +6,9 @@ is deleted under the lock of its writer, and only if it is the file that was loo
 
 The age of a recording is the time since its file last changed, which is when it was closed.  The clock decides only as
 far as it is credible, see :class:`Retention`: a wrong clock must not delete everything.
+
+A session that runs must not delete all that is older, however fast it grows: it takes no more than half of the size
+from the recordings of others.  Beyond that, its own oldest parts give way.
 """
 
 from __future__ import annotations
@@ -32,6 +35,9 @@ _EARLIEST_NS = 1_420_070_400 * NS_PER_S
 _MOST_GAIN_NS = 300 * NS_PER_S
 #: Time for which ages do not count after the clock has jumped ahead.
 _REST_NS = 3600 * NS_PER_S
+
+#: Returns whether a recording is one of a session that runs.
+IsRunning = Callable[[StoredRecording], bool]
 
 #: Returns why a recording must be kept, or "".
 ReasonToKeep = Callable[[StoredRecording], str]
@@ -63,6 +69,7 @@ class RetentionReport:
         clock: why ages did not count, or "".
         problem: what prevented the pass, or "".
         complete: whether all files of the folder were looked at.
+        is_above: all together are larger than the rule permits, because of the session that runs.
     """
 
     deleted: list[Choice] = field(default_factory=list)
@@ -71,9 +78,16 @@ class RetentionReport:
     clock: str = ""
     problem: str = ""
     complete: bool = True
+    is_above: bool = False
 
 
-def choose(found: StoredFiles, rule: RetentionRule, now_ns: int | None, hindrance: ReasonToKeep) -> list[Choice]:
+def choose(
+    found: StoredFiles,
+    rule: RetentionRule,
+    now_ns: int | None,
+    hindrance: ReasonToKeep,
+    is_running: IsRunning = lambda _recording: False,
+) -> list[Choice]:
     """Return the recordings that a rule selects, the oldest first.
 
     Args:
@@ -81,16 +95,21 @@ def choose(found: StoredFiles, rule: RetentionRule, now_ns: int | None, hindranc
         rule: the rule.
         now_ns: UTC ns; None: ages do not count.
         hindrance: returns why a recording must be kept.
+        is_running: whether a recording is one of a session that runs; the parts beside an open one are, too.
     """
-    total = found.open_bytes + sum(each.size for each in found.closed)
+    running = {each for each in found.closed if each.parent in found.running or is_running(each)}
+    own = found.running_bytes + sum(each.size for each in running)
+    others = found.open_bytes - found.running_bytes + sum(each.size for each in found.closed if each not in running)
+    most_others = rule.size - min(own, rule.size // 2)
+    most_own = rule.size - min(others, most_others)
     choices: list[Choice] = []
     broken: set[Path] = set()  # folders in which a part is kept: the parts behind it are kept, too
     for time_ns, each in _by_age(found.closed, now_ns):
         reason = ""
         if rule.age_s and now_ns is not None and time_ns and now_ns - time_ns > rule.age_s * NS_PER_S:
             reason = f"closed {(now_ns - time_ns) / NS_PER_S / 86_400:.1f} d ago"
-        elif rule.size and total > rule.size:
-            reason = f"all are {total:,} bytes"
+        elif rule.size and (own > most_own if each in running else others > most_others):
+            reason = f"all are {own + others:,} bytes"
         kept = hindrance(each) if reason else ""
         if reason and not kept and each.part >= 0 and each.parent in broken:
             kept = "an earlier part is kept"
@@ -98,7 +117,10 @@ def choose(found: StoredFiles, rule: RetentionRule, now_ns: int | None, hindranc
             broken.add(each.parent)
         if reason:
             choices.append(Choice(each, reason, kept))
-            total -= 0 if kept else each.size
+            if each in running:
+                own -= 0 if kept else each.size
+            else:
+                others -= 0 if kept else each.size
     return choices
 
 
@@ -142,6 +164,7 @@ class Retention:
         hindrance: returns why a recording must be kept.
         trust_clock: ages count also after a jump: the user confirmed it.
         is_live: whether a recorder of this process writes into a folder, and its side file.
+        is_running: whether a recording is one of the session that this process records.
     """
 
     def __init__(
@@ -153,13 +176,14 @@ class Retention:
         *,
         trust_clock: bool = False,
         is_live: Callable[[Path], bool] = lambda _folder: False,
+        is_running: IsRunning = lambda _recording: False,
     ) -> None:
         self._folder = RecordingFolder(folder)
         self._rule = rule
         self._clock = clock
         self._hindrance = hindrance
         self._trusts_clock = trust_clock
-        self._is_live = is_live
+        self._is_live, self._is_running = is_live, is_running
         self._log = RetentionLog(folder)
         self._offset_ns: int | None = None  # of UTC to the monotonic clock
         self._rest_until_ns = 0  # on the monotonic clock
@@ -180,7 +204,7 @@ class Retention:
             found = self._folder.search()
         except OSError as error:
             return RetentionReport(clock=why, problem=f"{self._folder.path}: {error.strerror}")
-        choices = choose(found, self._rule, None if why else now_ns, self._hindrance)
+        choices = choose(found, self._rule, None if why else now_ns, self._hindrance, self._is_running)
         report = RetentionReport(clock=why, complete=found.complete, kept=[each for each in choices if each.kept])
         wanted = [each for each in choices if not each.kept]
         total = found.open_bytes + sum(each.size for each in found.closed)
@@ -208,7 +232,8 @@ class Retention:
             remove_finished(self._folder.path, {each.name for each in found.closed} - gone)
         with suppress(OSError):  # it was possible before
             self._log.mark(mark_ns or now_ns)
-        return replace(report, bytes_left=total, problem=problem)
+        is_above = bool(self._rule.size and total > self._rule.size and not report.kept and not problem)
+        return replace(report, bytes_left=total, problem=problem, is_above=is_above)
 
     def _begin_log(self, now_ns: int) -> str:
         """State the rule once; return what prevents it."""

@@ -16,6 +16,7 @@ from typing import IO
 
 from igtl_gateway.base.errors import DamagedRecording, GatewayError
 from igtl_gateway.base.systems.files import open_plain
+from igtl_gateway.base.untrusted.files import is_being_written
 from igtl_gateway.record.sessionfile import facts, layout, records
 from igtl_gateway.record.sessionfile.contents import Index
 from igtl_gateway.record.sessionfile.index import read_record, stated_index
@@ -72,12 +73,16 @@ class StoredFiles:
     Attributes:
         closed: recordings that are closed.
         open_bytes: size of the recordings that are not.
+        running_bytes: of that, of those that a recorder is writing now.
+        running: folders of split recordings in which a recorder is writing one of these.
         complete: whether all files were looked at.
     """
 
     closed: list[StoredRecording] = field(default_factory=list)
     open_bytes: int = 0
     complete: bool = True
+    running_bytes: int = 0
+    running: frozenset[Path] = frozenset()
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +114,8 @@ class RecordingFolder:
         """Return what is in the folder now.  Raises OSError if the folder cannot be read."""
         closed: list[StoredRecording] = []
         known: dict[str, tuple[tuple[int, int, int, int], _Contents]] = {}
-        open_bytes, complete = 0, True
+        open_bytes, running_bytes, complete = 0, 0, True
+        running: set[Path] = set()
         for number, (name, found) in enumerate(_files(self.path)):
             if number >= MOST_FILES:
                 complete = False
@@ -125,8 +131,12 @@ class RecordingFolder:
                 )
             elif contents.open:
                 open_bytes += found.st_size
+                path = self.path / name
+                if _is_running(path):
+                    running_bytes += found.st_size
+                    running |= set() if path.parent == self.path else {path.parent}
         self._known = known
-        return StoredFiles(closed, open_bytes, complete)
+        return StoredFiles(closed, open_bytes, complete, running_bytes, frozenset(running))
 
 
 def identity_of(found: os.stat_result) -> tuple[int, int, int, int]:
@@ -193,6 +203,15 @@ def _items(stream: IO[bytes], index: Index, name: str, path: Path) -> dict[str, 
     if record.name != name:
         raise DamagedRecording(f"{path}: found metadata {record.name!r}, expected {name!r}")
     return layout.unseal(record.metadata)
+
+
+def _is_running(path: Path) -> bool:
+    """Return whether a recorder is writing a file; False if it cannot be read."""
+    try:
+        with closing(open_unlinked(path)) as stream:
+            return is_being_written(stream)
+    except OSError:
+        return False
 
 
 def _begins_as_ours(stream: IO[bytes]) -> bool:

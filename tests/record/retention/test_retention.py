@@ -33,7 +33,8 @@ from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.verify import DeclaredLosses, verify
 from tests.places import ROOT
 from tests.record import samples
-from tests.record.test_parts import RULE, record, session
+from tests.record.test_parts import RULE, record, session, streams
+from tests.tables import table
 
 DAY_NS = 86_400 * 10**9
 NOW_NS = 1_800_000_000 * 10**9
@@ -263,6 +264,59 @@ def test_the_recorder_deletes_its_own_parts_by_size_and_never_the_open_one(tmp_p
     assert not list((tmp_path / "long").glob("*.mcap")) and not summary.files
     lines = (tmp_path / LOG_NAME).read_text().splitlines()
     assert len(lines) > 5
+
+
+def stored(name: str, size: int, days: float, part: int = -1) -> StoredRecording:
+    return StoredRecording(Path("/r"), name, size, (0, 0, size, 0), NOW_NS - int(days * DAY_NS), part=part)
+
+
+@table(
+    ("older", "parts", "open_bytes", "deleted"),
+    [
+        # sizes of older recordings, of closed parts of the session that runs, and of its open file; what is deleted
+        ((30, 30), (10, 10), 10, []),  # all together fit
+        ((30, 30), (10, 10), 30, ["old0.mcap"]),  # it grows at the cost of the oldest
+        ((30, 20), (50, 50, 30), 10, ["run/run_0.mcap", "run/run_1.mcap"]),  # beyond half: at its own cost
+        ((10,), (500, 500), 0, ["run/run_0.mcap", "run/run_1.mcap"]),
+        ((10, 40), (), 5_000, []),  # an open file cannot give way, and others do not
+        ((40, 40), (), 5_000, ["old0.mcap"]),  # more than the other half
+        ((), (60, 60), 10, ["run/run_0.mcap"]),  # alone it has all
+    ],
+)
+def test_a_session_that_runs_takes_half_of_the_size_from_others_at_most(
+    older: tuple[int, ...], parts: tuple[int, ...], open_bytes: int, deleted: list[str]
+) -> None:
+    closed = [stored(f"old{number}.mcap", size, 10 - number) for number, size in enumerate(older)]
+    closed += [stored(f"run/run_{number}.mcap", size, 1 - number / 100, number) for number, size in enumerate(parts)]
+    rule = RetentionRule("", size=100)
+    by_thread = StoredFiles(closed, open_bytes, running_bytes=open_bytes)
+    by_lock = replace(by_thread, running=frozenset({Path("/r/run")}))
+    for found, is_running in ((by_thread, lambda each: each.part >= 0), (by_lock, lambda _each: False)):
+        choices = choose(found, rule, NOW_NS, lambda _recording: "", is_running)
+        assert [each.recording.name for each in choices if not each.kept] == deleted
+
+
+def test_snapshots_and_parts_of_a_session_that_runs_leave_the_older_recordings(tmp_path: Path) -> None:
+    shutil.copy(ROOT / "fixtures" / "crtk.mcap", tmp_path / "yesterday.mcap")
+    size = (tmp_path / "yesterday.mcap").stat().st_size
+    for options in ({"split_bytes": 1 << 20}, {"split_s": 1.0}, {"snapshot_s": 100.0}):
+        notes: list[Note] = []
+        recorder = Recorder(
+            tmp_path / f"{next(iter(options))}.mcap",
+            samples.SESSION,
+            qos_of=lambda _topic, _type: None,
+            on_note=notes.append,
+            clock=SystemClock(),
+            host=in_process,
+            options=RecordOptions(retention=RetentionRule("", size=2 * size + 100_000), **options),
+            rule=RULE,
+        )
+        for number, entry in enumerate(streams(4, 100, picture_bytes=6 << 20)):
+            recorder(entry)
+            if options.get("snapshot_s") and number % 100 == 99:
+                recorder.snapshot().result(30)
+        recorder.close({"streams": {}})
+        assert (tmp_path / "yesterday.mcap").exists(), options
 
 
 def test_the_verb_shows_and_deletes(folder: Path) -> None:
