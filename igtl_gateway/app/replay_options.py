@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from igtl_gateway.app import bridge_options
 from igtl_gateway.base.errors import ConfigError
@@ -25,6 +25,9 @@ from igtl_gateway.replay.simclock import DEFAULT_HZ
 
 Address = tuple[str, int]
 To = Literal["igtl", "ros", "both"]
+#: Whose messages a replay sends: those of the peers or nodes, those of the gateway, or both; "": by default.
+Side = Literal["", "peers", "gateway", "both"]
+SIDES: tuple[Side, ...] = get_args(Side)
 
 #: What a setting may need beside other settings: a side of the replay.
 _PEERS, _ROS = "OpenIGTLink peers", "ROS"
@@ -96,6 +99,14 @@ _SELECTION = (
         instead="end",
     ),
     Setting("streams", (), f"select streams {STREAM}", metavar="GLOB", common=True),
+    Setting(
+        "side",
+        "",
+        "whose messages are sent: those of the gateway; those of the peers, for ROS of its nodes; or both",
+        choices=SIDES,
+        shown="gateway; peers if it sent only queries, answers and pings; both for ROS",
+        common=True,
+    ),
     _of_a_bridge("to_igtl", "send", ()),
     Setting(
         "through_gateway",
@@ -206,6 +217,7 @@ class ReplayOptions:
     Attributes:
         tls: files for TLS.
         tls_listen, tls_connect: the addresses that use TLS.
+        side: whose messages are sent; "": the default of the target.
         config: configuration file to use with ``through_gateway``, instead of the recorded configuration.
         rate: recorded seconds per second; None: no pauses.
         paused: start paused.
@@ -225,6 +237,7 @@ class ReplayOptions:
     end: str | None
     duration: float | None
     streams: tuple[str, ...]
+    side: Side
     send: tuple[str, ...]
     through_gateway: bool
     config: Path | None
@@ -256,6 +269,8 @@ class ReplayOptions:
         listen, connect = bridge_options.addresses(values["listen"], values["connect"]) if peers else ((), ())
         if not (ros or listen) and (values["wait_peers"] or 0) > len(connect):
             raise ConfigError(f"--wait-peers: found {values['wait_peers']}, expected at most {len(connect)}: --connect")
+        if values["side"] == "peers" and values["through_gateway"]:
+            raise ConfigError("--side peers: found --through-gateway, which computes messages of the gateway")
         tls_listen, tls_connect = bridge_options.secured(values, listen, connect)
         used = {each.name for each in fields(cls)}
         same: dict[str, Any] = {name: value for name, value in values.items() if name in used}

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 from dataclasses import dataclass
 from itertools import chain, groupby
 from operator import itemgetter
 
 from igtl_gateway.app.replay_listeners import Listeners
+from igtl_gateway.app.replay_options import Side
 from igtl_gateway.app.rows import send_row
 from igtl_gateway.base.errors import ConfigError, RosError
+from igtl_gateway.base.near import did_you_mean, near_streams, unmatched
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.edges.ros.edge import RosEdge
@@ -29,6 +31,10 @@ _OUTPUTS = {"igtl": Kind.IGTL_OUT, "ros": Kind.ROS_OUT}
 _SIDES_INPUTS = {"igtl": Kind.IGTL_IN, "ros": Kind.ROS_IN}
 _IGTL = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT})
 _RECOMPUTED = "outputs that this version computes from the recorded inputs"
+
+#: Messages by which programs ask, answer and show that they are there: types, and beginnings of types.
+_ASKING = ("GET_", "STT_", "STP_", "RTS_")
+_ANSWERS = frozenset({"STATUS", "CAPABILITY"})
 
 #: Number of streams that an error names.
 _NAMED_STREAMS = 12
@@ -57,36 +63,73 @@ class ReplayPlan:
     why: str
 
 
-def plan_replay(file: SessionFile, side: str, recompute: bool) -> ReplayPlan:
-    """Return the plan for a side (``igtl``, ``ros`` or ``both``).
+def plan_replay(file: SessionFile, to: str, recompute: bool, side: Side = "") -> ReplayPlan:
+    """Return the plan for a target (``igtl``, ``ros`` or ``both``) and the side whose messages it receives.
 
-    A side receives the recorded outputs of the gateway.  With ``recompute``, or if the recording has only inputs, it
-    receives outputs that are computed again.  Without both it receives what it sent itself.
+    ``gateway``: the recorded outputs of the gateway.  With ``recompute``, or if the recording has only inputs, these
+    are computed again.  ``peers``: what the programs of the target sent themselves.  By default ROS receives both, as
+    in ``ros2 bag play``, and OpenIGTLink peers receive the outputs, or what peers sent if the outputs are none, or
+    only queries, answers and pings.
     """
-    if side == "both":
-        igtl, ros = plan_replay(file, "igtl", recompute), plan_replay(file, "ros", recompute)
+    if to == "both":
+        igtl, ros = plan_replay(file, "igtl", recompute, side), plan_replay(file, "ros", recompute, side)
         # one log for both: if one side needs recomputed outputs, the other side gets them, too
         why = f"to OpenIGTLink {igtl.why}; to ROS {ros.why}"
         return ReplayPlan(igtl.kinds | ros.kinds, igtl.recompute or ros.recompute, why)
     present = {channel.kind for channel in file.channels if channel.count}
-    output, own = _OUTPUTS[side], _SIDES_INPUTS[side]
-    feeding = Kind.ROS_IN if side == "igtl" else Kind.IGTL_IN
-    if side == "ros":
+    output, own = _OUTPUTS[to], _SIDES_INPUTS[to]
+    feeding = Kind.ROS_IN if to == "igtl" else Kind.IGTL_IN
+    recompute = recompute or (feeding in present and output not in present)
+    if to == "ros":
         # messages of ROS nodes are part of the traffic of a ROS graph, as in `ros2 bag play`
-        kinds = frozenset({output, own})
-        if recompute or (feeding in present and output not in present):
-            return ReplayPlan(kinds, True, f"{_RECOMPUTED}, and the messages that ROS nodes published")
-        return ReplayPlan(kinds, False, "the recorded ROS messages")
-    if recompute or (feeding in present and output not in present):
-        return ReplayPlan(frozenset({output}), True, _RECOMPUTED)
-    if output in present:
-        return ReplayPlan(frozenset({output}), False, "the recorded bytes")
-    return ReplayPlan(frozenset({own}), False, "the recorded messages from peers (none were sent to peers)")
+        side = side or "both"
+    elif not side and not recompute and (instead := _peers_instead(file, present)):
+        return ReplayPlan(frozenset({own}), False, instead)
+    kinds = frozenset({own} if side == "peers" else {own, output} if side == "both" else {output})
+    recompute = recompute and output in kinds
+    return ReplayPlan(kinds, recompute, _why(to, side, recompute))
 
 
-def check_streams(file: SessionFile, config: Config, how: ReplayPlan, streams: Sequence[str]) -> list[str]:
-    """Return the globs that match no stream of the plan.
+def is_of_dialogue(igtl_type: str) -> bool:
+    """Return whether messages of a type ask, answer or show that the sender is there, and carry no data of devices."""
+    return igtl_type.startswith(_ASKING) or igtl_type in _ANSWERS
 
+
+def _peers_instead(file: SessionFile, present: Set[Kind]) -> str:
+    """Return why OpenIGTLink peers receive what peers sent, and not the recorded outputs; "" if they receive these."""
+    if Kind.IGTL_OUT not in present:
+        return "the recorded messages from peers (none were sent to peers)"
+    sent, received = (
+        {channel.stream for channel in file.channels if channel.count and channel.kind is kind}
+        for kind in (Kind.IGTL_OUT, Kind.IGTL_IN)
+    )
+    # a stream without a name shares its channel with others, of any type
+    if all(name and is_of_dialogue(name.partition("/")[0]) for name in sent) and not all(
+        is_of_dialogue(name.partition("/")[0]) for name in received
+    ):
+        types = ", ".join(sorted({name.partition("/")[0] for name in sent}))
+        return f"the recorded messages from peers (only {types} was sent to peers: --side gateway)"
+    return ""
+
+
+def _why(to: str, side: Side, recompute: bool) -> str:
+    """Return the description of a plan for people."""
+    if to == "igtl":
+        own, recorded = "the recorded messages from peers", "the recorded bytes"
+    else:
+        own, recorded = "the messages that ROS nodes published", "the recorded messages of the gateway"
+    outputs = _RECOMPUTED if recompute else recorded
+    if to == "ros" and side == "both" and not recompute:
+        return "the recorded ROS messages"
+    return {"peers": own, "both": f"{outputs}, and {own}"}.get(side, outputs)
+
+
+def check_streams(
+    file: SessionFile, config: Config, how: ReplayPlan, streams: Sequence[str], place: str = "--streams"
+) -> list[str]:
+    """Return the globs that match no stream of the plan, each with a near name if there is one.
+
+    If outputs are computed again, or streams share a channel of the file, :func:`unplayed` finds them at the end.
     Raises ConfigError if none of them matches one: a replay of nothing should not wait for peers.  If outputs are
     computed again, or streams share a channel of the file, the entries are read until one matches.
     """
@@ -94,7 +137,7 @@ def check_streams(file: SessionFile, config: Config, how: ReplayPlan, streams: S
     without = [glob for glob in streams if not any(is_stream_of(kind, name, (glob,)) for name, kind in found)]
     is_known = not how.recompute and all(name for name, _ in found)
     if len(without) < len(streams) or not streams:
-        return without if is_known else []
+        return [f"{glob}: {unmatched(glob, {name for name, _ in found})}" for glob in without] if is_known else []
     if not is_known:
         found = set()
         for entry in planned_entries(file, config, how, ()):
@@ -104,7 +147,22 @@ def check_streams(file: SessionFile, config: Config, how: ReplayPlan, streams: S
     names = sorted({name for name, _ in found})
     few = ", ".join(names[:_NAMED_STREAMS]) + (" …" if len(names) > _NAMED_STREAMS else "")
     expected = f"one of these streams: {few}" if names else "a recording with messages for this side"
-    raise ConfigError(f"--streams: found {', '.join(map(repr, without))}, expected {expected}")
+    question = did_you_mean(near for glob in without for near in near_streams(glob, names))
+    text = f"{place}: found {', '.join(map(repr, without))}, expected {expected}"
+    raise ConfigError(f"{text}; {question}" if question else text)
+
+
+def unplayed(streams: Iterable[str], played: Iterable[str]) -> list[str]:
+    """Return the globs that match no stream that was played, each with a near name if there is one.
+
+    Args:
+        streams: the globs.
+        played: ``TYPE/device`` or topics.
+    """
+    names = set(played)
+    kinds = {name: Kind.ROS_OUT if name.startswith("/") else Kind.IGTL_OUT for name in names}
+    without = (glob for glob in streams if not any(is_stream_of(kinds[name], name, (glob,)) for name in names))
+    return [f"{glob}: {unmatched(glob, names, 'stream of the replay')}" for glob in without]
 
 
 def check_sends(file: SessionFile, how: ReplayPlan, sends: Sequence[str]) -> None:

@@ -14,11 +14,19 @@ from igtl_gateway.app.faulty import FaultyFeed
 from igtl_gateway.app.player import Jump, Player
 from igtl_gateway.app.replay_account import ReplayAccount
 from igtl_gateway.app.replay_options import ReplayOptions
-from igtl_gateway.app.replay_plan import check_sends, check_streams, plan_replay, planned_entries
+from igtl_gateway.app.replay_plan import (
+    ReplayPlan,
+    check_sends,
+    check_streams,
+    is_of_dialogue,
+    plan_replay,
+    planned_entries,
+    unplayed,
+)
 from igtl_gateway.app.replay_sides import ReplaySides, open_sides
 from igtl_gateway.app.rows import with_sends
 from igtl_gateway.base.clock import SystemClock
-from igtl_gateway.base.errors import GatewayError
+from igtl_gateway.base.errors import ConfigError, GatewayError
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.config.faults import LOSS, Fate, Faults
 from igtl_gateway.gateway.log.entry import Entry
@@ -70,9 +78,9 @@ class ReplayResult:
     Attributes:
         file: the recording.
         complete: whether the replay reached its end, and everything was sent.
-        messages: number of messages that were sent.
+        messages: number of messages that were played.
         bytes: their bytes.
-        without_peer: how many of them found no connected peer.
+        without_peer: how many of them found no connected peer, so that nobody received them.
         undelivered: how many of them were still queued when their peer disconnected, once for each peer.
         refused: messages that ROS did not take.
         sha256: SHA-256 of all bytes in the order of sending; None if it was not computed.
@@ -98,6 +106,11 @@ class ReplayResult:
     faults: dict[str, int] | None
     left_out: dict[tuple[str, str, str], int] = field(default_factory=dict)
     adapted: dict[tuple[str, str, str], int] = field(default_factory=dict)
+
+    @property
+    def sent(self) -> int:
+        """How many messages were played to a peer or to ROS."""
+        return int(self.account["sent"]) if self.account else self.messages - self.without_peer
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,10 +150,13 @@ def run_replay(path: Path, options: ReplayOptions, stop: Event, events: ReplayEv
     with SessionFile.open(path) as file, ExitStack() as at_end, ExitStack() as stack:
         start_ns, end_ns = _part(options, file)
         config = with_sends(config_to_run(file.session, options.config), options.send)
-        how = plan_replay(file, options.to, options.through_gateway)
+        if options.side and config.relay:
+            raise ConfigError(f"--side {options.side}: found a recording of a relay, whose messages are those of peers")
+        how = plan_replay(file, options.to, options.through_gateway, options.side)
         check_sends(file, how, options.send)
-        for glob in check_streams(file, config, how, options.streams):
-            events.on_line(f"! --streams {glob}: matches no recorded stream")
+        faults_of_streams = check_streams(file, config, how, options.streams)
+        for fault in faults_of_streams:
+            events.on_line(f"! --streams {fault}")
         events.on_line(f"{path}: {how.why}")
         pace = SessionTimeline(clock_steps_of(file))
         side = open_sides(options, file, how, stop, stack, events.on_line, relay=config.relay)
@@ -181,7 +197,7 @@ def run_replay(path: Path, options: ReplayOptions, stop: Event, events: ReplayEv
         complete = False
 
         def end() -> None:
-            partial = start_ns is not None or end_ns is not None
+            partial = any(each is not None for each in (options.start, options.end, options.duration))
             results.append(_result(path, player, side, complete, faulty, account, partial))
             events.ended(results[0])
 
@@ -193,10 +209,28 @@ def run_replay(path: Path, options: ReplayOptions, stop: Event, events: ReplayEv
             player.run()
         finally:
             complete = side.finish() and not stop.is_set()
-    if complete and not player.played.messages and not player.played.left_out:
-        why = next(iter(player.played.refused), ("", "see `igtl-gateway info`, and --send"))[1]
+        if complete and not faults_of_streams:
+            for fault in unplayed(options.streams, player.played.by_stream):
+                events.on_line(f"! --streams {fault}")
+    if complete and (why := _why_nothing(player, options, how)):
         raise GatewayError(f"{path}: found no messages for {options.to}: {why}")
     return results[0]
+
+
+def _why_nothing(player: Player, options: ReplayOptions, how: ReplayPlan) -> str:
+    """Return why nothing that was asked for was sent; "" if something was."""
+    played = player.played
+    if not played.messages:
+        if played.refused:
+            return next(iter(played.refused))[1]
+        if played.left_out:
+            return f"no connected peer can read the {played.left_out:,} messages; --exact sends them"
+        return "see `igtl-gateway info`, --side and --send"
+    asked = options.side or options.streams or options.to != "igtl"
+    if asked or not all(is_of_dialogue(name.partition("/")[0]) for name in played.by_stream):
+        return ""
+    types = ", ".join(sorted({name.partition("/")[0] for name in played.by_stream}))
+    return f"only {types} was sent; expected data of devices: see `igtl-gateway info`, --side and --send"
 
 
 def _part(options: ReplayOptions, file: SessionFile) -> tuple[int | None, int | None]:

@@ -14,6 +14,31 @@ def near_names(word: str, names: Iterable[str], likeness: float = 0.6) -> list[s
     return get_close_matches(word, list(names), _MOST, likeness)
 
 
+def near_streams(glob: str, streams: Iterable[str]) -> list[str]:
+    """Return at most three streams (``TYPE/device`` or topics) that ``glob``, which matches none, may mean.
+
+    A glob that begins with "/" means a topic, any other one a stream of OpenIGTLink or its device alone.
+    """
+    word = glob.lower().strip("*")
+    if not word.strip("/"):
+        return []
+    forms: dict[str, str] = {}
+    for name in sorted(streams):
+        if name.startswith("/") == word.startswith("/"):
+            forms[name.lower()] = name
+            if not name.startswith("/"):
+                forms.setdefault(name.partition("/")[2].lower(), name)
+    found = [forms[form] for form in near_names(word, filter(None, forms))]
+    part = word.rpartition("/")[2] or word
+    return list(dict.fromkeys(found or [name for form, name in forms.items() if part in form]))[:_MOST]
+
+
+def unmatched(glob: str, streams: Iterable[str], what: str = "recorded stream") -> str:
+    """Return the sentence about a glob that matches none of the streams."""
+    question = did_you_mean(near_streams(glob, streams))
+    return f"matches no {what}" + (f"; {question}" if question else "")
+
+
 def did_you_mean(near: Iterable[str]) -> str:
     """Return the question about names, or "" without any."""
     found = " or ".join(map(repr, near))

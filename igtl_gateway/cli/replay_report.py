@@ -18,8 +18,11 @@ def print_report(options: ReplayOptions, result: ReplayResult, *, as_json: bool)
     if as_json:
         print_json(_facts(options, result))
         return
-    sent = count_text(result.messages, "message")
-    print_line(f"{'sent' if result.complete else 'stopped after'} {sent}, {size_text(result.bytes)}")
+    played = f"{count_text(result.messages, 'message')}, {size_text(result.bytes)}"
+    if result.sent == result.messages:
+        print_line(f"{'sent' if result.complete else 'stopped after'} {played}")
+    else:
+        print_line(f"{'' if result.complete else 'stopped: '}sent {result.sent:,} of the {played}, that were played")
     if result.without_peer:
         print_line(f"  {result.without_peer:,} of them while no peer was connected")
     if result.undelivered:
@@ -51,6 +54,7 @@ def _facts(options: ReplayOptions, result: ReplayResult) -> dict[str, Any]:
         "file": str(result.file),
         "complete": result.complete,
         "messages": result.messages,
+        "sent": result.sent,
         "bytes": result.bytes,
         "without_peer": result.without_peer,
         "unheard": result.without_peer,  # the name before 0.1.0, for one release: in the ledger it means no subscriber

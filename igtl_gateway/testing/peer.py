@@ -5,12 +5,13 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from itertools import chain
 from pathlib import Path
 from types import TracebackType
 from typing import Literal
 
 from igtl_gateway.app.faulty import DISCONNECT, FaultyFeed, disconnector
+from igtl_gateway.app.replay_options import Side
+from igtl_gateway.app.replay_plan import check_streams, plan_replay, planned_entries, unplayed
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import ConfigError, WireError
@@ -18,17 +19,14 @@ from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.faults import Faults
 from igtl_gateway.edges.tcp import TcpEdge
-from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.record.sessionfile.reader import SessionFile
-from igtl_gateway.replay.source import first_form_only, one_side_of_relay, select_entries, through_gateway
 from igtl_gateway.testing.gateway import config_of, recorded_config
 from igtl_gateway.wire import Header, Message, decode, encode
 
 #: Default timeout, far longer than any expected delay: reaching it is a failure of the program under test.
 TIMEOUT_S = 20.0
-
-Side = Literal["gateway", "peers"]
 
 
 class ReplayPeer:
@@ -43,12 +41,14 @@ class ReplayPeer:
 
     Args:
         recording: a session file; or an MCAP file with ROS messages only, which the gateway converts.
-        streams: globs of the streams to play, ``TYPE/device`` or the device name; all by default.
+        streams: globs of the streams to play, ``TYPE/device`` or the device name; all by default.  Each has to match
+            a stream.
         rate: recorded seconds per second; None: as fast as the program reads.
         header: header version of all messages, 1 or 2; None: as recorded.
         side: ``"gateway"``: play the messages that the gateway sent to peers; ``"peers"``: play those that the peers
-            sent.  Of a recording of ``bridge --relay`` the messages of the server are played, or with ``connect``
-            those of the client.
+            sent; ``"both"``; by default those of the gateway, or those of the peers if the gateway sent only queries,
+            answers and pings.  Of a recording of ``bridge --relay`` the messages of the server are played, or with
+            ``connect`` those of the client.
         config: configuration for a recording without OpenIGTLink messages, instead of the recorded one: a ``Config``
             or a file.
         connect: (host, port) to connect to, with retries until there is a server; None: listen on a free port.
@@ -64,7 +64,7 @@ class ReplayPeer:
         streams: Sequence[str] = (),
         rate: float | None = None,
         header: Literal[1, 2] | None = None,
-        side: Side = "gateway",
+        side: Side = "",
         config: Config | Path | str | None = None,
         connect: tuple[str, int] | None = None,
         fault: str = "",
@@ -76,8 +76,8 @@ class ReplayPeer:
         self.notes: list[Note] = []
         self.sent = 0
         self._faulty = FaultyFeed(Faults.parse(fault, "fault"), seed)
-        self.faults = self._faulty.counts
-        self._streams, self._rate, self._header, self._side = tuple(streams), rate, header, side
+        self.faults, self._has_faults = self._faulty.counts, bool(fault)
+        self._streams, self._rate, self._header = tuple(streams), rate, header
         self._role = "client" if connect else "server"
         self._changed = threading.Condition()
         self._stop = threading.Event()
@@ -88,6 +88,9 @@ class ReplayPeer:
         self._file = SessionFile.open(recording)
         try:
             self._config = recorded_config(self._file) if config is None else config_of(config)
+            self._plan = plan_replay(self._file, "igtl", recompute=False, side=side)
+            if faults := check_streams(self._file, self._config, self._plan, self._streams, "streams"):
+                raise ConfigError(f"streams: {'; '.join(faults)}")
             self._edge = TcpEdge(
                 on_frame=self._on_frame,
                 on_link=lambda _link, _up, note: self._on_note(0, note),
@@ -176,6 +179,7 @@ class ReplayPeer:
 
     def _send_all(self) -> None:
         origin: tuple[int, int] | None = None
+        played: set[str] = set()
         disconnect = disconnector(self._edge, self._stop)
         for entry in self._faulty(self._with_header_version(entry) for entry in self._entries()):
             if self._rate is not None:
@@ -187,25 +191,18 @@ class ReplayPeer:
             links = [link.number for link in self._edge.links() if link.connected]
             self._edge.send(links, entry.payload, entry.channel, True)
             self.sent += 1
+            played.add(entry.channel)
             if entry.links == DISCONNECT:
                 disconnect()
         self._edge.flush(TIMEOUT_S)
+        if not self._has_faults and (faults := unplayed(self._streams, played)):
+            raise ConfigError(f"streams: {'; '.join(faults)}")
 
     def _entries(self) -> Iterator[Entry]:
         """Return the messages to play, in order."""
-        present = {channel.kind for channel in self._file.channels if channel.count}
-        before = self._file.prologue()
-        entries = self._file.entries()
-        if self._side == "peers":
-            return select_entries(entries, frozenset({Kind.IGTL_IN}), self._streams)
-        if self._config.relay:
-            entries = one_side_of_relay(self._role, chain(before, entries))
-        elif Kind.IGTL_OUT not in present:
-            entries = through_gateway(entries, self._config, has_links=Kind.LINK in present, before=before)
-        outputs = select_entries(
-            entries if self._config.relay else first_form_only(entries), frozenset({Kind.IGTL_OUT}), self._streams
-        )
-        return (entry for entry in outputs if entry.stamp_ns >= self._file.start_ns)  # without those of the prologue
+        start_ns = self._file.start_ns  # without the messages of the prologue
+        planned = planned_entries(self._file, self._config, self._plan, self._streams, role=self._role)
+        return (entry for entry in planned if entry.stamp_ns >= start_ns)
 
     def _with_header_version(self, entry: Entry) -> Entry:
         """Return the message with the requested header version; unchanged if it cannot be decoded."""

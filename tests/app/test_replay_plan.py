@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from igtl_gateway.app.replay_listeners import Listeners
+from igtl_gateway.app.replay_options import Side
 from igtl_gateway.app.replay_plan import (
     both_sender,
     check_sends,
@@ -34,6 +35,10 @@ from igtl_gateway.record.selection import StateInputRule
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.replay.recorded_config import config_to_run
+from igtl_gateway.testing.gateway import ManualGateway
+from igtl_gateway.wire import Message
+from igtl_gateway.wire.query import EmptyQuery
+from igtl_gateway.wire.transform import Transform
 from tests.files import BytesRead
 from tests.places import ROOT
 from tests.record import samples
@@ -75,11 +80,66 @@ def test_streams_that_are_not_there_are_refused_before_anybody_waits(side: str, 
             check_streams(file, Config(), how, [glob])
         assert check_streams(file, Config(), how, []) == []
         assert check_streams(file, Config(), how, ["**"]) == []
-        assert check_streams(file, Config(), how, ["**", glob]) == [glob]
+        assert [each.partition(": ")[0] for each in check_streams(file, Config(), how, ["**", glob])] == [glob]
         computed = plan_replay(file, side, recompute=True)
         with pytest.raises(ConfigError, match=re.escape(f"--streams: found '{glob}', expected one of these streams: ")):
             check_streams(file, config_to_run(file.session), computed, [glob])
         assert check_streams(file, config_to_run(file.session), computed, ["**", glob]) == []  # known too late
+
+
+def plus_like(path: Path, received: str = "TRANSFORM") -> Path:
+    """A session with PlusServer, which the gateway pings, and without a robot."""
+    gateway = ManualGateway(profile="plus")
+    content: Any = Transform((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 5.0, 0.0, 0.0))
+    for _ in range(5):
+        gateway.from_peer(Message(received, "ProbeToTracker", content if received == "TRANSFORM" else EmptyQuery(), 1))
+        gateway.advance(10)
+    assert {sent.stream for sent in gateway.outputs.igtl()} >= {"GET_STATUS/"}
+    gateway.save(path)
+    return path
+
+
+def test_queries_of_the_gateway_do_not_count_as_what_it_sent(tmp_path: Path) -> None:
+    with SessionFile.open(plus_like(tmp_path / "plus.mcap")) as file:
+        how = plan_replay(file, "igtl", recompute=False)
+        assert how.kinds == {Kind.IGTL_IN} and "only GET_STATUS was sent to peers" in how.why
+        assert {entry.type for entry in planned_entries(file, Config(), how, [])} == {"TRANSFORM"}
+
+
+def test_who_only_asks_gets_what_was_sent_to_it(tmp_path: Path) -> None:
+    """A recording in which nobody sends data has no better side."""
+    with SessionFile.open(plus_like(tmp_path / "asked.mcap", received="GET_TRANS")) as file:
+        assert plan_replay(file, "igtl", recompute=False).kinds == {Kind.IGTL_OUT}
+
+
+@table(
+    "to, side, kinds",
+    [
+        ("igtl", "peers", {Kind.IGTL_IN}),
+        ("igtl", "gateway", {Kind.IGTL_OUT}),
+        ("igtl", "both", {Kind.IGTL_IN, Kind.IGTL_OUT}),
+        ("ros", "peers", {Kind.ROS_IN}),
+        ("ros", "gateway", {Kind.ROS_OUT}),
+        ("ros", "both", {Kind.ROS_IN, Kind.ROS_OUT}),
+        ("both", "peers", {Kind.IGTL_IN, Kind.ROS_IN}),
+        ("both", "gateway", {Kind.IGTL_OUT, Kind.ROS_OUT}),
+        ("both", "both", {Kind.IGTL_IN, Kind.IGTL_OUT, Kind.ROS_IN, Kind.ROS_OUT}),
+    ],
+)
+def test_whose_messages_are_sent_can_be_chosen(to: str, side: Side, kinds: set[Kind]) -> None:
+    with SessionFile.open(TYPES) as file:
+        how = plan_replay(file, to, recompute=False, side=side)
+        assert how.kinds == kinds and not how.recompute
+        assert {entry.kind for entry in planned_entries(file, Config(), how, [])} <= kinds
+
+
+def test_a_name_with_a_mistake_has_a_near_one() -> None:
+    with SessionFile.open(TYPES) as file:
+        for to, glob, near in (("igtl", "Greetin", "STRING/Greeting"), ("ros", "/igtl/out/Clou", "/igtl/out/Cloud")):
+            how = plan_replay(file, to, recompute=False)
+            with pytest.raises(ConfigError, match=f"did you mean '{near}'"):
+                check_streams(file, Config(), how, [glob])
+            assert near in check_streams(file, Config(), how, ["**", glob])[0]
 
 
 def test_a_stream_that_only_this_version_computes_is_there() -> None:

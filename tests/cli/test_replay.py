@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import re
 import signal
 import socket
 import ssl
@@ -247,8 +248,34 @@ def test_what_no_peer_was_there_for_is_said() -> None:
         out, _ = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 0
     assert "of them while no peer was connected" in out
+    sent, played, unsent, all_recorded = (
+        int(each.replace(",", ""))
+        for each in re.findall(r"sent ([\d,]+) of the ([\d,]+) message.*?not sent: ([\d,]+) of ([\d,]+)", out, re.S)[0]
+    )
+    assert sent < played and sent + unsent == all_recorded, out
     _, told = received(str(TYPES), "--as-fast-as-possible")
     assert told["without_peer"] == told["unheard"] == 0
+
+
+def test_only_what_was_left_out_is_an_error() -> None:
+    """A program that can read none of the messages has nothing of them: exit code 0 would say otherwise."""
+    with server() as listener, ThreadPoolExecutor(1) as pool:
+        peer = pool.submit(lambda: everything(listener.accept()[0]))
+        to = ("--to", "igtl", "--connect", target(listener), "--profile", "holoscan", "--as-fast-as-possible")
+        with redirect_stderr(StringIO()) as err:
+            assert main(["replay", str(FIXTURES / "every-type.mcap"), *to, "--streams", "BIND/*"]) == 1
+        assert peer.result() == b""
+    assert "no connected peer can read the" in err.getvalue() and "--exact" in err.getvalue()
+
+
+def test_a_part_without_options_has_nothing_outside_of_start_and_end(tmp_path: Path) -> None:
+    """A part begins with the state before it, which is no window that somebody asked for."""
+    with SessionFile.open(STAR) as file:
+        half = file.start_ns + (file.end_ns - file.start_ns) // 2
+    assert main(["slice", str(STAR), "--start", f"{half / 1e9:.6f}", "-o", str(tmp_path / "part.mcap")]) == 0
+    _, told = received(str(tmp_path / "part.mcap"), "--as-fast-as-possible")
+    account: Any = told["account"]
+    assert "outside" not in account["not_sent"]
 
 
 def test_an_output_that_nobody_reads_ends_without_a_traceback() -> None:

@@ -14,6 +14,7 @@ from igtl_gateway.base.buffers import join
 from igtl_gateway.base.errors import ConfigError, UnsupportedRecording
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.faults import Faults
+from igtl_gateway.convert.rosmsg import String as RosString
 from igtl_gateway.gateway import PARTNER
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.record.sessionfile.reader import SessionFile
@@ -194,6 +195,37 @@ def test_invalid_arguments_are_errors_before_listening(tmp_path: Path) -> None:
         ReplayPeer(tmp_path / "none.mcap")
     with pytest.raises(ConfigError, match="found 0, expected a number above 0"):
         ReplayPeer(STAR, rate=0)
+
+
+def test_streams_that_are_not_there_are_an_error_of_the_test(program: Any) -> None:
+    with pytest.raises(ConfigError, match=r"streams: found 'ToolToBas', .*did you mean 'TRANSFORM/ToolToBase'"):
+        ReplayPeer(STAR, streams=["ToolToBas"])
+    with pytest.raises(ConfigError, match=r"streams: Toool: matches no recorded stream"):
+        ReplayPeer(STAR, streams=["TRANSFORM/*", "Toool"])
+
+
+def test_a_stream_that_the_gateway_does_not_compute_is_an_error_at_the_end(tmp_path: Path, program: Any) -> None:
+    gateway = ManualGateway(to_igtl=[{"topic": "/a", "device": "A"}])
+    gateway.from_ros("/a", RosString("one"))
+    gateway.log = [entry for entry in gateway.log if entry.kind.is_input]
+    gateway.save(tmp_path / "inputs.mcap")
+    with ReplayPeer(tmp_path / "inputs.mcap", streams=["STRING/A", "STRING/B"]) as peer:
+        program(peer)
+        peer.play()
+        with pytest.raises(ConfigError, match="STRING/B: matches no stream of the replay; did you mean 'STRING/A'"):
+            peer.wait_done()
+
+
+def test_what_the_gateway_only_asked_is_not_what_it_sent(tmp_path: Path, program: Any) -> None:
+    gateway = ManualGateway(profile="plus")
+    for _ in range(3):
+        gateway.from_peer(HELLO)
+        gateway.advance(10)
+    gateway.save(tmp_path / "plus.mcap")
+    with ReplayPeer(tmp_path / "plus.mcap") as peer:
+        client = program(peer)
+        peer.play()
+        assert {decode(data).type for data in client.messages(3)} == {"STRING"}
 
 
 def test_a_seed_has_the_same_faults_on_each_connection(program: Any) -> None:

@@ -26,6 +26,7 @@ from igtl_gateway.addon import (
     failure_text,
     marks_of,
 )
+from igtl_gateway.app.replay_options import SIDES, Side
 from igtl_gateway.app.replay_plan import plan_replay
 from igtl_gateway.base.systems.processes import stand_back
 from igtl_gateway.base.systems.signals import ignore_endings
@@ -59,7 +60,7 @@ def facts_of(path: Path) -> dict[str, Any]:
                 "closed": True,
                 "marks": [mark.to_dict(file.start_ns) for mark in marks[:MAX_MARKS]],
                 "marked": len(marks),
-                "sends": {side: _sends(file, side) for side in _SIDES},
+                "sends": {f"{to} {side}".strip(): _sends(file, to, side) for to in _SIDES for side in SIDES},
             }
     except BeingRecorded:
         return {"closed": False, "recording": True, "problem": "is being recorded"}
@@ -74,12 +75,12 @@ def facts_of(path: Path) -> dict[str, Any]:
     return found
 
 
-def _sends(file: SessionFile, side: str) -> dict[str, Any]:
-    """Return what a replay sends to a side: names and number of streams, and why; and of those that it does not."""
-    how = plan_replay(file, side, recompute=False)
-    kinds = how.kinds | (_SIDES[side] if how.recompute else set())
+def _sends(file: SessionFile, to: str, side: Side) -> dict[str, Any]:
+    """Return what a replay sends to a target: names and number of streams, and why; and of those that it does not."""
+    how = plan_replay(file, to, recompute=False, side=side)
+    kinds = how.kinds | (_SIDES[to] if how.recompute else set())
     sent = _names(file, kinds)
-    stay = [name for name in _names(file, {Kind.IGTL_IN}) if name not in sent] if side == "igtl" else []
+    stay = [name for name in _names(file, {Kind.IGTL_IN}) if name not in sent] if to == "igtl" and not side else []
     return {"names": sent[:_NAMED], "number": len(sent), "why": how.why, "stay": stay[:_NAMED], "staying": len(stay)}
 
 

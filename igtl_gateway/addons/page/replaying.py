@@ -44,7 +44,7 @@ class _Replay:
         threading.Thread(target=self._listen, daemon=True).start()
 
     def run(self) -> None:
-        given = {name: self._settings[name] for name in ("to", "rate", "loop")}
+        given = {name: self._settings[name] for name in ("to", "side", "rate", "loop")}
         given |= {name: tuple(self._settings[name]) for name in ("listen", "connect") if self._settings[name]}
         given |= {"wait_peers": 0, "start_paused": True}
         events = ReplayEvents(on_line=self._say, controls=self._controls)

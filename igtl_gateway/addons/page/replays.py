@@ -11,6 +11,7 @@ from typing import Any
 
 from igtl_gateway.addon import NS_PER_S, Child, ConfigError, SystemClock, python_command
 from igtl_gateway.addons.page.recordings import child_environment
+from igtl_gateway.app.replay_options import SIDES
 from igtl_gateway.config.notations import address
 
 _COMMAND = python_command("igtl_gateway.addons.page.replaying")
@@ -45,13 +46,15 @@ class Replay:
 
         Args:
             name, path: the recording.
-            how: ``to`` (igtl, ros, both), ``role`` (listen, connect), ``address``, ``rate``, ``loop``,
-                ``from_s`` (seconds from its begin), ``paused``.
+            how: ``to`` (igtl, ros, both), ``side`` ("", peers, gateway, both), ``role`` (listen, connect),
+                ``address``, ``rate``, ``loop``, ``from_s`` (seconds from its begin), ``paused``.
         """
-        to, role = str(how.get("to", "igtl")), str(how.get("role", "listen"))
+        to, role, side = str(how.get("to", "igtl")), str(how.get("role", "listen")), str(how.get("side", ""))
         try:
             if to not in _TARGETS or role not in ("listen", "connect"):
                 raise ConfigError(f"found {to[:20]!r} and {role[:20]!r}, expected a target and listen or connect")
+            if side not in SIDES:
+                raise ConfigError(f"side: found {side[:20]!r}, expected one of {', '.join(filter(None, SIDES))}")
             place = str(how.get("address") or "127.0.0.1:18944")
             address(place)
             rate, from_s = float(how.get("rate") or 1), float(how.get("from_s") or 0)
@@ -62,6 +65,7 @@ class Replay:
         settings = {
             "file": str(path),
             "to": to,
+            "side": side,
             "listen": [place] if to != "ros" and role == "listen" else [],
             "connect": [place] if to != "ros" and role == "connect" else [],
             "rate": rate,

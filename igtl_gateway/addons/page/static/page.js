@@ -543,7 +543,7 @@ function jobRow(job) {
 
 // ── replay ────────────────────────────────────────────────────────────────────────────────────────────────────
 
-let chosen = "", from = 0, follows = false, placesOf = {}, target = "igtl listen", speed = "1", place = "";
+let chosen = "", from = 0, follows = false, placesOf = {}, target = "igtl listen", side = "", speed = "1", place = "";
 function choose(name, at) {
   chosen = name; from = at || 0;
 }
@@ -567,7 +567,7 @@ async function act2(words) {
 }
 async function begin() {
   const [to, way] = target.split(" ");
-  await act({ do: "replay", name: chosen, to, role: way || "listen", address: place || usualPlace(), rate: Number(speed), from_s: beginning() });
+  await act({ do: "replay", name: chosen, to, side, role: way || "listen", address: place || usualPlace(), rate: Number(speed), from_s: beginning() });
 }
 /* Where the replay begins: from the end, again. */
 function beginning() {
@@ -588,16 +588,18 @@ function drawReplay() {
   if (running && chosen !== replay.name) choose(replay.name);
   if (running) follows = true;
   else if (follows) { follows = false; if (chosen === replay?.name) from = replay.state.position_s ?? from; }
-  part(at.head, [running, replay?.name], () => h("div.lead", null, h("div", null, h("h1", null, running ? `Replay of ${replay.name}` : "Replay"), h("p", null, "Sends again what the bridge sent: to OpenIGTLink peers, to ROS, or to both."))));
+  part(at.head, [running, replay?.name], () => h("div.lead", null, h("div", null, h("h1", null, running ? `Replay of ${replay.name}` : "Replay"), h("p", null, "Sends again what the bridge sent, or what its peers sent: to OpenIGTLink peers, to ROS, or to both."))));
   const row = (sessions || []).find((each) => each.name === chosen);
   const ready = (sessions || []).filter((each) => each.closed || each.name === chosen || (each.closed == null && !each.recording));
   if (!chosen && ready.length) choose(ready[0].name);
   const title = (each) => (each.closed ? each.name : `${each.name} (${sessionState(each)[1]})`);
-  part(at.choice, [ready.map(title), chosen, running, locked(), target, row?.sends], () => h("div.card", null, h("div.body", null, h("div.form.four", null,
+  part(at.choice, [ready.map(title), chosen, running, locked(), target, side, row?.sends], () => h("div.card", null, h("div.body", null, h("div.form.fields", null,
     h("label.field", null, h("span", null, "Recording"), h("select", { "data-key": "choose", disabled: running, onchange: (event) => { choose(event.target.value); draw(); } }, ready.map((each) => h("option", { value: each.name, selected: each.name === chosen }, title(each))))),
     h("label.field", null, h("span", null, "Send to"), h("select", { "data-key": "target", disabled: running, onchange: (event) => { target = event.target.value; draw(); } },
       [["igtl listen", "OpenIGTLink clients"], ["igtl connect", "an OpenIGTLink server"], ["ros", "ROS 2"], ["both listen", "OpenIGTLink clients and ROS 2"]].map(([value, title]) => h("option", { value, selected: value === target }, title)))),
     target !== "ros" && h("label.field", null, h("span", null, target.includes("connect") ? "Its address" : "At address"), h("input", { type: "text", "data-key": "place", disabled: running, value: place || usualPlace(), onpointerdown: (event) => { event.target._fresh = document.activeElement !== event.target; }, onclick: (event) => { if (event.target._fresh) event.target.select(); }, oninput: (event) => { place = event.target.value.trim(); drawHint(); } })),
+    h("label.field", null, h("span", null, "Messages"), h("select", { "data-key": "side", disabled: running, onchange: (event) => { side = event.target.value; draw(); } },
+      [["", "the usual ones"], ["gateway", "those of the bridge"], ["peers", "those of peers and nodes"], ["both", "all"]].map(([value, title]) => h("option", { value, selected: value === side }, title)))),
     h("label.field", null, h("span", null, "Rate"), h("select", { "data-key": "speed", disabled: running, onchange: (event) => { speed = event.target.value; } }, ["0.1", "0.25", "0.5", "1", "2", "5", "10"].map((value) => h("option", { value, selected: value === speed }, `${value} ×`))))),
     running ? null : h("p.hint", { id: "hint" }, hint()), running ? null : sends(row)?.map(([kind, text]) => h("p.sends", { class: kind }, text)))));
   const playing = running ? replay.state : null, length = row?.duration_s ?? playing?.duration_s;
@@ -618,11 +620,11 @@ function drawReplay() {
 }
 /* Which streams go out to the chosen target, which do not, and why. */
 function sends(row) {
-  const found = row?.sends?.[target.split(" ")[0]];
+  const found = row?.sends?.[`${target.split(" ")[0]} ${side}`.trim()];
   if (!found) return null;
   const some = (names, all) => names.map((name) => name.replace(/\/$/, "")).join(", ") + (all > names.length ? ` and ${number(all - names.length)} more` : "");
   const sent = found.number ? ["", `Sent: ${count(found.number, "stream")}: ${some(found.names, found.number)} (${found.why}).`] : ["s-warning", "Nothing is sent: the recording has no messages for this target."];
-  return [sent, found.staying && ["s-warning", `Not sent: ${count(found.staying, "stream")} that peers sent to the bridge: ${some(found.stay, found.staying)}. They go to ROS.`]].filter(Boolean);
+  return [sent, found.staying && ["s-warning", `Not sent: ${count(found.staying, "stream")} that peers sent to the bridge: ${some(found.stay, found.staying)}. To send them, choose them under Messages.`]].filter(Boolean);
 }
 function hint() { return HINTS[target](place || usualPlace()); }
 function drawHint() { if ($("hint")) put($("hint"), hint()); }
