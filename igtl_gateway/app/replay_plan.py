@@ -68,8 +68,8 @@ def plan_replay(file: SessionFile, to: str, recompute: bool, side: Side = "") ->
 
     ``gateway``: the recorded outputs of the gateway.  With ``recompute``, or if the recording has only inputs, these
     are computed again.  ``peers``: what the programs of the target sent themselves.  By default ROS receives both, as
-    in ``ros2 bag play``, and OpenIGTLink peers receive the outputs, or what peers sent if the outputs are none, or
-    only queries, answers and pings.
+    in ``ros2 bag play``, and OpenIGTLink peers receive the outputs; what peers sent, if there are no outputs but
+    queries, answers and pings.
     """
     if to == "both":
         igtl, ros = plan_replay(file, "igtl", recompute, side), plan_replay(file, "ros", recompute, side)

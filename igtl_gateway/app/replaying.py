@@ -80,7 +80,7 @@ class ReplayResult:
         complete: whether the replay reached its end, and everything was sent.
         messages: number of messages that were played.
         bytes: their bytes.
-        without_peer: how many of them found no connected peer, so that nobody received them.
+        without_peer: how many of them found no connected peer.
         undelivered: how many of them were still queued when their peer disconnected, once for each peer.
         refused: messages that ROS did not take.
         sha256: SHA-256 of all bytes in the order of sending; None if it was not computed.

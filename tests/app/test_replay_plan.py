@@ -107,7 +107,7 @@ def test_queries_of_the_gateway_do_not_count_as_what_it_sent(tmp_path: Path) -> 
 
 
 def test_who_only_asks_gets_what_was_sent_to_it(tmp_path: Path) -> None:
-    """A recording in which nobody sends data has no better side."""
+    """A recording in which no program sends data has no better side."""
     with SessionFile.open(plus_like(tmp_path / "asked.mcap", received="GET_TRANS")) as file:
         assert plan_replay(file, "igtl", recompute=False).kinds == {Kind.IGTL_OUT}
 

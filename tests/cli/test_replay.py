@@ -258,7 +258,7 @@ def test_what_no_peer_was_there_for_is_said() -> None:
 
 
 def test_only_what_was_left_out_is_an_error() -> None:
-    """A program that can read none of the messages has nothing of them: exit code 0 would say otherwise."""
+    """A program that can read none of the messages gets nothing, so exit code 0 would be wrong."""
     with server() as listener, ThreadPoolExecutor(1) as pool:
         peer = pool.submit(lambda: everything(listener.accept()[0]))
         to = ("--to", "igtl", "--connect", target(listener), "--profile", "holoscan", "--as-fast-as-possible")
@@ -269,7 +269,7 @@ def test_only_what_was_left_out_is_an_error() -> None:
 
 
 def test_a_part_without_options_has_nothing_outside_of_start_and_end(tmp_path: Path) -> None:
-    """A part begins with the state before it, which is no window that somebody asked for."""
+    """A part begins with the state before it, and without a window."""
     with SessionFile.open(STAR) as file:
         half = file.start_ns + (file.end_ns - file.start_ns) // 2
     assert main(["slice", str(STAR), "--start", f"{half / 1e9:.6f}", "-o", str(tmp_path / "part.mcap")]) == 0
