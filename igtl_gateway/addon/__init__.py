@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from igtl_gateway.api.igtl_columns import quaternions_of as quaternions_of
+    from igtl_gateway.api.poses import between_poses as between_poses
     from igtl_gateway.api.recording import Recording as Recording
     from igtl_gateway.api.recording import of_session as of_session
     from igtl_gateway.api.recording import open as open_recording
@@ -185,11 +186,18 @@ if TYPE_CHECKING:
     from igtl_gateway.gateway.log.fates import REFUSED_COMMANDS as REFUSED_COMMANDS
     from igtl_gateway.gateway.log.fates import REFUSED_DEVICE as REFUSED_DEVICE
     from igtl_gateway.gateway.log.groups import input_groups as input_groups
+    from igtl_gateway.gateway.log.joining import GAP_NS as GAP_NS
+    from igtl_gateway.gateway.log.joining import NEAR_NS as NEAR_NS
+    from igtl_gateway.gateway.log.joining import Picks as Picks
+    from igtl_gateway.gateway.log.joining import pick as pick
     from igtl_gateway.gateway.log.marks import Mark as Mark
     from igtl_gateway.gateway.log.marks import MarkNote as MarkNote
     from igtl_gateway.gateway.log.marks import ago_ns as ago_ns
     from igtl_gateway.gateway.log.note import Level as Level
     from igtl_gateway.gateway.log.note import Note as Note
+    from igtl_gateway.gateway.log.one_clock import OneClock as OneClock
+    from igtl_gateway.gateway.log.one_clock import StreamTimes as StreamTimes
+    from igtl_gateway.gateway.log.one_clock import one_clock as one_clock
     from igtl_gateway.record.sessionfile import layout as layout
     from igtl_gateway.record.sessionfile.added_marks import added_marks as added_marks
     from igtl_gateway.record.sessionfile.added_marks import marks_files as marks_files
@@ -253,6 +261,10 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("gateway.log.clocksteps", "CLOCK_STEP"),
     ("gateway.log.fates", "REFUSED_COMMANDS REFUSED_DEVICE"),
     ("gateway.log.groups", "input_groups"),
+    # Two streams: one clock for both, and the messages that belong to a moment
+    ("gateway.log.one_clock", "OneClock StreamTimes one_clock"),
+    ("gateway.log.joining", "GAP_NS NEAR_NS Picks pick"),
+    ("api.poses", "between_poses"),
     ("gateway.log.marks", "Mark MarkNote ago_ns"),
     ("record.sessionfile.added_marks", "added_marks marks_files"),
     ("replay.recorded_marks", "carry_marks marked_moment marks_of"),

@@ -17,6 +17,9 @@ from igtl_gateway.convert.units import UNITS, LengthUnits
 Array = npt.NDArray[Any]
 Times = npt.NDArray[np.int64]
 
+#: A matrix whose axes are off by more than this part of their length is no rotation that was rounded.
+_STRETCHED = 1e-3
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Poses:
@@ -135,7 +138,10 @@ def matrices_of(positions: Array, quaternions: Array) -> Array:
 
 
 def between_poses(one: Array, two: Array, share: Array) -> Array:
-    """Return poses between (N, 4, 4) matrices, at ``share`` (N,) of the way: positions linearly, rotations by slerp."""
+    """Return poses between (N, 4, 4) matrices, at ``share`` (N,) of the way: positions linearly, rotations by slerp.
+
+    Where one has a scale, a shear or a mirror, as the calibration of a picture has, it is number by number.
+    """
     a, b = quaternions_of(one)[0], quaternions_of(two)[0]
     cosine = np.sum(a * b, axis=1)
     b = np.where((cosine < 0)[:, None], -b, b)  # of the two quaternions of a rotation, the nearer one
@@ -148,7 +154,17 @@ def between_poses(one: Array, two: Array, share: Array) -> Array:
         second = np.where(tiny, share, np.sin(share * angle) / sine)
     positions = one[:, :3, 3] + share[:, None] * (two[:, :3, 3] - one[:, :3, 3])
     found = matrices_of(positions, first[:, None] * a + second[:, None] * b)
+    odd = _stretch(one) | _stretch(two)
+    found[odd] = one[odd] + share[odd, None, None] * (two[odd] - one[odd])
     # a sample itself stays as it is, to the last bit
     found[share == 0.0] = one[share == 0.0]
     found[share == 1.0] = two[share == 1.0]
     return found
+
+
+def _stretch(matrices: Array) -> npt.NDArray[np.bool_]:
+    """Which matrices (N, 4, 4) are more than a rotation and a translation: of scales, shears and mirrors."""
+    turns = matrices[:, :3, :3]
+    with np.errstate(all="ignore"):
+        off = np.abs(np.einsum("nji,njk->nik", turns, turns) - np.eye(3)).max(axis=(1, 2), initial=0.0)
+    return np.asarray((off > _STRETCHED) | (np.linalg.det(turns) < 0))

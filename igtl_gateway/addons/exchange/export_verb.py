@@ -7,6 +7,8 @@ import shlex
 from typing import Any
 
 from igtl_gateway.addon import (
+    GAP_NS,
+    NS_PER_S,
     ConfigError,
     GatewayError,
     SessionFile,
@@ -16,6 +18,7 @@ from igtl_gateway.addon import (
     add_streams,
     cell,
     count_text,
+    default,
     definitions,
     file_name,
     is_present,
@@ -30,6 +33,8 @@ from igtl_gateway.addons.exchange.targets import TARGETS, export_to
 
 #: The format of another add-on, which has its options.
 LEROBOT = "lerobot"
+#: Above it, nanoseconds have no room.
+MOST_GAP_S = 1e9
 LEROBOT_ROW = [(LEROBOT, part_of(LEROBOT, "verb:LEROBOT_TEXT"))] if is_present(LEROBOT) else []
 
 EXAMPLES = """\
@@ -66,12 +71,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_output(parser, "file or directory to write")
     add_streams(parser)
+    parser.add_argument(
+        "--max-gap",
+        type=float,
+        metavar="S",
+        help="igs.mha: largest time between two poses of a transform that an image may lie between; in longer gaps it "
+        "is INVALID " + default(GAP_NS / NS_PER_S),
+    )
     if LEROBOT_ROW:
         part_of(LEROBOT, "verb:add_lerobot")(parser)
     add_json(parser)
 
 
 def run(options: argparse.Namespace) -> int:
+    gap_ns = _gap_ns(options)
     if options.to == LEROBOT:
         return int(part_of(LEROBOT, "verb:run_lerobot")(options))
     if LEROBOT_ROW:
@@ -84,7 +97,7 @@ def run(options: argparse.Namespace) -> int:
         raise ConfigError(f"-o: {error}") from None
     with SessionFile.open(options.file) as file:
         try:
-            account = export_to(options.to, file, options.output, options.streams)
+            account = export_to(options.to, file, options.output, options.streams, gap_ns)
         except OSError as error:
             raise GatewayError(f"cannot write to {options.output}: {error.strerror or error}") from None
     written = sum(row.taken for row in account.rows)
@@ -110,6 +123,18 @@ def run(options: argparse.Namespace) -> int:
         print_line(f"{options.output}: {count_text(written, 'message')} in {count_text(account.files, 'file')}")
         print_line(f"next: {_next_step(options)}")
     return 0 if good else 1
+
+
+def _gap_ns(options: argparse.Namespace) -> int:
+    """The largest gap to interpolate in, ns.  Raises ConfigError."""
+    if options.max_gap is None:
+        return GAP_NS
+    if options.to == LEROBOT or not TARGETS[options.to].joins:
+        joining = ", ".join(name for name, target in TARGETS.items() if target.joins)
+        raise ConfigError(f"--max-gap: found --to {options.to}, expected {joining}: the option has no effect here")
+    if not 0 <= options.max_gap < MOST_GAP_S:
+        raise ConfigError(f"--max-gap: found {options.max_gap:g}, expected 0 or more, below {MOST_GAP_S:,.0f} s")
+    return round(options.max_gap * NS_PER_S)
 
 
 def _next_step(options: argparse.Namespace) -> str:

@@ -1,8 +1,10 @@
-"""The frames of a session for the export of a sequence: an IMAGE, with the state of every TRANSFORM at its time.
+"""The frames of a session for the export of a sequence: an IMAGE, with every TRANSFORM at its time.
 
-The value of a transform is the latest one before the image.  It is OK unless it is older than a second, was marked
-invalid, is not finite, or was not received yet.  Without images, a frame is a time at which transforms were received.
-Times are source stamps if set.  The account counts a TRANSFORM as written if it is in a frame, otherwise as left out.
+The value of a transform is its pose at the time of the image, between the two poses around it (``log.joining``), on one
+clock (``log.one_clock``): the order of receipt does not matter.  It is INVALID where it is not known: before its first
+and after its last pose, between poses that are further apart than the largest gap, next to one that was marked as
+invalid or is not finite.  Without images, a frame is each time of a transform.  The account counts a TRANSFORM as
+written if a frame is made of it, otherwise as left out.
 """
 
 from __future__ import annotations
@@ -11,58 +13,45 @@ import math
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
 
 from igtl_gateway.addon import (
+    GAP_NS,
     NS_PER_S,
     Buffer,
     ConfigError,
     Entry,
     Kind,
     Note,
+    OneClock,
+    StreamTimes,
     UnsupportedRecording,
+    between_poses,
     failure_text,
     limits,
     millimetres,
+    one_clock,
+    pick,
     recorded_units,
 )
-from igtl_gateway.addon.igtl import Image, Transform, decode
+from igtl_gateway.addon.igtl import Image, Message, Transform, decode
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
-from igtl_gateway.addons.exchange.selection import Recording, chosen_entries, matches_stream, message_time_ns
-from igtl_gateway.addons.exchange.sequence import TRANSFORM_STATUS
+from igtl_gateway.addons.exchange.selection import Recording, chosen_entries, matches_stream
+from igtl_gateway.addons.exchange.sequence import OK, TRANSFORM_STATUS
 from igtl_gateway.addons.exchange.volume_out import in_millimetres
 
-#: Largest age of a valid transform at the time of the image.
-MAX_AGE_NS = NS_PER_S
+Array = npt.NDArray[Any]
+Times = npt.NDArray[np.int64]
+
 #: Message types in a sequence; a note of the edge has no type.
 _TYPES = frozenset({"IMAGE", "TRANSFORM", ""})
 #: Matrix of a transform without a valid value.
 IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1"
-
-
-@dataclass(slots=True)
-class _Tracked:
-    """The latest value of a transform.
-
-    Attributes:
-        time_ns: UTC.
-        matrix: the 16 numbers, row by row.
-        valid: whether the value can be used.
-        row: row of its stream in the account; None before the first message.
-        why: reason if the message is in no frame.
-        held: whether the message is in a frame.
-    """
-
-    time_ns: int = 0
-    matrix: str = IDENTITY
-    valid: bool = False
-    row: ExportedStream | None = None
-    why: str = ""
-    held: bool = False
-
-    def done(self) -> None:
-        """Count the message as left out if it is in no frame; called for a newer message and at the end."""
-        if self.row and not self.held:
-            self.row.leave_out(self.why)
+#: Metadata of a TRANSFORM with its status, as PLUS and 3D Slicer write it.
+_STATUS = "TransformStatus"
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,36 +69,74 @@ class SequenceFrame:
     image: Image | None
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class SequenceSurvey:
     """Facts about all frames, from one pass.
 
     Attributes:
-        frames: number of frames.
-        valid: name of a transform → number of frames in which it is OK.
+        times: (N,) int64, time of each frame, UTC ns: the stamp of its image, or gateway time if that is unset.
+        poses: name of a transform → its pose in each frame, (N, 4, 4), and in which frames it is OK, (N,).
         matrices: coordinate system and matrix of the images.
+        clock: the clock on which images and transforms are joined.
     """
 
-    frames: int = 0
-    valid: dict[str, int] = field(default_factory=dict)
-    matrices: set[tuple[int, tuple[float, ...]]] = field(default_factory=set)
+    times: Times
+    poses: dict[str, tuple[Array, npt.NDArray[np.bool_]]]
+    matrices: set[tuple[int, tuple[float, ...]]]
+    clock: OneClock
+
+
+@dataclass(slots=True)
+class _Samples:
+    """The messages of one stream that can be used.
+
+    Attributes:
+        times, stamps: gateway times and source stamps, UTC ns.
+        rows: of a TRANSFORM the 16 numbers, row by row, in mm.
+        segments: of a TRANSFORM how often it was marked as invalid before.
+        sender: the link that they came from.
+        row: row of the stream in the account.
+        breaks: how often it was marked as invalid so far.
+    """
+
+    times: list[int] = field(default_factory=list)
+    stamps: list[int] = field(default_factory=list)
+    rows: list[list[float]] = field(default_factory=list)
+    segments: list[int] = field(default_factory=list)
+    sender: str = ""
+    row: ExportedStream | None = None
+    breaks: int = 0
+
+    def add(self, entry: Entry, row: ExportedStream) -> None:
+        self.times.append(entry.stamp_ns)
+        self.stamps.append(entry.source_ns)
+        self.sender, self.row = f"link {entry.links}" if entry.links else "", row
+
+    def stream(self, name: str) -> StreamTimes:
+        return StreamTimes(name, np.array(self.times, np.int64), np.array(self.stamps, np.int64), self.sender)
 
 
 class SequenceFrames:
-    """The frames of a session; each call of ``frames`` reads the complete session.
+    """The frames of a session; ``survey`` and each call of ``frames`` read the complete session.
+
+    Args:
+        recording: the session.
+        globs: select streams.
+        gap_ns: largest time between the two poses of a transform that a frame lies between.
 
     Attributes:
-        account: the account of the export.
+        account: the account of the export, which ``survey`` fills.
         kind: kind of the exported entries: messages from peers, or those to peers if there are no others.
         images: the IMAGE stream, or empty.
         names: TRANSFORM stream → name of the transform in the file.
-        first: the first image, which determines the format of all; None before the first pass.
+        first: the first image, which determines the format of all; None before ``survey``.
 
     Raises UnsupportedRecording without any IMAGE or TRANSFORM, ConfigError for several IMAGE streams,
     LimitExceeded for more transforms than a sequence that is read back.
     """
 
-    def __init__(self, recording: Recording, globs: Sequence[str]) -> None:
+    def __init__(self, recording: Recording, globs: Sequence[str], gap_ns: int = GAP_NS) -> None:
+        self._gap_ns = gap_ns
         self._recording, self._globs = recording, globs
         self._units = recorded_units(recording)
         self.account = ExportAccount()
@@ -139,68 +166,83 @@ class SequenceFrames:
         limits.check_limit("fields", len(self.names), "transforms of one sequence, each of them in each frame")
         self.first: Image | None = None
 
-    def frames(self, account: ExportAccount) -> Iterator[SequenceFrame]:
-        """Yield all frames; ``account`` counts the messages in them."""
-        tracked = {stream: _Tracked() for stream in self.names}
-        moment: int | None = None  # time of the incomplete frame, if there are no images
-        for entry in chosen_entries(self._recording, (self.kind, Kind.EDGE_NOTE), self._globs, account, _TYPES):
+    def survey(self) -> SequenceSurvey:
+        """Read the session, and return where each transform is in each frame."""
+        images = _Samples()
+        tracked = {stream: _Samples() for stream in self.names}
+        matrices: set[tuple[int, tuple[float, ...]]] = set()
+        for entry in chosen_entries(self._recording, (self.kind, Kind.EDGE_NOTE), self._globs, self.account, _TYPES):
             if entry.kind is Kind.EDGE_NOTE:
                 if (stream := _invalid_stream(entry)) in tracked:
-                    tracked[stream].valid = False
-                    tracked[stream].why = "marked as invalid before the next frame"
+                    tracked[stream].breaks += 1
                 continue
             if entry.channel not in self.names and entry.channel not in self.images:
                 continue
-            row = account.row(entry)
+            row = self.account.row(entry)
             try:
-                content = decode(entry.data()).content
+                message = decode(entry.data())
                 unit = self._units.of(entry.kind, entry.channel, entry.type)
             except Exception as error:  # decoding raises many types of errors; only this message is left out
                 row.fail(failure_text(error))
                 continue
-            if isinstance(content, Transform):
-                at = message_time_ns(entry)
-                if not self.images and moment is not None and at != moment:
-                    yield self._frame(moment, tracked, None)
-                moment = at
-                tracked[entry.channel].done()
-                tracked[entry.channel] = _tracked(content, unit, at, row, "images" if self.images else "moments")
-            elif isinstance(content, Image):
-                content = in_millimetres(content, unit)
-                if why := self._mismatch(content):
-                    row.fail(why)
-                    continue
-                row.taken += 1
-                yield self._frame(message_time_ns(entry), tracked, content)
-            else:
-                row.fail("its content is not decoded")
-        if not self.images and moment is not None:
-            yield self._frame(moment, tracked, None)
-        for one in tracked.values():
-            one.done()
+            match message.content:
+                case Transform():
+                    _take(tracked[entry.channel], entry, message, message.content, unit, row)
+                case Image():
+                    image = in_millimetres(message.content, unit)
+                    if why := self._mismatch(image):
+                        row.fail(why)
+                        continue
+                    row.taken += 1
+                    images.add(entry, row)
+                    matrices.add((image.coordinate, image.wire_matrix))
+                case _:
+                    row.fail("its content is not decoded")
+        self._survey = self._joined(images, tracked, matrices)
+        return self._survey
 
-    def _frame(self, time_ns: int, tracked: dict[str, _Tracked], image: Image | None) -> SequenceFrame:
-        result = {}
-        for stream, one in tracked.items():
-            valid = one.valid and time_ns - one.time_ns <= MAX_AGE_NS
-            result[self.names[stream]] = (one.matrix, valid)
-            if valid and one.row and not one.held:
-                one.row.taken += 1
-                one.held = True
-            elif one.valid and not valid:
-                one.why = f"older than {MAX_AGE_NS // NS_PER_S} s at the next image"
-        return SequenceFrame(time_ns, result, image)
+    def _joined(
+        self, images: _Samples, tracked: dict[str, _Samples], matrices: set[tuple[int, tuple[float, ...]]]
+    ) -> SequenceSurvey:
+        """Where each transform is at the time of each image, or of each transform without images."""
+        streams = [each.stream(stream) for stream, each in tracked.items()]
+        own = [images.stream(self.images[0])] if self.images else []
+        clock = one_clock([*own, *streams])
+        moments = [clock.times(each, number) for number, each in enumerate([*own, *streams])]
+        wanted = moments[0] if own else np.unique(np.concatenate(moments))
+        # a frame has the time that its image states, whatever the clock of the others is
+        times = np.where(own[0].stamps > 0, own[0].stamps, own[0].times) if own else wanted
+        what = "images" if own else "moments"
+        poses = {
+            self.names[stream]: _poses(samples, at, wanted, self._gap_ns, what)
+            for (stream, samples), at in zip(tracked.items(), moments[len(own) :], strict=True)
+        }
+        return SequenceSurvey(times, poses, matrices, clock)
 
-    def survey(self) -> SequenceSurvey:
-        """Read all frames once and return facts about them."""
-        result = SequenceSurvey(valid=dict.fromkeys(self.names.values(), 0))
-        for frame in self.frames(ExportAccount()):
-            result.frames += 1
-            for name, (_, valid) in frame.transforms.items():
-                result.valid[name] += valid
-            if frame.image:
-                result.matrices.add((frame.image.coordinate, frame.image.wire_matrix))
-        return result
+    def frames(self) -> Iterator[SequenceFrame]:
+        """Yield all frames, after ``survey``."""
+        survey = self._survey
+        names = list(survey.poses)
+        images = self._images() if self.images else None
+        for number, time_ns in enumerate(survey.times.tolist()):
+            transforms = {}
+            for name in names:
+                matrices, good = survey.poses[name]
+                valid = bool(good[number])
+                text = " ".join(f"{value:.9g}" for value in matrices[number].ravel().tolist()) if valid else IDENTITY
+                transforms[name] = (text, valid)
+            yield SequenceFrame(time_ns, transforms, next(images) if images else None)
+
+    def _images(self) -> Iterator[Image]:
+        """Yield the images that ``survey`` has taken."""
+        for entry in chosen_entries(self._recording, (self.kind,), self._globs, types={"IMAGE"}):
+            try:
+                content = decode(entry.data()).content
+                unit = self._units.of(entry.kind, entry.channel, entry.type)
+            except Exception:  # counted by the survey
+                continue
+            if isinstance(content, Image) and not self._mismatch(image := in_millimetres(content, unit)):
+                yield image
 
     def _mismatch(self, image: Image) -> str:
         """Return why an image cannot be a frame of this sequence; ``""`` if it can."""
@@ -213,14 +255,54 @@ class SequenceFrames:
         return "" if mine == its else f"size or pixel type differs from the first image of {first.dimensions}"
 
 
-def _tracked(content: Transform, unit: str, at: int, row: ExportedStream, frames: str) -> _Tracked:
-    """Return the state after a TRANSFORM; if its numbers are not finite, the identity, which is not valid."""
-    if not all(map(math.isfinite, content.wire_matrix)):
-        return _Tracked(at, row=row, why="not finite")
+def _take(
+    samples: _Samples, entry: Entry, message: Message, content: Transform, unit: str, row: ExportedStream
+) -> None:
+    """Add a TRANSFORM; one that is not finite or not valid by its metadata is left out, and breaks its series."""
+    samples.row = row
+    status = next((item.text for item in message.metadata if item.key == _STATUS), OK)
+    if not all(map(math.isfinite, content.wire_matrix)) or status.upper() != OK:
+        row.leave_out("not finite" if status.upper() == OK else f"status {status[:20]}")
+        samples.breaks += 1
+        return
     lengths = millimetres(unit)
     rows = [[*matrix_row[:3], lengths.to_ros(matrix_row[3])] for matrix_row in content.rows[:3]]
-    text = " ".join(f"{value:.9g}" for matrix_row in (*rows, content.rows[3]) for value in matrix_row)
-    return _Tracked(at, text, True, row, f"between two {frames}: a frame contains the latest transform before it")
+    samples.add(entry, row)
+    samples.rows.append([value for matrix_row in (*rows, content.rows[3]) for value in matrix_row])
+    samples.segments.append(samples.breaks)
+
+
+def _poses(samples: _Samples, at: Times, wanted: Times, gap_ns: int, what: str) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """The poses of a transform at the wanted times (N,), and which are OK; counts what is in no frame as left out."""
+    order = np.argsort(at, kind="stable")
+    at = at[order]
+    last = np.append(at[1:] > at[:-1], True)[: len(at)]  # of equal times the last one received
+    order, at = order[last], at[last]
+    matrices = np.array(samples.rows, np.float64).reshape(-1, 4, 4)[order]
+    segments = np.array(samples.segments, np.int64)[order]
+    picks = pick(at, wanted, "interpolate", gap_ns=gap_ns, segments=segments)
+    found = np.broadcast_to(np.eye(4), (len(wanted), 4, 4)).copy()
+    good = picks.good
+    before, after, share = picks.before[good], picks.after[good], picks.share[good]
+    if len(at):
+        found[good] = between_poses(matrices[before], matrices[after], share)
+    used = np.zeros(len(at), np.bool_)
+    used[before[share < 1]] = used[after[share > 0]] = True
+    near = np.zeros(len(at), np.bool_)
+    if len(at):
+        inside = ~good & (wanted > at[0]) & (wanted < at[-1])
+        near[picks.before[inside]] = near[picks.after[inside]] = True
+    if row := samples.row:
+        row.taken += int(used.sum())
+        reasons = {
+            "another one has its time": len(last) - len(at),
+            f"next to a gap of more than {gap_ns / NS_PER_S:g} s, or to one that is invalid": int((near & ~used).sum()),
+            f"between two {what}, before the first or after the last one": int((~near & ~used).sum()),
+        }
+        for why, number in reasons.items():
+            if number:
+                row.leave_out(why, number)
+    return found, good
 
 
 def _invalid_stream(entry: Entry) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from igtl_gateway.addon import NS_PER_S, Buffer, UnsupportedRecording, open_new, whole_number, written
+from igtl_gateway.addon import GAP_NS, NS_PER_S, Buffer, UnsupportedRecording, open_new, whole_number, written
 from igtl_gateway.addon.igtl import BIG_ENDIAN, SCALARS, Image
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.metaimage_out import SIZE_KEY, SIZE_WIDTH, metaimage_header
@@ -28,11 +28,15 @@ _IMAGE_PLACE = "ImageToRas"
 _NO_PIXEL = b"\0"
 
 
-def export_sequence(recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
-    """Write the file ``out``, which must not exist.  Raises UnsupportedRecording, ConfigError, OSError."""
-    sequence = SequenceFrames(recording, globs)
+def export_sequence(recording: Recording, out: Path, globs: Sequence[str], gap_ns: int = GAP_NS) -> ExportAccount:
+    """Write the file ``out``, which must not exist.  Raises UnsupportedRecording, ConfigError, OSError.
+
+    ``gap_ns``: largest time between the two poses of a transform that an image may lie between.
+    """
+    sequence = SequenceFrames(recording, globs, gap_ns)
     survey = sequence.survey()
-    if not survey.frames:
+    count = len(survey.times)
+    if not count:
         raise UnsupportedRecording("found neither a complete IMAGE nor a readable TRANSFORM, expected at least one")
     given = recording.session.get("sequence_epoch_ns", "")
     epoch_ns = whole_number(given) or 0
@@ -42,23 +46,28 @@ def export_sequence(recording: Recording, out: Path, globs: Sequence[str]) -> Ex
     place = ImagePlacement.of_image(first) if first and not moving else None
     epoch = f"{EPOCH_FIELD} = {epoch_ns}"
     with written(out) as new, open_new(new) as stream:
-        text = "\n".join(metaimage_header(first, place, survey.frames, recording.session, epoch)) + "\n"
+        text = "\n".join(metaimage_header(first, place, count, recording.session, epoch)) + "\n"
         size_at = text.index(SIZE_KEY) + len(SIZE_KEY)
         stream.write(text.encode("ascii", "replace"))
-        for number, frame in enumerate(sequence.frames(account)):
+        for number, frame in enumerate(sequence.frames()):
             lines = _fields(frame, epoch_ns, moving)
             stream.write("".join(f"Seq_Frame{number:04}_{line}\n" for line in lines).encode())
         stream.write(b"ElementDataFile = LOCAL\n")
         start = stream.tell()
         packer = zlib.compressobj()
-        for frame in sequence.frames(ExportAccount()):
+        for frame in sequence.frames():
             stream.write(packer.compress(_pixels(frame.image) if frame.image else _NO_PIXEL))
         stream.write(packer.flush())
         size = stream.tell() - start
         stream.seek(size_at)
         stream.write(f"{size:<{SIZE_WIDTH}}".encode())
-    for name, valid in survey.valid.items():
-        account.notes.append(f"{name}Transform: OK in {valid} of {survey.frames} frames")
+    account.notes += survey.clock.notes
+    for name, (_, good) in survey.poses.items():
+        valid = int(good.sum())
+        why = (
+            f"; INVALID before its first and after its last pose, and in gaps above {gap_ns / NS_PER_S:g} s (--max-gap)"
+        )
+        account.notes.append(f"{name}Transform: OK in {valid} of {count} frames{why if valid < count else ''}")
     if moving:
         account.notes.append(
             f"the images move: the pose of each is its {_IMAGE_PLACE}Transform (pixels to RAS, mm), "

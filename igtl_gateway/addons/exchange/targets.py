@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from igtl_gateway.addon import GAP_NS
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.csv_out import export_csv
 from igtl_gateway.addons.exchange.rosbag2_out import export_rosbag2
@@ -24,20 +25,30 @@ class ExportFormat:
         next_step: what a user can do with the result ``{out}``; ``{count}`` is a query of its tables.
         export: writes the files and returns the account.
         suffixes: of the file; none: a directory.
+        joins: whether it joins streams: then ``export`` takes ``gap_ns``, the largest gap to interpolate in.
     """
 
     text: str
     next_step: str
-    export: Callable[[Recording, Path, Sequence[str]], ExportAccount]
+    export: Callable[..., ExportAccount]
     suffixes: tuple[str, ...] = ()
+    joins: bool = False
 
 
-def export_to(name: str, recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
+def export_to(name: str, recording: Recording, out: Path, globs: Sequence[str], gap_ns: int = GAP_NS) -> ExportAccount:
     """Write a recording to ``out`` in a format of the table, and return the account.
+
+    Args:
+        name: of the format.
+        recording: the session.
+        out: file or directory.
+        globs: select streams.
+        gap_ns: of a format that joins streams: largest time between two poses that something may lie between.
 
     Raises GatewayError and OSError.
     """
-    account = TARGETS[name].export(recording, out, globs)
+    target = TARGETS[name]
+    account = target.export(recording, out, globs, **({"gap_ns": gap_ns} if target.joins else {}))
     count_skipped(recording, globs, account)
     return account
 
@@ -61,6 +72,7 @@ TARGETS = {
         "open {out} in 3D Slicer (module Sequences) or PLUS",
         export_sequence,
         (".mha",),
+        joins=True,
     ),
     "csv": ExportFormat(
         "poses, strings, numbers: a directory with one table per stream",

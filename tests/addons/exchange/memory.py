@@ -12,6 +12,7 @@ from igtl_gateway.base.stamp import ns_to_ticks
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.body import Body
+from igtl_gateway.wire.message import Item
 
 #: When recordings begin, UTC ns.
 START = 1_700_000_000 * 10**9
@@ -32,10 +33,13 @@ class InMemory:
         return numbered(self.items)
 
 
-def sent(at_ms: float, device: str, kind: str, content: Body) -> ImportedItem:
+def sent(at_ms: float, device: str, kind: str, content: Body, **metadata: str) -> ImportedItem:
     """A message of a peer, stamped with its time."""
     time_ns = START + int(at_ms * MS)
-    return peer_item(time_ns, 1, join(encode(Message(kind, device, content, ns_to_ticks(time_ns)))))
+    items = tuple(Item.of(key, text) for key, text in metadata.items())
+    version = 2 if items else 1
+    message = Message(kind, device, content, ns_to_ticks(time_ns), header_version=version, metadata=items)
+    return peer_item(time_ns, 1, join(encode(message)))
 
 
 def said(at_ms: float, code: str, stream: str) -> ImportedItem:

@@ -177,20 +177,30 @@ def written(path: Path, *given: tuple[int, Kind, str, str, bytes]) -> Path:
     return path
 
 
-def test_a_transform_is_valid_for_a_second(tmp_path: Path) -> None:
+def test_a_transform_is_valid_between_poses_of_the_stated_gap(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     pose = join(encode(Message("TRANSFORM", "AToB", moved(7))))
     scan = join(encode(Message("IMAGE", "Scan", Image((1, 1, 1), 3, b"x"))))
-    second = 10**9
+    ms = 10**6
     path = written(
         tmp_path / "some.mcap",
         (0, Kind.IGTL_IN, "IMAGE/Scan", "IMAGE", scan),
-        (1, Kind.IGTL_IN, "TRANSFORM/AToB", "TRANSFORM", pose),
-        (1 + second, Kind.IGTL_IN, "IMAGE/Scan", "IMAGE", scan),
-        (2 + second, Kind.IGTL_IN, "IMAGE/Scan", "IMAGE", scan),
+        (1 * ms, Kind.IGTL_IN, "TRANSFORM/AToB", "TRANSFORM", pose),
+        (80 * ms, Kind.IGTL_IN, "IMAGE/Scan", "IMAGE", scan),
+        (151 * ms, Kind.IGTL_IN, "TRANSFORM/AToB", "TRANSFORM", pose),
+        (200 * ms, Kind.IGTL_IN, "IMAGE/Scan", "IMAGE", scan),
+        (302 * ms, Kind.IGTL_IN, "TRANSFORM/AToB", "TRANSFORM", pose),
     )
-    exported(path, "igs.mha", tmp_path / "out.mha")
-    told = (tmp_path / "out.mha").read_bytes().decode("latin1")
-    assert [f"Seq_Frame000{frame}_AToBTransformStatus = OK" in told for frame in range(3)] == [False, True, False]
+    for more, expected in (((), [False, True, False]), (("--max-gap", "0.151"), [False, True, True])):
+        out = tmp_path / f"{len(more)}.mha"
+        assert main(["export", str(path), "--to", "igs.mha", "-o", str(out), *more]) == 0
+        told = out.read_bytes().decode("latin1")
+        assert [f"Seq_Frame000{frame}_AToBTransformStatus = OK" in told for frame in range(3)] == expected
+    capsys.readouterr()
+    for target, gap in (("csv", "1"), ("igs.mha", "-1"), ("igs.mha", "nan"), ("igs.mha", "1e9")):
+        assert main(["export", str(path), "--to", target, "-o", str(tmp_path / "new.mha"), "--max-gap", gap]) == 2
+        assert "--max-gap: found" in capsys.readouterr().err
 
 
 def test_a_message_in_two_header_versions_is_one_row(tmp_path: Path) -> None:

@@ -1,0 +1,200 @@
+"""One clock for streams that are joined: the senders' stamps where these are of one clock, otherwise what they show.
+
+A stamp is the time of a measurement, so it is the better clock: a picture that an encoder delays by 100 ms belongs to
+the pose of 100 ms ago.  But stamps of two senders are of one clock only if the session shows it.  What it shows is the
+age of a message on arrival: the offset of the sender's clock plus the latency, and the least age of a stream is the
+offset plus the least latency (``timing``).  An age below zero is no latency, one of seconds is none in practice.  So
+
+* streams whose least ages are those of latencies have one clock, that of the gateway;
+* streams of another clock, alone, have one clock, too: theirs;
+* streams of several clocks are moved to gateway time, each clock by its least age, and this is said;
+* where a message has no stamp, or the ages of a stream wander, all streams have their times of receipt, and this is
+  said.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
+
+Times = npt.NDArray[np.int64]
+
+SOURCE, GATEWAY, AUTO = "source", "gateway", "auto"
+CLOCKS = (AUTO, SOURCE, GATEWAY)
+
+#: A least age below this is another clock: those that NTP keeps on one network are nearer.
+_AHEAD_NS = -20 * NS_PER_MS
+#: A least age above this is another clock: no message of a stream that moves waits so long.
+_LATE_NS = NS_PER_S
+#: The least ages of the parts of a session may differ by this; more is a clock that was set, or one that does not run.
+_STEADY_NS = 250 * NS_PER_MS
+#: Parts of a session whose least ages are compared: at least so long, at most so many.
+_PART_NS, _PARTS = 2 * NS_PER_S, 64
+#: Messages from which on a stream, or a part of it, shows a least age.
+_ENOUGH = 3
+#: Least ages that differ by more are said: it is a latency, or an offset of clocks.
+_SAID_NS = 20 * NS_PER_MS
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StreamTimes:
+    """The times of a stream that is joined.
+
+    Attributes:
+        name: of the stream, for what is said.
+        times: (N,) int64, gateway time, UTC ns.
+        stamps: (N,) int64, the sender's stamps, UTC ns; 0 = unset.
+        sender: streams of one sender have one clock; ``""``: it is not known.
+    """
+
+    name: str
+    times: Times
+    stamps: Times
+    sender: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class OneClock:
+    """The clock of streams that are joined.
+
+    Attributes:
+        name: ``source``: the senders' stamps; ``gateway``: times of receipt.
+        shifts: of each stream what is added to its stamps, ns.
+        notes: sentences for the user: what was corrected, and what is not known.
+        is_sure: whether the notes say nothing but latencies.
+    """
+
+    name: str
+    shifts: tuple[int, ...]
+    notes: tuple[str, ...] = ()
+    is_sure: bool = True
+
+    def times(self, stream: StreamTimes, index: int) -> Times:
+        """Return the times (N,) of the stream ``index`` on this clock, UTC ns."""
+        return stream.stamps + self.shifts[index] if self.name == SOURCE else stream.times
+
+
+def one_clock(streams: Sequence[StreamTimes], wanted: str = AUTO) -> OneClock:
+    """Return the clock on which streams are joined.
+
+    Args:
+        streams: all that are joined; those without a message count for nothing.
+        wanted: ``auto``; ``gateway``: times of receipt; ``source``: stamps, also where the ages of a stream wander.
+
+    Raises:
+        ConfigError: ``source``, and a message has no stamp.
+    """
+    nothing = (0,) * len(streams)
+    if wanted == GATEWAY:
+        return OneClock(GATEWAY, nothing)
+    without = next((each for each in streams if len(each.times) and not np.all(each.stamps > 0)), None)
+    if without is not None:
+        number = int(np.sum(without.stamps <= 0))
+        found = f"{number:,} of {len(without.times):,} messages of {without.name} without a stamp"
+        if wanted == SOURCE:
+            raise ConfigError(f"clock: found {found}, expected none for the clock source")
+        is_mixed = any(np.any(each.stamps > 0) for each in streams)
+        notes = [f"clock: gateway: found {found}, so all streams have their times of receipt"] if is_mixed else []
+        return OneClock(GATEWAY, nothing, tuple(notes), is_sure=not notes)
+    ages = [each.times - each.stamps for each in streams]
+    wandering = [name for each, age in zip(streams, ages, strict=True) if (name := _wandering(each, age))]
+    if wandering:
+        said = f"the ages of {'; '.join(wandering)}: the clock was set, or the stamps do not run with it"
+        if wanted == SOURCE:
+            return OneClock(SOURCE, nothing, (f"clock: source: {said}",), is_sure=False)
+        return OneClock(GATEWAY, nothing, (f"clock: gateway: {said}; all streams have their times of receipt",), False)
+    least = [int(age.min()) if len(age) else 0 for age in ages]
+    return _joined(streams, least)
+
+
+def _wandering(stream: StreamTimes, ages: Times) -> str:
+    """Return the stream and its least ages if they differ from part to part of the session, else ``""``."""
+    if len(ages) < 2 * _ENOUGH:
+        return ""
+    span_ns = int(stream.times[-1] - stream.times[0])
+    count = min(span_ns // _PART_NS, _PARTS, len(ages) // _ENOUGH)
+    if count < 2:
+        return ""
+    parts = np.minimum((stream.times - stream.times[0]) // (span_ns // count + 1), count - 1)
+    least = np.full(count, np.iinfo(np.int64).max)
+    np.minimum.at(least, parts, ages)
+    least = least[np.bincount(parts, minlength=count) >= _ENOUGH]
+    if len(least) < 2 or int(least.max() - least.min()) <= _STEADY_NS:
+        return ""
+    return f"{stream.name} go from {_ms(int(least.min()))} to {_ms(int(least.max()))}"
+
+
+def _joined(streams: Sequence[StreamTimes], least: Sequence[int]) -> OneClock:
+    """The clock of streams of which every message has a stamp; ``least``: their least ages, ns."""
+    used = [index for index, each in enumerate(streams) if len(each.times)]
+    clocks = _clocks(streams, least, used)
+    notes = []
+    if len(clocks) == 1:
+        shifts = [0] * len(streams)
+    else:
+        shifts = [-_offset(clocks, index) for index in range(len(streams))]
+        for offset_ns, members in clocks.items():
+            if offset_ns:
+                way = "ahead of" if offset_ns > 0 else "behind"
+                notes.append(
+                    f"clock: the stamps of {_names(streams, members)} are {_ms(abs(offset_ns))} {way} gateway time and "
+                    f"not of the clock of the others: corrected by {_ms(-offset_ns, sign=True)}, "
+                    "the offset plus the least latency"
+                )
+    is_sure = not notes
+    for members in clocks.values():
+        first, last = (extreme(members, key=lambda index: least[index]) for extreme in (min, max))
+        if least[last] - least[first] > _SAID_NS:
+            notes.append(
+                f"clock: one clock is assumed: the stamps of {streams[last].name} are at least "
+                f"{_ms(least[last] - least[first])} older on receipt than those of {streams[first].name}, "
+                "which is latency, or an offset of their clocks: `igtl-gateway sync` measures it"
+            )
+    return OneClock(SOURCE, tuple(shifts), tuple(notes), is_sure)
+
+
+def _offset(clocks: dict[int, list[int]], index: int) -> int:
+    return next((offset_ns for offset_ns, members in clocks.items() if index in members), 0)
+
+
+def _clocks(streams: Sequence[StreamTimes], least: Sequence[int], used: Sequence[int]) -> dict[int, list[int]]:
+    """Offset of a clock ahead of the gateway's (0: that of the gateway itself) → indices of its streams."""
+    is_judged = {index: len(streams[index].times) >= _ENOUGH for index in used}
+    others: list[list[int]] = []
+    for index in sorted(used, key=lambda each: least[each]):
+        is_latency = _AHEAD_NS <= least[index] <= _LATE_NS
+        if is_latency or not (is_judged[index] or least[index] < _AHEAD_NS):
+            continue
+        if others and least[index] - least[others[-1][0]] <= _LATE_NS:
+            others[-1].append(index)
+        else:
+            others.append([index])
+    for index in used:
+        if any(index in members for members in others):
+            continue
+        for members in others:
+            is_same = {streams[each].sender for each in members} & {streams[index].sender} - {""}
+            away_ns = least[index] - least[members[0]]
+            if 0 <= away_ns <= _LATE_NS and (is_same or not is_judged[index]):
+                members.append(index)
+                break
+    found = {-least[members[0]]: members for members in others}
+    if own := [index for index in used if not any(index in members for members in others)]:
+        found[0] = own
+    return found
+
+
+def _names(streams: Sequence[StreamTimes], members: Sequence[int]) -> str:
+    names = [streams[index].name for index in members]
+    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
+
+
+def _ms(value_ns: int, *, sign: bool = False) -> str:
+    value = value_ns / NS_PER_MS
+    return f"{value:+,.1f} ms" if sign else f"{value:,.1f} ms"

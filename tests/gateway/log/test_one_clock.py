@@ -1,0 +1,112 @@
+"""The clock of streams that are joined, where the truth is known: each message has the time of its measurement."""
+
+from __future__ import annotations
+
+import random
+
+import numpy as np
+import pytest
+
+from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.gateway.log.one_clock import OneClock, StreamTimes, one_clock
+
+MS, S = 10**6, 10**9
+START = 1_700_000_000 * S
+
+
+def stream(
+    name: str,
+    *,
+    ahead_ms: float = 0,
+    late_ms: float = 1,
+    jitter_ms: float = 0,
+    unset: int = 0,
+    sender: str = "",
+    count: int = 300,
+    drift: float = 0,
+    step_ms: float = 0,
+) -> tuple[StreamTimes, np.ndarray]:
+    """A stream of 50 Hz, and the true times of its messages; the clock is set by ``step_ms`` in the middle."""
+    turn = random.Random(name)
+    true = START + np.arange(count, dtype=np.int64) * 20 * MS
+    stamps = true + int(ahead_ms * MS) + ((true - START) * drift).astype(np.int64)
+    stamps[count // 2 :] += int(step_ms * MS)
+    stamps[:unset] = 0
+    times = true + np.array([int((late_ms + turn.uniform(0, jitter_ms)) * MS) for _ in range(count)], np.int64)
+    return StreamTimes(name, np.sort(times), stamps, sender), true
+
+
+def away_ms(clock: OneClock, streams: list[tuple[StreamTimes, np.ndarray]]) -> float:
+    """How far the streams are from each other, at most, by the truth."""
+    offs = [clock.times(each, number) - true for number, (each, true) in enumerate(streams)]
+    return max(float(np.abs(one - two).max()) for one in offs for two in offs) / MS
+
+
+def test_late_pictures_of_a_right_clock_stay_where_they_are() -> None:
+    both = [stream("pose"), stream("picture", late_ms=100)]
+    clock = one_clock([each for each, _ in both])
+    assert (clock.name, clock.shifts, clock.is_sure) == ("source", (0, 0), True)
+    assert away_ms(clock, both) == 0
+    assert "one clock is assumed" in clock.notes[0] and "99.0 ms older" in clock.notes[0]
+
+
+@pytest.mark.parametrize("ahead_ms", [3000, -3000, 200, 86_400_000])
+@pytest.mark.parametrize("jitter_ms", [0, 40])
+def test_two_clocks_are_one_but_for_the_latency(ahead_ms: float, jitter_ms: float) -> None:
+    both = [stream("pose", ahead_ms=ahead_ms, jitter_ms=jitter_ms), stream("picture", late_ms=5, jitter_ms=jitter_ms)]
+    clock = one_clock([each for each, _ in both])
+    assert (clock.name, clock.is_sure) == ("source", False)
+    assert away_ms(clock, both) <= 2
+    assert "the stamps of pose" in clock.notes[0] and "corrected by" in clock.notes[0]
+
+
+def test_streams_of_one_wrong_clock_have_one_clock() -> None:
+    both = [stream("pose", ahead_ms=3000), stream("picture", ahead_ms=3000, late_ms=100)]
+    clock = one_clock([each for each, _ in both])
+    assert (clock.name, clock.shifts) == ("source", (0, 0))
+    third = [*both, stream("other")]
+    clock = one_clock([each for each, _ in third])
+    assert away_ms(clock, third[:2]) == 0 and away_ms(clock, third) <= 2
+    assert "pose, picture" in clock.notes[0]
+
+
+def test_the_streams_of_one_link_have_one_clock() -> None:
+    """Its stamps are 200 ms ahead; a picture that is 250 ms late is not of the gateway's clock for that."""
+    both = [stream("pose", ahead_ms=200, sender="1"), stream("picture", ahead_ms=200, late_ms=250, sender="1")]
+    other = stream("other", sender="2")
+    clock = one_clock([each for each, _ in (*both, other)])
+    assert away_ms(clock, both) == 0
+    assert away_ms(clock, [*both, other]) <= 2
+
+
+def test_a_stream_without_stamps_gives_all_the_times_of_receipt() -> None:
+    both = [stream("pose", ahead_ms=3000), stream("picture", unset=7)]
+    streams = [each for each, _ in both]
+    clock = one_clock(streams)
+    assert (clock.name, clock.is_sure) == ("gateway", False)
+    assert away_ms(clock, both) == 0
+    assert "7 of 300 messages of picture without a stamp" in clock.notes[0]
+    with pytest.raises(ConfigError, match="7 of 300 messages of picture"):
+        one_clock(streams, "source")
+    assert one_clock([stream("pose", unset=300)[0]]).notes == ()  # nothing is mixed
+
+
+@pytest.mark.parametrize(("drift", "step_ms"), [(0.2, 0), (0, 3000), (0, -3000)])
+def test_a_clock_that_was_set_gives_all_the_times_of_receipt(drift: float, step_ms: float) -> None:
+    both = [stream("pose", drift=drift, step_ms=step_ms, count=400), stream("picture", count=400)]
+    streams = [each for each, _ in both]
+    clock = one_clock(streams)
+    assert (clock.name, clock.is_sure) == ("gateway", False)
+    assert away_ms(clock, both) == 0
+    assert "the ages of pose go from" in clock.notes[0]
+    assert one_clock(streams, "source").name == "source"  # the user has said so
+
+
+def test_a_latched_message_is_on_the_clock_that_fits() -> None:
+    """Its age is the time since it was sent, not an offset."""
+    plan = StreamTimes("plan", np.array([START + 60 * S]), np.array([START]))
+    streams = [stream("pose")[0], plan, StreamTimes("empty", np.zeros(0, np.int64), np.zeros(0, np.int64))]
+    clock = one_clock(streams)
+    assert clock.shifts == (0, 0, 0)
+    assert "plan" in clock.notes[0]  # said: it may be an offset
+    assert one_clock(streams, "gateway").notes == ()
