@@ -4,7 +4,7 @@ The value of a transform is its pose at the time of the image, between the two p
 clock (``log.one_clock``): the order of receipt does not matter.  It is INVALID where it is not known: before its first
 and after its last pose, between poses that are further apart than the largest gap, next to one that was marked as
 invalid or is not finite.  Without images, a frame is each time of a transform.  The account counts a TRANSFORM as
-written if a frame is made of it, otherwise as left out.
+written if a frame uses it, otherwise as left out.
 """
 
 from __future__ import annotations

@@ -3,13 +3,13 @@
 A stamp is the time of a measurement, so it is the better clock: a picture that an encoder delays by 100 ms belongs to
 the pose of 100 ms ago.  But stamps of two senders are of one clock only if the session shows it.  What it shows is the
 age of a message on arrival: the offset of the sender's clock plus the latency, and the least age of a stream is the
-offset plus the least latency (``timing``).  An age below zero is no latency, one of seconds is none in practice.  So
+offset plus the least latency (``timing``).  An age below zero is not a latency, nor is one of seconds in practice.  So
 
 * streams whose least ages are those of latencies have one clock, that of the gateway;
 * streams of another clock, alone, have one clock, too: theirs;
-* streams of several clocks are moved to gateway time, each clock by its least age, and this is said;
+* streams of several clocks are moved to gateway time, each clock by its least age, and this is reported;
 * where a message has no stamp, or the ages of a stream wander, all streams have their times of receipt, and this is
-  said.
+  reported.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ _AHEAD_NS = -20 * NS_PER_MS
 _LATE_NS = NS_PER_S
 #: The least ages of the parts of a session may differ by this; more is a clock that was set, or one that does not run.
 _STEADY_NS = 250 * NS_PER_MS
-#: Parts of a session whose least ages are compared: at least so long, at most so many.
+#: Parts of a session whose least ages are compared: at least this long, at most this many.
 _PART_NS, _PARTS = 2 * NS_PER_S, 64
 #: Messages from which on a stream, or a part of it, shows a least age.
 _ENOUGH = 3
-#: Least ages that differ by more are said: it is a latency, or an offset of clocks.
+#: Least ages that differ by more are reported: it is a latency, or an offset of clocks.
 _SAID_NS = 20 * NS_PER_MS
 
 
@@ -47,7 +47,7 @@ class StreamTimes:
     """The times of a stream that is joined.
 
     Attributes:
-        name: of the stream, for what is said.
+        name: of the stream, for the notes.
         times: (N,) int64, gateway time, UTC ns.
         stamps: (N,) int64, the sender's stamps, UTC ns; 0 = unset.
         sender: streams of one sender have one clock; ``""``: it is not known.
@@ -67,7 +67,7 @@ class OneClock:
         name: ``source``: the senders' stamps; ``gateway``: times of receipt.
         shifts: of each stream what is added to its stamps, ns.
         notes: sentences for the user: what was corrected, and what is not known.
-        is_sure: whether the notes say nothing but latencies.
+        is_sure: whether the notes report nothing but latencies.
     """
 
     name: str

@@ -94,7 +94,7 @@ def test_a_pose_is_valid_in_gaps_of_the_stated_size(tmp_path: Path) -> None:
 
 
 def test_a_scale_is_interpolated_too(tmp_path: Path) -> None:
-    """A calibration such as ImageToProbe has the size of a pixel in it: it is no rotation."""
+    """A calibration such as ImageToProbe has the size of a pixel in it: not a rotation alone."""
     rows = [Transform((size, 0, 0, 0, size, 0, 0, 0, size, 0, 0, 0)) for size in (0.1, 0.2)]
     items = [sent(100 * n, "Image", "TRANSFORM", each) for n, each in enumerate(rows)]
     items.insert(1, sent(50, "Scan", "IMAGE", SLICE))
@@ -133,7 +133,7 @@ def world(seed: int) -> tuple[list[ImportedItem], Callable[[float], float]]:
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_each_pose_is_that_of_its_picture_or_not_valid_or_it_is_said(tmp_path: Path, seed: int) -> None:
+def test_each_pose_is_that_of_its_picture_or_not_valid_or_it_is_reported(tmp_path: Path, seed: int) -> None:
     items, truth = world(seed)
     path = tmp_path / "some.igs.mha"
     account = export_sequence(InMemory(items), path, ())
@@ -144,7 +144,7 @@ def test_each_pose_is_that_of_its_picture_or_not_valid_or_it_is_said(tmp_path: P
         if fields["ToolTransformStatus"] == "OK":
             valid += 1
             away = abs(float(fields["ToolTransform"].split()[3]) - truth(50.0 * number))
-            # an offset is known but for the least latency, 30 ms at 200 mm/s; without stamps it is said
+            # an offset is known except for the least latency, 30 ms at 200 mm/s; without stamps a note reports it
             assert away < 0.01 or ("corrected by" in said and away < 7) or "have their times of receipt" in said
     assert valid >= 20
 

@@ -52,7 +52,7 @@ def test_late_pictures_of_a_right_clock_stay_where_they_are() -> None:
 
 @pytest.mark.parametrize("ahead_ms", [3000, -3000, 200, 86_400_000])
 @pytest.mark.parametrize("jitter_ms", [0, 40])
-def test_two_clocks_are_one_but_for_the_latency(ahead_ms: float, jitter_ms: float) -> None:
+def test_two_clocks_are_one_except_for_the_latency(ahead_ms: float, jitter_ms: float) -> None:
     both = [stream("pose", ahead_ms=ahead_ms, jitter_ms=jitter_ms), stream("picture", late_ms=5, jitter_ms=jitter_ms)]
     clock = one_clock([each for each, _ in both])
     assert (clock.name, clock.is_sure) == ("source", False)
@@ -99,7 +99,7 @@ def test_a_clock_that_was_set_gives_all_the_times_of_receipt(drift: float, step_
     assert (clock.name, clock.is_sure) == ("gateway", False)
     assert away_ms(clock, both) == 0
     assert "the ages of pose go from" in clock.notes[0]
-    assert one_clock(streams, "source").name == "source"  # the user has said so
+    assert one_clock(streams, "source").name == "source"  # the user has chosen it
 
 
 def test_a_latched_message_is_on_the_clock_that_fits() -> None:
@@ -108,5 +108,5 @@ def test_a_latched_message_is_on_the_clock_that_fits() -> None:
     streams = [stream("pose")[0], plan, StreamTimes("empty", np.zeros(0, np.int64), np.zeros(0, np.int64))]
     clock = one_clock(streams)
     assert clock.shifts == (0, 0, 0)
-    assert "plan" in clock.notes[0]  # said: it may be an offset
+    assert "plan" in clock.notes[0]  # it may be an offset
     assert one_clock(streams, "gateway").notes == ()
