@@ -44,6 +44,12 @@ NOTES: dict[str, dict[str, str]] = {
         "own_parent": "a transform has the same frame as parent and child; it is not published on /tf",
         "internal_error": "a defect of the gateway; the message is dropped. Please report it",
     },
+    "Names": {
+        "frame_renamed": "two devices or tools would have one frame on /tf; the second gets its hash behind it",
+        "frame_shared": "a frame on /tf has two parents, or two peers send it",
+        "name_shared": "two peers send one stream, two devices go to one topic, or two topics to one device",
+        "name_cut": "a device name fills its 20 bytes: its sender may have cut it",
+    },
     "Messages that are changed or not converted": {
         "not_a_rotation": "the matrix is not orthonormal; the nearest rotation is used",
         "not_a_pose": "an element of tracking data is not a pose and is left out",

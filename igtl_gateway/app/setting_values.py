@@ -104,7 +104,7 @@ def settled(ours: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, 
 
 def config_of(values: Mapping[str, Any]) -> Config:
     """Return the configuration of a session for the values of all settings.  Raises ConfigError."""
-    return Config.from_dict({name: values[name] for name in (*of_table(GATEWAY), *of_table(ROWS))})
+    return Config.of_values({name: values[name] for name in (*of_table(GATEWAY), *of_table(ROWS))})
 
 
 def declared(values: Mapping[str, Any], config: Config) -> dict[str, Value]:

@@ -115,6 +115,9 @@ LIVE: Mapping[str, bool | int] = {
     "keep_mib": DEFAULT_KEEP_MIB,
     "latched_mib": DEFAULT_LATCHED_MIB,
 }
+#: The rules by which devices, tools and topics get names; older recordings do not state them, which is 0.
+#: 1: each frame on /tf has one sender, what shares a name is noted, full names and frames of known programs are read.
+NAMING = 1
 #: Former names of the policies, in the configurations of old recordings.
 _STAMP_ALIASES = {"now": RECEIVE}
 OUT_PREFIX = "/igtl/out/"
@@ -195,6 +198,9 @@ class Config:
     ``watch`` adds notes.  None, as in recordings that are older than this setting, means no such notes.  Live sessions
     set it; see ``watched``.  ``cautious``, ``keep_mib`` and ``latched_mib`` are None in older recordings, too: there,
     peers are treated as they were then, and nothing is forgotten.
+
+    ``naming`` is the version of the rules by which streams get their topics and frames: ``NAMING``, or 0, as in
+    recordings that are older than it, so that they give the same names.  It is no setting of the user.
     """
 
     base_frame: str = "igtl"
@@ -220,6 +226,7 @@ class Config:
     cautious: bool | None = None
     keep_mib: int | None = None
     latched_mib: int | None = None
+    naming: int = NAMING
     to_igtl: tuple[ToIgtlRow, ...] = ()
     to_ros: tuple[ToRosRow, ...] = ()
     tf_out: tuple[TfOutRow, ...] = ()
@@ -363,7 +370,8 @@ class Config:
 
     def as_live_as(self, recorded: Config) -> Config:
         """Return the configuration with the settings in ``LIVE`` of a recording, where it does not set them."""
-        return self._with_live({name: getattr(recorded, name) for name in LIVE})
+        as_live = self._with_live({name: getattr(recorded, name) for name in LIVE})
+        return dataclasses.replace(as_live, naming=recorded.naming)
 
     def watched(self) -> Config:
         """Return the configuration of a live session: the settings in ``LIVE`` have their defaults if they are None."""
@@ -388,7 +396,7 @@ class Config:
         Settings that older programs do not know are left out if they are not set: these can then read the recording.
         """
         values = dataclasses.asdict(self)
-        for name in ("max_age_s", "kinds", "allow_in", "allow_out", "mark_from", "crtk"):
+        for name in ("max_age_s", "kinds", "allow_in", "allow_out", "mark_from", "naming", "crtk"):
             if not values[name]:
                 del values[name]
         for name in ("cautious", "keep_mib", "latched_mib"):
@@ -412,8 +420,11 @@ class Config:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Config:
-        """Return the configuration for the values of ``to_dict``.  Raises ConfigError with the path of the setting."""
-        settings = dict(values)
+        """Return the configuration for the values of ``to_dict``, of a recording: what they do not have is as it was.
+
+        Raises ConfigError with the path of the setting.
+        """
+        settings = {"naming": 0, **values}
         to_igtl = _rows("to_igtl", settings.pop("to_igtl", ()), ToIgtlRow)
         to_ros = _rows("to_ros", settings.pop("to_ros", ()), ToRosRow)
         tf_out = _rows("tf_out", settings.pop("tf_out", ()), TfOutRow)
@@ -421,6 +432,11 @@ class Config:
         arms = _rows("crtk", settings.pop("crtk", ()), ArmsRow)
         rows = {"to_igtl": to_igtl, "to_ros": to_ros, "tf_out": tf_out, "peers": peers, "crtk": arms}
         return from_values("gateway", cls, settings | rows)
+
+    @classmethod
+    def of_values(cls, values: Mapping[str, Any]) -> Config:
+        """Return the configuration of a new session.  Raises ConfigError as ``from_dict``."""
+        return cls.from_dict({"naming": NAMING, **values})
 
     @classmethod
     def from_toml(cls, path: Path) -> Config:
@@ -436,7 +452,7 @@ class Config:
         if not isinstance(gateway, dict):
             raise ConfigError(f"{path}: found gateway = {gateway!r}, expected a table [gateway]")
         try:
-            return cls.from_dict(gateway | document)
+            return cls.of_values(gateway | document)
         except ConfigError as error:
             raise ConfigError(f"{path}: {error}") from None
 

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import field
 from typing import Any
 
 from igtl_gateway.base.values import value
 from igtl_gateway.convert.igtl_msgs import MetadataItem
+from igtl_gateway.convert.names import frames_of_name
 from igtl_gateway.convert.units import LengthUnits
 from igtl_gateway.wire.body import Body
 
@@ -27,6 +29,7 @@ class ToRosContext:
         link: number of the link from which the message came.
         warnings: (code, sentence) pairs; the conversion appends one for each change of the data.
         reads_status: whether a pose that its sender marks as not valid is left out of /tf.
+        frames: name of a tool and frame of the stream → (parent, child) frame of the tool.
         made: ROS messages that earlier rows of the table built from the same message, by ROS type.
     """
 
@@ -42,6 +45,7 @@ class ToRosContext:
     warnings: list[tuple[str, str]] = field(default_factory=list)
     made: dict[str, Any] = field(default_factory=dict)
     reads_status: bool = False
+    frames: Callable[[str, str], tuple[str, str]] = frames_of_name
 
 
 @value(frozen=True, slots=True)

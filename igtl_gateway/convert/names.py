@@ -44,6 +44,11 @@ def frames_of(name: str, base_frame: str) -> tuple[str, str]:
     return base_frame, name or UNNAMED
 
 
+def frames_of_name(name: str, base_frame: str) -> tuple[str, str]:
+    """Return (parent, child) frame of a device or tool with any name; names that differ in signs can have the same."""
+    return frames_of(topic_token(name), base_frame)
+
+
 def name_hash(name: str) -> str:
     """Return four hexadecimal digits that depend only on the name."""
     return f"{zlib.crc32(name.encode('utf-8', 'surrogateescape')) & 0xFFFF:04x}"

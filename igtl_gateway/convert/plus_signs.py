@@ -26,7 +26,18 @@ _POSE = re.compile(r"[A-Z][A-Za-z0-9]*To[A-Z][A-Za-z0-9]*")
 _PICTURE = re.compile(r"[A-Za-z0-9]+_[A-Za-z0-9]+")
 #: Type → form of the device names that PLUS gives it.
 _NAMES = {"TRANSFORM": _POSE, "POSITION": _POSE, "IMAGE": _PICTURE}
+#: A frame in the name of a picture; one that begins with a digit is a number.
+_FRAME = re.compile(r"[A-Za-z][A-Za-z0-9]*")
 _REPLY_DEVICE = re.compile(r"ACK_[0-9]{1,10}")
+
+
+def frame_of_picture(device: str) -> str:
+    """Return the frame in the name of a picture: ``Tracker`` of ``Image_Tracker``; "" without one.
+
+    PLUS joins the two frames of the transform that it embeds, ``EmbeddedTransformToFrame`` is the second one.
+    """
+    name, _, frame = device.rpartition("_")
+    return frame if name and _FRAME.fullmatch(frame) else ""
 
 
 def is_recent_plus(message: Message) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.geometry import flip_lps_ras
-from igtl_gateway.convert.plus_signs import is_any_plus, is_recent_plus
+from igtl_gateway.convert.plus_signs import frame_of_picture, is_any_plus, is_recent_plus
 from igtl_gateway.wire import Message, Raw
 from igtl_gateway.wire.fields import decode_text
 from igtl_gateway.wire.image import LPS, RAS, Image
@@ -85,6 +85,10 @@ def _widened(attribute: Attribute) -> Attribute:
     return replace(attribute, components=_NINE, data=data)
 
 
+def _no_frame(_device: str) -> str:
+    return ""
+
+
 @dataclass(frozen=True, slots=True)
 class PeerProfile:
     """The known facts of one kind of peer.
@@ -104,6 +108,7 @@ class PeerProfile:
         adapt: class of a content → function that adapts it to the peer.
         expects: class of a content → function that returns the metadata which the peer expects with it.
         shows: returns whether only such a peer can send a message; None if no message shows that.
+        frame_of_picture: device name of a picture → the frame that it names; "" if it names none.
     """
 
     name: str
@@ -120,6 +125,7 @@ class PeerProfile:
     adapt: Mapping[type, Callable[[Any], Adapted]] = field(default_factory=dict)
     expects: Mapping[type, Expected] = field(default_factory=dict)
     shows: Callable[[Message], bool] | None = None
+    frame_of_picture: Callable[[str], str] = _no_frame
 
     def may_send(self, igtl_type: str) -> bool:
         """Return whether messages of this type may be sent to the peer."""
@@ -144,12 +150,17 @@ def _metadata(message: Message) -> dict[str, str]:
     return {item.key: item.text for item in message.metadata}
 
 
+def is_hello(message: Message) -> bool:
+    """Return whether a message is the greeting of 3D Slicer: a STATUS without a device, whose code it never sets."""
+    if not message.metadata or message.device_name or not isinstance(message.content, Status):
+        return False
+    return _metadata(message).get("dummy") == "dummy"
+
+
 def _is_slicer(message: Message) -> bool:
     if not message.metadata:
         return False
-    items = _metadata(message)
-    hello = isinstance(message.content, Status) and not message.device_name and items.get("dummy") == "dummy"
-    return hello or "MRMLNodeName" in items
+    return is_hello(message) or "MRMLNodeName" in _metadata(message)
 
 
 def _is_plus(message: Message) -> bool:
@@ -164,10 +175,12 @@ PLUS_1 = PeerProfile(
         ("sends header version 1 until it has received version 2", "§10.4; PlusLib 112a7f3"),
         ("version 1 does not have TransformStatus: invalid poses look like valid ones", "PlusLib 112a7f3"),
         ("reads nine components for most POLYDATA attributes", "§6.15, reproduced"),
+        ("names a picture Image_Tracker: its pose is in the frame Tracker", "§10.4; PlusLib 112a7f3"),
     ),
     reads=CPP_FACTORY | {"CLIENTINFO"},
     asks_once=True,
     adapt={PolyData: _nine_components},
+    frame_of_picture=frame_of_picture,
 )
 
 #: A peer that no message has shown yet.  It cannot be set: with ``default`` a peer gets all types.
@@ -217,6 +230,7 @@ PROFILES: tuple[PeerProfile, ...] = (
             ("takes a pose without the metadata TransformStatus as valid, with a warning", "PlusLib 112a7f3"),
             ("asks for tracking data at its start only, and ignores a refusal", "PlusLib 112a7f3, reproduced"),
             ("reads nine components for most POLYDATA attributes", "§6.15, reproduced"),
+            ("names a picture Image_Tracker: its pose is in the frame Tracker", "§10.4; PlusLib 112a7f3"),
         ),
         first_version=2,
         reads=CPP_FACTORY | {"CLIENTINFO"},
@@ -225,6 +239,7 @@ PROFILES: tuple[PeerProfile, ...] = (
         adapt={PolyData: _nine_components},
         expects={Transform: _pose_status, Position: _position_status, TrackingData: _tool_status},
         shows=_is_plus,
+        frame_of_picture=frame_of_picture,
     ),
     PLUS_1,
     PeerProfile(

@@ -20,7 +20,7 @@ from igtl_gateway.convert.columns import check_rows, set_text_fields, texts
 from igtl_gateway.convert.common_msgs import FrameTransform, PoseArray, TFMessage
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.igtl_msgs import TrackedTool, TrackingData
-from igtl_gateway.convert.names import frames_of, topic_token
+from igtl_gateway.convert.names import topic_token
 from igtl_gateway.convert.poses import (
     pose_of_matrix,
     pose_of_position,
@@ -71,7 +71,7 @@ def tracking_to_tf(content: Tracking, to: ToRosContext) -> TFMessage:
         if pose is None or _is_marked(name, to):
             continue
         if name:
-            parent, child = frames_of(topic_token(name), to.frame_id)
+            parent, child = to.frames(name, to.frame_id)
         else:
             parent, child = to.frame_id, topic_token(f"{to.device_name}_{index}")
         frames.append((parent, child, pose))

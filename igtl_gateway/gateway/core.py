@@ -30,6 +30,7 @@ from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.ledger import Ledger
 from igtl_gateway.gateway.log.marks import MarkNote, OpenPhases
 from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.gateway.naming import SharedNames
 from igtl_gateway.gateway.outcome import Bookkeeper, Finding, Item, Outcome, Tally
 from igtl_gateway.gateway.peers import Peers
 from igtl_gateway.gateway.streams import Streams
@@ -98,9 +99,10 @@ class Gateway:
         delivery = Delivery(denied_out, tf.tree)
         tracking = Tracking(peers, latest)
         self._frames = frames = TfReceiver(tf, guard, peers, delivery, tracking)
-        self._converter = Converter(streams, subscribers, frames, beforehand)
+        shared = SharedNames(peers) if config.naming else None
+        self._converter = Converter(streams, subscribers, frames, beforehand, shared)
         robots = CommandGuard(config, latest.get)
-        router = Router(config, streams, guard, volumes, self._converter, robots)
+        router = Router(config, streams, guard, volumes, self._converter, robots, peers)
 
         self._commands = commands = Commands(config, peers, streams, composer, delivery)
         queries = Queries(
@@ -117,6 +119,7 @@ class Gateway:
             frames=frames,
             commands=commands,
             activity=activity,
+            shared=shared,
         )
         igtl_receiver = IgtlReceiver(
             config,
@@ -170,17 +173,18 @@ class Gateway:
 
         Outputs (``*_OUT``, ``NOTE``) are accepted and cause nothing.
         """
-        stage = self._stages.get(entry.kind)
+        stage, streams = self._stages.get(entry.kind), self._streams
         if stage is None:
             return []
         try:
             outcome = stage(entry)
-            outcome.items += self._opened_streams()
+            if streams.has_news:
+                outcome.items += streams.news()
             if outcome.origin:
                 self.fast_path.learn(entry, outcome)
             outputs = self._accounts.settle(entry, outcome)  # last: a failure above has counted nothing
         except Exception as error:  # an internal error must cost one message, not the session
-            self._streams.opened.clear()
+            streams.news()
             outputs = self._accounts.fail(entry, error)
         if self.deadline_set:
             self.deadline_set()
@@ -298,13 +302,6 @@ class Gateway:
         self._tf.max_age_of = config.max_age_of
         self.fast_path.drop_compiled()  # compiled for the settings before
         return self._links.activate(entry, active=settings.active)
-
-    def _opened_streams(self) -> list[Finding]:
-        """Return findings for the streams that the current entry opened."""
-        if not self._streams.opened:
-            return []
-        opened, self._streams.opened = self._streams.opened, []
-        return [Finding(Level.INFO, "stream", f"{stream} goes {text}", stream) for stream, text in opened]
 
 
 @lru_cache(maxsize=1_024)  # called for every message

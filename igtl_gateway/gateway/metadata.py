@@ -9,15 +9,18 @@ from collections.abc import Iterable
 
 from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.base.values import value
+from igtl_gateway.config.configuration import NAMING
 from igtl_gateway.convert.igtl_msgs import MetadataItem
-from igtl_gateway.convert.names import short_device_name
+from igtl_gateway.convert.names import MAX_DEVICE_NAME, short_device_name
 from igtl_gateway.wire import Item, Message
-from igtl_gateway.wire.fields import visible
+from igtl_gateway.wire.fields import decode_text, visible
 from igtl_gateway.wire.message import sorted_items
 from igtl_gateway.wire.text import CODECS, US_ASCII, UTF_8
 
 #: Full device name, if it does not fit into the 20 bytes of the header.
 FULL_NAME = "DeviceName"
+#: Name of the node in 3D Slicer, which cuts the device name to 20 bytes; see ``openigtlink-reference`` §10.2.
+NODE_NAME = "MRMLNodeName"
 #: Stamp of the ROS header, integer UTC nanoseconds: also forwarded by programs that leave the header's stamp at 0.
 STAMP = "ros.stamp"
 FRAME_ID = "ros.frame_id"
@@ -38,6 +41,7 @@ class RestoredMetadata:
         stamp_ns: UTC ns; 0 if there is none.
         frame_id, child_frame_id: "" if there are none.
         items: the items of the user.
+        is_of_gateway: whether a gateway has sent it, which states a name that it has cut.
     """
 
     device_name: str
@@ -45,10 +49,16 @@ class RestoredMetadata:
     frame_id: str = ""
     child_frame_id: str = ""
     items: tuple[MetadataItem, ...] = ()
+    is_of_gateway: bool = False
 
 
-def restore_metadata(message: Message) -> RestoredMetadata:
-    """Read the metadata of a message; items that the gateway would write differently count as the user's."""
+def restore_metadata(message: Message, naming: int = NAMING) -> RestoredMetadata:
+    """Read the metadata of a message; items that the gateway would write differently count as the user's.
+
+    Args:
+        message: the message.
+        naming: rules of names; from 1 on, names that 3D Slicer has cut are read from its metadata.
+    """
     name = visible(message.device_name)
     if not message.metadata:
         return RestoredMetadata(name)
@@ -60,12 +70,22 @@ def restore_metadata(message: Message) -> RestoredMetadata:
         else:
             items.append(_decoded_value(item))
     return RestoredMetadata(
-        ours.get(FULL_NAME, name),
+        ours.get(FULL_NAME) or (_name_in_slicer(message) if naming else "") or name,
         int(ours.get(STAMP, "0")),
         ours.get(FRAME_ID, ""),
         ours.get(CHILD_FRAME_ID, ""),
         tuple(items),
+        bool(ours),
     )
+
+
+def _name_in_slicer(message: Message) -> str:
+    """Return the name of a node of 3D Slicer if the device name is its first 20 bytes, else ""."""
+    device = message.device_name.encode("utf-8", "surrogateescape")
+    if len(device) < MAX_DEVICE_NAME:
+        return ""
+    names = (item.value.rstrip(b"\0") for item in message.metadata if item.key == NODE_NAME)
+    return next((visible(decode_text(name)) for name in names if name[:MAX_DEVICE_NAME] == device), "")
 
 
 def _is_valid(item: Item, device_name: str) -> bool:

@@ -12,9 +12,12 @@ from dataclasses import dataclass, replace
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.config.configuration import IN_TOPIC, Config, ToIgtlRow, ToRosRow, device_of_topic
 from igtl_gateway.convert.igtl_msgs import MetadataItem
-from igtl_gateway.convert.names import frames_of, name_hash, short_device_name, topic_token
+from igtl_gateway.convert.names import frames_of_name, name_hash, short_device_name, topic_token
 from igtl_gateway.convert.table import ConversionToIgtl, ConversionToRos, Role, row_to_igtl, rows_to_ros
 from igtl_gateway.convert.units import LengthUnits
+from igtl_gateway.gateway.log.note import Level
+from igtl_gateway.gateway.naming import NAME_SHARED, FrameNames
+from igtl_gateway.gateway.outcome import Finding
 
 #: Kinds of topics: of messages without a conversion, and of metadata beside a standard message.
 RAW, METADATA = "raw", "metadata"
@@ -83,9 +86,31 @@ class Streams:
         self._to_igtl: dict[tuple[str, str], ToIgtlStream | None] = {}
         self._to_ros: dict[tuple[str, str], ToRosStream] = {}
         self._tokens: dict[str, str] = {}  # topic token → its device
+        self._topics: dict[str, str] = {}  # topic → the device whose messages it has
+        self._sources: dict[str, str] = {}  # stream to peers → its topic
+        self._frames = FrameNames() if config.naming else None
+        self._news: list[Finding] = []
         self._devices: dict[str, str] = {}  # short device name → its full name
         self._qos: dict[str, Qos] = {}
         self.opened: list[tuple[str, str]] = []  # (stream, destination) of new streams that are not reported yet
+        if config.naming:
+            for frames in config.tf_out:
+                request = frames.request()
+                self._sources.setdefault(f"{request.type}/{self.device(request.device)}", f"--tf-out {request.text()}")
+
+    def news(self) -> list[Finding]:
+        """Return the findings about new streams and their names since the last call."""
+        opened, self.opened = self.opened, []
+        findings = [Finding(Level.INFO, "stream", f"{stream} goes {text}", stream) for stream, text in opened]
+        for names in (self._news, self._frames.news if self._frames else self._news):
+            findings += names
+            names.clear()
+        return findings
+
+    @property
+    def has_news(self) -> bool:
+        """Whether there are any; asked for each message."""
+        return bool(self.opened or self._news or (self._frames and self._frames.news))
 
     def qos(self, topic: str) -> Qos | None:
         """Return the QoS of a topic that the gateway publishes."""
@@ -126,12 +151,14 @@ class Streams:
             template = row.topic if "{kind}" in row.topic or kind not in (RAW, METADATA) else IN_TOPIC
             return template.format(device=token, kind=kind, type=topic_token(igtl_type.lower()))
 
-        parent, child = frames_of(topic_token(device), config.base_frame)
+        parent, child = self.frames(device, config.base_frame)
         outputs = []
         for conversion in self._chosen(row, rows_to_ros(igtl_type)):
             topic = conversion.topic or topic_of(conversion.kind)
             outputs.append((conversion, topic))
             self._qos.setdefault(topic, row.qos or conversion.qos)
+            if not conversion.topic:
+                self._share_topic(topic, igtl_type, device)
         poses = any(conversion.kind == "transform" for conversion in rows_to_ros(igtl_type))
         topics = ", ".join(dict.fromkeys(topic for _, topic in outputs)) or topic_of(RAW)
         self.opened.append((f"{igtl_type}/{device}", f"to {topics}"))
@@ -146,6 +173,17 @@ class Streams:
             row.child_frame_id or child,
             config.lengths(row),
         )
+
+    def frames(self, name: str, base_frame: str) -> tuple[str, str]:
+        """Return (parent, child) frame of a device, or of a tool in tracking data."""
+        return self._frames.of(name, base_frame) if self._frames else frames_of_name(name, base_frame)
+
+    def _share_topic(self, topic: str, igtl_type: str, device: str) -> None:
+        """Note that a topic without ``{device}`` has the messages of several devices."""
+        owner = self._topics.setdefault(topic, device)
+        if owner != device and self._config.naming:
+            text = f"{topic} has the messages of {owner!r} and {device!r}: the topic of their row has no {{device}}"
+            self._news.append(Finding(Level.WARN, NAME_SHARED, text, f"{igtl_type}/{device}"))
 
     def _chosen(self, row: ToRosRow, conversions: Sequence[ConversionToRos]) -> Sequence[ConversionToRos]:
         """Return the rows of the conversion table for a stream with this row of the configuration."""
@@ -205,6 +243,8 @@ class Streams:
         last = topic.rpartition("/")[2]
         full_name = row.device or device_of_topic(topic, last if last in kinds else "")
         device = self.device(full_name)
+        if self._config.naming:
+            full_name, device = self._own_name(topic, row, conversion.igtl_type, full_name, device)
         name = f"{conversion.igtl_type}/{device}"
         self.opened.append((topic, f"to {name}" + (f" (for {full_name})" if device != full_name else "")))
         latched = (row.qos or conversion.qos).latched
@@ -212,6 +252,20 @@ class Streams:
         max_age_s, lengths = self._config.max_age_of(row), self._config.lengths(row)
         of_robot = row.topic == topic and row not in self._config.to_igtl  # a row that the CRTK profile has made
         return ToIgtlStream(row, conversion, max_age_s, device, full_name, lengths, latched, metadata, of_robot)
+
+    def _own_name(self, topic: str, row: ToIgtlRow, igtl_type: str, full_name: str, device: str) -> tuple[str, str]:
+        """Return full name and device of a topic; if another topic is sent as this device, one with a hash.
+
+        A name that the configuration gives to several topics is kept, and noted.
+        """
+        while (owner := self._sources.setdefault(f"{igtl_type}/{device}", topic)) != topic:
+            if row.device:
+                text = f"{owner} and {topic} are both sent as {igtl_type}/{device}: receivers take them as one stream"
+                self._news.append(Finding(Level.WARN, NAME_SHARED, text, topic))
+                break
+            full_name = f"{full_name}_{name_hash(topic)}"
+            device = self.device(full_name)
+        return full_name, device
 
     def device(self, full_name: str) -> str:
         """Return the device name of at most 20 bytes for a full name."""

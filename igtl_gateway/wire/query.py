@@ -339,6 +339,11 @@ def split_query(type_name: str) -> tuple[str, str] | None:
     return prefix, _LONG.get(name, name)
 
 
+def is_dialogue(type_name: str) -> bool:
+    """Whether a type is part of a conversation, and not data: queries and their replies, commands, states."""
+    return type_name in ("COMMAND", "RTS_COMMAND", "STATUS", "CAPABILITY") or split_query(type_name) is not None
+
+
 def query_name(prefix: str, base: str) -> str:
     """Type name of a query on the wire.
 

@@ -74,27 +74,27 @@ class Commands:
 
     # -- from peers -----------------------------------------------------------------------------------------------
 
-    def accept(self, entry: Entry, peer: Peer, message: Message) -> list[Item]:
+    def accept(self, entry: Entry, peer: Peer, message: Message) -> tuple[list[Item], str]:
         """Keep a command of a peer until its reply; return a reply for one that cannot be accepted.
 
         A peer must be able to rely on a failure: a rejected command does not reach ROS.  A reply of a peer ends the
-        waiting of its command from ROS.
+        waiting of its command from ROS, whose device is returned beside it, else "".
         """
         command = message.content
         if not isinstance(command, Command):
-            return []
+            return [], ""
         if visible(message.type) != "COMMAND":
-            self._to_peers.take(command.command_id, peer.link)
-            return []
+            asked = self._to_peers.take(command.command_id, peer.link)
+            return [], asked.device if asked else ""
         deadline_ns = entry.stamp_ns + int(self._config.command_timeout_s * NS_PER_S)
         pending = PendingCommand(
             peer.link, command.command_id, visible(message.device_name), visible(command.name), deadline_ns
         )
         if self._from_peers.add(pending):
-            return []
+            return [], ""
         text = f"command {pending.command_id} ({pending.name!r}) refused: its id, or too many others, wait already"
         items = self._reply(entry, pending, CommandReply.FAIL, text)
-        return [*items, Finding(Level.WARN, "command_refused", text, entry.channel, (peer.link,))]
+        return [*items, Finding(Level.WARN, "command_refused", text, entry.channel, (peer.link,))], ""
 
     def deny(self, entry: Entry, peer: Peer, message: Message, why: str) -> list[Item]:
         """Return the reply to a COMMAND that is refused."""

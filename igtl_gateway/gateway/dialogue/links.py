@@ -20,6 +20,7 @@ from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.ledger import PEERS
 from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.gateway.naming import SharedNames
 from igtl_gateway.gateway.outcome import Finding, Item, Outcome, Tally
 from igtl_gateway.gateway.output import Output, ros_output
 from igtl_gateway.gateway.peers import Peer, Peers
@@ -64,6 +65,7 @@ class Links:
         frames: TfReceiver,
         commands: Commands,
         activity: Activity,
+        shared: SharedNames | None = None,
     ) -> None:
         self._config = config
         self._peers = peers
@@ -75,6 +77,7 @@ class Links:
         self._frames = frames
         self._commands = commands
         self._activity = activity
+        self._shared = shared
 
     def take(self, entry: Entry) -> Outcome:
         """Handle a link that went up or down."""
@@ -92,6 +95,8 @@ class Links:
                 outcome.tallies += self._final_counts(link, event.data)
                 self._peers.down(link)
                 self._guard.on_link_down(link)
+                if self._shared:
+                    self._shared.on_link_down(link)
                 outcome.items += self._commands.on_link_down(entry, link)
         outcome.items.append(self.status(entry.stamp_ns))
         return outcome

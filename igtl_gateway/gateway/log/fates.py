@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 CONVERTED, UNSUBSCRIBED, RECORDED_ONLY = "converted", "unheard", "recorded_only"
-PROBED, RELAYED, MARKED = "probed", "relayed", "marked"
+PROBED, RELAYED, MARKED, GREETED = "probed", "relayed", "marked", "greeted"
 
 #: Fate of a message that was not dropped → its text for people.  Every other word is the reason of a loss.
 KEPT = {
@@ -12,6 +12,7 @@ KEPT = {
     RECORDED_ONLY: "of a topic that is recorded and not bridged",
     PROBED: "the test message of `igtl-gateway doctor`",
     RELAYED: "forwarded by a relay",
+    GREETED: "the greeting of 3D Slicer, a STATUS without a state",
     MARKED: "a COMMAND Mark, which the gateway answered",
 }
 

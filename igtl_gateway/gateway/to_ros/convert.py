@@ -18,6 +18,7 @@ from igtl_gateway.convert.table import ConversionToRos, Role
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.fates import CONVERTED, UNSUBSCRIBED
 from igtl_gateway.gateway.log.note import Level
+from igtl_gateway.gateway.naming import SharedNames
 from igtl_gateway.gateway.outcome import Finding, Item, Outcome, conversion_failure, warning_findings
 from igtl_gateway.gateway.output import Packed, ros_output
 from igtl_gateway.gateway.streams import Streams, ToRosStream
@@ -32,9 +33,21 @@ _METADATA_QOS = Qos(depth=100)
 
 
 class Converter:
-    """Converts decoded messages to ROS."""
+    """Converts decoded messages to ROS.
 
-    def __init__(self, streams: Streams, subscribers: Subscribers, frames: TfReceiver, beforehand: Beforehand) -> None:
+    Attributes:
+        shared: the names that several senders use; None in recordings that do not note them.
+    """
+
+    def __init__(
+        self,
+        streams: Streams,
+        subscribers: Subscribers,
+        frames: TfReceiver,
+        beforehand: Beforehand,
+        shared: SharedNames | None = None,
+    ) -> None:
+        self.shared = shared
         self._streams = streams
         self._subscribers = subscribers
         self._frames = frames
@@ -81,7 +94,11 @@ class Converter:
                 if to.reads_status and isinstance(message, TFMessage) and not message.transforms:
                     continue
                 items.append(ros_output(topic, message, to.stamp_ns))
-                if self._frames and isinstance(message, TFMessage):
+                if not isinstance(message, TFMessage):
+                    continue
+                if self.shared:
+                    frames += self.shared.frames(message, f"{to.igtl_type}/{to.device_name}", to.link)
+                if self._frames:
                     frames += self._frames.update(entry, message, static=False)
         if problems and not items:
             raise problems[0][1]

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from igtl_gateway.base.errors import WireError
 from igtl_gateway.config.configuration import Config
+from igtl_gateway.convert.profiles import is_hello
 from igtl_gateway.gateway.activity import INACTIVE, Activity
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.commanding import Commands
@@ -12,7 +15,7 @@ from igtl_gateway.gateway.dialogue.marking import Marking
 from igtl_gateway.gateway.dialogue.probing import is_probe
 from igtl_gateway.gateway.dialogue.querying import Queries
 from igtl_gateway.gateway.log.entry import Entry
-from igtl_gateway.gateway.log.fates import MARKED, PROBED
+from igtl_gateway.gateway.log.fates import GREETED, MARKED, PROBED
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.metadata import restore_metadata
 from igtl_gateway.gateway.outcome import Finding, Item, Outcome, conversion_failure
@@ -73,6 +76,8 @@ class IgtlReceiver:
             finding = self._activity.refuse(entry)
             items = self._rejected(entry, peer, message, finding, "refused: the gateway is not active")
             return Outcome([*news, *items], INACTIVE, decoded=True)
+        if peer and self._config.naming and is_hello(message):
+            return Outcome([*news, *self._links.on_message(entry, peer, message)], GREETED, decoded=True)
         makes_mark = self._marking.takes(message)
         if makes_mark:
             refused = self._marking.make(entry, message, peer)
@@ -81,9 +86,15 @@ class IgtlReceiver:
             if isinstance(message.content, Command):
                 answer = self._commands.marked(entry, peer, message, refused) if peer else []
                 return Outcome([*news, *answer], "mark_refused" if refused else MARKED, decoded=True)
-        if peer and (answer := self._commands.accept(entry, peer, message)):
-            return Outcome([*news, *answer], "command_refused", decoded=True)
-        outcome = self._router.route(entry, message, restore_metadata(message))
+        answered = ""
+        if peer:
+            refusal, answered = self._commands.accept(entry, peer, message)
+            if refusal:
+                return Outcome([*news, *refusal], "command_refused", decoded=True)
+        restored = restore_metadata(message, self._config.naming)
+        if answered and not restored.device_name and self._config.naming:
+            restored = replace(restored, device_name=answered)
+        outcome = self._router.route(entry, message, restored)
         outcome.decoded = True
         if outcome.origin:
             self._beforehand.learn(entry, outcome.origin.stream, outcome.origin.to)

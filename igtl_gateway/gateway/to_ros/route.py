@@ -16,7 +16,9 @@ from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.fates import CONVERTED, REFUSED_DEVICE
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.metadata import RestoredMetadata
+from igtl_gateway.gateway.naming import cut_name
 from igtl_gateway.gateway.outcome import Finding, Item, Outcome, conversion_failure
+from igtl_gateway.gateway.peers import Peers
 from igtl_gateway.gateway.streams import Streams, ToRosStream
 from igtl_gateway.gateway.to_ros.convert import Converter
 from igtl_gateway.gateway.to_ros.volumes import Volumes
@@ -24,7 +26,9 @@ from igtl_gateway.wire import Message
 from igtl_gateway.wire.bind import Bind
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.image import Image
+from igtl_gateway.wire.query import is_dialogue
 from igtl_gateway.wire.registry import read_child
+from igtl_gateway.wire.video import Video
 
 
 class RosOrigin(NamedTuple):
@@ -47,6 +51,7 @@ class Router:
         volumes: Volumes,
         converter: Converter,
         robots: CommandGuard,
+        peers: Peers,
     ) -> None:
         self._config = config
         self._streams = streams
@@ -54,6 +59,7 @@ class Router:
         self._volumes = volumes
         self._converter = converter
         self._robots = robots
+        self._peers = peers
 
     def route(self, entry: Entry, message: Message, restored: RestoredMetadata) -> Outcome:
         """Return the outcome of a decoded message for ROS; ``restored`` has the contents of its metadata."""
@@ -85,7 +91,7 @@ class Router:
             return Outcome([finding], "too_many_streams")
         source_ns = restored.stamp_ns or ticks_to_ns(message.ticks)
         if frame_id is None:
-            frame_id = stream.row.frame_id or restored.frame_id or stream.frame_id
+            frame_id = stream.row.frame_id or restored.frame_id or self._frame_of(message, link) or stream.frame_id
         to = ToRosContext(
             restored.device_name,
             self._config.pick_stamp(stream.row, source_ns, entry.stamp_ns),
@@ -97,6 +103,7 @@ class Router:
             message.message_id,
             link,
             reads_status=self._config.knows_peers,
+            frames=self._streams.frames,
         )
         found: list[Item] = []
         name = (
@@ -108,12 +115,31 @@ class Router:
                 return Outcome(found, STALE)
         try:
             outcome = self._converted(entry, message, restored, stream, to)
+            outcome.items += self._names(entry, message, restored, name, link)
         except (ConversionError, WireError) as error:
             fate = error.code if isinstance(error, ConversionError) else ConversionError.code
             outcome = Outcome([conversion_failure(error, "not published", entry)], fate)
         outcome.items += found
         outcome.origin = RosOrigin(message, stream, to, watched)
         return outcome
+
+    def _frame_of(self, message: Message, link: int) -> str:
+        """Return the frame that the program of a peer has in the device names of its pictures; "" if there is none."""
+        if not self._config.naming or not isinstance(message.content, Image | Video):
+            return ""
+        peer = self._peers.get(link)
+        return peer.profile.frame_of_picture(visible(message.device_name)) if peer else ""
+
+    def _names(
+        self, entry: Entry, message: Message, restored: RestoredMetadata, stream: str, link: int
+    ) -> list[Finding]:
+        """Return the findings about the name of a stream: another peer sends it, or it may be cut."""
+        shared = self._converter.shared
+        if shared is None or is_dialogue(visible(message.type)):
+            return []
+        known = restored.is_of_gateway or restored.device_name != visible(message.device_name)
+        cut = cut_name(stream, message.device_name, known=known) if entry.payload else []
+        return [*cut, *shared.stream(stream, link)]
 
     def _converted(
         self, entry: Entry, message: Message, restored: RestoredMetadata, stream: ToRosStream, to: ToRosContext

@@ -146,7 +146,7 @@ def _loaded(options: argparse.Namespace) -> Scenario:
 def _write(options: argparse.Namespace, scenario: Scenario) -> int:
     """Play offline into a file."""
     cast = scenario.cast(options.duration)  # refuses what does not fit, before a file is replaced
-    gateway = Gateway(scenario.config)
+    gateway = Gateway(_with_ages(scenario.config))
     entries, content = 0, ContentDigest()
     with written(options.output, overwrite=options.overwrite) as place:
         writer = SessionWriter(
@@ -179,9 +179,10 @@ def _write(options: argparse.Namespace, scenario: Scenario) -> int:
 
 
 def _with_ages(config: Config) -> Config:
-    """Return a configuration whose rows state their maximum age, as those of the fixtures do."""
+    """Return a configuration whose rows state their maximum age, and no rules of names, as those of the fixtures do."""
     return replace(
         config,
+        naming=0,
         to_igtl=tuple(replace(row, max_age_s=config.max_age_of(row)) for row in config.to_igtl),
         to_ros=tuple(replace(row, max_age_s=config.max_age_of(row)) for row in config.to_ros),
         tf_out=tuple(replace(row, max_age_s=config.max_age_of(row)) for row in config.tf_out),
