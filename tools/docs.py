@@ -592,9 +592,9 @@ def _names() -> str:
             `[[to_ros]]` of [the configuration](../../igtl_gateway/config/configuration.py) select other topics, other
             frames, and kinds.  In the topic, characters other than letters, digits and `_` become `_`; a leading digit
             gets the prefix `_`; names of more than {MAX_TOKEN} characters are cut and get a hash.  If two devices would
-            have the same topic, the second one gets a hash too, and so does its frame (note `frame_renamed`).  Two peers
-            that send one device share its topic (`name_shared`).  A pose of a device with the name `AToB` is the pose of
-            frame `A` in frame `B`, as in PLUS and other programs; every other name is a frame in the base frame
+            have the same topic, the second one gets a hash too, and so does its frame (note `frame_renamed`).  Two
+            peers that send one device share its topic (`name_shared`).  A pose of a device with the name `AToB` is the
+            pose of frame `A` in frame `B`, as in PLUS and other programs; every other name is a frame in the base frame
             `{base}`.  A picture of PLUS with the name `Image_A` is in frame `A`.  Of a name that 3D Slicer has cut to 20
             bytes, the whole one in its metadata counts; the note `name_cut` says where there is none.  Frames in the [metadata](messages.md#metadata-keys) override those of the name; frames in the
             configuration

@@ -30,7 +30,8 @@ from tests.tables import table
 
 #: Names that differ in signs, case, length, or at their ends; each is another tool.
 TOOLS = (
-    "Tool A", "Tool_A", "Tool-A", "Tool.A", "Tool/A", "tool a", "TOOL_A", "ToolA", "Tool A ", "/Tool_A", "Tool+A", "Tool:A",
+    "Tool A", "Tool_A", "Tool-A", "Tool.A", "Tool/A", "tool a", "TOOL_A", "ToolA", "Tool A ", "/Tool_A", "Tool+A",
+    "Tool:A",
     "Tööl", "T__l", "1Tool", "_1Tool", "1.Tool", "unnamed", "", "Probe-ToTracker", "Probe_ToTracker", "Probe.ToTracker",
     "ProbeToTracker", "ProbeTo Tracker", "ProbeTo_Tracker", "Probe", "x" * 20, "x" * 19 + " ", "x" * 19 + "_",
 )  # fmt: skip
