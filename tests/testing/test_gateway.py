@@ -83,7 +83,7 @@ def test_the_inputs_of_a_recording_cause_the_recorded_outputs() -> None:
     path = FIXTURES / "paper-types.mcap"
     with SessionFile.open(path) as file:
         recorded = list(file.entries())
-    gateway = ManualGateway()
+    gateway = ManualGateway(path)
     gateway.play(path)
     assert [(entry.stamp_ns, entry.data()) for entry in gateway.log] == [(e.stamp_ns, e.data()) for e in recorded]
     star = FIXTURES / "star.mcap"
