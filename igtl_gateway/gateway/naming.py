@@ -1,6 +1,6 @@
 """Names that two things share: frames on /tf, devices of two peers, topics and devices of two streams.
 
-A mapping of names either keeps different names apart, or a note says which ones it does not.  Frames are kept apart by
+A mapping of names either keeps different names apart, or a note names which ones it does not.  Frames are kept apart by
 the rule of topics: of the names that differ only in characters that a frame does not have, the first keeps the frame,
 and each other one gets its hash behind it.  What shares a name because its senders chose so cannot be kept apart here:
 two peers with one device, two parents of one frame.  All of this depends on the inputs and their order alone, and
@@ -96,7 +96,7 @@ class SharedNames:
 
 
 class _Senders:
-    """Who sends what: links, each with a text, by name.
+    """Who sends what: links, each with a string, by name.
 
     A sender is looked up at its first message only, because later ones take the fast path: so none is forgotten while
     its link is open, and above the limit no further one is ever added.

@@ -1,4 +1,4 @@
-"""Names: each mapping keeps different names apart, or a note says which it does not."""
+"""Names: each mapping keeps different names apart, or a note names those it does not."""
 
 from __future__ import annotations
 
@@ -101,9 +101,7 @@ def test_a_recording_without_the_rule_is_computed_as_before() -> None:
     old = Config.from_dict({})
     script = connected(old, links=2)
     said = script.igtl(pose("Tool A")) + script.igtl(pose("Tool_A")) + script.igtl(pose("Tool A"), link=2)
-    assert frames(script) == [("igtl", "Tool_A")] and not [
-        line for line in said if "shared" in line or "renamed" in line
-    ]
+    assert frames(script) == [("igtl", "Tool_A")] and not notes(said, NAME_SHARED, FRAME_SHARED, FRAME_RENAMED)
     assert verify(iter(script.log), old).good
     assert not verify(iter(script.log), Config()).good
 
@@ -228,7 +226,7 @@ def test_a_name_that_fills_its_field_is_noted_once() -> None:
     assert notes(script.igtl(pose("NeedleToReferenceTra")), NAME_CUT)
     assert not notes(script.igtl(pose("NeedleToReferenceTra")) + script.igtl(pose("a" * 19)), NAME_CUT)
     long = "a device with a name that is long"
-    assert not notes(script.igtl(pose(short_device_name(long), DeviceName=long)), NAME_CUT), "a gateway says it"
+    assert not notes(script.igtl(pose(short_device_name(long), DeviceName=long)), NAME_CUT), "a gateway states it"
 
 
 def test_a_reply_without_a_name_goes_to_the_device_of_its_command() -> None:
@@ -245,7 +243,7 @@ def test_a_reply_without_a_name_goes_to_the_device_of_its_command() -> None:
         ]
         assert replies == [(f"/igtl/in/{device}/command_reply", device)]
     script.igtl(Message("RTS_COMMAND", "", Command(7, "", b""), 1), link=1)
-    assert any(entry.channel == "/igtl/in/unnamed/command_reply" for entry in script.last), "nobody waits for it"
+    assert any(entry.channel == "/igtl/in/unnamed/command_reply" for entry in script.last), "no command waits for it"
     assert verify(iter(script.log), Config()).good
 
 
