@@ -596,7 +596,7 @@ def _names() -> str:
             peers that send one device share its topic (`name_shared`).  A pose of a device with the name `AToB` is the
             pose of frame `A` in frame `B`, as in PLUS and other programs; every other name is a frame in the base frame
             `{base}`.  A picture of PLUS with the name `Image_A` is in frame `A`.  Of a name that 3D Slicer has cut to
-            20 bytes, the whole one in its metadata counts; the note `name_cut` reports where there is none.  Frames in the
+            20 bytes, the whole one in its metadata counts (`name_cut`: there is none).  Frames in the
             [metadata](messages.md#metadata-keys) override those of the name; frames in the configuration override
             both.  Poses are also published on `/tf` (`publish_tf`)."""
         ),
