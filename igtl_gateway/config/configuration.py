@@ -200,7 +200,7 @@ class Config:
     peers are treated as they were then, and nothing is forgotten.
 
     ``naming`` is the version of the rules by which streams get their topics and frames: ``NAMING``, or 0, as in
-    recordings that are older than it, so that they give the same names.  It is no setting of the user.
+    recordings that are older than it, so that they give the same names.  It is not a setting of the user.
     """
 
     base_frame: str = "igtl"
