@@ -56,6 +56,7 @@ if TYPE_CHECKING:
     from igtl_gateway.base.errors import first_line as first_line
     from igtl_gateway.base.extras import in_use as in_use
     from igtl_gateway.base.extras import missing as missing
+    from igtl_gateway.base.free_names import FreeNames as FreeNames
     from igtl_gateway.base.globs import matches as matches
     from igtl_gateway.base.near import did_you_mean as did_you_mean
     from igtl_gateway.base.near import near_names as near_names
@@ -67,6 +68,7 @@ if TYPE_CHECKING:
     from igtl_gateway.base.stamp import ns_to_ros as ns_to_ros
     from igtl_gateway.base.stamp import ros_to_ns as ros_to_ns
     from igtl_gateway.base.systems.leaving import expect_threads_of as expect_threads_of
+    from igtl_gateway.base.untrusted import cpu_time as cpu_time
     from igtl_gateway.base.untrusted import definitions as ros_definitions
     from igtl_gateway.base.untrusted import files as files
     from igtl_gateway.base.untrusted import limits as limits
@@ -291,7 +293,7 @@ HOMES: tuple[tuple[str, str], ...] = (
         "create_file empty_file make_folder open_new open_text os_error_text write_bytes write_text",
     ),
     # Untrusted files and text, with their limits
-    ("base.untrusted", "files limits"),
+    ("base.untrusted", "cpu_time files limits"),
     ("base.untrusted.files", "deadline_of is_same open_file read_bytes size_of stored_bytes"),
     ("base.untrusted.limits", "Deadline check_limit"),
     ("base.untrusted.numbers", "whole_number"),
@@ -327,6 +329,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("base.extras", "in_use missing"),
     ("base.addons", "ADDONS check_present is_present part_of"),
     ("base.globs", "matches"),
+    ("base.free_names", "FreeNames"),
     ("base.near", "did_you_mean near_names"),
     ("base.once", "Once"),
     ("base.systems.leaving", "expect_threads_of"),

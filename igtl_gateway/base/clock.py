@@ -47,6 +47,11 @@ def thread_ns() -> int:
     return time.thread_time_ns()
 
 
+def process_ns() -> int:
+    """Return the CPU time of the process, all threads together."""
+    return time.process_time_ns()
+
+
 class ManualClock:
     """A clock that advances only by calls, for tests and synthetic sessions."""
 

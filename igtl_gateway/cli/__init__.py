@@ -15,8 +15,10 @@ from __future__ import annotations
 
 import argparse
 import importlib
+import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 
 from igtl_gateway.base import extras
 from igtl_gateway.base.errors import (
@@ -30,7 +32,7 @@ from igtl_gateway.base.errors import (
 from igtl_gateway.base.near import did_you_mean, near_names
 from igtl_gateway.base.systems import service
 from igtl_gateway.base.systems.signals import endings_interrupt
-from igtl_gateway.base.untrusted import limits
+from igtl_gateway.base.untrusted import cpu_time, limits
 from igtl_gateway.cli.early_port import early_ports
 from igtl_gateway.cli.options import HelpFormatter, add_file_mode, add_limits_of_files, shorten_usage
 from igtl_gateway.cli.ros_arguments import without_ros_arguments
@@ -130,6 +132,7 @@ def _run(given: Sequence[str], asked: str, ready: Callable[[], None] | None, **e
             endings_interrupt(),
             limits.limits_in_force(limits.parse_limits(getattr(options, "limit", []))),
             files_with_mode(notations.file_mode(getattr(options, "file_mode", None) or "0600"), umask=True),
+            _bounded(known[asked]) if known[asked].is_bounded else nullcontext(),
         ):
             code = int(options.run(options))
         flush_outputs()
@@ -235,6 +238,16 @@ def complete(parser: argparse.ArgumentParser, verb: Verb) -> None:
     parser.description = verb.help[0].upper() + verb.help[1:] + "."
     parser.epilog = "examples:\n" + module.EXAMPLES
     parser.set_defaults(run=module.run)
+
+
+def _bounded(verb: Verb) -> AbstractContextManager[None]:
+    """Bound the CPU time of a verb."""
+
+    def give_up(error: GatewayError) -> None:
+        discard_outputs()
+        os._exit(_print_error(verb.now or verb.module.rpartition(".")[2], error, verb.failure))
+
+    return cpu_time.bounded(give_up)
 
 
 def _print_error(verb: str, error: object, code: int) -> int:

@@ -12,6 +12,7 @@ from pathlib import Path
 from igtl_gateway.base.addons import is_present, part_of
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import ConfigError, GatewayError, MessageTooLarge, WireError
+from igtl_gateway.base.untrusted import cpu_time
 from igtl_gateway.base.untrusted.files import is_same
 from igtl_gateway.cli.options import add_output, add_overwrite, default
 from igtl_gateway.cli.terminal import print_json, print_line
@@ -97,6 +98,7 @@ def _decode(options: argparse.Namespace, source: BufferedReader[FileIO], target:
     offset = 0
     try:
         for index, data in enumerate(_messages(options.file, source, framer)):
+            cpu_time.opened(Path(options.file), offset + len(data))  # a stream has no size
             facts = {"index": index, "offset": offset, **describe(data)}
             print_json(facts)
             damaged += "error" in facts

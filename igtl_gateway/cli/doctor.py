@@ -10,6 +10,7 @@ from igtl_gateway.app import bridge_options
 from igtl_gateway.app.examine import ExamineOptions, examine
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.untrusted import cpu_time
 from igtl_gateway.cli import lint
 from igtl_gateway.cli.common import load_config, stop_event
 from igtl_gateway.cli.options import DEFAULT_HOST, DEFAULT_PORT, peer_address
@@ -130,7 +131,7 @@ def run(options: argparse.Namespace) -> int:
         tls_connect=bool(tls_connect),
         **{name: values[name] for name in ("seconds", "messages", "speak", "allow", "ros")},
     )
-    with stop_event() as stop:
+    with stop_event() as stop, cpu_time.not_counted():
         report = DoctorReport.of(examine(load_config(config), how, SystemClock(), stop))
     return _printed(report, values["json"])
 

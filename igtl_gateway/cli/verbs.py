@@ -41,6 +41,7 @@ class Verb:
         place: in its group, the smallest first.
         now: the new spelling of a verb that is kept for one release; it prints this.
         failure: exit code of an error; 2 for a verb whose 1 is a verdict.
+        lasts: it runs as long as a session, a service or other programs: its CPU time has no bound.
     """
 
     help: str
@@ -51,15 +52,30 @@ class Verb:
     place: int = 99
     now: str = ""
     failure: int = 1
+    lasts: bool = False
+
+    @property
+    def is_bounded(self) -> bool:
+        """Whether ``--limit seconds`` bounds its CPU time."""
+        return self.reads_files and not self.lasts
 
 
-def _own(name: str, text: str, group: str, place: int, *, reads_files: bool = True, writes_files: bool = False) -> Verb:
-    return Verb(text, f"igtl_gateway.cli.{name}", reads_files, writes_files, group, place)
+def _own(
+    name: str,
+    text: str,
+    group: str,
+    place: int,
+    *,
+    reads_files: bool = True,
+    writes_files: bool = False,
+    lasts: bool = False,
+) -> Verb:
+    return Verb(text, f"igtl_gateway.cli.{name}", reads_files, writes_files, group, place, lasts=lasts)
 
 
 VERBS = {
     "bridge": _own("bridge", "run the gateway between OpenIGTLink and ROS 2", RUN, 1, reads_files=False),
-    "replay": _own("replay", "send a recording to OpenIGTLink peers, to ROS 2 or to both", RUN, 2),
+    "replay": _own("replay", "send a recording to OpenIGTLink peers, to ROS 2 or to both", RUN, 2, lasts=True),
     "verify": _own("verify", "check that recorded outputs follow from the inputs, byte for byte", INSPECT, 3),
     "diff": _own("diff", "compare two recordings by stream, in millimetres and degrees", INSPECT, 4),
     "slice": _own(
@@ -76,9 +92,14 @@ VERBS = {
         now="seal keys",
     ),
     "mark": _own("mark", "add a mark to a closed recording, in a file beside it", KEEP, 4, writes_files=True),
-    "keep": _own("keep", "copy the recordings of a directory to a store, delete old ones", KEEP, 2),
+    "keep": _own("keep", "copy the recordings of a directory to a store, delete old ones", KEEP, 2, lasts=True),
     "retain": Verb(
-        "delete recordings of a directory by age and by size", "igtl_gateway.cli.keep", group=RARE, place=5, now="keep"
+        "delete recordings of a directory by age and by size",
+        "igtl_gateway.cli.keep",
+        group=RARE,
+        place=5,
+        now="keep",
+        lasts=True,
     ),
     "info": _own("info", "show the contents of a recording", INSPECT, 1),
     "doctor": _own("doctor", "diagnose a connection, a recording or this machine", START, 3),

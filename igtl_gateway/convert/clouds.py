@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.free_names import FreeNames
 from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosContext
 from igtl_gateway.convert.rosmsg import POINT_FIELD_DTYPES, Header, PointCloud2, PointField, PointStamped
 from igtl_gateway.convert.scaling import all_finite, into_igtl, into_ros
@@ -147,10 +148,11 @@ def polydata_to_cloud(content: PolyData, to: ToRosContext) -> PointCloud2:
     """Convert to a cloud with the point attributes as fields; cells and their attributes are left out.
 
     No attribute replaces another one: underscores are appended to a name that is in use or has another meaning in
-    clouds.
+    clouds, and a number where many have it.
     """
     count = len(content.points)
     columns: dict[str, Array] = {}  # besides the positions
+    names = FreeNames((*_XYZ, *_COLOURS))
     for attribute in content.attributes:
         if attribute.type & CELL or attribute.tuples != count or not attribute.components:
             continue
@@ -161,12 +163,9 @@ def polydata_to_cloud(content: PolyData, to: ToRosContext) -> PointCloud2:
             if field == "rgb":
                 columns[field] = columns[field].view("<f4")  # as PCL packs it
         elif attribute.type == NORMAL and values.shape[1] == len(_NORMALS) and columns.keys().isdisjoint(_NORMALS):
-            columns |= {name: values[:, axis] for axis, name in enumerate(_NORMALS)}
+            columns |= {names.take(name): values[:, axis] for axis, name in enumerate(_NORMALS)}
         else:
-            name = visible(attribute.name) or f"attribute{len(_XYZ) + len(columns)}"
-            while name in columns or name in _XYZ or name in _COLOURS:
-                name += "_"
-            columns[name] = values
+            columns[names.take(visible(attribute.name) or f"attribute{len(_XYZ) + len(columns)}")] = values
     fields, words = list(_XYZ_FIELDS), len(_XYZ)
     widths = [values.shape[1] if values.ndim > 1 else 1 for values in columns.values()]
     for (name, values), width in zip(columns.items(), widths, strict=True):

@@ -304,7 +304,7 @@ class PolyData:
         parts: list[Buffer] = [self._HEAD.pack(*head, len(self.attributes))]
         parts += (_raw(array) for array in (self.points, *(cells.data for cells in self.cells)) if array.size)
         if self.attributes:
-            heads, names = b"", b""
+            heads, names = bytearray(), bytearray()
             for attribute in self.attributes:
                 name = attribute.name.encode("utf-8", "surrogateescape")
                 if len(name) > MAX_ATTRIBUTE_NAME or b"\x00" in name:
@@ -314,7 +314,7 @@ class PolyData:
                     raise MalformedBody(f"POLYDATA attribute {attribute.name!r}", found, f"at most {MAX_COMPONENTS}")
                 heads += self._ATTRIBUTE.pack(attribute.type, attribute.components, attribute.tuples)
                 names += name + b"\x00"
-            parts.append(heads + names + struct.pack("B", self.name_padding)[: len(names) % 2])
+            parts.append(bytes(heads + names) + struct.pack("B", self.name_padding)[: len(names) % 2])
             parts += (_raw(attribute.data) for attribute in self.attributes if attribute.data.size)
         return parts
 

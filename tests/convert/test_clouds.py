@@ -247,6 +247,12 @@ def test_no_attribute_takes_the_place_of_another() -> None:
     assert (fields["a"], fields["a_"]) == ([[1], [1]], [[2], [2]])
 
 
+def test_many_attributes_of_one_name_have_short_names() -> None:
+    one = Attribute.of(SCALAR, "a", np.zeros((2, 1)))
+    names = list(published(polydata(*[one] * 12)))[3:]
+    assert names == [*("a" + "_" * number for number in range(9)), "a_9", "a_10", "a_11"]
+
+
 @pytest.mark.parametrize(
     "attribute",
     [

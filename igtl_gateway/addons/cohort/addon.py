@@ -12,5 +12,6 @@ VERBS = {
         writes_files=True,
         group=MANY,
         place=1,
+        lasts=True,  # each file has its bound
     ),
 }

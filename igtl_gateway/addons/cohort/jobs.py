@@ -23,6 +23,7 @@ from igtl_gateway.addon import (
     SessionFile,
     UnsupportedRecording,
     WireError,
+    cpu_time,
     files,
     layout,
     limits,
@@ -96,7 +97,7 @@ def run_job(job: Mapping[str, Any]) -> dict[str, Any]:
     reply: dict[str, Any] = {"content": "", "requests": 0, "bytes_read": 0, "error": "", "rows": {}}
     status, error = OK, ""
     try:
-        with limits.limits_in_force(limits.parse_limits(list(job["limits"]))):
+        with limits.limits_in_force(limits.parse_limits(list(job["limits"]))), cpu_time.bounded():
             if not is_url(job["name"]):
                 reply["content"] = content_of(Path(job["name"]))
                 if job["content"] and reply["content"] == job["content"]:

@@ -24,6 +24,7 @@ from igtl_gateway.addon import (
     Buffer,
     ConfigError,
     Entry,
+    FreeNames,
     Kind,
     Note,
     OneClock,
@@ -156,13 +157,12 @@ class SequenceFrames:
         if len(self.images) > 1:
             raise ConfigError(f"--streams: found {', '.join(self.images)}, expected one IMAGE and its TRANSFORMs")
         self.names: dict[str, str] = {}
+        free = FreeNames()
         # includes transforms that were never valid
         for stream in sorted({*streams, *invalid}):
             if stream.startswith("TRANSFORM/"):
                 name = re.sub(r"[^A-Za-z0-9]", "", stream.partition("/")[2]) or "Unnamed"
-                while name in self.names.values():
-                    name += "_"
-                self.names[stream] = name
+                self.names[stream] = free.take(name)
         limits.check_limit("fields", len(self.names), "transforms of one sequence, each of them in each frame")
         self.first: Image | None = None
 

@@ -21,6 +21,7 @@ from igtl_gateway.addon import (
     ConversionError,
     ConvertedMessage,
     Entry,
+    FreeNames,
     LengthUnits,
     ToIgtlContext,
     cloud_to_polydata,
@@ -226,12 +227,9 @@ def _fields(head: str, attributes: list[Attribute]) -> Iterator[bytes]:
     if not attributes:
         return
     yield f"{head}\nFIELD attributes {len(attributes)}\n".encode()
-    taken: set[str] = set()
+    names = FreeNames()  # VTK requires unique names
     for number, attribute in enumerate(attributes):
-        values, name = attribute.values, attribute.name or f"attribute{number}"
-        while name in taken:  # VTK requires unique names
-            name += "_"
-        taken.add(name)
+        values, name = attribute.values, names.take(attribute.name or f"attribute{number}")
         yield f"{_encoded(name)} {values.shape[1]} {values.shape[0]} float\n".encode()
         yield values.astype(">f4").tobytes() + b"\n"
 

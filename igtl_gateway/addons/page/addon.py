@@ -12,5 +12,6 @@ VERBS = {
         writes_files=True,
         group=INSPECT,
         place=3,
+        lasts=True,
     ),
 }

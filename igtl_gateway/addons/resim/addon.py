@@ -13,5 +13,6 @@ VERBS = {
         group=INSPECT,
         place=8,
         failure=2,
+        lasts=True,
     ),
 }

@@ -12,5 +12,6 @@ VERBS = {
         group=RARE,
         place=6,
         now="keep",
+        lasts=True,
     ),
 }

@@ -84,6 +84,7 @@ class Pen:
         self._times_set: tuple[int, int, int] | None = None
         self._waiting: dict[tuple[str, str], _Column] = {}
         self._paths: set[str] = set()
+        self._numbers: dict[str, int] = {}  # path → the number that was not tried yet
         self._placed: set[str] = set()
 
     def unique_path(self, path: str) -> str:
@@ -94,9 +95,10 @@ class Pen:
         """
         if len(self._paths) >= MAX_ENTITIES:
             raise ConversionError(f"found more than {MAX_ENTITIES:,} entities, expected fewer names")
-        free, number = path, 2
+        free, number = path, self._numbers.get(path, 2)
         while free in self._paths:
             free, number = f"{path}_{number}", number + 1
+        self._numbers[path] = number
         self._paths.add(free)
         return free
 

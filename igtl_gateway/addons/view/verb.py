@@ -35,6 +35,7 @@ from igtl_gateway.addon import (
     clear_live_line,
     config_to_run,
     count_text,
+    cpu_time,
     default,
     is_present,
     is_terminal,
@@ -433,7 +434,8 @@ def _show(options: argparse.Namespace, sessions: list[Path], wait: Any) -> None:
     """The window or the page, until it is closed or Ctrl-C comes."""
     from igtl_gateway.addons.view.viewer import Viewer
 
-    with Viewer.page(sessions, options.port or 0) if options.web else Viewer.window(sessions) as viewer:
+    viewing = Viewer.page(sessions, options.port or 0) if options.web else Viewer.window(sessions)
+    with cpu_time.not_counted(), viewing as viewer:
         if options.web:
             print_line(viewer.url, "Press Ctrl-C to stop.", flush=True)
         while not viewer.ended and not wait(_WAIT_S):

@@ -13,6 +13,8 @@ from typing import Any
 if sys.platform == "win32":
     import socket
 
+    from igtl_gateway.base.clock import process_ns
+
     #: What asks a program to end: Ctrl-C, Ctrl-Break, and the end of the session.
     ENDINGS: tuple[signal.Signals, ...] = (signal.SIGINT, signal.SIGBREAK, signal.SIGTERM)
     #: What the start of a program in the background may have ignored: nothing.
@@ -31,6 +33,12 @@ else:
     _OF_A_GROUP = (signal.SIGABRT, signal.SIGQUIT)
     SAVE = signal.SIGUSR1
     PAUSE = signal.SIGUSR2
+
+
+_NS_PER_S = 1_000_000_000
+#: Of a timer: beyond it, its function looks again.
+_LONGEST_NS = 1_000_000 * _NS_PER_S
+_WATCH_S = 0.1
 
 
 def ignore_endings() -> None:
@@ -93,6 +101,33 @@ def endings_held() -> Iterator[Callable[[], None]]:
 
 
 @contextmanager
+def cpu_alarm(look: Callable[[], int], first_ns: int, again_ns: int) -> Iterator[None]:
+    """Context manager: call a function in the main thread when the process has used CPU time; nothing in other threads.
+
+    Args:
+        look: returns the CPU time until its next call, ns; it may raise.
+        first_ns: CPU time until its first call, ns.
+        again_ns: CPU time until its next call where it raises, ns.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def on_signal(_number: int, _frame: Any) -> None:
+        start(again_ns)
+        start(look())
+
+    start, end, number = _cpu_timer()
+    before = signal.signal(number, on_signal)
+    start(first_ns)
+    try:
+        yield
+    finally:
+        end()
+        signal.signal(number, before)
+
+
+@contextmanager
 def signals_in_thread(
     actions: Mapping[signal.Signals, Callable[[], None]], name: str, *, once: bool = False
 ) -> Iterator[None]:
@@ -138,6 +173,29 @@ def signals_in_thread(
 
 if sys.platform == "win32":
 
+    def _cpu_timer() -> tuple[Callable[[int], object], Callable[[], object], signal.Signals]:
+        """Return functions that start and end a timer of CPU time (ns), and its signal.  No timer of the system counts
+        that there: a thread looks.
+        """
+        over, due_ns = threading.Event(), [0]
+
+        def watch() -> None:
+            while not over.wait(_WATCH_S):
+                if process_ns() >= due_ns[0]:
+                    signal.raise_signal(signal.SIGBREAK)
+
+        def start(left_ns: int) -> None:
+            due_ns[0] = process_ns() + left_ns
+
+        def end() -> None:
+            over.set()
+            watcher.join()
+
+        start(_LONGEST_NS)
+        watcher = threading.Thread(target=watch, name="igtl-cpu-time", daemon=True)
+        watcher.start()
+        return start, end, signal.SIGBREAK
+
     def _channel() -> tuple[Callable[[], bytes], Callable[[bytes], object], Callable[[], None]]:
         """Return functions that read a byte, write one, and close; the system writes the numbers of signals to it."""
         reader, writer = socket.socketpair()
@@ -152,6 +210,14 @@ if sys.platform == "win32":
         return lambda: reader.recv(1), writer.send, close
 
 else:
+
+    def _cpu_timer() -> tuple[Callable[[int], object], Callable[[], object], signal.Signals]:
+        """Return functions that start and end a timer of CPU time (ns), and its signal."""
+
+        def start(left_ns: int) -> None:
+            signal.setitimer(signal.ITIMER_PROF, min(left_ns, _LONGEST_NS) / _NS_PER_S)
+
+        return start, lambda: signal.setitimer(signal.ITIMER_PROF, 0), signal.SIGPROF
 
     def _channel() -> tuple[Callable[[], bytes], Callable[[bytes], object], Callable[[], None]]:
         """Return functions that read a byte, write one, and close."""

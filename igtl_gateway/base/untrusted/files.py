@@ -10,7 +10,7 @@ from typing import IO, BinaryIO
 
 from igtl_gateway.base.errors import DamagedRecording, NoSuchRecording, UnsupportedRecording
 from igtl_gateway.base.systems.files import lock, unlock
-from igtl_gateway.base.untrusted import limits
+from igtl_gateway.base.untrusted import cpu_time, limits
 
 _SEEK_DATA = 3  # as lseek(2)
 
@@ -41,7 +41,7 @@ def size_of(path: Path) -> int:
 
 def open_file(path: Path) -> BinaryIO:
     """Open an ordinary file for reading.  Raises UnsupportedRecording; never waits for a FIFO or a device."""
-    size_of(path)
+    cpu_time.opened(path, stored_bytes(path, size_of(path)))
     try:
         return path.open("rb")
     except FileNotFoundError as error:  # deleted since

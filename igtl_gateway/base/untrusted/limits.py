@@ -35,7 +35,8 @@ class FileLimits:
         fields: fields, constants and types of one such definition; an array of five messages counts as five.
             Also the transforms of one sequence.
         document: characters of a YAML document, or of a line of an image header.
-        seconds: time for reading, plus ``seconds_per_mb`` for each megabyte of the file.
+        seconds: time for reading, and CPU time of the whole verb (``cpu_time``), plus ``seconds_per_mb`` for each
+            megabyte of the file.
         seconds_per_mb: see ``seconds``.
     """
 
@@ -67,7 +68,7 @@ MEANINGS = {
     "definition": "characters of the definition of one message type",
     "fields": "fields, constants and types of one definition; transforms of one sequence",
     "document": "characters of a YAML document or of a line of an image header",
-    "seconds": "seconds to read a file, plus `seconds_per_mb`",
+    "seconds": "seconds to read a file, and CPU time of the verb, plus `seconds_per_mb`",
     "seconds_per_mb": "additional seconds for each megabyte of the file",
 }
 
