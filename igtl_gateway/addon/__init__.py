@@ -228,6 +228,7 @@ if TYPE_CHECKING:
     from igtl_gateway.replay.recorded_marks import carry_marks as carry_marks
     from igtl_gateway.replay.recorded_marks import marked_moment as marked_moment
     from igtl_gateway.replay.recorded_marks import marks_of as marks_of
+    from igtl_gateway.replay.source import check_recorded as check_recorded
 
 #: Names that are others there; the rest of the surface is above.
 __all__ = ["VIDEO_THREADS", "open_recording", "ros_definitions"]
@@ -331,6 +332,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("base.globs", "matches"),
     ("base.free_names", "FreeNames"),
     ("base.near", "did_you_mean near_names"),
+    ("replay.source", "check_recorded"),
     ("base.once", "Once"),
     ("base.systems.leaving", "expect_threads_of"),
     ("base.child", "Child report_facts"),

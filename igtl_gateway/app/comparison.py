@@ -13,6 +13,7 @@ from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.compare import LeafDecoder, Tolerance
 from igtl_gateway.replay.diff import DiffInput, StreamDiff, diff
 from igtl_gateway.replay.recorded_config import config_to_run, units_of
+from igtl_gateway.replay.source import check_recorded
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +75,8 @@ def compare_sessions(
     one: SessionFile, other: SessionFile, streams: Sequence[str], tolerance: Tolerance
 ) -> RecordingDiff:
     """Compare two open recordings; see `compare_recordings`."""
+    if faults := check_recorded([one, other], streams, "streams"):
+        raise ConfigError("; ".join(faults))  # "equal" would be about fewer streams than were asked for
     foreign = one.foreign is not other.foreign
     report = diff(_side(one), _side(other), globs=streams, tolerance=tolerance, foreign=foreign)
     if streams and not report.streams:  # nothing compared is not equal

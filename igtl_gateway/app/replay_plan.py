@@ -13,7 +13,7 @@ from igtl_gateway.app.replay_listeners import Listeners
 from igtl_gateway.app.replay_options import Side
 from igtl_gateway.app.rows import send_row
 from igtl_gateway.base.errors import ConfigError, RosError
-from igtl_gateway.base.near import did_you_mean, near_streams, unmatched
+from igtl_gateway.base.near import did_you_mean, near_streams, unmatched, without_match
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.edges.ros.edge import RosEdge
@@ -160,9 +160,7 @@ def unplayed(streams: Iterable[str], played: Iterable[str]) -> list[str]:
         played: ``TYPE/device`` or topics.
     """
     names = set(played)
-    kinds = {name: Kind.ROS_OUT if name.startswith("/") else Kind.IGTL_OUT for name in names}
-    without = (glob for glob in streams if not any(is_stream_of(kinds[name], name, (glob,)) for name in names))
-    return [f"{glob}: {unmatched(glob, names, 'stream of the replay')}" for glob in without]
+    return [f"{glob}: {unmatched(glob, names, 'stream of the replay')}" for glob in without_match(streams, names)]
 
 
 def check_sends(file: SessionFile, how: ReplayPlan, sends: Sequence[str]) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from igtl_gateway.base.globs import matches
+
 _MOST = 3
 
 
@@ -28,9 +30,16 @@ def near_streams(glob: str, streams: Iterable[str]) -> list[str]:
             forms[name.lower()] = name
             if not name.startswith("/"):
                 forms.setdefault(name.partition("/")[2].lower(), name)
-    found = [forms[form] for form in near_names(word, filter(None, forms))]
+    found = [forms[form] for form in near_names(word, filter(None, forms), 0.7)]
     part = word.rpartition("/")[2] or word
     return list(dict.fromkeys(found or [name for form, name in forms.items() if part in form]))[:_MOST]
+
+
+def without_match(globs: Iterable[str], streams: Iterable[str]) -> list[str]:
+    """Return the globs that match none of the streams (``TYPE/device`` or topics) and none of their devices."""
+    names = set(streams)
+    names |= {name.partition("/")[2] for name in names if not name.startswith("/")}
+    return [glob for glob in globs if not any(matches(glob, name) for name in names)]
 
 
 def unmatched(glob: str, streams: Iterable[str], what: str = "recorded stream") -> str:

@@ -24,7 +24,6 @@ from igtl_gateway.cli.options import (
     new_recording,
 )
 from igtl_gateway.cli.terminal import print_json, print_line
-from igtl_gateway.gateway.log.entry import MESSAGES
 from igtl_gateway.gateway.log.marks import Mark
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.beside import written
@@ -34,7 +33,7 @@ from igtl_gateway.replay.moment import check_part
 from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.replay.recorded_marks import carry_marks, marked_moment, marks_of
 from igtl_gateway.replay.slice import Slice, SliceReport, SliceWindow
-from igtl_gateway.replay.source import is_stream_of
+from igtl_gateway.replay.source import check_recorded
 
 EXAMPLES = """\
   # seconds 12 to 15
@@ -90,7 +89,9 @@ def run(options: argparse.Namespace) -> int:
             file.end_ns + 1 if end_ns is None else end_ns,
             tuple(options.streams),
         )
-        _check_streams(file, options.streams)
+        # without any, the part would have the state of the gateway only
+        for fault in check_recorded([file], options.streams):
+            print_line(f"! {fault}", error=True)
         part = Slice(
             file.entries, config_to_run(file.session, options.config), window, file.entries_starting_at, file.prologue()
         )
@@ -103,14 +104,6 @@ def run(options: argparse.Namespace) -> int:
         else:
             _print(options.output, part.report)
     return 0
-
-
-def _check_streams(file: SessionFile, streams: Sequence[str]) -> None:
-    """Raise ConfigError if no recorded stream matches: the part would have the state of the gateway only."""
-    found = {(each.stream, each.kind) for each in file.channels if each.count and each.kind in MESSAGES}
-    if streams and all(name and not is_stream_of(kind, name, streams) for name, kind in found):
-        globs = ", ".join(map(repr, streams))
-        raise ConfigError(f"--streams: found {globs}, expected a recorded stream: `igtl-gateway info` lists them")
 
 
 def _is_in(mark: Mark, window: SliceWindow) -> bool:

@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 
+from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.globs import matches
+from igtl_gateway.base.near import did_you_mean, near_streams, unmatched, without_match
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway import LINK_UP, Session, make_core
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.groups import input_groups
 from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.record.sessionfile.reader import SessionFile
 
 #: The link for all peers, for recordings without links.
 _ANY_LINK = 1
@@ -123,10 +126,30 @@ def is_stream_of(kind: Kind, channel: str, globs: Sequence[str]) -> bool:
     return matches_any(channel, globs) or (kind in _IGTL and matches_any(channel.partition("/")[2], globs))
 
 
+def check_recorded(files: Sequence[SessionFile], globs: Sequence[str], place: str = "--streams") -> list[str]:
+    """Return a sentence about each glob that matches no recorded stream of the files, with near names.
+
+    Streams that share a channel of a file have no name before they are read: then nothing is returned.
+
+    Raises ConfigError if no glob matches one.
+    """
+    channels = [each for file in files for each in file.channels if each.count and each.kind in _MESSAGES]
+    names = {each.stream or each.topic for each in channels}
+    without = without_match(globs, names)
+    if not without or any(each.kind in _IGTL and not each.stream for each in channels):
+        return []
+    if len(without) < len(globs):
+        return [f"{place} {glob}: {unmatched(glob, names)}" for glob in without]
+    question = did_you_mean(near for glob in without for near in near_streams(glob, names))
+    expected = f"expected a recorded stream: {question or '`igtl-gateway info` lists them'}"
+    raise ConfigError(f"{place}: found {', '.join(map(repr, without))}, {expected}")
+
+
 def matches_any(name: str, globs: Sequence[str]) -> bool:
     """Return whether a name matches one of the globs, or there is no glob."""
     return not globs or any(matches(glob, name) for glob in globs)
 
 
 _IGTL = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT})
+_MESSAGES = _IGTL | {Kind.ROS_IN, Kind.ROS_OUT}
 _INPUTS = frozenset(kind for kind in Kind if kind.is_input)

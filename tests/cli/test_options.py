@@ -157,7 +157,11 @@ def test_a_slice_needs_one_output(capsys: pytest.CaptureFixture[str]) -> None:
 @table(
     "words, error",
     [
-        ("diff STAR STAR --streams Foo", "streams: found 'Foo', expected a stream of one of the recordings"),
+        ("diff STAR STAR --streams TRANSFORM/* --streams Toool", "streams Toool: matches no recorded stream"),
+        (
+            "diff STAR STAR --streams Foo",
+            "streams: found 'Foo', expected a recorded stream: `igtl-gateway info` lists them",
+        ),
         ("slice STAR -o OUT.mcap --streams Foo", "--streams: found 'Foo', expected a recorded stream"),
         (
             "replay STAR --to igtl --through-gateway --streams Foo",

@@ -153,3 +153,12 @@ def test_a_loss_that_nothing_declares_is_a_difference(tmp_path: Path) -> None:
     whole = tmp_path / "whole.mcap"
     without_end(whole, {})
     assert main(["verify", str(whole)]) == 1
+
+
+def test_a_name_without_a_stream_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    part = str(tmp_path / "part.mcap")
+    assert main(["slice", str(FIXTURES / "star.mcap"), "-o", part, "--streams", "TRANSFORM/*", "--streams", "ToolToBas"]) == 0
+    assert (
+        "--streams ToolToBas: matches no recorded stream; did you mean 'TRANSFORM/ToolToBase'?"
+        in capsys.readouterr().err
+    )

@@ -17,6 +17,7 @@ from igtl_gateway.addon import (
     add_output,
     add_streams,
     cell,
+    check_recorded,
     count_text,
     default,
     definitions,
@@ -96,19 +97,16 @@ def run(options: argparse.Namespace) -> int:
     except ConfigError as error:
         raise ConfigError(f"-o: {error}") from None
     with SessionFile.open(options.file) as file:
+        faults = check_recorded([file], options.streams)
         try:
             account = export_to(options.to, file, options.output, options.streams, gap_ns)
         except OSError as error:
             raise GatewayError(f"cannot write to {options.output}: {error.strerror or error}") from None
+    account.notes += faults
     written = sum(row.taken for row in account.rows)
     if not written:
         reasons = [f"{row.stream}: {row.why}" for row in account.rows if row.why]
         why = f" ({_first_few(reasons, 3, '; ')})" if reasons else ""
-        if options.streams and not account.rows and not account.others:
-            raise GatewayError(
-                f"{options.file}: no stream matches --streams {' '.join(options.streams)}; "
-                "* matches one level, ** any number; `igtl-gateway info` lists the streams"
-            )
         raise GatewayError(
             f"{options.file}: found no messages for {options.to}; see `igtl-gateway info`, and --streams{why}"
         )

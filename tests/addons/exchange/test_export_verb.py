@@ -346,7 +346,7 @@ def test_nothing_is_replaced(recording: Path, tmp_path: Path, capsys: pytest.Cap
     for to in ("rosbag2", "csv", "ply", "nrrd", "vtk"):
         assert main(["export", str(recording), "--to", to, "-o", str(tmp_path / "full")]) == USAGE
     assert main(["export", str(recording), "--to", "igs.mha", "-o", str(recording)]) == USAGE
-    assert main(["export", str(recording), "--to", "csv", "-o", str(tmp_path / "out"), "--streams", "no"]) == FAILURE
+    assert main(["export", str(recording), "--to", "csv", "-o", str(tmp_path / "out"), "--streams", "no"]) == USAGE
     err = capsys.readouterr().err
     assert "no stream matches --streams no; * matches one level, ** any number" in err
     assert [file.name for file in (tmp_path / "full").iterdir()] == ["mine"]
@@ -414,3 +414,13 @@ def test_foreign_names_stay_in_the_folder_and_on_their_line(
     assert len(made) == expected
     assert main(["export", str(path), "--to", to, "-o", str(out)]) == USAGE
     assert {file: file.stat().st_mtime_ns for file in made} == {file: file.stat().st_mtime_ns for file in out.iterdir()}
+
+
+def test_a_name_without_a_stream_is_reported_and_the_others_are_exported(
+    recording: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    globs = ["--streams", "TRANSFORM/*", "--streams", "Toool"]
+    assert main(["export", str(recording), "--to", "csv", "-o", str(tmp_path / "out"), *globs]) == 0
+    assert "--streams Toool: matches no recorded stream" in capsys.readouterr().out
+    assert main(["export", str(recording), "--to", "csv", "-o", str(tmp_path / "other"), *globs, "--json"]) == 0
+    assert "Toool" in json.loads(capsys.readouterr().out)["notes"][-1]
