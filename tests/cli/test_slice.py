@@ -157,7 +157,10 @@ def test_a_loss_that_nothing_declares_is_a_difference(tmp_path: Path) -> None:
 
 def test_a_name_without_a_stream_is_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     part = str(tmp_path / "part.mcap")
-    assert main(["slice", str(FIXTURES / "star.mcap"), "-o", part, "--streams", "TRANSFORM/*", "--streams", "ToolToBas"]) == 0
+    assert (
+        main(["slice", str(FIXTURES / "star.mcap"), "-o", part, "--streams", "TRANSFORM/*", "--streams", "ToolToBas"])
+        == 0
+    )
     assert (
         "--streams ToolToBas: matches no recorded stream; did you mean 'TRANSFORM/ToolToBase'?"
         in capsys.readouterr().err
