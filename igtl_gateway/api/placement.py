@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 from igtl_gateway.base.errors import DamagedRecording
 from igtl_gateway.base.versions import Self
-from igtl_gateway.wire.image import LPS, RAS, Image
+from igtl_gateway.wire.image import RAS, Image
 
 Vector = tuple[float, float, float]
 
@@ -72,7 +72,7 @@ class ImagePlacement:
         matrix = image.wire_matrix
         if not all(map(math.isfinite, matrix)):
             return None
-        signs = SIGNS["LPS" if image.coordinate == LPS else "RAS"]
+        signs = SIGNS["LPS" if image.is_lps else "RAS"]
         i, j, k, centre = (_change_space(matrix[start : start + 3], signs) for start in (0, 3, 6, 9))
         if image.dimensions[2] == 1 and is_degenerate((i, j, k)):
             k = normal(i, j) or k
@@ -97,7 +97,7 @@ class ImagePlacement:
 def has_own_normal(image: Image) -> bool:
     """Return whether the matrix of an IMAGE is valid with its own third axis, without the normal of the slice."""
     place = ImagePlacement.of_image(image)
-    signs = SIGNS["LPS" if image.coordinate == LPS else "RAS"]
+    signs = SIGNS["LPS" if image.is_lps else "RAS"]
     return place is not None and place.axes[2] == _change_space(image.wire_matrix[6:9], signs)
 
 

@@ -17,7 +17,7 @@ from igtl_gateway.wire import Message
 from igtl_gateway.wire.body import Body, Raw
 from igtl_gateway.wire.command import Command
 from igtl_gateway.wire.fields import decode_text, visible
-from igtl_gateway.wire.image import LPS, Image
+from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.ndarray import NdArray
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import PolyData
@@ -216,7 +216,7 @@ def _pose(position: Any, quaternion: Any, place: str) -> Array:
 
 def _image_matrix(image: Image) -> Array:
     pose = _columns(image.wire_matrix).copy()
-    if image.coordinate == LPS:
+    if image.is_lps:
         pose[:2] *= -1.0
     # the wire has the centre of the volume
     first = np.array(image.subvol_offset) - (np.array(image.dimensions) - 1) / 2

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.base.errors import ConversionError
-from igtl_gateway.wire.image import BIG_ENDIAN, SCALARS, Image
+from igtl_gateway.wire.image import SCALARS, Image
 
 #: Limit for announced volumes: a header can announce 65,535³ voxels.
 MAX_VOLUME_BYTES = 1 << 30
@@ -64,11 +64,11 @@ class VolumeAssembler:
         if image.sub_size == image.dimensions:
             pixels = memoryview(image.pixels)
             if pixels.nbytes <= room:
-                self.keep(form, _dtype(image), pixels)
+                self.keep(form, image.dtype, pixels)
             else:
                 self._begin(form)
             return image
-        size = math.prod(shape) * _dtype(image).itemsize
+        size = math.prod(shape) * image.dtype.itemsize
         if size > MAX_VOLUME_BYTES:
             raise ConversionError(f"IMAGE: found a volume of {size} bytes, expected {MAX_VOLUME_BYTES} at most")
         if self._form != form:
@@ -86,7 +86,7 @@ class VolumeAssembler:
                 )
             if not whole:
                 return None
-            self._whole = np.zeros(shape, _dtype(self._parts[0]))
+            self._whole = np.zeros(shape, self._parts[0].dtype)
             self._seen, self.missing, self.held = np.zeros(shape[:3], np.bool_), voxels, size + voxels
             parts, self._parts = self._parts, []
         else:
@@ -99,7 +99,7 @@ class VolumeAssembler:
             return None
         if self._seen is not None:
             self._seen, self.held = None, size
-        endian = image.endian if self._whole.dtype == _dtype(image) else 3 - image.endian
+        endian = image.endian if self._whole.dtype == image.dtype else 3 - image.endian
         pixels = self._whole.reshape(-1).view(np.uint8).data
         return replace(image, pixels=pixels, endian=endian, subvol_offset=(0, 0, 0), subvol_size=None)
 
@@ -145,8 +145,4 @@ class VolumeAssembler:
 def form_of(image: Image) -> Form:
     """Return the form of the whole image to which a message belongs."""
     i, j, k = image.dimensions
-    return (k, j, i, image.num_components), SCALARS[image.scalar_type]
-
-
-def _dtype(image: Image) -> np.dtype[Any]:
-    return np.dtype((">" if image.endian == BIG_ENDIAN else "<") + SCALARS[image.scalar_type])
+    return (k, j, i, image.num_components), SCALARS[image.number_type]

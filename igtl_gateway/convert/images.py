@@ -58,7 +58,7 @@ def image_to_ros(content: Image, to: ToRosContext) -> RosImage:
             f"IMAGE {to.device_name!r}: found the part {content.sub_size} at {content.subvol_offset} "
             f"of {content.dimensions}, expected the whole image"
         )
-    scalar, components = content.scalar_type, content.num_components
+    scalar, components = content.number_type, content.num_components
     pixels, big = content.pixels, content.endian == BIG_ENDIAN
     if scalar == _UINT32:  # ROS has no encoding for uint32; float64 holds every value
         pixels = content.array.astype("<f8").reshape(-1).view(np.uint8).data

@@ -6,19 +6,21 @@ and reports of their users.
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.geometry import flip_lps_ras
 from igtl_gateway.convert.plus_signs import frame_of_picture, is_any_plus, is_recent_plus
 from igtl_gateway.wire import Message, Raw
 from igtl_gateway.wire.fields import decode_text
-from igtl_gateway.wire.image import LPS, RAS, Image
-from igtl_gateway.wire.polydata import NORMAL, Attribute, PolyData
+from igtl_gateway.wire.image import RAS, Image
+from igtl_gateway.wire.polydata import CELL, F4, NORMAL, RGBA, SCALAR, TCOORDS, TENSOR, VECTOR, Attribute, PolyData
 from igtl_gateway.wire.query import split_query
 from igtl_gateway.wire.registry import BODIES
 from igtl_gateway.wire.text import Status
@@ -51,8 +53,6 @@ CPP_FACTORY = frozenset(
     "STP_QTDATA STP_TDATA STRING STT_POLYDATA STT_QTDATA STT_TDATA TDATA TRAJ TRANSFORM".split()
 )
 
-_NINE = 9
-
 #: (content, warning or "") in place of a content that the peer would misread.
 Adapted = tuple[Any, str]
 
@@ -60,29 +60,86 @@ Adapted = tuple[Any, str]
 def _readable_pixels(image: Image) -> Adapted:
     """Slicer reads 32-bit integers as C ``long`` and interprets all matrices as RAS."""
     warning = ""
+    if image.number_type != image.scalar_type:
+        image = replace(image, scalar_type=image.number_type)
     if image.scalar_type in (6, 7):
         values = image.array.astype("<f4")
         if (values.astype(np.float64) != image.array).any():
             warning = "32-bit pixels beyond 2^24 are rounded: 3D Slicer takes them as float32 only"
         image = replace(image, scalar_type=10, endian=2, pixels=values.reshape(-1).view(np.uint8).data)
-    if image.coordinate == LPS:
+    if image.is_lps:
         image = replace(image, coordinate=RAS, wire_matrix=flip_lps_ras(image.wire_matrix))
     return image, warning
 
 
+#: Floats that the C++ reader takes of each tuple of an attribute, except point scalars, vectors and normals (§6.15).
+_NINE = 9
+#: Kind of attribute → the components that the C++ reader takes, whatever the head has; of scalars it reads the head.
+_TAKEN = {VECTOR: 3, NORMAL: 3, TENSOR: 9, RGBA: 4, TCOORDS: 3}
+#: Its largest number of components of scalars.
+_MOST_SCALARS = 127
+
+
 def _nine_components(content: PolyData) -> Adapted:
-    """The C++ reader expects nine components for every attribute except point scalars, vectors and normals (§6.15)."""
-    if all(attribute.type <= NORMAL for attribute in content.attributes):
+    """Return the attributes as the C++ reader takes them (§6.15); one that it would misread is left out."""
+    if all(attribute.type == SCALAR and 0 < attribute.components <= _MOST_SCALARS for attribute in content.attributes):
         return content, ""
-    return replace(content, attributes=tuple(map(_widened, content.attributes))), ""
+    readable, left_out = [], []
+    for attribute in content.attributes:
+        adapted = _for_cpp_reader(attribute)
+        if adapted is None:
+            found = f"type {attribute.type:#x}, {attribute.values.shape[1]} components"
+            left_out.append(f"{attribute.name!r} ({found})")
+        else:
+            readable.append(adapted)
+    if left_out:
+        names = ", ".join(left_out[:3]) + (" …" if len(left_out) > 3 else "")
+        return replace(content, attributes=tuple(readable)), (
+            f"attributes that the C++ library would misread are left out: {names}"
+        )
+    if all(map(operator.is_, readable, content.attributes)):
+        return content, ""
+    return replace(content, attributes=tuple(readable)), ""
 
 
-def _widened(attribute: Attribute) -> Attribute:
+def _for_cpp_reader(attribute: Attribute) -> Attribute | None:
+    """Return an attribute in the form of the C++ reader; None if it has none."""
+    kind, count = attribute.type & ~CELL, attribute.tuples
+    if not count or attribute.is_padded:
+        return attribute
+    if kind == SCALAR:
+        return _scalars_for_cpp_reader(attribute)
+    taken = _TAKEN.get(kind)
+    if taken is None:
+        return None
+    values = attribute.values
+    found = values.shape[1]
+    if found != taken:
+        if kind == TENSOR or found > taken or (kind == RGBA and found < taken - 1):
+            return None
+        # an unset alpha is 1, the third component of a plane is 0
+        wider = np.full((count, taken), float(kind == RGBA), F4)
+        wider[:, :found] = values
+        attribute = Attribute.of(attribute.type, attribute.name, wider)
     if attribute.type <= NORMAL or attribute.components == _NINE:
         return attribute
-    data = np.zeros(attribute.tuples * _NINE, ">f4")
-    data[: min(len(data), len(attribute.data))] = attribute.data[: len(data)]
-    return replace(attribute, components=_NINE, data=data)
+    return replace(attribute, components=_NINE, data=_padded(attribute.values))
+
+
+def _scalars_for_cpp_reader(attribute: Attribute) -> Attribute | None:
+    if not attribute.type & CELL:
+        return attribute if attribute.components <= _MOST_SCALARS else None
+    if attribute.components == _NINE:
+        return attribute
+    # the reader takes nine floats a cell from the data, and their number of components from the head
+    return None if attribute.components > _NINE else replace(attribute, data=_padded(attribute.values), is_padded=True)
+
+
+def _padded(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return the values one after the other, then zeros: nine floats for each row."""
+    data = np.zeros(len(values) * _NINE, F4)
+    data[: values.size] = values.reshape(-1)
+    return data
 
 
 def _no_frame(_device: str) -> str:

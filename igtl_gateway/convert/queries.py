@@ -46,7 +46,9 @@ def query_to_ros(content: Body, to: ToRosContext) -> Query:
     match content:
         case StartTracking():
             # signed in the library, unsigned in the document: the same 32 bits
-            resolution, coordinate_name = content.resolution % _U32, visible(content.coordinate_name)
+            resolution, coordinate_name = min(content.resolution, _U32 - 1) % _U32, visible(content.coordinate_name)
+        case EmptyQuery() if prefix == "STT":
+            resolution = max(0, min(content.resolution, _U32 - 1))
         case StartVideo():
             resolution, codec = content.resolution, visible(content.codec)
         case StartPolyData() | StartBind():

@@ -374,7 +374,8 @@ TO_ROS: tuple[ConversionToRos, ...] = (
         "lines",
         trajectories.trajectories_to_lines,
         _SURFACES,
-        lossy=f"{_POINT_LOSS}, diameters, trajectories of one point; a line without a colour (all 0) is grey",
+        lossy=f"{_POINT_LOSS}, diameters, trajectories of one point (a warning if they have both ends); "
+        "a line without a colour (all 0) is grey",
     ),
     ConversionToRos(
         ("POINT",),
@@ -417,7 +418,8 @@ TO_ROS: tuple[ConversionToRos, ...] = (
         "volume",
         volumes.image_to_volume,
         _VOLUMES,
-        lossy=f"{_PLACE_LOSS}; a centre nearer to the frame's origin than the size of the image / 2^27",
+        lossy=f"{_PLACE_LOSS}; scalar type 15 (becomes 2), coordinate system 0 (LPS, a warning); "
+        "a centre nearer to the frame's origin than the size of the image / 2^27",
         applies=volumes.exceeds_picture,
         role=Role.FULL,
     ),

@@ -18,7 +18,7 @@ from igtl_gateway.convert.rosmsg import Header, Marker
 from igtl_gateway.convert.surfaces import DRAWN_WIDTH, GREY
 from igtl_gateway.convert.units import ieee_754
 from igtl_gateway.wire.point import POINT_DTYPE, Points
-from igtl_gateway.wire.trajectory import ENTRY_AND_TARGET, TRAJECTORY_DTYPE, Trajectories
+from igtl_gateway.wire.trajectory import ENTRY_AND_TARGET, ENTRY_ONLY, TARGET_ONLY, TRAJECTORY_DTYPE, Trajectories
 
 Array = npt.NDArray[Any]
 
@@ -68,6 +68,7 @@ def trajectories_to_lines(content: Trajectories, to: ToRosContext) -> Marker:
     """Convert each trajectory with entry and target to a line; without lines the marker deletes the previous ones."""
     elements = content.elements
     points = np.stack([_to_ros(elements["entry"], to), _to_ros(elements["target"], to)], axis=1)
+    _warn_of_ends(elements, to)
     drawn = (elements["type"] == ENTRY_AND_TARGET) & np.isfinite(points).all(axis=(1, 2))
     rgba = elements["rgba"][drawn]
     colors = (rgba / 255.0).astype("<f4")
@@ -83,6 +84,27 @@ def trajectories_to_lines(content: Trajectories, to: ToRosContext) -> Marker:
         points=points[drawn].reshape(-1, 3),
         colors=np.repeat(colors, 2, axis=0),
     )
+
+
+def _warn_of_ends(elements: Array, to: ToRosContext) -> None:
+    """Warn of trajectories that have both ends, but are of a type without a line: no line shows them."""
+    types = elements["type"]
+    both = elements["entry"].any(axis=1) & elements["target"].any(axis=1)
+    # NaN counts as an end: a line without numbers is not drawn either
+    finite = np.isfinite(elements["entry"]).all(axis=1) & np.isfinite(elements["target"]).all(axis=1)
+    left_out = np.flatnonzero((both & (types != ENTRY_AND_TARGET)) | ((types == ENTRY_AND_TARGET) & ~finite))
+    if not len(left_out):
+        return
+    first = left_out[0]
+    (name,) = texts(elements[first : first + 1], "name")
+    found = int(types[first])
+    if found == ENTRY_AND_TARGET:
+        why = "an end that is not a number"
+    else:
+        meaning = {ENTRY_ONLY: "entry only", TARGET_ONLY: "target only, the default of the C++ library"}
+        why = f"the type {found} ({meaning.get(found, 'undefined')}), although both ends are set; a line has the type 3"
+    text = f"{len(left_out)} of {len(elements)} trajectories are not drawn: {name!r} has {why}"
+    to.warnings.append(("trajectory_not_drawn", text))
 
 
 def is_labeled(content: Points) -> bool:

@@ -13,9 +13,14 @@ from igtl_gateway.convert.context import ConvertedMessage, ToIgtlContext, ToRosC
 from igtl_gateway.convert.geometry import Placement, split_axes
 from igtl_gateway.convert.igtl_msgs import Volume
 from igtl_gateway.convert.rosmsg import Header, RosMessage
-from igtl_gateway.wire.image import BIG_ENDIAN, LITTLE_ENDIAN, LPS, RAS, Image
+from igtl_gateway.wire.image import BIG_ENDIAN, LITTLE_ENDIAN, LPS, OLD_LPS, RAS, Image
 
 _UINT32 = 7
+
+_ZERO_IS_LPS = (
+    "coordinate system 0 is read as LPS, which it is in C++ libraries before 2013 and in openigtlink4java; "
+    "if the matrix is in RAS, let the sender write 1: 3D Slicer ignores this byte"
+)
 
 #: Tolerance for the length of a direction vector; float32 rotations are within it.
 _UNIT_TOLERANCE = 1e-3
@@ -35,7 +40,7 @@ def exceeds_picture(content: Image) -> bool:
     return (
         not is_flat(content)
         or content.wire_matrix != Image.IDENTITY
-        or content.coordinate == LPS
+        or content.is_lps
         or content.scalar_type == _UINT32
     )
 
@@ -46,14 +51,17 @@ def image_to_volume(content: Image, to: ToRosContext) -> Volume:
     Raises ConversionError for a part of an image; ``assembly`` joins parts before.
     """
     _check_whole(content, to)
-    placement = Placement.of_wire(content.wire_matrix, content.coordinate, to.lengths)
+    coordinate = LPS if content.is_lps else RAS
+    if content.coordinate == OLD_LPS:
+        to.warnings.append(("coordinate_zero", _ZERO_IS_LPS))
+    placement = Placement.of_wire(content.wire_matrix, coordinate, to.lengths)
     return Volume(
         Header(to.stamp_ns, to.frame_id),
         content.dimensions,
-        content.scalar_type,
+        content.number_type,
         content.num_components,
         content.endian == BIG_ENDIAN,
-        content.coordinate,
+        coordinate,
         placement.direction,
         placement.spacing,
         placement.origin(content.dimensions),

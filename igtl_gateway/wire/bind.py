@@ -26,6 +26,10 @@ MAX_DEPTH = 4
 MAX_CHILDREN = 4_096
 
 
+#: A BIND without children: their number, and the size of their names.
+_NO_CHILDREN = bytes(4)
+
+
 @dataclass(frozen=True, slots=True)
 class BindChild:
     """One content inside a BIND.
@@ -53,7 +57,8 @@ class Bind:
 
     Accepted: a table of names of odd size (the contents follow after ``names_size`` bytes: the C++ library does not
     always pad the table), names without the last NUL, a missing last pad byte, nested BIND up to four levels, 4,096
-    children on all levels together.
+    children on all levels together.  Any 4 bytes, which have no child: the C++ library reserves them for the two sizes
+    of a BIND without children, and leaves them uninitialised.
 
     Sent: names and contents padded to even sizes with zero.
 
@@ -61,6 +66,7 @@ class Bind:
         children: in wire order.
         name_table: the names as received, where they were not laid out as we do it (no padding, for one).
         pads: the bytes behind contents of odd size as received, where one is not zero or the last is missing.
+        unset: the content as received, where it is the uninitialised one of the C++ library.
     """
 
     PROTOCOL: ClassVar[str] = "2"
@@ -79,13 +85,18 @@ class Bind:
     children: tuple[BindChild, ...]
     name_table: bytes | None = None
     pads: bytes | None = None
+    unset: bytes | None = None
 
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
+        if content.nbytes == len(_NO_CHILDREN) and content != _NO_CHILDREN:
+            return cls((), unset=bytes(content))
         children, name_table, pads, _ = _read(content, 1, 0)
         return cls(children, name_table, pads)
 
     def pack(self) -> list[Buffer]:
+        if self.unset is not None:
+            return [self.unset]
         total = len(self.children)
         _check_number(total)
         head = [COUNT.pack(total)]

@@ -21,10 +21,20 @@ from igtl_gateway.wire.transform import pack_floats, unpack_floats
 #: Scalar type of the wire → numpy type without byte order.
 SCALARS = {2: "i1", 3: "u1", 4: "i2", 5: "u2", 6: "i4", 7: "u4", 10: "f4", 11: "f8"}
 BIG_ENDIAN, LITTLE_ENDIAN = 1, 2
-RAS, LPS = 1, 2
-_COORDINATES = (RAS, LPS)
-_ITEM_SIZES = {scalar: np.dtype(name).itemsize for scalar, name in SCALARS.items()}
+#: OLD_LPS: what LPS was in the C++ library before March 2013, and is in openigtlink4java.
+OLD_LPS, RAS, LPS = 0, 1, 2
+_COORDINATES = (OLD_LPS, RAS, LPS)
+#: 3D Slicer and OpenIGTLinkIO write VTK's number of a scalar type, which is the protocol's for all but these.
+_SIGNED_CHAR = 15
+_VTK_ONLY = {
+    1: "bit", 8: "long", 9: "unsigned long", 12: "vtkIdType", 16: "long long", 17: "unsigned long long",
+}  # fmt: skip
+_ACCEPTED = SCALARS | {_SIGNED_CHAR: "i1"}
+_ITEM_SIZES = {scalar: np.dtype(name).itemsize for scalar, name in _ACCEPTED.items()}
+_UNSET_ENDIAN = 0
 _ORDER = {BIG_ENDIAN: ">", LITTLE_ENDIAN: "<"}
+
+_INT8 = 2
 
 Sizes3 = tuple[int, int, int]
 
@@ -33,16 +43,19 @@ Sizes3 = tuple[int, int, int]
 class Image:
     """IMAGE: a slice or a volume with position and orientation.
 
-    Accepted: either byte order, either coordinate system, parts of images.  An empty body means that
-    the peer has no image.
+    Accepted: either byte order, either coordinate system, parts of images.  Coordinate system 0, which was LPS in the
+    C++ library before 2013.  Scalar type 15, VTK's signed char, which 3D Slicer writes.  Byte order 0 of pixels of one
+    byte.  An empty body means that the peer has no image.
+
+    Sent: coordinate system 1 or 2, scalar types without 15, byte order 1 or 2.
 
     Attributes:
         dimensions: full size of the volume: columns i, rows j, slices k.
-        scalar_type: 2 i8, 3 u8, 4 i16, 5 u16, 6 i32, 7 u32, 10 f32, 11 f64.
+        scalar_type: 2 i8, 3 u8, 4 i16, 5 u16, 6 i32, 7 u32, 10 f32, 11 f64; ``number_type`` is one of them.
         pixels: of the sub-volume, in the order of ``endian``; i fastest, components interleaved.
         num_components: values per pixel.
         endian: 1 big, 2 little: of the pixels only.
-        coordinate: 1 RAS, 2 LPS: of the matrix.
+        coordinate: 1 RAS, 2 LPS: of the matrix; ``is_lps`` reads it.
         wire_matrix: T, S, N (directions × spacing) and P, in millimetres; P is the centre of the volume.
         subvol_offset: first pixel of the sub-volume.
         subvol_size: its size; ``dimensions`` for a whole image.
@@ -84,6 +97,21 @@ class Image:
         """Size of what the pixels cover: the sub-volume, or the whole."""
         return self.dimensions if self.subvol_size is None else self.subvol_size
 
+    @property
+    def is_lps(self) -> bool:
+        """Whether the matrix is in LPS, not in RAS."""
+        return self.coordinate in (LPS, OLD_LPS)
+
+    @property
+    def number_type(self) -> int:
+        """The scalar type by the protocol's number: a key of ``SCALARS``."""
+        return _INT8 if self.scalar_type == _SIGNED_CHAR else self.scalar_type
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """The type of a component, in the byte order of the wire."""
+        return np.dtype(_ORDER.get(self.endian, ">") + _ACCEPTED[self.scalar_type])
+
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
         if content.nbytes < HEAD_SIZE:
@@ -110,8 +138,8 @@ class Image:
         """Raises MalformedBody where fields contradict each other or the pixels."""
         if not (
             self.num_components >= 1
-            and self.scalar_type in SCALARS
-            and self.endian in _ORDER
+            and self.scalar_type in _ACCEPTED
+            and (self.endian in _ORDER or self._needs_no_order)
             and self.coordinate in _COORDINATES
         ):
             self._refuse()
@@ -122,18 +150,39 @@ class Image:
                 )
         found, expected = memoryview(self.pixels).nbytes, self.expected_bytes
         if found != expected:
-            raise MalformedBody("IMAGE pixels", f"{found} bytes", f"{expected} bytes for {self.sub_size}")
+            raise MalformedBody("IMAGE pixels", f"{found} bytes", f"{expected} bytes for {self.sub_size}{self._hint}")
+
+    @property
+    def _needs_no_order(self) -> bool:
+        return self.endian == _UNSET_ENDIAN and _ITEM_SIZES.get(self.scalar_type) == 1
+
+    @property
+    def _hint(self) -> str:
+        """Why a known sender has another number of pixels."""
+        if self.scalar_type != _SIGNED_CHAR:
+            return ""
+        return ": the C++ library knows no size for the signed char (15) of 3D Slicer; cast the volume to short there"
 
     def _refuse(self) -> None:
         """Raises MalformedBody for the first field that is not one of its values."""
         for place, found, expected, good in (
             ("offset 2, components", self.num_components, "1 or more", self.num_components >= 1),
-            ("offset 3, scalar type", self.scalar_type, f"one of {sorted(SCALARS)}", self.scalar_type in SCALARS),
-            ("offset 4, endian", self.endian, "1 (big) or 2 (little)", self.endian in _ORDER),
+            ("offset 3, scalar type", self._named_scalar, self._expected_scalar, self.scalar_type in _ACCEPTED),
+            ("offset 4, endian", self.endian, "1 (big) or 2 (little)", self.endian in _ORDER or self._needs_no_order),
             ("offset 5, coordinate system", self.coordinate, "1 (RAS) or 2 (LPS)", self.coordinate in _COORDINATES),
         ):
             if not good:
                 raise MalformedBody(f"IMAGE content, {place}", found, expected)
+
+    @property
+    def _named_scalar(self) -> str:
+        name = _VTK_ONLY.get(self.scalar_type)
+        return f"{self.scalar_type} (VTK's {name})" if name else str(self.scalar_type)
+
+    @property
+    def _expected_scalar(self) -> str:
+        advice = ": cast the volume to short, int, float or double in 3D Slicer"
+        return f"one of {sorted(SCALARS)}{advice if self.scalar_type in _VTK_ONLY else ''}"
 
     @property
     def expected_bytes(self) -> int:
@@ -160,8 +209,7 @@ class Image:
     def array(self) -> npt.NDArray[Any]:
         """The pixels as a view of shape (k, j, i, components), in the byte order of the wire."""
         i, j, k = self.sub_size
-        dtype = np.dtype(_ORDER[self.endian] + SCALARS[self.scalar_type])
-        return np.frombuffer(self.pixels, dtype).reshape(k, j, i, self.num_components)
+        return np.frombuffer(self.pixels, self.dtype).reshape(k, j, i, self.num_components)
 
     def describe(self) -> dict[str, Any]:
         return {

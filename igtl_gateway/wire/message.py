@@ -363,7 +363,8 @@ def describe(data: Buffer) -> dict[str, Any]:
 
 
 def _checksum_mismatch(header: Header, body: memoryview) -> ChecksumMismatch | None:
-    """The error for a whole body whose CRC is wrong."""
+    """The error for a whole body whose CRC is wrong: found in the header, expected for the body that arrived."""
     if body.nbytes != header.body_size or (crc := crc64(body)) == header.crc:
         return None
-    return ChecksumMismatch(f"{visible(header.type)} body, CRC-64", f"{crc:016x}", f"{header.crc:016x}")
+    place = f"{visible(header.type)} header, CRC-64 of the body"
+    return ChecksumMismatch(place, f"{header.crc:016x}", f"{crc:016x}")

@@ -6,7 +6,8 @@ attribute heads (u8 type, u8 components, u32 tuples), attribute names (NUL-termi
 even size), attribute data as float32.
 
 The document packs type and components into one u16; on the wire the type byte comes first.  The reference
-library writes nine components for every attribute type but 0x00 … 0x02: ``Attribute.values`` undoes that.
+library writes nine components for every attribute type but 0x00 … 0x02: ``Attribute.values`` undoes that.  Its reader
+takes nine floats a tuple for these types, whatever the head has, and the number of cell scalars from the head.
 """
 
 from __future__ import annotations
@@ -171,23 +172,27 @@ class Attribute:
         name: at most 255 bytes.
         components: values per tuple, as written in the head.
         data: flat float32, tuples · components.
+        is_padded: whether the data have nine floats a tuple although ``components`` is another number: the values
+            one after the other, then the rest, as the reader of the C++ library needs it.
     """
 
     type: int
     name: str
     components: int
     data: npt.NDArray[Any]
+    is_padded: bool = False
 
     @property
     def tuples(self) -> int:
         """Number of points or cells that it covers."""
-        return len(self.data) // self.components if self.components else 0
+        components = _PADDED_TO if self.is_padded else self.components
+        return len(self.data) // components if components else 0
 
     @property
     def values(self) -> npt.NDArray[Any]:
         """(tuples, real components) view: without the tail that the reference library appends."""
-        real = _PADDED.get(self.type, 0)
-        if real and self.components == _PADDED_TO:
+        real = self.components if self.is_padded else _PADDED.get(self.type, 0)
+        if self.is_padded or (real and self.components == _PADDED_TO):
             return self.data[: self.tuples * real].reshape(self.tuples, real)
         return self.data.reshape(self.tuples, self.components)
 
@@ -203,10 +208,10 @@ class PolyData:
 
     Two are equal if their bytes on the wire are.
 
-    Accepted: attributes with nine components of which only the first are valid, as written by the reference library.
-    Every count and index is checked.
+    Accepted: attributes with nine components of which only the first are valid, as written by the reference library;
+    nine floats a tuple whatever their head has, as it reads them.  Every count and index is checked.
 
-    Sent: attributes as in the document, except to peers whose profile requires nine components.
+    Sent: attributes as in the document, except to peers whose profile requires nine floats a tuple.
 
     Attributes:
         points: (n, 3) float32.  The document has no unit; every peer uses millimetres.
@@ -289,11 +294,15 @@ class PolyData:
             names_size += len(names[-1]) + 1
         padding = take("padding of the attribute names", 1)[0] if names_size % 2 else 0
         attributes = []
-        for index, (kind, components, tuples) in enumerate(cls._ATTRIBUTE.iter_unpack(heads)):
+        table = list(cls._ATTRIBUTE.iter_unpack(heads))
+        by_library = _has_size_of_library(table, take.left)
+        for index, (kind, components, tuples) in enumerate(table):
             if tuples and not components:
                 raise MalformedBody(f"POLYDATA attribute {index}", f"{tuples} tuples of no components", "1 or more")
-            data = take(f"data of attribute {index}", 4 * components * tuples)
-            attributes.append(Attribute(kind, decode_text(names[index]), components, np.frombuffer(data, F4)))
+            padded = by_library and kind > NORMAL and components != _PADDED_TO
+            data = take(f"data of attribute {index}", 4 * (_PADDED_TO if padded else components) * tuples)
+            name = decode_text(names[index])
+            attributes.append(Attribute(kind, name, components, np.frombuffer(data, F4), padded))
         take.end()
         return cls(points, vertices, lines, polygons, strips, tuple(attributes), padding)
 
@@ -343,12 +352,24 @@ def _raw(array: npt.NDArray[Any]) -> memoryview:
     return wire.reshape(-1).view(np.uint8).data
 
 
+def _has_size_of_library(heads: list[tuple[int, int, int]], left: int) -> bool:
+    """Return whether the data have the size that the C++ library reads, and not that of the heads."""
+    stated = sum(components * tuples for _, components, tuples in heads)
+    read = sum((components if kind <= NORMAL else _PADDED_TO) * tuples for kind, components, tuples in heads)
+    return F4.itemsize * stated != left == F4.itemsize * read
+
+
 class _ContentReader:
     """Cuts sections off the content, each checked against what is left before anything is allocated."""
 
     def __init__(self, content: memoryview) -> None:
         self._content = content
         self._offset = 0
+
+    @property
+    def left(self) -> int:
+        """Number of bytes that are not read yet."""
+        return self._content.nbytes - self._offset
 
     def __call__(self, what: str, size: int) -> memoryview:
         left = self._content.nbytes - self._offset

@@ -23,6 +23,10 @@ from igtl_gateway.wire.name_table import COUNT, need, pack_names, read_count, re
 _COORDINATE_WIDTH = 32
 
 
+#: An interval as OpenIGTLink4J sends it, with every STT_.
+_LONG_INTERVAL = Struct(">q")
+
+
 def _lengths(place: str, content: memoryview, *lengths: int) -> None:
     if content.nbytes not in lengths:
         wanted = " or ".join(map(str, lengths))
@@ -33,7 +37,7 @@ def _lengths(place: str, content: memoryview, *lengths: int) -> None:
 class EmptyQuery:
     """A query without content.
 
-    Accepted: any content; it is kept, but not evaluated.
+    Accepted: any content; it is kept.  Only 8 bytes of an STT_ mean something: OpenIGTLink4J's interval.
 
     Attributes:
         data: empty by every document.
@@ -42,6 +46,11 @@ class EmptyQuery:
     MAY_BE_EMPTY: ClassVar[bool] = True
     LAYOUT: ClassVar[Layout] = ()
     data: Buffer = b""
+
+    @property
+    def resolution(self) -> int:
+        """Minimum interval between two messages in milliseconds, of an STT_; 0 = every message."""
+        return _LONG_INTERVAL.unpack(self.data)[0] if len(self.data) == _LONG_INTERVAL.size else 0
 
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
@@ -60,12 +69,13 @@ class StartTracking:
 
     In the document STT_QTDATA has a status byte before these fields; no program writes it.
 
-    Accepted: no content, which requests the defaults.
+    Accepted: no content, which requests the defaults; 8 bytes, the interval as i64, which OpenIGTLink4J sends.
 
     Attributes:
         resolution: minimum interval between two messages, milliseconds; 0 = every message.
         coordinate_name: empty = the sender's default.
         has_body: False for a query without content, which requests the defaults.
+        is_long: whether the content is the interval only, as i64.
     """
 
     MAY_BE_EMPTY: ClassVar[bool] = True
@@ -75,18 +85,23 @@ class StartTracking:
     resolution: int = 0
     coordinate_name: str = ""
     has_body: bool = True
+    is_long: bool = False
 
     @classmethod
     def unpack(cls, content: memoryview) -> Self:
-        _lengths("STT_TDATA", content, 0, cls._HEAD.size)
+        _lengths("STT_TDATA", content, 0, _LONG_INTERVAL.size, cls._HEAD.size)
         if not content.nbytes:
             return cls(has_body=False)
+        if content.nbytes == _LONG_INTERVAL.size:
+            return cls(_LONG_INTERVAL.unpack(content)[0], is_long=True)
         resolution, name = cls._HEAD.unpack(content)
         return cls(resolution, decode_text(name))
 
     def pack(self) -> list[Buffer]:
         if not self.has_body:
             return []
+        if self.is_long:
+            return [_LONG_INTERVAL.pack(self.resolution)]
         name = encode_text(self.coordinate_name, _COORDINATE_WIDTH, "STT_TDATA coordinate system")
         return [self._HEAD.pack(self.resolution, name)]
 

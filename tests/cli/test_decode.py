@@ -126,10 +126,10 @@ def test_a_wrong_crc_is_an_error_with_both_values(tmp_path: Path, capsys: pytest
     right = crc64(STREAM[58:106])
     assert told[0]["error"] == {
         "code": "bad_crc",
-        "text": f"TRANSFORM body, CRC-64: found {right:016x}, expected {right ^ 0xFF:016x}",
-        "place": "TRANSFORM body, CRC-64",
-        "found": f"{right:016x}",
-        "expected": f"{right ^ 0xFF:016x}",
+        "text": f"TRANSFORM header, CRC-64 of the body: found {right ^ 0xFF:016x}, expected {right:016x}",
+        "place": "TRANSFORM header, CRC-64 of the body",
+        "found": f"{right ^ 0xFF:016x}",
+        "expected": f"{right:016x}",
     }
     assert told[0]["crc"] == f"{right ^ 0xFF:016x}" and "content" in told[0]
     assert all("error" not in one for one in told[1:])

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from igtl_gateway.base.buffers import join
 from igtl_gateway.convert.profiles import BY_NAME, profile_shown_by
 from igtl_gateway.wire import Item, Message, Raw
 from igtl_gateway.wire.image import LPS, RAS, Image
-from igtl_gateway.wire.polydata import CELL, SCALAR, Attribute, Cells, PolyData
+from igtl_gateway.wire.polydata import CELL, RGBA, SCALAR, TCOORDS, TENSOR, VECTOR, Attribute, Cells, PolyData
 from igtl_gateway.wire.text import Status, String
 
 SLICER, PLUS = BY_NAME["slicer"], BY_NAME["plus"]
@@ -51,7 +52,8 @@ def surface(*attributes: Attribute) -> PolyData:
 
 
 @pytest.mark.parametrize("profile", [SLICER, PLUS], ids=lambda profile: profile.name)
-def test_the_cpp_reader_gets_nine_components_where_it_takes_nine(profile: object) -> None:
+def test_the_cpp_reader_gets_nine_floats_where_it_takes_nine(profile: object) -> None:
+    """It takes the number of cell scalars from the head, and nine floats a cell from the data."""
     adapt = profile.adapt[PolyData]  # type: ignore[attr-defined]
     plain = surface(Attribute.of(SCALAR, "depth", np.array([[1.0], [2.0], [3.0]])))
     assert adapt(plain) == (plain, "")
@@ -59,8 +61,53 @@ def test_the_cpp_reader_gets_nine_components_where_it_takes_nine(profile: object
     adapted, warning = adapt(mixed)
     assert not warning and adapted.attributes[0] == plain.attributes[0]
     wide = adapted.attributes[1]
-    assert (wide.name, wide.type, wide.components, wide.data.tolist()) == ("label", CELL_SCALAR, 9, [7.0] + [0.0] * 8)
-    assert adapt(adapted)[0].attributes[1] == wide, "nine are nine"
+    assert (wide.name, wide.type, wide.components, wide.data.tolist()) == ("label", CELL_SCALAR, 1, [7.0] + [0.0] * 8)
+    assert (wide.tuples, wide.values.tolist()) == (1, [[7.0]])
+    assert adapt(adapted)[0].attributes[1] == wide, "once is enough"
+    data = join(adapted.pack())
+    again = PolyData.unpack(memoryview(data))
+    assert again == adapted and again.attributes[1].values.tolist() == [[7.0]], "it is readable here, too"
+
+
+@pytest.mark.parametrize(
+    ("kind", "found", "sent"),
+    [
+        (CELL | RGBA, [[0.1, 0.2, 0.3]], [0.1, 0.2, 0.3, 1.0]),  # opaque
+        (RGBA, [[0.1, 0.2, 0.3]] * 3, [0.1, 0.2, 0.3, 1.0] * 3),
+        (TCOORDS, [[0.5, 0.25]] * 3, [0.5, 0.25, 0.0] * 3),
+        (CELL | VECTOR, [[1.0, 2.0]], [1.0, 2.0, 0.0]),
+        (VECTOR, [[1.0, 2.0]] * 3, [1.0, 2.0, 0.0] * 3),
+        (CELL | SCALAR, [[1.0, 2.0, 3.0]], [1.0, 2.0, 3.0]),
+    ],
+)
+def test_the_cpp_reader_gets_what_it_takes(kind: int, found: list[list[float]], sent: list[float]) -> None:
+    adapted, warning = SLICER.adapt[PolyData](surface(Attribute.of(kind, "a", np.array(found))))
+    (attribute,) = adapted.attributes
+    assert not warning and attribute.values.reshape(-1).tolist() == pytest.approx(sent)
+    assert attribute.tuples == len(found)
+    assert len(attribute.data) == len(found) * (3 if kind == VECTOR else 9)
+
+
+@pytest.mark.parametrize(
+    ("kind", "components"),
+    [
+        (CELL | SCALAR, 10),
+        (SCALAR, 128),
+        (TENSOR, 6),
+        (VECTOR, 4),
+        (RGBA, 2),
+        (TCOORDS, 4),
+        (6, 1),
+        (CELL | 6, 9),
+        (32, 1),
+    ],
+)
+def test_what_the_cpp_reader_would_misread_is_left_out_and_said(kind: int, components: int) -> None:
+    bad = Attribute.of(kind, "bad", np.ones((3, components)))
+    good = Attribute.of(SCALAR, "good", np.ones((3, 1)))
+    adapted, warning = SLICER.adapt[PolyData](surface(bad, good))
+    assert adapted.attributes == (good,)
+    assert f"'bad' (type {kind:#x}, {components} components)" in warning
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -216,6 +217,34 @@ def test_trajectories_of_one_point_are_no_lines(kind: int) -> None:
     for content in (plan, traj()):
         marker = Marker.unpack(trajectories.trajectories_to_lines(content, TO).pack())
         assert (marker.action, len(marker.points), len(marker.colors)) == (2, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ("kind", "meaning"),
+    [
+        (TARGET_ONLY, "the type 2 (target only, the default of the C++ library)"),
+        (ENTRY_ONLY, "the type 1 (entry only)"),
+        (0, "the type 0 (undefined)"),  # the default of OpenIGTLink4J
+        (128, "the type 128 (undefined)"),
+    ],
+)
+def test_a_path_with_both_ends_that_is_not_drawn_is_said(kind: int, meaning: str) -> None:
+    row = (b"path", b"", kind, (0, 0, 0, 0), (1, 2, 3), (4, 5, 6), 2, b"")
+    context = replace(TO, warnings=[])
+    assert trajectories.trajectories_to_lines(traj(*[row] * 2), context).action == 2
+    ((code, text),) = context.warnings
+    assert code == "trajectory_not_drawn"
+    assert text.startswith("2 of 2 trajectories are not drawn: 'path' has ") and meaning in text and "3" in text
+
+
+def test_only_a_path_with_both_ends_is_missed() -> None:
+    """One point is no line, and no fault of its sender; an end without numbers is."""
+    context = replace(TO, warnings=[])
+    trajectories.trajectories_to_lines(PLAN, context)
+    assert context.warnings == []
+    nan = (b"nan", b"", ENTRY_AND_TARGET, (0, 0, 0, 0), (1, 2, 3), (math.nan, 5, 6), 2, b"")
+    trajectories.trajectories_to_lines(traj(nan), context)
+    assert [code for code, _ in context.warnings] == ["trajectory_not_drawn"]
 
 
 def test_lines_that_lead_nowhere_are_left_out() -> None:

@@ -33,6 +33,8 @@ ITEMS = (MetadataItem("key", 3, "value"),)
 #: 0.5 × 0.5 × 2 mm, centred at 10, 20, 30 mm.
 MATRIX = (0.5, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0, 2.0, 10.0, 20.0, 30.0)
 
+RAS_IMAGE = Image((2, 3, 4), 3, bytes(24), 1, 2, RAS, MATRIX)
+
 
 def to_ros() -> ToRosContext:
     return ToRosContext("CT", 5, "frame", "", metadata=ITEMS)
@@ -181,6 +183,25 @@ def test_contradictions(changes: dict[str, Any]) -> None:
     volume_to_image(volume(), ToIgtlContext())
     with pytest.raises(ConversionError, match="igtl_msgs/msg/Volume"):
         volume_to_image(volume(**changes), ToIgtlContext())
+
+
+def test_coordinate_system_zero_of_the_wire_is_the_lps_of_old_libraries_and_said() -> None:
+    """VIDEO came later and never had it; 3D Slicer ignores the byte."""
+    lps, old = (Image((2, 3, 4), 3, bytes(24), 1, 2, coordinate, MATRIX) for coordinate in (LPS, 0))
+    expected, context = image_to_volume(lps, to_ros()), to_ros()
+    message = image_to_volume(old, context)
+    assert (message.origin, message.direction) == (expected.origin, expected.direction)
+    assert message.coordinate_system == LPS and message.origin[0] < 0 < image_to_volume(RAS_IMAGE, to_ros()).origin[0]
+    ((code, text),) = context.warnings
+    assert code == "coordinate_zero" and "2013" in text and "openigtlink4java" in text and "write 1" in text
+    assert exceeds_picture(replace(old, dimensions=(2, 12, 1), subvol_size=None, wire_matrix=Image.IDENTITY))
+
+
+def test_the_signed_char_of_slicer_is_int8() -> None:
+    message = image_to_volume(Image((2, 1, 2), 15, b"\x80\xff\0\x7f"), to_ros())
+    assert message.scalar_type == 2 and bytes(message.data) == b"\x80\xff\0\x7f"
+    slices = image_to_slices(Image((2, 1, 2), 15, b"\x80\xff\0\x7f"), to_ros())
+    assert [one.encoding for one in slices if isinstance(one, rosmsg.Image)] == ["8SC1", "8SC1"]
 
 
 def test_a_coordinate_system_not_filled_in_is_ras() -> None:

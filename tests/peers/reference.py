@@ -82,21 +82,21 @@ def available() -> str | None:
     return None
 
 
-def build(cache_dir: Path | None = None) -> Path:
-    """The compiled peer; compiled on the first call for this source and these flags (about 3 s).
+def build(cache_dir: Path | None = None, source: Path = SOURCE) -> Path:
+    """The compiled peer or other program; compiled on the first call for this source and these flags (about 3 s).
 
     Raises:
         PeerError: it does not compile; the text is the compiler's output.
     """
     directory = cache_dir or Path(tempfile.gettempdir()) / f"igtl-gateway-peers-{os.getuid()}"
     directory.mkdir(mode=0o700, parents=True, exist_ok=True)
-    digest = hashlib.sha256(SOURCE.read_bytes() + repr(COMPILE + LINK).encode()).hexdigest()[:16]
-    program = directory / f"igtl_peer-{digest}"
+    digest = hashlib.sha256(source.read_bytes() + repr(COMPILE + LINK).encode()).hexdigest()[:16]
+    program = directory / f"{source.stem}-{digest}"
     if not program.exists():
         # under another name first: test processes may compile at the same time
         with tempfile.TemporaryDirectory(dir=directory) as scratch:
-            fresh = Path(scratch) / "igtl_peer"
-            command = ["g++", *COMPILE, "-o", str(fresh), str(SOURCE), *LINK]
+            fresh = Path(scratch) / source.stem
+            command = ["g++", *COMPILE, "-o", str(fresh), str(source), *LINK]
             result = subprocess.run(command, capture_output=True, text=True, check=False)
             if result.returncode:
                 raise PeerError(f"{' '.join(command)}:\n{result.stdout}{result.stderr}")

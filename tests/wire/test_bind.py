@@ -83,7 +83,7 @@ def test_no_children() -> None:
 
 
 def test_every_truncation() -> None:
-    for size in range(len(GOLDEN)):
+    for size in {*range(len(GOLDEN))} - {4}:  # any 4 bytes are what the C++ library sends without children
         with pytest.raises(TruncatedMessage):
             read(GOLDEN[:size])
     with pytest.raises(MalformedBody, match="by its own sizes"):

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from igtl_gateway.base.buffers import join, total_size
 from igtl_gateway.base.errors import ConversionError, MalformedBody, TruncatedMessage, WireError
 from igtl_gateway.wire import Message, decode, encode
+from igtl_gateway.wire.bind import Bind
 from igtl_gateway.wire.body import Body, Raw
 from igtl_gateway.wire.capability import MAX_TYPES, Capability
 from igtl_gateway.wire.colort import ColorTable
@@ -244,9 +245,8 @@ def image_content(**changes: Any) -> bytes:
         {"scalar": 0},
         {"scalar": 8},
         {"scalar": 13},
-        {"endian": 0},
+        {"endian": 0, "scalar": 5, "pixels": bytes(48)},
         {"endian": 3},
-        {"coordinate": 0},
         {"coordinate": 3},
         {"offset": (1, 0, 0)},
         {"size": (2, 4, 4)},
@@ -261,6 +261,61 @@ def test_contradictions_in_an_image(changes: dict[str, Any]) -> None:
     Image.unpack(memoryview(image_content()))
     with pytest.raises(MalformedBody):
         Image.unpack(memoryview(image_content(**changes)))
+
+
+@table(
+    "changes",
+    [
+        {"coordinate": 0},  # LPS before 2013 and in openigtlink4java; the C++ library takes any byte
+        {"scalar": 15},  # VTK's signed char, from 3D Slicer
+        {"endian": 0},  # of pixels of one byte, which have no order
+        {"endian": 0, "scalar": 15},
+    ],
+)
+def test_an_image_of_a_program_that_means_something_by_it_is_accepted(changes: dict[str, Any]) -> None:
+    data = image_content(**changes, pixels=bytes(range(24)))
+    image = Image.unpack(memoryview(data))
+    assert join(image.pack()) == data
+    assert image.is_lps == ("coordinate" in changes)
+    assert image.number_type == (2 if "scalar" in changes else 3)
+    assert image.array.shape == (4, 3, 2, 1) and image.array[0, 0, 1, 0] == 1
+    assert image.dtype.kind == ("i" if "scalar" in changes else "u")
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        (
+            {"scalar": 8, "pixels": b""},
+            "found 8 (VTK's long), expected one of [2, 3, 4, 5, 6, 7, 10, 11]: cast",
+        ),
+        ({"scalar": 16, "pixels": b""}, "found 16 (VTK's long long)"),
+        (
+            {"scalar": 15, "pixels": b""},
+            "expected 24 bytes for (2, 3, 4): the C++ library knows no size",
+        ),
+        ({"scalar": 9}, "in 3D Slicer"),
+    ],
+)
+def test_a_refused_type_of_slicer_is_named_as_slicer_does(changes: dict[str, Any], reason: str) -> None:
+    with pytest.raises(MalformedBody) as caught:
+        Image.unpack(memoryview(image_content(**changes)))
+    assert reason in str(caught.value)
+
+
+def test_a_bind_without_children_of_the_cpp_library_has_none() -> None:
+    """It reserves 4 bytes, and writes nothing into them."""
+    for data in (bytes(4), b"\xa5" * 4):
+        bind = Bind.unpack(memoryview(data))
+        assert bind.children == () and join(bind.pack()) == data
+
+
+@pytest.mark.parametrize("kind", ["STT_TDATA", "STT_QTDATA", "STT_IMAGE", "STT_SENSOR"])
+def test_the_interval_of_openigtlink4j_is_a_long(kind: str) -> None:
+    for interval in (0, 50, 2**40):
+        data = struct.pack(">q", interval)
+        query = BODIES[kind].unpack(memoryview(data))
+        assert query.resolution == interval and join(query.pack()) == data  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("size", [0, 71])

@@ -76,7 +76,7 @@ def metaimage_header(
         f"Kinds = {' '.join(kinds)}",
         f"ElementNumberOfChannels = {components}",
         f"ElementSpacing = {_words([*lengths, 1.0][:dims])}",
-        f"ElementType = {MET_NAMES[SCALARS[image.scalar_type]] if image else 'MET_UCHAR'}",
+        f"ElementType = {MET_NAMES[SCALARS[image.number_type]] if image else 'MET_UCHAR'}",
         f"Offset = {_words([*origin, 0.0][:dims])}",
         f"TransformMatrix = {_words([value for row in matrix for value in row])}",
         f"UltrasoundImageOrientation = {_source_value(known, 'UltrasoundImageOrientation', ORIENTATIONS, 'MF')}",

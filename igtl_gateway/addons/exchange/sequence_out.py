@@ -11,10 +11,8 @@ import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-import numpy as np
-
 from igtl_gateway.addon import GAP_NS, NS_PER_S, Buffer, UnsupportedRecording, open_new, whole_number, written
-from igtl_gateway.addon.igtl import BIG_ENDIAN, SCALARS, Image
+from igtl_gateway.addon.igtl import BIG_ENDIAN, Image
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.metaimage_out import SIZE_KEY, SIZE_WIDTH, metaimage_header
 from igtl_gateway.addons.exchange.selection import Recording
@@ -80,7 +78,7 @@ def export_sequence(recording: Recording, out: Path, globs: Sequence[str], gap_n
 
 def _pixels(image: Image) -> Buffer:
     """Return the pixels in little-endian byte order, which PLUS requires."""
-    if image.endian != BIG_ENDIAN or np.dtype(SCALARS[image.scalar_type]).itemsize == 1:
+    if image.endian != BIG_ENDIAN or image.dtype.itemsize == 1:
         return image.pixels
     return image.array.byteswap().tobytes()
 

@@ -29,7 +29,7 @@ from igtl_gateway.addon import (
     recorded_units,
     volume_to_image,
 )
-from igtl_gateway.addon.igtl import BIG_ENDIAN, LPS, SCALARS, Image, decode
+from igtl_gateway.addon.igtl import BIG_ENDIAN, SCALARS, Image, decode
 from igtl_gateway.addon.ros import Image as RosImage
 from igtl_gateway.addon.ros import Volume
 from igtl_gateway.addons.exchange.account import ExportAccount
@@ -95,8 +95,8 @@ def in_millimetres(image: Image, unit: str) -> Image:
 
 def nrrd_header(image: Image) -> bytes:
     """Return the header before the pixels of an image."""
-    place, space = ImagePlacement.of_image(image), "LPS" if image.coordinate == LPS else "RAS"
-    dtype = np.dtype(SCALARS[image.scalar_type])
+    place, space = ImagePlacement.of_image(image), "LPS" if image.is_lps else "RAS"
+    dtype = np.dtype(SCALARS[image.number_type])
     kind = (
         _TYPES[dtype.kind] + f"{dtype.itemsize * 8}"
         if dtype.kind in _TYPES

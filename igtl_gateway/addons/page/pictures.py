@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from igtl_gateway.addon import WireError
-from igtl_gateway.addon.igtl import BIG_ENDIAN, SCALARS, Image, decode
+from igtl_gateway.addon.igtl import Image, decode
 
 #: Longest side of a small picture, pixels.
 SMALL = 320
@@ -29,7 +29,7 @@ def small_png(message: bytes) -> bytes:
     columns, rows, slices = image.sub_size
     if not columns * rows * slices:
         return b""
-    kind = np.dtype(SCALARS[image.scalar_type]).newbyteorder(">" if image.endian == BIG_ENDIAN else "<")
+    kind = image.dtype
     parts = image.num_components
     size = columns * rows * parts
     pixels = np.frombuffer(image.pixels, kind, size, slices // 2 * size * kind.itemsize)

@@ -22,7 +22,16 @@ from igtl_gateway.wire.capability import Capability
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.metalists import IMAGE_META_DTYPE, ImageMetaList
-from igtl_gateway.wire.query import QUERIES, QueryReply, StartBind, StartPolyData, StartTracking, StartVideo, query_name
+from igtl_gateway.wire.query import (
+    QUERIES,
+    EmptyQuery,
+    QueryReply,
+    StartBind,
+    StartPolyData,
+    StartTracking,
+    StartVideo,
+    query_name,
+)
 from igtl_gateway.wire.registry import ALIASES, BODIES
 from igtl_gateway.wire.text import Status
 
@@ -112,6 +121,9 @@ def _interval_ns(content: Body) -> int:
     match content:
         case StartTracking() | StartVideo():
             return interval_ns(content.resolution)
+        case EmptyQuery():  # OpenIGTLink4J's interval, or something else
+            found_ns = interval_ns(content.resolution)
+            return found_ns if found_ns <= _LONGEST_NS else 0
         case StartPolyData():
             return content.resolution_ns or 0
         case StartBind():
