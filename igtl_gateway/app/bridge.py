@@ -11,6 +11,7 @@ from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
+from igtl_gateway.app.awaited_sources import AwaitedSources
 from igtl_gateway.app.bridge_options import Address, BridgeOptions
 from igtl_gateway.app.diagnostics import DiagnosticsTopic
 from igtl_gateway.app.hub import DeferredSend, Hub, Sink
@@ -33,6 +34,7 @@ from igtl_gateway.edges.interface import RosSide
 from igtl_gateway.edges.ros.host import NodeHost
 from igtl_gateway.edges.tcp import TcpEdge
 from igtl_gateway.gateway import CUT, Session, make_core
+from igtl_gateway.gateway.expected import PresentSources, expected_sources
 from igtl_gateway.gateway.fastpath import LARGE_BYTES
 from igtl_gateway.gateway.fastpath.passage_streams import OnPassed
 from igtl_gateway.gateway.live_settings import LiveSettings
@@ -160,6 +162,9 @@ class Bridge:
                     has_budget=bool(options.site.name),
                 )
         self._memory = IdleMemory()
+        expected = expected_sources(config, options.record_topics if options.record else ())
+        #: The configured sources that have not come.
+        self.awaited = AwaitedSources(expected, self._present_sources, self.hub.note)
         self._silences = Silences()
         tick_ns = _FAULTY_TICK_NS if config.faults else _TICK_NS
         timer = Timer(self.hub.tick, lambda: self.gateway.due_ns, self.hub.now_ns, self._each_second, tick_ns, clock)
@@ -344,6 +349,7 @@ class Bridge:
     def _each_second(self) -> None:
         """Publish log and diagnostics, note silent streams, and return idle memory.  Runs in the timer's thread."""
         self._memory.look()
+        self.awaited.look(self._clock.monotonic_ns())
         if self._passage:
             now_ns = self.hub.now_ns()
             self._reports.extend(Event(now_ns, Kind.EDGE_NOTE, note, ()) for note in self._passage.look())
@@ -357,6 +363,17 @@ class Bridge:
         if self.gateway.guard.watch:
             for note in self._silences.look(self.hub.now_ns(), self.gateway.guard.items()):
                 self.hub.note(note)
+
+    def _present_sources(self) -> PresentSources:
+        """Return the sources that are there; of ROS only if there is a graph."""
+        self.collect()
+        sent = self.gateway.ledger.totals().get("igtl_in", {})
+        topics = frames = None
+        if self.ros:
+            own = self.ros.full_name
+            topics = {each.topic for each in self.ros.endpoints() if each.publishes and each.node != own}
+            frames = self.gateway.frames()
+        return PresentSources(topics, frames, {name.partition("/")[2] for name in sent} or None)
 
     def _recorded_qos(self, topic: str, ros_type: str) -> Qos | None:
         return self.gateway.qos(topic) or self.subscriptions.qos(topic, ros_type)

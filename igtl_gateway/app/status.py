@@ -79,6 +79,7 @@ class BridgeStatus:
                 for link in bridge.tcp.links()
             ],
             "watched": self._watched(),
+            "missing": [each.text for each in bridge.awaited.missing],
             "queues": {
                 str(number): {"messages": count.queued_messages, "bytes": count.queued_bytes}
                 for number, count in counters.items()

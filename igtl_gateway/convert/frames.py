@@ -88,6 +88,11 @@ class FrameTree:
         self._samples = 0
         self._version = 0
 
+    def names(self) -> set[str]:
+        """Return the frames of the tree, those without a parent, too."""
+        edges = dict(self._edges)  # another thread may add to it
+        return {*edges, *(edge.parent for edge in edges.values())}
+
     def update(self, message: TFMessage, static: bool) -> None:
         """Add the transforms of a message of /tf or, if ``static``, of /tf_static.  Invalid ones are counted."""
         for transform in message.transforms:

@@ -15,6 +15,7 @@ from igtl_gateway.convert.names import MAX_DEVICE_NAME, topic_token
 from igtl_gateway.doctor.observations import ObservedPeer, ObservedStream
 from igtl_gateway.doctor.observer import MAX_STREAMS, Observer
 from igtl_gateway.doctor.protocols import is_openigtlink, protocol_of
+from igtl_gateway.gateway.expected import NO_SOURCE, PresentSources, expected_sources, missing_sources
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.header import HEADER_VERSIONS
@@ -424,6 +425,17 @@ def unconverted(observed: Observer) -> Iterator[RuleMatch]:
         yield RuleMatch(noted.first.stream, noted.first.text, {"count": noted.count})
 
 
+def no_source(observed: Observer) -> Iterator[RuleMatch]:
+    """A configured topic, arm or device that is not there; frames are known to a running bridge only."""
+    if observed.graph:
+        devices = {stream.raw_device for stream in observed.streams.values()} or None
+        present = PresentSources(observed.graph.published, None, devices)
+        for missing in missing_sources(expected_sources(observed.config), present):
+            yield RuleMatch(missing.source.name, missing.text, {"setting": missing.source.setting})
+    if noted := observed.notes.get(NO_SOURCE):
+        yield RuleMatch(noted.first.stream, noted.first.text, {"count": noted.count})
+
+
 def no_subscriber(observed: Observer) -> Iterator[RuleMatch]:
     for topic in observed.graph.without_subscriber() if observed.graph else ():
         yield RuleMatch(topic, f"{topic} has no subscriber in ROS")
@@ -472,7 +484,7 @@ def no_messages(observed: Observer) -> Iterator[RuleMatch]:
 #: Codes of notes that have a rule, or whose cause a rule finds in the messages themselves.
 _COVERED = frozenset({
     "accept_failed", "bad_crc", "connect_failed", "listen_failed", "malformed", "name_cut", "no_conversion",
-    "queue_drop", "queue_full", "refused", "ros_incompatible_qos", "ros_refused", "ros_unknown_type", "stalled",
+    "no_source", "queue_drop", "queue_full", "refused", "ros_incompatible_qos", "ros_refused", "ros_unknown_type", "stalled",
     "too_large", "truncated",
 })  # fmt: skip
 

@@ -40,20 +40,24 @@ class Graph:
         endpoints: publishers and subscriptions of other nodes on topics of the gateway; also those of a running bridge.
         unconverted: topic → type that the gateway is configured to send, but that has no conversion.
         sent: topics that the gateway sends to peers.
+        published: all topics that other nodes publish.
     """
 
     offers: Mapping[str, PublishedTopic]
     endpoints: Sequence[Endpoint]
     unconverted: Mapping[str, str]
     sent: frozenset[str]
+    published: frozenset[str] = frozenset()
 
     @classmethod
     def of(cls, gateway: Gateway, published: Mapping[str, str], endpoints: Iterable[Endpoint]) -> Graph:
         """Select the part of the ROS graph that concerns a gateway which has ``published`` (topic → type) so far."""
         offers = {topic: PublishedTopic(kind, qos) for topic, kind in published.items() if (qos := gateway.qos(topic))}
-        chosen, unconverted, sent = [], {}, set()
+        chosen, unconverted, sent, all_published = [], {}, set(), set()
         for endpoint in endpoints:
             topic, kind = endpoint.topic, endpoint.type
+            if endpoint.publishes:
+                all_published.add(topic)
             if topic not in offers and not endpoint.publishes and (offer := _offer(topic, kind)):
                 offers[topic] = offer
             if endpoint.publishes and topic not in offers and gateway.lacks_conversion(topic, kind):
@@ -62,7 +66,7 @@ class Graph:
                 sent.add(topic)
             if topic in offers or topic in sent or topic.startswith((IN, OUT)):
                 chosen.append(endpoint)
-        return cls(offers, chosen, unconverted, frozenset(sent))
+        return cls(offers, chosen, unconverted, frozenset(sent), frozenset(all_published))
 
     def clashes(self) -> Iterator[QosClash]:
         """Yield the pairs that the middleware does not connect.  The gateway's subscriptions adapt to publishers."""

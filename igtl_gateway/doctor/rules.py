@@ -186,6 +186,10 @@ RULES: tuple[Rule, ...] = (
         "install the package of the type, or correct the name", checks.ros_refused,
     ),
     Rule(
+        "IGTL-W607", "a configured topic, arm, frame or device is not there", f"{DOCTOR}: ROS graph",
+        "correct the name, or start the program that sends it", checks.no_source,
+    ),
+    Rule(
         "IGTL-W501", "metres sent as millimetres?", "Protocol/transform.md",
         'OpenIGTLink is in millimetres: multiply by 1000 in the sender, or set `igtl_unit = "m"` for the stream',
         each_stream(

@@ -245,6 +245,10 @@ class Gateway:
         exceeding = self._volumes.exceed() or self._latest.exceed() or self._subscribers.exceed()
         self._forget_at_ns = 0 if exceeding else None
 
+    def frames(self) -> set[str]:
+        """Return the frames of the tf tree, which the gateway keeps if it sends frames."""
+        return self._tf.tree.names()
+
     def receivers(self) -> dict[str, int]:
         """Return stream to peers → peers that get each of its messages, as far as this is known."""
         return self.fast_path.receivers()

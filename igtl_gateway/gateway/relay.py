@@ -113,6 +113,10 @@ class RelayGateway:
         """Return None: a relay publishes no topic."""
         return None
 
+    def frames(self) -> set[str]:
+        """Return no frames: a relay has no ROS side."""
+        return set()
+
     def keep(self, entry: Entry) -> bool:
         """Return True: a relay drops no message."""
         return True

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from igtl_gateway.base.qos import Endpoint, Qos
-from igtl_gateway.config.configuration import Config
+from igtl_gateway.config.configuration import Config, ToIgtlRow
 from igtl_gateway.doctor import Observer
 from igtl_gateway.doctor.graph import Graph
 from igtl_gateway.doctor.rules import judge
@@ -13,16 +13,16 @@ POSE, STRING = "geometry_msgs/msg/TransformStamped", "std_msgs/msg/String"
 PROBE, OUT = "/igtl/in/Probe/transform", "/igtl/out/Target"
 
 
-def graph(*endpoints: tuple[str, str, bool, Qos]) -> Graph:
+def graph(*endpoints: tuple[str, str, bool, Qos], config: Config | None = None) -> Graph:
     made = [
         Endpoint(topic, kind, f"/{'from' if publishes else 'to'}_{number}", publishes, qos)
         for number, (topic, kind, publishes, qos) in enumerate(endpoints)
     ]
-    return Graph.of(Gateway(Config()), {}, made)
+    return Graph.of(Gateway(config or Config()), {}, made)
 
 
-def found(made: Graph) -> list[str]:
-    seen = Observer(Config())
+def found(made: Graph, config: Config | None = None) -> list[str]:
+    seen = Observer(config or Config())
     seen.graph = made
     return [one.rule.id.removeprefix("IGTL-") for one in judge(seen) if one.rule.id[6] == "6"]
 
@@ -63,3 +63,10 @@ def test_no_subscriber() -> None:
     gateway = Gateway(Config())
     made = Graph.of(gateway, {"/igtl/links": "igtl_msgs/msg/LinkStatusList"}, [])
     assert (made.without_subscriber(), found(made)) == (["/igtl/links"], ["I603", "I605"])
+
+
+def test_a_configured_topic_that_no_node_publishes() -> None:
+    config = Config(to_igtl=(ToIgtlRow(topic="/tol"),))
+    rules = found(graph(("/tool", POSE, True, Qos()), config=config), config)
+    assert "W607" in rules
+    assert "W607" not in found(graph(("/tol", POSE, True, Qos()), config=config), config)

@@ -34,7 +34,7 @@ CODES = frozenset({
     *"video_drop video_refused video_failed record_drop record_failed record_refused record_undefined".split(),
     *"record_thread record_paused record_resumed record_snapshot fault fault_disconnect synthetic".split(),
     *"record_started record_stopped record_stalled record_moves record_waits".split(),
-    *"trigger trigger_saved trigger_incomplete".split(),
+    *"no_source trigger trigger_saved trigger_incomplete".split(),
     *"record_continued record_part_lost record_split_held".split(),
     *"retention_deleted retention_kept retention_clock retention_failed".split(),
     *REFUSED_COMMANDS,

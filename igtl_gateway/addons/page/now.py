@@ -55,6 +55,31 @@ _GONE = ", which has left"
 _STAMPS = {"stamp_backwards": "decrease", "stamp_still": "unchanged", "stamp_future": "in the future"}
 
 
+def _missing_row(source: Sequence[str]) -> dict[str, Any]:
+    """Return the row of a configured source that has not come: its name, its kind and a sentence."""
+    name, kind, text = source
+    return {
+        "key": f"missing {kind} {name}",
+        "state": WARNING,
+        "name": name,
+        "type": kind,
+        "side": "igtl_in" if kind == "device" else "ros_in",
+        "rate_hz": 0.0,
+        "spark": "",
+        "age_s": None,
+        "gap_s": None,
+        "gap_utc_ns": 0,
+        "latency_ms": None,
+        "ahead_ms": None,
+        "received": 0,
+        "dropped": 0,
+        "stamps": "",
+        "text": text,
+        "advice": "correct the name, or start its program",
+        "way": "configured, but not there",
+    }
+
+
 class Now:
     """The rows of a session."""
 
@@ -96,6 +121,7 @@ class Now:
                 streams.append(row)
                 if not side.startswith("igtl"):
                     streams[-1] |= {"type": types.get(stream, ""), "name": stream}
+        streams += map(_missing_row, facts.get("missing", []))
         links += self._left.rows(links, now_ns, utc_ns)
         shown = [{name: value for name, value in row.items() if name not in _INNER} for row in links]
         return {
