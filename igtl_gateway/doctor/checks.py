@@ -484,8 +484,8 @@ def no_messages(observed: Observer) -> Iterator[RuleMatch]:
 #: Codes of notes that have a rule, or whose cause a rule finds in the messages themselves.
 _COVERED = frozenset({
     "accept_failed", "bad_crc", "connect_failed", "listen_failed", "malformed", "name_cut", "no_conversion",
-    "no_source", "queue_drop", "queue_full", "refused", "ros_incompatible_qos", "ros_refused", "ros_unknown_type", "stalled",
-    "too_large", "truncated",
+    "no_source", "queue_drop", "queue_full", "refused", "ros_incompatible_qos", "ros_refused",
+    "ros_unknown_type", "stalled", "too_large", "truncated",
 })  # fmt: skip
 
 
