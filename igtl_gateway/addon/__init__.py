@@ -180,6 +180,8 @@ if TYPE_CHECKING:
     from igtl_gateway.gateway import Session as Session
     from igtl_gateway.gateway import header_names as header_names
     from igtl_gateway.gateway import make_core as make_core
+    from igtl_gateway.gateway.acceptance import DEFAULT_ACCEPTANCE as DEFAULT_ACCEPTANCE
+    from igtl_gateway.gateway.acceptance import Acceptance as Acceptance
     from igtl_gateway.gateway.log.changes import SETTING as SETTING
     from igtl_gateway.gateway.log.changes import SETTINGS as SETTINGS
     from igtl_gateway.gateway.log.clocksteps import CLOCK_STEP as CLOCK_STEP
@@ -224,6 +226,7 @@ if TYPE_CHECKING:
     from igtl_gateway.record.sessionfile.reader import SessionFile as SessionFile
     from igtl_gateway.record.sessionfile.writer import SessionWriter as SessionWriter
     from igtl_gateway.replay.recorded_config import config_to_run as config_to_run
+    from igtl_gateway.replay.recorded_config import recorded_acceptance as recorded_acceptance
     from igtl_gateway.replay.recorded_config import recorded_units as recorded_units
     from igtl_gateway.replay.recorded_marks import carry_marks as carry_marks
     from igtl_gateway.replay.recorded_marks import marked_moment as marked_moment
@@ -256,7 +259,8 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("base.qos", "Endpoint Qos"),
     ("base.buffers", "Buffer join"),
     ("config.configuration", "Config read_toml"),
-    ("replay.recorded_config", "config_to_run recorded_units"),
+    ("gateway.acceptance", "DEFAULT_ACCEPTANCE Acceptance"),
+    ("replay.recorded_config", "config_to_run recorded_acceptance recorded_units"),
     ("app.verification", "IMPORTED verify_recording verify_session"),
     # The gateway: inputs of a session to its outputs; names in it, and codes of notes that it acts on
     ("gateway", "LINK_DOWN LINK_UP LISTENED PARTNER TICK Session header_names make_core"),

@@ -25,9 +25,9 @@ from igtl_gateway.base.extras import missing
 from igtl_gateway.base.untrusted.decoding import MessageDecoder
 from igtl_gateway.convert.scaling import into_ros
 from igtl_gateway.convert.units import ieee_754, millimetres
+from igtl_gateway.gateway.acceptance import DEFAULT_ACCEPTANCE, Acceptance
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.record.sessionfile.bulk import MessageBlock
-from igtl_gateway.wire import decode
 from igtl_gateway.wire.message import metadata_of
 from igtl_gateway.wire.registry import describe_content
 
@@ -61,10 +61,18 @@ class TableMaker:
     """
 
     def __init__(
-        self, kind: Kind, type_name: str, name: str, definitions: Mapping[str, str], decoder: MessageDecoder, unit: str
+        self,
+        kind: Kind,
+        type_name: str,
+        name: str,
+        definitions: Mapping[str, str],
+        decoder: MessageDecoder,
+        unit: str,
+        acceptance: Acceptance = DEFAULT_ACCEPTANCE,
     ) -> None:
         self._is_igtl = kind in (Kind.IGTL_IN, Kind.IGTL_OUT)
         self._type, self._definitions, self._decoder, self._unit = type_name, definitions, decoder, unit
+        self._acceptance = acceptance
         self._metadata = {"stream": _text(name), "type": _text(type_name), "direction": kind.value}
 
     def table(self, block: MessageBlock) -> tuple[pa.Table, list[str]]:
@@ -90,7 +98,7 @@ class TableMaker:
         if not self._is_igtl and self._definitions.get(self._type):
             return ros_columns(block, self._decoder.store(self._type).fielddefs, self._type)
         if self._is_igtl and self._type in POSE_TYPES:
-            found = pose_rows(block, self._type)
+            found = pose_rows(block, self._type, self._acceptance)
             if len(found.rows) == len(block):
                 return pose_columns(found, self._unit)
         raise NotColumns
@@ -108,7 +116,7 @@ class TableMaker:
 
     def _fields(self, payload: memoryview) -> Fields:
         if self._is_igtl:
-            content = decode(payload).content
+            content = self._acceptance.message(payload).content
             if self._type in _BULKY:
                 return _flat("", dict(self._bulky(*each) for each in _raw_fields(content).items()))
             return _flat("", name_igtl_fields(describe_content(content), self._unit))
@@ -303,9 +311,16 @@ def joined(parts: list[tuple[pa.Table, list[str]]]) -> pa.Table:
 
 
 def unified(one: pa.Schema, two: pa.Schema) -> pa.Schema:
-    """The columns of both.  A column with types that have nothing in common is text in both."""
+    """The columns of both.  A column with types that have nothing in common is text in both.
+
+    Arrow makes int64 of int64 and uint64; the former stands here for numbers that happen to fit.
+    """
     try:
-        return pa.unify_schemas([one, two], promote_options="permissive")
+        schema = pa.unify_schemas([one, two], promote_options="permissive")
+        for index, field in enumerate(schema):
+            if pa.uint64() in [each.field(field.name).type for each in (one, two) if field.name in each.names]:
+                schema = schema.set(index, field.with_type(pa.uint64() if field.type == pa.int64() else field.type))
+        return schema
     except pa.ArrowException:
         fields = []
         for name in dict.fromkeys([*one.names, *two.names]):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, overload
 
 import numpy as np
@@ -16,10 +17,11 @@ from igtl_gateway.base.errors import ConfigError, MalformedBody
 from igtl_gateway.convert.clouds import CloudColumns
 from igtl_gateway.convert.igtl_msgs import PointList
 from igtl_gateway.convert.rosmsg import Marker, PointCloud2, PointStamped
+from igtl_gateway.gateway.acceptance import Acceptance
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.record.sessionfile.bulk import MessageBlock
 from igtl_gateway.record.sessionfile.channels import ChannelSummary
-from igtl_gateway.wire import decode
+from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.fields import decode_text
 from igtl_gateway.wire.point import Points
 from igtl_gateway.wire.polydata import CELL, PolyData
@@ -75,7 +77,11 @@ class Clouds(Sequence[Cloud]):
 
     def __init__(self, source: Source, channel: ChannelSummary, unit: str, blocks: list[MessageBlock]) -> None:
         is_igtl = channel.kind in (Kind.IGTL_IN, Kind.IGTL_OUT)
-        read = _WIRE.get(channel.entry_type) if is_igtl else _ROS.get(channel.type)
+        read: Callable[[memoryview], _Parts] | None = None
+        if not is_igtl:
+            read = _ROS.get(channel.type)
+        elif of_wire := _WIRE.get(channel.entry_type):
+            read = partial(_of_wire, of_wire, source.acceptance)
         if read is None:
             raise ConfigError(
                 f"{channel.stream}: found type {channel.entry_type}, expected one of {', '.join((*_WIRE, *_ROS))}"
@@ -105,8 +111,11 @@ class Clouds(Sequence[Cloud]):
         return Cloud(xyz, self._unit, int(block.times[row]), int(block.source_times[row]), frame, names, fields)
 
 
-def _points(payload: memoryview) -> _Parts:
-    content = decode(payload).content
+def _of_wire(read: Callable[[Body], _Parts], acceptance: Acceptance, payload: memoryview) -> _Parts:
+    return read(acceptance.message(payload).content)
+
+
+def _points(content: Body) -> _Parts:
     if not isinstance(content, Points):
         raise MalformedBody("POINT", "an empty body", "points")
     elements = content.elements
@@ -115,8 +124,7 @@ def _points(payload: memoryview) -> _Parts:
     return elements["position"].astype(np.float32), "", names, fields
 
 
-def _polydata(payload: memoryview) -> _Parts:
-    content = decode(payload).content
+def _polydata(content: Body) -> _Parts:
     if not isinstance(content, PolyData):
         raise MalformedBody("POLYDATA", "an empty body", "points")
     count = len(content.points)
@@ -156,7 +164,7 @@ def _point(payload: memoryview) -> _Parts:
     return np.array([message.point]), message.header.frame_id, (), {}
 
 
-_WIRE: dict[str, Callable[[memoryview], _Parts]] = {"POINT": _points, "POLYDATA": _polydata}
+_WIRE: dict[str, Callable[[Body], _Parts]] = {"POINT": _points, "POLYDATA": _polydata}
 _ROS: dict[str, Callable[[memoryview], _Parts]] = {
     PointCloud2.TYPE: _cloud,
     PointList.TYPE: _list,

@@ -1,6 +1,6 @@
 """Poses of OpenIGTLink as columns: the bodies of all messages of a stream at once, checked like single ones.
 
-A message with a wrong CRC, size or version is no pose, as for the gateway; the others are not affected.
+A message that the session rejects, for its CRC, size or version, is no pose; the others are not affected.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from igtl_gateway.base.errors import ConversionError, WireError
 from igtl_gateway.convert.context import ToRosContext
 from igtl_gateway.convert.poses import ROUNDING, pose_of_matrix, rotation_matrix
 from igtl_gateway.convert.units import LengthUnits, millimetres
+from igtl_gateway.gateway.acceptance import DEFAULT_ACCEPTANCE, Acceptance
 from igtl_gateway.record.sessionfile.bulk import Bytes, MessageBlock, gathered
-from igtl_gateway.wire import decode
 from igtl_gateway.wire.header import BODY_SIZE_AT, CRC_AT, HEADER_SIZE, crc64
 from igtl_gateway.wire.transform import Position, Transform
 
@@ -57,11 +57,11 @@ class PoseRows:
     forms: tuple[str, ...] = ()
 
 
-def pose_rows(block: MessageBlock, igtl_type: str) -> PoseRows:
+def pose_rows(block: MessageBlock, igtl_type: str, acceptance: Acceptance = DEFAULT_ACCEPTANCE) -> PoseRows:
     """The poses of messages of one of POSE_TYPES."""
     is_matrix = igtl_type == "TRANSFORM"
     size = _MATRIX_BYTES if is_matrix else _POSITION_BYTES
-    plain, bodies = _plain(block, size)
+    plain, bodies = _plain(block, size, acceptance)
     matrices = np.zeros((len(block), 4, 4))
     matrices[:, 3, 3] = 1.0
     quaternions = np.zeros((len(block), 4))
@@ -75,7 +75,7 @@ def pose_rows(block: MessageBlock, igtl_type: str) -> PoseRows:
         matrices[plain, :3, 3], quaternions[plain] = numbers[:, :3], numbers[:, 3:]
     for index in np.flatnonzero(~plain).tolist():  # version 2, short forms, damaged
         try:
-            content = decode(block.payload(index)).content
+            content = acceptance.message(block.payload(index)).content
         except WireError:
             continue
         if is_matrix and isinstance(content, Transform):
@@ -108,14 +108,16 @@ def rotations(quaternions: Array) -> Array:
     return np.moveaxis(np.array(rows), (0, 1), (-2, -1))
 
 
-def _plain(block: MessageBlock, size: int) -> tuple[npt.NDArray[np.bool_], Bytes]:
-    """Which messages are of version 1, with a body of ``size`` bytes and the right CRC; and these bodies."""
+def _plain(block: MessageBlock, size: int, acceptance: Acceptance) -> tuple[npt.NDArray[np.bool_], Bytes]:
+    """Which messages are of version 1, with a body of ``size`` bytes, and accepted; and these bodies."""
     found = np.zeros(len(block), np.bool_)
     fitting = np.flatnonzero(block.ends - block.begins == HEADER_SIZE + size)
     messages = gathered(block.data, block.begins[fitting], HEADER_SIZE + size)
     heads = messages[:, :HEADER_SIZE].copy().view(_HEAD).reshape(-1)
     bodies = messages[:, HEADER_SIZE:]
-    right = (heads["version"] == 1) & (heads["body_size"] == size) & (heads["crc"] == crcs(bodies))
+    right = (heads["version"] == 1) & (heads["body_size"] == size)
+    if acceptance.check_crc:
+        right &= heads["crc"] == crcs(bodies)
     found[fitting] = right
     return found, bodies[right]
 

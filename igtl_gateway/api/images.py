@@ -19,7 +19,6 @@ from igtl_gateway.convert.rosmsg import Image as RosImage
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.record.sessionfile.bulk import MessageBlock
 from igtl_gateway.record.sessionfile.channels import ChannelSummary
-from igtl_gateway.wire import decode
 from igtl_gateway.wire.image import SCALARS
 from igtl_gateway.wire.image import Image as WireImage
 
@@ -89,7 +88,7 @@ class Images(Sequence[ImageView]):
                 f"{channel.stream}: found type {channel.entry_type}, expected IMAGE, {RosImage.TYPE} or {Volume.TYPE}"
             )
         self._type, self._unit, self._name = channel.entry_type, unit, channel.stream or channel.topic
-        self._blocks = blocks
+        self._blocks, self._acceptance = blocks, source.acceptance
         self._ends = np.cumsum([len(block) for block in blocks], dtype=np.int64)
 
     def __repr__(self) -> str:
@@ -115,7 +114,7 @@ class Images(Sequence[ImageView]):
             return _ros_image(RosImage.unpack(payload), self._unit, *head)
         if self._type == Volume.TYPE:
             return _volume(Volume.unpack(payload), self._unit, *head)
-        content = decode(payload).content
+        content = self._acceptance.message(payload).content
         if not isinstance(content, WireImage):
             raise MalformedBody("IMAGE", "an empty body", "pixels")
         return _wire_image(content, self._unit, *head)

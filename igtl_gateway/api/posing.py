@@ -19,7 +19,7 @@ from igtl_gateway.convert.names import frames_of
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.record.sessionfile.bulk import MessageBlock
 from igtl_gateway.record.sessionfile.channels import ChannelSummary
-from igtl_gateway.wire import decode
+from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.fields import decode_text
 from igtl_gateway.wire.tracking import QuaternionTrackingData, TrackingData
 
@@ -71,16 +71,16 @@ def _reader(source: Source, channel: ChannelSummary, frame: str) -> Callable[[Me
         raise ConfigError(f"{name}: found frame={frame!r}, expected none: {kind} has one pose")
     if is_igtl and kind in POSE_TYPES:
         device = name.partition("/")[2]
-        return lambda block: _of_igtl(block, kind, frames_of(device, ""))
+        return lambda block: _of_igtl(source, block, kind, frames_of(device, ""))
     if several:
-        return lambda block: _of_several(block, is_igtl, frame)
+        return lambda block: _of_several(source, block, is_igtl, frame)
     if is_igtl:
         raise ConfigError(f"{name}: found type {kind}, expected one with a pose, such as TRANSFORM")
     return lambda block: _of_ros(source, block, ros_type)
 
 
-def _of_igtl(block: MessageBlock, igtl_type: str, frames: tuple[str, str]) -> _Part:
-    found = pose_rows(block, igtl_type)
+def _of_igtl(source: Source, block: MessageBlock, igtl_type: str, frames: tuple[str, str]) -> _Part:
+    found = pose_rows(block, igtl_type, source.acceptance)
     rows = found.rows
     source_times = block.source_times[rows]
     return (
@@ -156,13 +156,13 @@ def _pose_names(fields: Iterable[str], ros_type: str) -> tuple[list[str], list[s
     raise ConfigError(f"found type {ros_type}, expected one with a pose, such as geometry_msgs/msg/PoseStamped")
 
 
-def _of_several(block: MessageBlock, is_igtl: bool, frame: str) -> _Part:
+def _of_several(source: Source, block: MessageBlock, is_igtl: bool, frame: str) -> _Part:
     """The poses of one frame in messages with poses of several."""
     rows, stamps, poses, names, bad = [], [], [], set(), 0
     for index in range(len(block)):
         payload = block.payload(index)
         try:
-            found = list(tools_of(payload) if is_igtl else transforms_of(payload))
+            found = list(tools_of(source.acceptance.message(payload).content) if is_igtl else transforms_of(payload))
         except GatewayError:
             bad += 1
             continue
@@ -177,9 +177,8 @@ def _of_several(block: MessageBlock, is_igtl: bool, frame: str) -> _Part:
     return block.times[places], block.source_times[places], np.array(stamps, np.int64), matrices, names, bad
 
 
-def tools_of(payload: memoryview) -> Iterator[tuple[str, str, int, Array]]:
-    """Yield parent, child, stamp (0) and matrix of each tool of TDATA or QTDATA.  Raises WireError."""
-    content = decode(payload).content
+def tools_of(content: Body) -> Iterator[tuple[str, str, int, Array]]:
+    """Yield parent, child, stamp (0) and matrix of each tool of TDATA or QTDATA."""
     if not isinstance(content, TrackingData | QuaternionTrackingData):
         return
     for element in content.elements:

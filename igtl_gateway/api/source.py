@@ -12,6 +12,7 @@ from igtl_gateway.base.untrusted import definitions
 from igtl_gateway.base.untrusted.decoding import MessageDecoder
 from igtl_gateway.base.untrusted.limits import FileLimits, limits_in_force
 from igtl_gateway.config.configuration import Config
+from igtl_gateway.gateway.acceptance import Acceptance
 from igtl_gateway.gateway.log.marks import Mark
 from igtl_gateway.gateway.stream_units import StreamUnits
 from igtl_gateway.record.sessionfile import facts
@@ -67,6 +68,11 @@ class Source:
             return Config.from_dict(facts.configuration(self.file.session))
         except (ConfigError, DamagedRecording):
             return None
+
+    @cached_property
+    def acceptance(self) -> Acceptance:
+        """Which bytes the session accepted as messages of OpenIGTLink."""
+        return Acceptance.of(self.config or Config())
 
     @cached_property
     def _marks(self) -> tuple[Mark, ...]:
@@ -125,7 +131,9 @@ class Source:
 
         name = channel.stream or channel.topic
         definitions, unit = self.file.definitions, self.unit(channel)
-        maker = arrow_tables.TableMaker(channel.kind, channel.entry_type, name, definitions, self.decoder, unit)
+        maker = arrow_tables.TableMaker(
+            channel.kind, channel.entry_type, name, definitions, self.decoder, unit, self.acceptance
+        )
         with limits_in_force(self.limits):
             return arrow_tables.joined([maker.table(block) for block in blocks])
 

@@ -20,10 +20,10 @@ from igtl_gateway.api.source import Source
 from igtl_gateway.base.errors import ConfigError, Unavailable
 from igtl_gateway.base.extras import missing
 from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.gateway.acceptance import Acceptance
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.record.sessionfile.bulk import MessageBlock
 from igtl_gateway.record.sessionfile.channels import ChannelSummary
-from igtl_gateway.wire import decode
 
 if TYPE_CHECKING:
     import pandas
@@ -158,6 +158,11 @@ class Stream:
         return self._heads[0]
 
     @property
+    def acceptance(self) -> Acceptance:
+        """Which bytes the session accepted as messages of OpenIGTLink: ``acceptance.message(payload)`` decodes them."""
+        return self._source.acceptance
+
+    @property
     def source_times(self) -> Times:
         """(N,) int64: the sender's stamp of each message, UTC ns; 0 = unset."""
         return self._heads[1]
@@ -197,7 +202,7 @@ class Stream:
         head = int(block.numbers[index]), int(block.times[index]), int(block.source_times[index])
         payload = block.payload(index)
         if self._is_igtl:
-            message = decode(payload)
+            message = self._source.acceptance.message(payload)
             return RecordedMessage(
                 *head, message.type, message.content, {item.key: item.text for item in message.metadata}
             )

@@ -18,9 +18,11 @@ from igtl_gateway.base.buffers import Buffer, join
 from igtl_gateway.base.errors import WireError
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.profiles import AUTO, DEFAULT, UNRECOGNISED, PeerProfile
+from igtl_gateway.gateway.acceptance import DEFAULT_ACCEPTANCE, Acceptance
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.gateway.peers import Peer, Peers
+from igtl_gateway.gateway.stamps import with_crc_of
 from igtl_gateway.wire import HEADER_SIZE, Message, Raw, decode, encode
 from igtl_gateway.wire.query import split_query
 from igtl_gateway.wire.registry import BODIES
@@ -44,6 +46,7 @@ class Listeners:
         exact: send the recorded bytes to all.
         relay: whether the recording is of a relay, which passes all bytes between two programs: only a listener
             that is recognised gets less.
+        acceptance: which bytes the session accepted as messages; others are sent as they are.
 
     Attributes:
         left_out: (address, profile, type) → number of messages that a listener did not get.
@@ -53,6 +56,7 @@ class Listeners:
     profile: str = AUTO
     exact: bool = False
     relay: bool = False
+    acceptance: Acceptance = DEFAULT_ACCEPTANCE
     left_out: Counter[tuple[str, str, str]] = field(default_factory=Counter)
     adapted: Counter[tuple[str, str, str]] = field(default_factory=Counter)
     _heard: set[int] = field(default_factory=set)
@@ -137,7 +141,7 @@ class Listeners:
             version = _version_for(peer, profile, entry)
             key = (profile.name if profile.adapt else "", version)
             if key not in forms:
-                forms[key] = _adapted(entry, profile, version), []
+                forms[key] = _adapted(entry, profile, version, self.acceptance), []
             waits = _lacks_content(forms[key][0]) and not profile.takes_without_content(entry.type, version)
             (refused if waits and profile is not DEFAULT else forms[key][1]).append(link)
         return [form for form in forms.values() if form[1]], refused
@@ -172,13 +176,13 @@ def _version_for(peer: Peer | None, profile: PeerProfile, entry: Entry) -> int:
     return max(min(recorded, most), profile.least_version)
 
 
-def _adapted(entry: Entry, profile: PeerProfile, version: int) -> Sequence[Buffer]:
+def _adapted(entry: Entry, profile: PeerProfile, version: int, acceptance: Acceptance) -> Sequence[Buffer]:
     """Return the bytes for a profile: the recorded ones, if nothing changes or they are damaged."""
     adapt = profile.adapt.get(BODIES.get(entry.type, Raw))
     if adapt is None and version == entry.payload[0][1]:
         return entry.payload
     try:
-        message = decode(recorded := join(entry.payload))
+        message = acceptance.message(recorded := join(entry.payload))
         content = adapt(message.content)[0] if adapt and type(message.content) in profile.adapt else message.content
         if content is message.content and version == message.header_version:
             return entry.payload
@@ -186,4 +190,5 @@ def _adapted(entry: Entry, profile: PeerProfile, version: int) -> Sequence[Buffe
         parts = encode(Message(message.type, message.device_name, content, message.ticks, version, 0, items))
     except WireError:
         return entry.payload
-    return entry.payload if join(parts) == recorded else parts
+    adapted = join(parts)
+    return entry.payload if adapted == recorded else (with_crc_of(bytes(recorded), bytes(adapted)),)

@@ -30,6 +30,7 @@ from igtl_gateway.edges.tcp import LinkCounters, TcpEdge
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.replay.recorded_config import recorded_acceptance
 from igtl_gateway.replay.simclock import CLOCK_TOPIC, CLOCK_TYPE
 from igtl_gateway.replay.source import matches_any
 
@@ -89,7 +90,7 @@ def open_sides(
         prepare_environment(lock_step=options.lock_step)
         RosEdge.check()
     if options.to != "ros":
-        igtl = _open_igtl(options, stop, stack, tell, relay=relay)
+        igtl = _open_igtl(options, file, stop, stack, tell, relay=relay)
         if igtl is None:
             return None
     if options.to != "igtl":
@@ -112,10 +113,10 @@ def open_sides(
 
 
 def _open_igtl(
-    options: ReplayOptions, stop: Event, stack: ExitStack, tell: OnLine, *, relay: bool
+    options: ReplayOptions, file: SessionFile, stop: Event, stack: ExitStack, tell: OnLine, *, relay: bool
 ) -> ReplaySides | None:
     """A sender to OpenIGTLink peers, once they are there."""
-    listeners = Listeners(options.profile, options.exact, relay)
+    listeners = Listeners(options.profile, options.exact, relay, recorded_acceptance(file))
     peers = _Peers(tell, listeners)
     clock = SystemClock()
     edge = TcpEdge(

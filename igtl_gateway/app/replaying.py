@@ -32,7 +32,7 @@ from igtl_gateway.config.faults import LOSS, Fate, Faults
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.moment import check_part
-from igtl_gateway.replay.recorded_config import config_to_run
+from igtl_gateway.replay.recorded_config import config_to_run, recorded_acceptance
 from igtl_gateway.replay.recorded_marks import marked_moment, marks_of
 from igtl_gateway.replay.restamp import Restamper
 from igtl_gateway.replay.simclock import period_ns, with_ticks
@@ -253,7 +253,10 @@ def _restamper(options: ReplayOptions, file: SessionFile, tell: Callable[[str], 
     if options.restamp == "keep":
         return None
     return Restamper(
-        options.restamp, lambda name: tell(f"! stamps of {name} are not changed: unknown type"), file.definitions
+        options.restamp,
+        lambda name: tell(f"! stamps of {name} are not changed: unknown type"),
+        file.definitions,
+        recorded_acceptance(file),
     )
 
 

@@ -14,6 +14,7 @@ sent with the input, which may be a tick, at which it is due, and with the fault
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.errors import WireError
@@ -21,6 +22,7 @@ from igtl_gateway.base.once import Once
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.faults import Fate, FaultLine, RelayFaults
+from igtl_gateway.gateway.acceptance import Acceptance
 from igtl_gateway.gateway.activity import INACTIVE, Activity
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.links import LINK_DOWN, LINK_UP
@@ -160,7 +162,9 @@ class RelayGateway:
         if faults := self._faults.outward if link in self._servers else self._faults.inward:
             line = self._lines.get(partner)
             if line is None:
-                line = self._lines[partner] = FaultLine(faults, self.config.fault_seed, f"{partner}", moved)
+                line = self._lines[partner] = FaultLine(
+                    faults, self.config.fault_seed, f"{partner}", partial(moved, acceptance=Acceptance.of(self.config))
+                )
             return self._forward(partner, line.take(entry.stamp_ns, entry, entry.data()))
         return self._sent(entry, entry.payload, partner)
 
@@ -170,7 +174,7 @@ class RelayGateway:
         self.ledger.count(_OUT, entry.channel, "sent")
         sent = Output(Kind.IGTL_OUT, entry.channel, entry.type, payload, (partner,), entry.source_ns)
         try:
-            decode(entry.payload[0], check_crc=self.config.check_crc)
+            Acceptance.of(self.config).message(entry.payload[0])
         except WireError as error:
             # damaged bytes are forwarded: each kind is reported once, and the recording has all of them
             return [sent, *self._warn_once(entry, error.code, f"relayed unchanged: {error}")]

@@ -17,12 +17,12 @@ from igtl_gateway.base.untrusted.decoding import BadBytes, MessageDecoder
 from igtl_gateway.config.triggers import Trigger
 from igtl_gateway.convert.common_msgs import DiagnosticArray, OperatingState
 from igtl_gateway.gateway import LINK_DOWN
+from igtl_gateway.gateway.acceptance import DEFAULT_ACCEPTANCE, Acceptance
 from igtl_gateway.gateway.guarded_stream import CALM, CODES, FRESH
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.marks import MarkNote
 from igtl_gateway.gateway.log.note import STOPPED, Note
 from igtl_gateway.record.sessionfile.schemas import RosTypes
-from igtl_gateway.wire import decode
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.text import Status
 
@@ -61,15 +61,24 @@ class Cause:
     noted_ns: int
 
 
+@dataclass(frozen=True, slots=True)
+class _Readers:
+    """What decodes messages: of ROS, and of OpenIGTLink."""
+
+    ros: MessageDecoder
+    igtl: Acceptance
+
+
 class Triggers:
     """Looks at entries in their order.
 
     Args:
         rules: the rules.
         types: definitions of ROS types, for values.
+        acceptance: which bytes are messages of OpenIGTLink.
     """
 
-    def __init__(self, rules: Sequence[Trigger], types: RosTypes) -> None:
+    def __init__(self, rules: Sequence[Trigger], types: RosTypes, acceptance: Acceptance = DEFAULT_ACCEPTANCE) -> None:
         self._rules = rules
         self._holds: dict[tuple[int, str], bool] = {}  # number of the rule, and of what → whether its condition holds
         self._of_stream: dict[tuple[Kind, str, str], tuple[int, ...]] = {}
@@ -78,7 +87,7 @@ class Triggers:
             found = types.find(ros_type)
             return found.text if found else ""
 
-        self._decoder = MessageDecoder(definition_of)
+        self._read = _Readers(MessageDecoder(definition_of), acceptance)
 
     def look(self, entry: Entry) -> list[Cause]:
         """Return what an entry triggers."""
@@ -93,7 +102,7 @@ class Triggers:
     def _causes(self, number: int, entry: Entry) -> Iterator[Cause]:
         rule = self._rules[number]
         try:
-            found = _LOOKS[rule.kind](rule, entry, self._decoder)
+            found = _LOOKS[rule.kind](rule, entry, self._read)
             for name, holds, why in found:
                 if not name:
                     yield Cause(rule, why, _moment_ns(rule, entry), entry.stamp_ns)
@@ -116,8 +125,8 @@ def _note(entry: Entry) -> Note | None:
     return None if note.code in _OWN or note.data.get("reason") == STOPPED else note
 
 
-def _of_codes(codes: frozenset[str]) -> Callable[[Trigger, Entry, MessageDecoder], _Found]:
-    def look(rule: Trigger, entry: Entry, _decoder: MessageDecoder) -> _Found:
+def _of_codes(codes: frozenset[str]) -> Callable[[Trigger, Entry, _Readers], _Found]:
+    def look(rule: Trigger, entry: Entry, _read: _Readers) -> _Found:
         note = _note(entry)
         if note and note.code in codes and matches(rule.pattern, note.stream):
             yield "", True, f"{note.code}: {note.text}"
@@ -125,13 +134,13 @@ def _of_codes(codes: frozenset[str]) -> Callable[[Trigger, Entry, MessageDecoder
     return look
 
 
-def _any_note(rule: Trigger, entry: Entry, _decoder: MessageDecoder) -> _Found:
+def _any_note(rule: Trigger, entry: Entry, _read: _Readers) -> _Found:
     note = _note(entry)
     if note and matches(rule.pattern, note.code):
         yield "", True, note.text if rule.pattern == note.code else f"{note.code}: {note.text}"
 
 
-def _mark(rule: Trigger, entry: Entry, _decoder: MessageDecoder) -> _Found:
+def _mark(rule: Trigger, entry: Entry, _read: _Readers) -> _Found:
     note = Note.of(entry.data())
     mark = MarkNote.of(note)
     if mark and matches(rule.pattern, mark.label):
@@ -143,32 +152,32 @@ def _moment_ns(rule: Trigger, entry: Entry) -> int:
     return entry.stamp_ns - (mark.ago_ns if mark else 0)
 
 
-def _link_down(rule: Trigger, entry: Entry, _decoder: MessageDecoder) -> _Found:
+def _link_down(rule: Trigger, entry: Entry, _read: _Readers) -> _Found:
     note = _note(entry)
     if note and note.code == LINK_DOWN and matches(rule.pattern, str(note.data.get("peer", ""))):
         yield "", True, note.text
 
 
-def _status(rule: Trigger, entry: Entry, _decoder: MessageDecoder) -> _Found:
-    content = decode(entry.data()).content
+def _status(rule: Trigger, entry: Entry, read: _Readers) -> _Found:
+    content = read.igtl.message(entry.data()).content
     if isinstance(content, Status):
         why = f"{visible(entry.channel)}: code {content.code}, {visible(content.message)}"
         yield entry.channel, content.code != _OK, why
 
 
-def _diagnostics(rule: Trigger, entry: Entry, _decoder: MessageDecoder) -> _Found:
+def _diagnostics(rule: Trigger, entry: Entry, _read: _Readers) -> _Found:
     for status in DiagnosticArray.unpack(entry.data()).status:
         if matches(rule.pattern, status.name):
             yield f"{entry.channel} {status.name}", status.level == _ERROR, f"{status.name}: {status.message}"
 
 
-def _operating_state(rule: Trigger, entry: Entry, _decoder: MessageDecoder) -> _Found:
+def _operating_state(rule: Trigger, entry: Entry, _read: _Readers) -> _Found:
     state = OperatingState.unpack(entry.data()).state
     yield entry.channel, state == _FAULT, f"{entry.channel}: {state}"
 
 
-def _value(rule: Trigger, entry: Entry, decoder: MessageDecoder) -> _Found:
-    value = _number_at(decoder.decode(entry.type, entry.data()), rule.field)
+def _value(rule: Trigger, entry: Entry, read: _Readers) -> _Found:
+    value = _number_at(read.ros.decode(entry.type, entry.data()), rule.field)
     if value is None:
         return
     outside = (rule.below is not None and value < rule.below) or (rule.above is not None and value > rule.above)
@@ -212,7 +221,7 @@ _CONCERNS: dict[str, Callable[[Trigger, Entry], bool]] = {
 }
 
 #: Kind of a rule → what it finds in an entry of such a stream.
-_LOOKS: dict[str, Callable[[Trigger, Entry, MessageDecoder], _Found]] = {
+_LOOKS: dict[str, Callable[[Trigger, Entry, _Readers], _Found]] = {
     "guard": _of_codes(_GUARD),
     "link_down": _link_down,
     "loss": _of_codes(LOSSES),

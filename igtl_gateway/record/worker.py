@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from igtl_gateway.base.clock import Clock
-from igtl_gateway.base.errors import ConfigError, DiskRefused, FileTaken, RecordingError, Unavailable
+from igtl_gateway.base.errors import ConfigError, DamagedRecording, DiskRefused, FileTaken, RecordingError, Unavailable
 from igtl_gateway.base.once import Once
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.versions import Self
@@ -43,6 +43,7 @@ from igtl_gateway.record.shared_queue import LARGE_BYTES, QueueReader
 from igtl_gateway.record.sole_file import SoleFile
 
 if TYPE_CHECKING:
+    from igtl_gateway.gateway.acceptance import Acceptance
     from igtl_gateway.record.black_box import BlackBox
     from igtl_gateway.record.retaining import RetentionThread
 
@@ -345,6 +346,18 @@ class _RecorderWorker:
             max_bytes=options.snapshot_bytes,
         )
 
+    def _acceptance(self) -> Acceptance:
+        """Which bytes the session accepts as messages."""
+        # here: only a black box looks into messages
+        from igtl_gateway.config.configuration import Config
+        from igtl_gateway.gateway.acceptance import Acceptance
+        from igtl_gateway.record.sessionfile import facts
+
+        try:
+            return Acceptance.of(Config.from_dict(facts.configuration(self._session)))
+        except (ConfigError, DamagedRecording):  # tests have sessions without one
+            return Acceptance()
+
     def _open_box(self, path: Path, rule: StateInputRule) -> BlackBox:
         """The writer of a black box."""
         # here: they import most of the gateway, which no other recorder needs
@@ -370,18 +383,18 @@ class _RecorderWorker:
             seconds=self.options.snapshot_s,
             max_bytes=self.options.snapshot_bytes,
             rules=self.options.triggers,
-            triggers=Triggers(self.options.triggers, self._types),
+            triggers=Triggers(self.options.triggers, self._types, self._acceptance()),
             clock=self._clock,
             counters=self._counters,
             on_note=on_note,
             on_obstacle=on_obstacle,
         )
 
-    def _open_file(self, path: Path, facts: dict[str, str], prologue: Sequence[Entry]) -> SessionWriter:
+    def _open_file(self, path: Path, more: dict[str, str], prologue: Sequence[Entry]) -> SessionWriter:
         alone = self.options.snapshot_s > 0 or self._is_cut  # the seal of a file that was taken away is not at its end
         writer = SessionWriter(
             path,
-            self._session | facts,
+            self._session | more,
             qos_of=self._qos_of,
             compression=self.options.compression,
             chunk_bytes=self.options.chunk_bytes,

@@ -8,6 +8,7 @@ from typing import Protocol
 
 from igtl_gateway.base.errors import ConfigError, DamagedRecording, UnsupportedRecording
 from igtl_gateway.config.configuration import Config
+from igtl_gateway.gateway.acceptance import Acceptance
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.stream_units import StreamUnits
 from igtl_gateway.record.sessionfile import facts
@@ -51,11 +52,19 @@ def config_to_run(session: Mapping[str, str], path: Path | None = None) -> Confi
 
 def recorded_units(file: RecordedSession) -> StreamUnits:
     """Return the units of the streams of a recording: the default ones where it has no usable configuration."""
+    return units_of(_recorded(file), file)
+
+
+def recorded_acceptance(file: RecordedSession) -> Acceptance:
+    """Return which bytes the session of a recording accepted as messages: as ``recorded_units``."""
+    return Acceptance.of(_recorded(file))
+
+
+def _recorded(file: RecordedSession) -> Config:
     try:
-        config = Config.from_dict(facts.configuration(file.session))
+        return Config.from_dict(facts.configuration(file.session))
     except (ConfigError, DamagedRecording):
-        config = Config()
-    return units_of(config, file)
+        return Config()
 
 
 def units_of(config: Config, file: RecordedSession) -> StreamUnits:

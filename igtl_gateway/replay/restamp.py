@@ -14,6 +14,7 @@ from typing import Literal
 from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.once import Once
 from igtl_gateway.base.stamp import ns_to_ros, ros_to_ns
+from igtl_gateway.gateway.acceptance import DEFAULT_ACCEPTANCE, Acceptance
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.stamps import restamped
 from igtl_gateway.replay.stamp_places import StampPlaces
@@ -31,11 +32,17 @@ class Restamper:
         mode: ``keep``, ``now`` or ``shift``.
         on_unknown: called once for each ROS type whose stamps cannot be changed, because its definition is unknown.
         definitions: definitions of ROS types from the recording.
+        acceptance: which bytes its session accepted as messages of OpenIGTLink; of others, only the header changes.
     """
 
     def __init__(
-        self, mode: Mode, on_unknown: Callable[[str], None], definitions: Mapping[str, str] = MappingProxyType({})
+        self,
+        mode: Mode,
+        on_unknown: Callable[[str], None],
+        definitions: Mapping[str, str] = MappingProxyType({}),
+        acceptance: Acceptance = DEFAULT_ACCEPTANCE,
     ) -> None:
+        self._acceptance = acceptance
         self._mode = mode
         self._places = StampPlaces(definitions)
         self._on_unknown = on_unknown
@@ -59,7 +66,7 @@ class Restamper:
             return stamp_ns + (self._shift_ns or 0) if stamp_ns else 0
 
         if entry.kind in _IGTL:
-            return (restamped(entry.data(), moved),)
+            return (restamped(entry.data(), moved, self._acceptance),)
         return (self._ros(entry, moved),)
 
     def _ros(self, entry: Entry, moved: Callable[[int], int]) -> bytes:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-from igtl_gateway.addon import Buffer, WireError, join
+from igtl_gateway.addon import DEFAULT_ACCEPTANCE, Acceptance, Buffer, WireError, join
 from igtl_gateway.addon.igtl import (
     BODIES,
     Bind,
@@ -35,7 +35,6 @@ from igtl_gateway.addon.igtl import (
     Transform,
     Video,
     cut_text,
-    decode,
     decode_text,
     encode,
     read_content,
@@ -54,15 +53,20 @@ _TYPES_OF_NAMES = frozenset({"name", "device_name", "owner"})
 
 
 class MessageCleaner:
-    """Changes messages of OpenIGTLink by the rules of a context."""
+    """Changes messages of OpenIGTLink by the rules of a context.
 
-    def __init__(self, context: Context) -> None:
-        self._context = context
+    Args:
+        context: the rules.
+        acceptance: which bytes the session accepted as messages; others are removed.
+    """
+
+    def __init__(self, context: Context, acceptance: Acceptance = DEFAULT_ACCEPTANCE) -> None:
+        self._context, self._acceptance = context, acceptance
 
     def clean(self, data: Buffer, stream: str) -> bytes:
         """Return the message without identity.  Raises Removed."""
         try:
-            message = decode(data)
+            message = self._acceptance.message(data)
             return join(encode(self._message(message, stream)))
         except WireError:
             raise Removed("damaged") from None

@@ -33,10 +33,11 @@ from igtl_gateway.addon import (
     input_groups,
     layout,
     make_core,
+    recorded_acceptance,
     verify_recording,
     written,
 )
-from igtl_gateway.addon.igtl import BODIES, Bind, decode, visible
+from igtl_gateway.addon.igtl import BODIES, Bind, visible
 from igtl_gateway.addons.deidentify import patterns
 from igtl_gateway.addons.deidentify.configuration import SeenNames, clean_config
 from igtl_gateway.addons.deidentify.context import Context, Removed
@@ -123,7 +124,8 @@ class _Run:
         self.report = context.report
         if seal and not seal.good:
             self.report.left["seal"] = f"the result does not name it: the recording is {seal.state}, expected sealed"
-        self._messages = MessageCleaner(context)
+        self._acceptance = recorded_acceptance(file)
+        self._messages = MessageCleaner(context, self._acceptance)
         self._ros = RosCleaner(context, self._messages, file.definitions)
         self._is_import = IMPORTED in file.session
         #: The marks of the side file, without identity.
@@ -242,7 +244,7 @@ class _Run:
             data = entry.data()
             if FULL_NAME.encode() in data or entry.type == "BIND":
                 try:
-                    message = decode(data)
+                    message = self._acceptance.message(data)
                 except WireError:
                     return
                 name = restore_metadata(message).device_name

@@ -13,7 +13,7 @@ from typing import BinaryIO, Protocol
 
 import pyarrow as pa
 
-from igtl_gateway.addon import Entry, Kind, MessageDecoder, block_of, recorded_units
+from igtl_gateway.addon import Entry, Kind, MessageDecoder, block_of, recorded_acceptance, recorded_units
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
 from igtl_gateway.addons.exchange.folder import FileNames, Folder, new_folder
 from igtl_gateway.addons.exchange.selection import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
@@ -78,7 +78,7 @@ def _export(recording: Recording, out: Path, globs: Sequence[str], form: _Parque
     account, names = ExportAccount(), FileNames()
     decoder = MessageDecoder(lambda ros_type: recording.definitions.get(ros_type, ""))
     streams: dict[tuple[Kind, str, str], _Stream] = {}
-    units, waiting = recorded_units(recording), 0
+    units, accepted, waiting = recorded_units(recording), recorded_acceptance(recording), 0
     with new_folder(out, account) as folder, ExitStack() as stack:
         for entry in chosen_entries(recording, (*IGTL_KINDS, *ROS_KINDS), globs, account):
             row = account.row(entry)
@@ -89,7 +89,9 @@ def _export(recording: Recording, out: Path, globs: Sequence[str], form: _Parque
                     row.fail(f"more than {_MAX_FILES} streams")
                     continue
                 unit = units.of(entry.kind, entry.channel, entry.type)
-                maker = TableMaker(entry.kind, entry.type, entry.channel, recording.definitions, decoder, unit)
+                maker = TableMaker(
+                    entry.kind, entry.type, entry.channel, recording.definitions, decoder, unit, accepted
+                )
                 file = _File(folder, f"{names.of(entry)}.{form.suffix}", form)
                 stack.callback(file.close)
                 stream = streams[key] = _Stream(row, maker, file)

@@ -19,8 +19,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
-from igtl_gateway.addon import Entry, Kind, MessageDecoder, failure_text, open_text, recorded_units
-from igtl_gateway.addon.igtl import decode, describe_content
+from igtl_gateway.addon import Entry, Kind, MessageDecoder, failure_text, open_text, recorded_acceptance, recorded_units
+from igtl_gateway.addon.igtl import describe_content
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.folder import FileNames, Folder, new_folder
 from igtl_gateway.addons.exchange.selection import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
@@ -154,7 +154,7 @@ class _RowReader:
 
     def __init__(self, recording: Recording) -> None:
         self._definitions = definitions = recording.definitions
-        self._units = recorded_units(recording)
+        self._units, self._acceptance = recorded_units(recording), recorded_acceptance(recording)
         self._decoder = MessageDecoder(lambda ros_type: definitions.get(ros_type, ""))
 
     def rows(self, entry: Entry) -> Iterator[Cells]:
@@ -165,7 +165,7 @@ class _RowReader:
             if entry.type in _NO_TABLES:
                 raise TooLong("pixels, points and cells do not fit in a table; use another format")
             unit = self._units.of(entry.kind, entry.channel, entry.type)
-            fields = name_igtl_fields(describe_content(decode(entry.data()).content), unit)
+            fields = name_igtl_fields(describe_content(self._acceptance.message(entry.data()).content), unit)
         elif not self._definitions.get(entry.type):
             raise TooLong("the session has no definition of its type")
         else:

@@ -36,9 +36,10 @@ from igtl_gateway.addon import (
     millimetres,
     one_clock,
     pick,
+    recorded_acceptance,
     recorded_units,
 )
-from igtl_gateway.addon.igtl import Image, Message, Transform, decode
+from igtl_gateway.addon.igtl import Image, Message, Transform
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
 from igtl_gateway.addons.exchange.selection import Recording, chosen_entries, matches_stream
 from igtl_gateway.addons.exchange.sequence import OK, TRANSFORM_STATUS
@@ -139,7 +140,7 @@ class SequenceFrames:
     def __init__(self, recording: Recording, globs: Sequence[str], gap_ns: int = GAP_NS) -> None:
         self._gap_ns = gap_ns
         self._recording, self._globs = recording, globs
-        self._units = recorded_units(recording)
+        self._units, self._acceptance = recorded_units(recording), recorded_acceptance(recording)
         self.account = ExportAccount()
         kinds: dict[Kind, set[str]] = {Kind.IGTL_IN: set(), Kind.IGTL_OUT: set()}
         invalid: set[str] = set()
@@ -180,7 +181,7 @@ class SequenceFrames:
                 continue
             row = self.account.row(entry)
             try:
-                message = decode(entry.data())
+                message = self._acceptance.message(entry.data())
                 unit = self._units.of(entry.kind, entry.channel, entry.type)
             except Exception as error:  # decoding raises many types of errors; only this message is left out
                 row.fail(failure_text(error))

@@ -18,6 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.addon import (
+    DEFAULT_ACCEPTANCE,
+    Acceptance,
     ConversionError,
     ConvertedMessage,
     Entry,
@@ -31,10 +33,11 @@ from igtl_gateway.addon import (
     mesh_to_igtl,
     millimetres,
     polydata_to_igtl,
+    recorded_acceptance,
     recorded_units,
     ros,
 )
-from igtl_gateway.addon.igtl import CELL, NORMAL, Attribute, PolyData, decode
+from igtl_gateway.addon.igtl import CELL, NORMAL, Attribute, PolyData
 from igtl_gateway.addon.ros import Marker, Mesh, PointCloud2
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.folder import export_one_file_each
@@ -94,7 +97,7 @@ def export_vtk(recording: Recording, out: Path, globs: Sequence[str]) -> ExportA
 
 
 @ieee_754
-def export_surface_of(entry: Entry, unit: str) -> ExportSurface:
+def export_surface_of(entry: Entry, unit: str, acceptance: Acceptance = DEFAULT_ACCEPTANCE) -> ExportSurface:
     """Return the surface or cloud of a message with lengths in ``unit``.
 
     Raises WireError or ConversionError if it contains none.
@@ -107,7 +110,7 @@ def export_surface_of(entry: Entry, unit: str) -> ExportSurface:
     elif entry.type in _TO_POLYDATA:
         content = _TO_POLYDATA[entry.type](entry.data(), to).content
     else:
-        content = decode(entry.data()).content
+        content = acceptance.message(entry.data()).content
         if isinstance(content, PolyData):
             scaled = into_ros(millimetres(unit), content.points, np.empty(content.points.shape, np.float32))
             content = replace(content, points=scaled)
@@ -119,10 +122,10 @@ def export_surface_of(entry: Entry, unit: str) -> ExportSurface:
 def _reader(
     recording: Recording, write: Callable[[PolyData], WrittenFile]
 ) -> Callable[[Entry], tuple[ExportSurface, WrittenFile]]:
-    units = recorded_units(recording)
+    units, accepted = recorded_units(recording), recorded_acceptance(recording)
 
     def read(entry: Entry) -> tuple[ExportSurface, WrittenFile]:
-        surface = export_surface_of(entry, units.of(entry.kind, entry.channel, entry.type))
+        surface = export_surface_of(entry, units.of(entry.kind, entry.channel, entry.type), accepted)
         return surface, write(surface.content)
 
     return read

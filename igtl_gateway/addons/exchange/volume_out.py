@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from igtl_gateway.addon import (
+    Acceptance,
     ConversionError,
     ConvertedMessage,
     Entry,
@@ -26,10 +27,11 @@ from igtl_gateway.addon import (
     ToIgtlContext,
     image_to_igtl,
     millimetres,
+    recorded_acceptance,
     recorded_units,
     volume_to_image,
 )
-from igtl_gateway.addon.igtl import BIG_ENDIAN, SCALARS, Image, decode
+from igtl_gateway.addon.igtl import BIG_ENDIAN, SCALARS, Image
 from igtl_gateway.addon.ros import Image as RosImage
 from igtl_gateway.addon.ros import Volume
 from igtl_gateway.addons.exchange.account import ExportAccount
@@ -55,10 +57,10 @@ def export_nrrd(recording: Recording, out: Path, globs: Sequence[str]) -> Export
         unplaced[entry.channel] += ImagePlacement.of_image(image) is None
         completed[entry.channel] += ImagePlacement.of_image(image) is not None and not has_own_normal(image)
 
-    units = recorded_units(recording)
+    units, accepted = recorded_units(recording), recorded_acceptance(recording)
 
     def read(entry: Entry) -> Image:
-        return _image(entry, units.of(entry.kind, entry.channel, entry.type))
+        return _image(entry, units.of(entry.kind, entry.channel, entry.type), accepted)
 
     account = export_one_file_each(
         recording, out, globs, _READ, "nrrd", read, lambda content: (nrrd_header(content), content.pixels), count,
@@ -73,12 +75,12 @@ def export_nrrd(recording: Recording, out: Path, globs: Sequence[str]) -> Export
     return account
 
 
-def _image(entry: Entry, unit: str) -> Image:
+def _image(entry: Entry, unit: str, acceptance: Acceptance) -> Image:
     """Return the picture of a message with lengths in ``unit``, placed in millimetres."""
     if entry.type in _TO_IMAGE:
         content = _TO_IMAGE[entry.type](entry.data(), ToIgtlContext(LengthUnits(unit, "mm"))).content
     else:
-        content = decode(entry.data()).content
+        content = acceptance.message(entry.data()).content
         if isinstance(content, Image):
             content = in_millimetres(content, unit)
     if not isinstance(content, Image) or not content.expected_bytes:

@@ -18,7 +18,7 @@ from igtl_gateway.addon import (
     is_key_frame,
     pixel_layout,
 )
-from igtl_gateway.addon.igtl import Video, decode
+from igtl_gateway.addon.igtl import Video
 from igtl_gateway.addon.ros import CompressedImage, CompressedVideo, Volume
 from igtl_gateway.addon.ros import Image as RosImage
 from igtl_gateway.api.images import Images, find_row
@@ -128,7 +128,7 @@ class _Coded:
 
     def __init__(self, stream: Stream) -> None:
         self._av = import_av()
-        self._type = stream.type
+        self._type, self._acceptance = stream.type, stream.acceptance
         self._blocks: list[MessageBlock] = list(stream.blocks())
         self._ends = np.cumsum([len(block) for block in self._blocks], dtype=np.int64)
         self._codec: Any = None
@@ -168,7 +168,7 @@ class _Coded:
             if self._type == CompressedVideo.TYPE:
                 video = CompressedVideo.unpack(payload)
                 return video.format, bytes(video.data)
-            content = decode(payload).content
+            content = self._acceptance.message(payload).content
         except GatewayError:
             return "", b""
         if not isinstance(content, Video):

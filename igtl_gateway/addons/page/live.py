@@ -21,6 +21,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from igtl_gateway.addon import (
     NS_PER_S,
+    Acceptance,
     Child,
     Entry,
     GatewayError,
@@ -29,6 +30,7 @@ from igtl_gateway.addon import (
     MarkNote,
     Note,
     SystemClock,
+    WireError,
     python_command,
 )
 from igtl_gateway.addons.page.sample import sample_of
@@ -184,6 +186,16 @@ class BridgePage:
         }
         self._child.write(json.dumps(settings) + "\n")
 
+    def picture(self, side: str, stream: str) -> bytes:
+        """Return the message of the last picture; empty if there is none, or if the session rejects it."""
+        data, session = self.pictures.get(side, stream), self._session
+        if data and session:
+            try:
+                Acceptance.of(session.bridge.gateway.config).message(data)
+            except WireError:
+                return b""
+        return data
+
     def update(self, session: RunningSession | None, events: Sequence[Event] = ()) -> None:
         """Take the session that runs now, and its notes since the last call.  Twice a second, after its ``collect``."""
         self._at_ns = now_ns = self._clock.monotonic_ns()
@@ -334,7 +346,7 @@ class _Handler(Handler):
             self._follow()
         elif path == "/picture":
             words = parse_qs(urlsplit(self.path).query)
-            data = self.page.pictures.get(*(words.get(name, [""])[0] for name in ("side", "stream")))
+            data = self.page.picture(*(words.get(name, [""])[0] for name in ("side", "stream")))
             self.begin(200, "application/octet-stream", len(data))
             self.wfile.write(data)
         else:

@@ -19,12 +19,13 @@ from igtl_gateway.convert.cdr import CdrWriter
 from igtl_gateway.convert.context import ToRosContext
 from igtl_gateway.convert.rosmsg import Header, Mesh, RosMessage
 from igtl_gateway.convert.table import ConversionToRos
+from igtl_gateway.gateway.acceptance import Acceptance
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.metadata import restore_metadata
 from igtl_gateway.gateway.output import Packed
 from igtl_gateway.gateway.streams import ToRosStream
 from igtl_gateway.gateway.to_ros.subscribers import Subscribers
-from igtl_gateway.wire import Message, decode
+from igtl_gateway.wire import Message
 from igtl_gateway.wire.header import NAMES
 
 #: Conversions that take long.  The stamp is in their results only where a header begins them.
@@ -70,7 +71,7 @@ class Beforehand:
 
     def __init__(self, config: Config, subscribers: Subscribers) -> None:
         self.results: Results | None = None
-        self._config = config
+        self._acceptance = Acceptance.of(config)
         self._subscribers = subscribers
         # link and names in the header → what the last message of a stream was converted with
         self._streams: dict[tuple[int, bytes], tuple[ToRosStream, ToRosContext]] = {}
@@ -89,7 +90,7 @@ class Beforehand:
     def work(self, payload: Buffer, link: int) -> Results:
         """Do what depends on the message alone; from any thread."""
         try:
-            message = decode(payload, check_crc=self._config.check_crc)
+            message = self._acceptance.message(payload)
         except WireError as error:
             return Results(payload, error)
         known = self._streams.get((link, bytes(payload[NAMES])))
@@ -114,7 +115,7 @@ class Beforehand:
         """Return the decoded message of an entry.  Raises WireError."""
         results = self.results
         if results is None or results.payload is not entry.payload[0]:
-            return decode(entry.payload[0], check_crc=self._config.check_crc)
+            return self._acceptance.message(entry.payload[0])
         if isinstance(results.decoded, WireError):
             raise results.decoded
         return results.decoded
