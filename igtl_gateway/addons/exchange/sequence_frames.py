@@ -238,7 +238,7 @@ class SequenceFrames:
         """Yield the images that ``survey`` has taken."""
         for entry in chosen_entries(self._recording, (self.kind,), self._globs, types={"IMAGE"}):
             try:
-                content = decode(entry.data()).content
+                content = self._acceptance.message(entry.data()).content
                 unit = self._units.of(entry.kind, entry.channel, entry.type)
             except Exception:  # counted by the survey
                 continue
