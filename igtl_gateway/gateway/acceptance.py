@@ -15,7 +15,7 @@ class Acceptance:
     """What a session accepts.
 
     Attributes:
-        check_crc: a message with a wrong CRC is none.
+        check_crc: bytes with a wrong CRC are rejected.
     """
 
     check_crc: bool = True
