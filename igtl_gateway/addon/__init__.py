@@ -35,6 +35,8 @@ if TYPE_CHECKING:
     from igtl_gateway.base.child import report_facts as report_facts
     from igtl_gateway.base.clock import Clock as Clock
     from igtl_gateway.base.clock import SystemClock as SystemClock
+    from igtl_gateway.base.distinct import distinct_names as distinct_names
+    from igtl_gateway.base.distinct import numbered as numbered
     from igtl_gateway.base.errors import BeingRecorded as BeingRecorded
     from igtl_gateway.base.errors import ConfigError as ConfigError
     from igtl_gateway.base.errors import ConversionError as ConversionError
@@ -190,6 +192,8 @@ if TYPE_CHECKING:
     from igtl_gateway.gateway.log.fates import REFUSED_COMMANDS as REFUSED_COMMANDS
     from igtl_gateway.gateway.log.fates import REFUSED_DEVICE as REFUSED_DEVICE
     from igtl_gateway.gateway.log.groups import input_groups as input_groups
+    from igtl_gateway.gateway.log.interleaving import Interleaving as Interleaving
+    from igtl_gateway.gateway.log.interleaving import is_mixed as is_mixed
     from igtl_gateway.gateway.log.joining import GAP_NS as GAP_NS
     from igtl_gateway.gateway.log.joining import NEAR_NS as NEAR_NS
     from igtl_gateway.gateway.log.joining import Picks as Picks
@@ -270,6 +274,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("gateway.log.groups", "input_groups"),
     # Two streams: one clock for both, and the messages that belong to a moment
     ("gateway.log.one_clock", "OneClock StreamTimes one_clock"),
+    ("gateway.log.interleaving", "Interleaving is_mixed"),
     ("gateway.log.joining", "GAP_NS NEAR_NS Picks pick"),
     ("api.poses", "between_poses"),
     ("gateway.log.marks", "Mark MarkNote ago_ns"),
@@ -335,6 +340,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("base.addons", "ADDONS check_present is_present part_of"),
     ("base.globs", "matches"),
     ("base.free_names", "FreeNames"),
+    ("base.distinct", "distinct_names numbered"),
     ("base.near", "did_you_mean near_names"),
     ("replay.source", "check_recorded"),
     ("base.once", "Once"),

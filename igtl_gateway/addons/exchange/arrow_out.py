@@ -75,7 +75,7 @@ def export_arrow(recording: Recording, out: Path, globs: Sequence[str]) -> Expor
 
 
 def _export(recording: Recording, out: Path, globs: Sequence[str], form: _Parquet | _Ipc) -> ExportAccount:
-    account, names = ExportAccount(), FileNames()
+    account, names = ExportAccount(), FileNames(recording.channels)
     decoder = MessageDecoder(lambda ros_type: recording.definitions.get(ros_type, ""))
     streams: dict[tuple[Kind, str, str], _Stream] = {}
     units, accepted, waiting = recorded_units(recording), recorded_acceptance(recording), 0
@@ -107,6 +107,7 @@ def _export(recording: Recording, out: Path, globs: Sequence[str], form: _Parque
         for each in streams.values():
             each.flush()
     account.files = sum(stream.file.is_open for stream in streams.values())
+    account.notes += names.notes(f".{form.suffix}")
     return account
 
 

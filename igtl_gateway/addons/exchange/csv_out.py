@@ -49,7 +49,7 @@ _UNWRITABLE = re.compile(r"[\x00\ud800-\udfff]")
 
 def export_csv(recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
     """Write the directory ``out``.  Raises UnsupportedRecording if it is not empty; OSError."""
-    account, names = ExportAccount(), FileNames()
+    account, names = ExportAccount(), FileNames(recording.channels)
     tables: dict[str, _Table] = {}
     read = _RowReader(recording)
     with new_folder(out, account) as folder, ExitStack() as stack:
@@ -78,6 +78,7 @@ def export_csv(recording: Recording, out: Path, globs: Sequence[str]) -> ExportA
         for table in tables.values():
             table.finish()
     account.files = len(tables)
+    account.notes += names.notes(".csv")
     if formulas := sum(table.formulas for table in tables.values()):
         account.notes.append(
             f"text cells that begin with = + - or @: {formulas:,}; "

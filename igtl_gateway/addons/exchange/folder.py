@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from collections import Counter
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import BinaryIO, TypeVar
 
 from igtl_gateway.addon import Buffer, Entry, Kind, failure_text, open_new, written_folder
 from igtl_gateway.addons.exchange.account import ExportAccount
-from igtl_gateway.addons.exchange.selection import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
+from igtl_gateway.addons.exchange.selection import IGTL_KINDS, ROS_KINDS, Channel, Recording, chosen_entries
 
 #: Characters of a stream's name that a file name can contain.
 _MAX_NAME = 100
@@ -44,14 +45,29 @@ def new_folder(path: Path, account: ExportAccount) -> Iterator[Folder]:
 
 def file_name(entry: Entry) -> str:
     """Return the file name of an entry's stream: kind, type and device or topic; ASCII letters, digits, _ and -."""
-    token = re.sub(r"[^A-Za-z0-9_-]+", "_", entry.channel).strip("_")[:_MAX_NAME]
-    return f"{entry.kind.value}.{token or 'unnamed'}"
+    return f"{entry.kind.value}.{_token(entry.channel)}"
+
+
+def _token(channel: str) -> str:
+    return re.sub(r"[^A-Za-z0-9_-]+", "_", channel).strip("_")[:_MAX_NAME] or "unnamed"
+
+
+def _is_exact(kind: Kind, channel: str) -> bool:
+    """Return whether the file name differs from the name of the stream in slashes only."""
+    slashes = 1 if kind in IGTL_KINDS else -1
+    return _token(channel) == channel.replace("/", "_", slashes).removeprefix("_")
 
 
 class FileNames:
-    """Assigns a unique file name to each stream, unique also if upper and lower case are equal."""
+    """Assigns a unique file name to each stream, unique also if upper and lower case are equal.
 
-    def __init__(self) -> None:
+    Args:
+        channels: the streams of the recording: who has the name of its file keeps it.
+    """
+
+    def __init__(self, channels: Iterable[Channel] = ()) -> None:
+        known = {(each.kind, each.stream or each.topic, each.entry_type) for each in channels}
+        self._exact = {_token(channel): (kind, channel) for kind, channel, _ in known if _is_exact(kind, channel)}
         self._names: dict[tuple[Kind, str, str], str] = {}
         self._taken: set[str] = set()
         self._numbers: dict[str, int] = {}
@@ -62,13 +78,21 @@ class FileNames:
         if key not in self._names:
             name = wanted = file_name(entry)
             number = self._numbers.get(wanted.lower(), 1)
-            while name.lower() in self._taken:
+            owner = self._exact.get(_token(entry.channel))
+            while name.lower() in self._taken or (name == wanted and owner and owner != key[:2] and owner[0] is key[0]):
                 number += 1
                 name = f"{wanted}_{number}"
             self._numbers[wanted.lower()] = number
             self._taken.add(name.lower())
             self._names[key] = name
         return self._names[key]
+
+    def notes(self, suffix: str) -> Iterator[str]:
+        """Yield which stream a file has, for each whose name does not show it: those that would have had one name."""
+        several = Counter(_token(channel).lower() for _, channel, _ in self._names)
+        for (_, channel, _), name in self._names.items():
+            if several[_token(channel).lower()] > 1:
+                yield f"{name}{suffix} has {channel}"
 
 
 Content = TypeVar("Content")
@@ -101,7 +125,7 @@ def export_one_file_each(
 
     Raises UnsupportedRecording if the directory is not empty; OSError.
     """
-    account, names = ExportAccount(), FileNames()
+    account, names = ExportAccount(), FileNames(recording.channels)
     causes = _Causes()
     with new_folder(out, account) as folder:
         for entry in chosen_entries(
@@ -125,6 +149,7 @@ def export_one_file_each(
                 causes.written = entry.channel
             row.taken += 1
             account.files += 1
+    account.notes += names.notes(f".*.{suffix}")
     return account
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from hashlib import blake2b
 from typing import Protocol
@@ -13,6 +14,8 @@ from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
 IGTL_KINDS = (Kind.IGTL_IN, Kind.IGTL_OUT)
 ROS_KINDS = (Kind.ROS_IN, Kind.ROS_OUT)
 _MESSAGES = frozenset({*IGTL_KINDS, *ROS_KINDS})
+#: The link that a glob ends with.
+_PEER = re.compile(r"@([0-9]{1,9})$")
 REPEATED = "the same message in another header version"
 
 
@@ -68,7 +71,7 @@ def chosen_entries(
     types: Container[str] | None = None,
     on_input: Callable[[Entry], None] | None = None,
 ) -> Iterator[Entry]:
-    """Yield the entries of some kinds whose stream matches a glob: by ``TYPE/device``, the device or the topic.
+    """Yield the entries of some kinds whose stream matches a glob; see ``matches_stream``.
 
     Of a message that was sent in both header versions only the first form is yielded; ``account`` counts the second
     form as left out.
@@ -82,7 +85,8 @@ def chosen_entries(
         on_input: called with each input of the recording, also those that are not selected: the cause of the outputs
             that follow.
     """
-    wanted, fitting = frozenset(kinds), dict[tuple[Kind, str], bool]()
+    wanted, fitting = frozenset(kinds), dict[tuple[Kind, str, tuple[int, ...]], bool]()
+    by_link = any(_PEER.search(glob) for glob in globs)
     forms = _VersionFilter()
     for entry in recording.entries():
         if entry.kind.is_input:
@@ -91,9 +95,9 @@ def chosen_entries(
                 on_input(entry)
         if entry.kind not in wanted and (account is None or entry.kind not in _MESSAGES):
             continue
-        key = (entry.kind, entry.channel)
+        key = (entry.kind, entry.channel, entry.links if by_link else ())
         if key not in fitting:
-            fitting[key] = matches_stream(entry.channel, entry.kind, globs)
+            fitting[key] = matches_stream(entry.channel, entry.kind, globs, entry.links)
         if not fitting[key]:
             continue
         if entry.kind not in wanted or (types is not None and entry.type not in types):
@@ -145,12 +149,27 @@ class _VersionFilter:
         return versions
 
 
-def matches_stream(channel: str, kind: Kind, globs: Sequence[str]) -> bool:
-    """Return whether a stream matches a glob, or there are no globs.  Notes have no stream and always match."""
+def matches_stream(channel: str, kind: Kind, globs: Sequence[str], links: Sequence[int] = ()) -> bool:
+    """Return whether a stream matches a glob, or there are no globs.  Notes have no stream and always match.
+
+    A glob is one of ``TYPE/device``, of the device or of the topic.  ``in:`` or ``out:`` before it selects what was
+    received or sent, ``@N`` behind it what came from link N or went there.
+    """
     if not globs or not channel:
         return True
     names = (channel, channel.partition("/")[2]) if kind in IGTL_KINDS else (channel,)
-    return any(matches(glob, name) for glob in globs for name in names)
+    return any(_fits(glob, name, kind, links) for glob in globs for name in names)
+
+
+def _fits(glob: str, name: str, kind: Kind, links: Sequence[int]) -> bool:
+    if matches(glob, name):
+        return True
+    if (peer := _PEER.search(glob)) and int(peer[1]) in links:
+        glob = glob[: peer.start()]
+    side, colon, rest = glob.partition(":")
+    if colon and side in ("in", "out"):
+        return kind.value.endswith(f"_{side}") and matches(rest, name)
+    return peer is not None and matches(glob, name)
 
 
 def message_time_ns(entry: Entry) -> int:

@@ -24,13 +24,14 @@ from igtl_gateway.addon import (
     Buffer,
     ConfigError,
     Entry,
-    FreeNames,
+    Interleaving,
     Kind,
     Note,
     OneClock,
     StreamTimes,
     UnsupportedRecording,
     between_poses,
+    distinct_names,
     failure_text,
     limits,
     millimetres,
@@ -41,7 +42,7 @@ from igtl_gateway.addon import (
 )
 from igtl_gateway.addon.igtl import Image, Message, Transform
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
-from igtl_gateway.addons.exchange.selection import Recording, chosen_entries, matches_stream
+from igtl_gateway.addons.exchange.selection import IGTL_KINDS, Recording, chosen_entries, matches_stream
 from igtl_gateway.addons.exchange.sequence import OK, TRANSFORM_STATUS
 from igtl_gateway.addons.exchange.volume_out import in_millimetres
 
@@ -54,6 +55,32 @@ _TYPES = frozenset({"IMAGE", "TRANSFORM", ""})
 IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1"
 #: Metadata of a TRANSFORM with its status, as PLUS and 3D Slicer write it.
 _STATUS = "TransformStatus"
+#: What divides the two frames in a name.
+_TO = re.compile(r"To(?=[A-Z])")
+
+
+@dataclass(frozen=True, slots=True)
+class StreamSource:
+    """A stream of the session: received or sent, and by one peer if several send it in turn.
+
+    Attributes:
+        kind: IGTL_IN or IGTL_OUT.
+        stream: ``TYPE/device``.
+        link: number of the link; 0: of all.
+    """
+
+    kind: Kind
+    stream: str
+    link: int = 0
+
+    def __str__(self) -> str:
+        """The glob of ``--streams`` that selects it."""
+        return f"{'in' if self.kind.is_input else 'out'}:{self.stream}" + (f"@{self.link}" if self.link else "")
+
+    @property
+    def name(self) -> str:
+        """The device."""
+        return self.stream.partition("/")[2]
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,9 +155,8 @@ class SequenceFrames:
 
     Attributes:
         account: the account of the export, which ``survey`` fills.
-        kind: kind of the exported entries: messages from peers, or those to peers if there are no others.
-        images: the IMAGE stream, or empty.
-        names: TRANSFORM stream → name of the transform in the file.
+        images: the IMAGE streams: the one that the file has, or none.
+        names: TRANSFORM stream → name of the transform in the file; all of them differ, also by case.
         first: the first image, which determines the format of all; None before ``survey``.
 
     Raises UnsupportedRecording without any IMAGE or TRANSFORM, ConfigError for several IMAGE streams,
@@ -142,44 +168,63 @@ class SequenceFrames:
         self._recording, self._globs = recording, globs
         self._units, self._acceptance = recorded_units(recording), recorded_acceptance(recording)
         self.account = ExportAccount()
-        kinds: dict[Kind, set[str]] = {Kind.IGTL_IN: set(), Kind.IGTL_OUT: set()}
-        invalid: set[str] = set()
-        for entry in chosen_entries(recording, (*kinds, Kind.EDGE_NOTE), globs):
+        links: dict[tuple[Kind, str], Interleaving] = {}
+        # includes transforms that were never valid
+        for entry in chosen_entries(recording, (*IGTL_KINDS, Kind.EDGE_NOTE), globs):
             if entry.kind is Kind.EDGE_NOTE:
                 stream = _invalid_stream(entry)
-                invalid |= {stream} if stream and matches_stream(stream, Kind.IGTL_IN, globs) else set()
+                if stream.startswith("TRANSFORM/") and matches_stream(stream, Kind.IGTL_IN, globs):
+                    links.setdefault((Kind.IGTL_IN, stream), Interleaving())
             elif entry.type in ("IMAGE", "TRANSFORM"):
-                kinds[entry.kind].add(entry.channel)
-        self.kind = next((kind for kind, streams in kinds.items() if streams), Kind.IGTL_IN)
-        streams = sorted(kinds[self.kind])
-        self.images = [stream for stream in streams if stream.startswith("IMAGE/")]
-        if not streams:
+                links.setdefault((entry.kind, entry.channel), Interleaving()).add(entry.links)
+        if not links:
             raise UnsupportedRecording("found no IMAGE and no TRANSFORM of OpenIGTLink, expected at least one")
+        self._mixed = {key for key, one in links.items() if key[0] is Kind.IGTL_IN and one.is_mixed}
+        sources = [
+            StreamSource(kind, stream, link)
+            for (kind, stream), one in sorted(links.items(), key=lambda item: (item[0][1], item[0][0].value))
+            for link in (sorted(one.links) if (kind, stream) in self._mixed else (0,))
+        ]
+        images = [source for source in sources if source.stream.startswith("IMAGE/")]
+        received = [source for source in images if source.kind is Kind.IGTL_IN]
+        self.images = received or images  # pictures of ROS are often those that a peer has sent
         if len(self.images) > 1:
-            raise ConfigError(f"--streams: found {', '.join(self.images)}, expected one IMAGE and its TRANSFORMs")
-        self.names: dict[str, str] = {}
-        free = FreeNames()
-        # includes transforms that were never valid
-        for stream in sorted({*streams, *invalid}):
-            if stream.startswith("TRANSFORM/"):
-                name = re.sub(r"[^A-Za-z0-9]", "", stream.partition("/")[2]) or "Unnamed"
-                self.names[stream] = free.take(name)
+            names = ", ".join(source.stream + (f"@{source.link}" if source.link else "") for source in self.images)
+            raise ConfigError(f"--streams: found {names}, expected one IMAGE and its TRANSFORMs")
+        transforms = [source for source in sources if source.stream.startswith("TRANSFORM/")]
+        own = {source.stream for source in transforms if source.kind is Kind.IGTL_IN}
+        #: Why the messages of a stream are not in the file.
+        self._left: dict[StreamSource, str] = {
+            source: f"{self.images[0]} has the pictures; --streams {source} selects these" for source in images
+        }
+        for source in transforms:
+            if source.kind is Kind.IGTL_OUT and source.stream in own:
+                self._left[source] = f"a peer sends one of this name, too; --streams {source} selects this one"
+        for image in self.images:
+            del self._left[image]
+        self.names: dict[StreamSource, str] = distinct_names(
+            {source: source.name for source in transforms if source not in self._left}, name_in_file, other=another_name
+        )
         limits.check_limit("fields", len(self.names), "transforms of one sequence, each of them in each frame")
         self.first: Image | None = None
 
     def survey(self) -> SequenceSurvey:
         """Read the session, and return where each transform is in each frame."""
         images = _Samples()
-        tracked = {stream: _Samples() for stream in self.names}
+        tracked = {source: _Samples() for source in self.names}
         matrices: set[tuple[int, tuple[float, ...]]] = set()
-        for entry in chosen_entries(self._recording, (self.kind, Kind.EDGE_NOTE), self._globs, self.account, _TYPES):
+        kinds = (*IGTL_KINDS, Kind.EDGE_NOTE)
+        for entry in chosen_entries(self._recording, kinds, self._globs, self.account, _TYPES):
             if entry.kind is Kind.EDGE_NOTE:
-                if (stream := _invalid_stream(entry)) in tracked:
-                    tracked[stream].breaks += 1
+                stream = _invalid_stream(entry)
+                for known, samples in tracked.items():
+                    samples.breaks += known.kind is Kind.IGTL_IN and known.stream == stream
                 continue
-            if entry.channel not in self.names and entry.channel not in self.images:
-                continue
+            source = self._source(entry)
             row = self.account.row(entry)
+            if source in self._left:
+                row.leave_out(self._left[source])
+                continue
             try:
                 message = self._acceptance.message(entry.data())
                 unit = self._units.of(entry.kind, entry.channel, entry.type)
@@ -188,7 +233,7 @@ class SequenceFrames:
                 continue
             match message.content:
                 case Transform():
-                    _take(tracked[entry.channel], entry, message, message.content, unit, row)
+                    _take(tracked[source], entry, message, message.content, unit, row)
                 case Image():
                     image = in_millimetres(message.content, unit)
                     if why := self._mismatch(image):
@@ -203,11 +248,11 @@ class SequenceFrames:
         return self._survey
 
     def _joined(
-        self, images: _Samples, tracked: dict[str, _Samples], matrices: set[tuple[int, tuple[float, ...]]]
+        self, images: _Samples, tracked: dict[StreamSource, _Samples], matrices: set[tuple[int, tuple[float, ...]]]
     ) -> SequenceSurvey:
         """Where each transform is at the time of each image, or of each transform without images."""
-        streams = [each.stream(stream) for stream, each in tracked.items()]
-        own = [images.stream(self.images[0])] if self.images else []
+        streams = [each.stream(str(source)) for source, each in tracked.items()]
+        own = [images.stream(str(self.images[0]))] if self.images else []
         clock = one_clock([*own, *streams])
         moments = [clock.times(each, number) for number, each in enumerate([*own, *streams])]
         wanted = moments[0] if own else np.unique(np.concatenate(moments))
@@ -215,8 +260,8 @@ class SequenceFrames:
         times = np.where(own[0].stamps > 0, own[0].stamps, own[0].times) if own else wanted
         what = "images" if own else "moments"
         poses = {
-            self.names[stream]: _poses(samples, at, wanted, self._gap_ns, what)
-            for (stream, samples), at in zip(tracked.items(), moments[len(own) :], strict=True)
+            self.names[source]: _poses(samples, at, wanted, self._gap_ns, what)
+            for (source, samples), at in zip(tracked.items(), moments[len(own) :], strict=True)
         }
         return SequenceSurvey(times, poses, matrices, clock)
 
@@ -236,7 +281,9 @@ class SequenceFrames:
 
     def _images(self) -> Iterator[Image]:
         """Yield the images that ``survey`` has taken."""
-        for entry in chosen_entries(self._recording, (self.kind,), self._globs, types={"IMAGE"}):
+        for entry in chosen_entries(self._recording, IGTL_KINDS, self._globs, types={"IMAGE"}):
+            if self._source(entry) not in self.images:
+                continue
             try:
                 content = self._acceptance.message(entry.data()).content
                 unit = self._units.of(entry.kind, entry.channel, entry.type)
@@ -244,6 +291,11 @@ class SequenceFrames:
                 continue
             if isinstance(content, Image) and not self._mismatch(image := in_millimetres(content, unit)):
                 yield image
+
+    def _source(self, entry: Entry) -> StreamSource:
+        """Return the stream of an IMAGE or a TRANSFORM; that of its link if several peers send it in turn."""
+        mixed = (entry.kind, entry.channel) in self._mixed
+        return StreamSource(entry.kind, entry.channel, entry.links[0] if mixed else 0)
 
     def _mismatch(self, image: Image) -> str:
         """Return why an image cannot be a frame of this sequence; ``""`` if it can."""
@@ -254,6 +306,18 @@ class SequenceFrames:
         first = self.first
         mine, its = ((one.dimensions, one.scalar_type, one.num_components) for one in (first, image))
         return "" if mine == its else f"size or pixel type differs from the first image of {first.dimensions}"
+
+
+def name_in_file(device: str) -> str:
+    """Return the name of a transform in the file, which has letters and digits only."""
+    return re.sub(r"[^A-Za-z0-9]", "", device) or "Unnamed"
+
+
+def another_name(name: str, number: int) -> str:
+    """Return a name with a number: the second ``ProbeToTracker`` gets it before ``To``."""
+    found = _TO.search(name, 1)
+    at = found.start() if found else len(name)
+    return f"{name[:at]}{number}{name[at:]}"
 
 
 def _take(

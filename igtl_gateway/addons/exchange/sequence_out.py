@@ -11,16 +11,31 @@ import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
-from igtl_gateway.addon import GAP_NS, NS_PER_S, Buffer, UnsupportedRecording, open_new, whole_number, written
+from igtl_gateway.addon import (
+    GAP_NS,
+    NS_PER_S,
+    Buffer,
+    UnsupportedRecording,
+    distinct_names,
+    open_new,
+    whole_number,
+    written,
+)
 from igtl_gateway.addon.igtl import BIG_ENDIAN, Image
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.metaimage_out import SIZE_KEY, SIZE_WIDTH, metaimage_header
 from igtl_gateway.addons.exchange.selection import Recording
 from igtl_gateway.addons.exchange.sequence import EPOCH_FIELD
-from igtl_gateway.addons.exchange.sequence_frames import IDENTITY, SequenceFrame, SequenceFrames
+from igtl_gateway.addons.exchange.sequence_frames import (
+    IDENTITY,
+    SequenceFrame,
+    SequenceFrames,
+    another_name,
+    name_in_file,
+)
 from igtl_gateway.api.placement import ImagePlacement
 
-#: Name of the transform from pixels to RAS millimetres, used if images move.
+#: Name of the transform from pixels to RAS millimetres, used if images move and no other has it.
 _IMAGE_PLACE = "ImageToRas"
 #: Pixel of a frame without an image.
 _NO_PIXEL = b"\0"
@@ -40,7 +55,9 @@ def export_sequence(recording: Recording, out: Path, globs: Sequence[str], gap_n
     epoch_ns = whole_number(given) or 0
     account = sequence.account
     account.files = 1
-    first, moving = sequence.first, len(survey.matrices) > 1
+    first, moving = sequence.first, ""
+    if len(survey.matrices) > 1:
+        moving = distinct_names({0: _IMAGE_PLACE}, name_in_file, sequence.names.values(), another_name)[0]
     place = ImagePlacement.of_image(first) if first and not moving else None
     epoch = f"{EPOCH_FIELD} = {epoch_ns}"
     with written(out) as new, open_new(new) as stream:
@@ -60,16 +77,18 @@ def export_sequence(recording: Recording, out: Path, globs: Sequence[str], gap_n
         stream.seek(size_at)
         stream.write(f"{size:<{SIZE_WIDTH}}".encode())
     account.notes += survey.clock.notes
+    sources = {name: source for source, name in sequence.names.items()}
     for name, (_, good) in survey.poses.items():
         valid = int(good.sum())
         why = (
             f"; INVALID before its first and after its last pose, and in gaps above {gap_ns / NS_PER_S:g} s (--max-gap)"
         )
-        account.notes.append(f"{name}Transform: OK in {valid} of {count} frames{why if valid < count else ''}")
+        source = sources[name]
+        of = "" if source.name == name and not source.link else f", of {source}"
+        account.notes.append(f"{name}Transform{of}: OK in {valid} of {count} frames{why if valid < count else ''}")
     if moving:
         account.notes.append(
-            f"the images move: the pose of each is its {_IMAGE_PLACE}Transform (pixels to RAS, mm), "
-            "and the header has none"
+            f"the images move: the pose of each is its {moving}Transform (pixels to RAS, mm), and the header has none"
         )
     elif first and not place:
         account.notes.append("the matrix of the images is invalid (axes of zero length, coplanar, or not finite)")
@@ -83,14 +102,15 @@ def _pixels(image: Image) -> Buffer:
     return image.array.byteswap().tobytes()
 
 
-def _fields(frame: SequenceFrame, epoch_ns: int, moving: bool) -> Iterator[str]:
+def _fields(frame: SequenceFrame, epoch_ns: int, moving: str) -> Iterator[str]:
+    """Yield the fields of a frame; ``moving``: name of the transform with the place of its image."""
     for name, (matrix, valid) in frame.transforms.items():
         yield f"{name}Transform = {matrix}"
         yield f"{name}TransformStatus = {'OK' if valid else 'INVALID'}"
     if moving and frame.image:
         place = ImagePlacement.of_image(frame.image)
-        yield f"{_IMAGE_PLACE}Transform = {_matrix(place) if place else IDENTITY}"
-        yield f"{_IMAGE_PLACE}TransformStatus = {'OK' if place else 'INVALID'}"
+        yield f"{moving}Transform = {_matrix(place) if place else IDENTITY}"
+        yield f"{moving}TransformStatus = {'OK' if place else 'INVALID'}"
     seconds, rest = divmod(frame.time_ns - epoch_ns, NS_PER_S)
     yield f"Timestamp = {seconds}.{rest:09}"
     yield f"ImageStatus = {'OK' if frame.image else 'INVALID'}"
