@@ -29,6 +29,7 @@ from igtl_gateway.addon import (
     width,
 )
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
+from igtl_gateway.addons.exchange.selection import bare_glob
 from igtl_gateway.addons.exchange.source import MESSAGES
 from igtl_gateway.addons.exchange.targets import TARGETS, export_to
 
@@ -97,7 +98,7 @@ def run(options: argparse.Namespace) -> int:
     except ConfigError as error:
         raise ConfigError(f"-o: {error}") from None
     with SessionFile.open(options.file) as file:
-        faults = check_recorded([file], options.streams)
+        faults = check_recorded([file], [bare_glob(glob) for glob in options.streams])
         try:
             account = export_to(options.to, file, options.output, options.streams, gap_ns)
         except OSError as error:

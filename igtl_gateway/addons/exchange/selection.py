@@ -161,6 +161,12 @@ def matches_stream(channel: str, kind: Kind, globs: Sequence[str], links: Sequen
     return any(_fits(glob, name, kind, links) for glob in globs for name in names)
 
 
+def bare_glob(glob: str) -> str:
+    """Return a glob without the side before it and the link behind it."""
+    side, colon, rest = _PEER.sub("", glob).partition(":")
+    return rest if colon and side in ("in", "out") else _PEER.sub("", glob)
+
+
 def _fits(glob: str, name: str, kind: Kind, links: Sequence[int]) -> bool:
     if matches(glob, name):
         return True
