@@ -10,7 +10,6 @@ written if a frame uses it, otherwise as left out.
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -44,6 +43,7 @@ from igtl_gateway.addon.igtl import Image, Message, Transform
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
 from igtl_gateway.addons.exchange.selection import IGTL_KINDS, Recording, chosen_entries, matches_stream
 from igtl_gateway.addons.exchange.sequence import OK, TRANSFORM_STATUS
+from igtl_gateway.addons.exchange.sequence_names import StreamSource, another_name, name_in_file
 from igtl_gateway.addons.exchange.volume_out import in_millimetres
 
 Array = npt.NDArray[Any]
@@ -55,32 +55,6 @@ _TYPES = frozenset({"IMAGE", "TRANSFORM", ""})
 IDENTITY = "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1"
 #: Metadata of a TRANSFORM with its status, as PLUS and 3D Slicer write it.
 _STATUS = "TransformStatus"
-#: What divides the two frames in a name.
-_TO = re.compile(r"To(?=[A-Z])")
-
-
-@dataclass(frozen=True, slots=True)
-class StreamSource:
-    """A stream of the session: received or sent, and by one peer if several send it in turn.
-
-    Attributes:
-        kind: IGTL_IN or IGTL_OUT.
-        stream: ``TYPE/device``.
-        link: number of the link; 0: of all.
-    """
-
-    kind: Kind
-    stream: str
-    link: int = 0
-
-    def __str__(self) -> str:
-        """The glob of ``--streams`` that selects it."""
-        return f"{'in' if self.kind.is_input else 'out'}:{self.stream}" + (f"@{self.link}" if self.link else "")
-
-    @property
-    def name(self) -> str:
-        """The device."""
-        return self.stream.partition("/")[2]
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,18 +280,6 @@ class SequenceFrames:
         first = self.first
         mine, its = ((one.dimensions, one.scalar_type, one.num_components) for one in (first, image))
         return "" if mine == its else f"size or pixel type differs from the first image of {first.dimensions}"
-
-
-def name_in_file(device: str) -> str:
-    """Return the name of a transform in the file, which has letters and digits only."""
-    return re.sub(r"[^A-Za-z0-9]", "", device) or "Unnamed"
-
-
-def another_name(name: str, number: int) -> str:
-    """Return a name with a number: the second ``ProbeToTracker`` gets it before ``To``."""
-    found = _TO.search(name, 1)
-    at = found.start() if found else len(name)
-    return f"{name[:at]}{number}{name[at:]}"
 
 
 def _take(

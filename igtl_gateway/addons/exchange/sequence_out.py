@@ -26,13 +26,8 @@ from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.metaimage_out import SIZE_KEY, SIZE_WIDTH, metaimage_header
 from igtl_gateway.addons.exchange.selection import Recording
 from igtl_gateway.addons.exchange.sequence import EPOCH_FIELD
-from igtl_gateway.addons.exchange.sequence_frames import (
-    IDENTITY,
-    SequenceFrame,
-    SequenceFrames,
-    another_name,
-    name_in_file,
-)
+from igtl_gateway.addons.exchange.sequence_frames import IDENTITY, SequenceFrame, SequenceFrames
+from igtl_gateway.addons.exchange.sequence_names import another_name, name_in_file
 from igtl_gateway.api.placement import ImagePlacement
 
 #: Name of the transform from pixels to RAS millimetres, used if images move and no other has it.

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from pyarrow import parquet
 
-from igtl_gateway.addons.exchange.sequence_frames import another_name, name_in_file
+from igtl_gateway.addons.exchange.sequence_names import another_name, name_in_file
 from igtl_gateway.base.distinct import distinct_names
 from igtl_gateway.cli import main
 from igtl_gateway.config.configuration import Config, TfOutRow
