@@ -217,6 +217,9 @@ if TYPE_CHECKING:
     from igtl_gateway.record.sessionfile.beside import written_folder as written_folder
     from igtl_gateway.record.sessionfile.bulk import MessageBlock as MessageBlock
     from igtl_gateway.record.sessionfile.bulk import block_of as block_of
+    from igtl_gateway.record.sessionfile.definition import Definition as Definition
+    from igtl_gateway.record.sessionfile.definition import FileDefinitions as FileDefinitions
+    from igtl_gateway.record.sessionfile.definition import another_definition as another_definition
     from igtl_gateway.record.sessionfile.new_file import create_file as create_file
     from igtl_gateway.record.sessionfile.new_file import empty_file as empty_file
     from igtl_gateway.record.sessionfile.new_file import make_folder as make_folder
@@ -255,6 +258,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     # Sessions: entries as they are in the file, and their writing
     ("record.sessionfile.reader", "SessionFile"),
     ("record.sessionfile.writer", "SessionWriter"),
+    ("record.sessionfile.definition", "Definition FileDefinitions another_definition"),
     ("record.sessionfile", "layout"),
     ("record.sessionfile.bulk", "MessageBlock block_of"),
     ("record.sessionfile.ranges", "RangeFile named"),

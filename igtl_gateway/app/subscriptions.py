@@ -13,8 +13,10 @@ from igtl_gateway.gateway.log.note import Level, Note
 #: QoS of topics that are recorded only: the depth covers a burst; the reliability is that of the publishers.
 RECORDED = Qos(depth=100)
 
-#: Topics that `--record-all` leaves out, as `ros2 bag record --all` does: hidden topics and those of ROS itself.
-_NEVER_RECORDED = ("/parameter_events", "/rosout", "**/_*")
+#: Topics of ROS itself, which are recorded if they are named.
+_OF_ROS = ("/parameter_events", "/rosout")
+#: Beginning of a hidden level of a topic: of actions, and of events of services.
+_HIDDEN = "/_"
 
 
 class Subscriptions:
@@ -50,9 +52,18 @@ class Subscriptions:
     def qos(self, topic: str, ros_type: str) -> Qos | None:
         """Return the QoS for a topic that is bridged or recorded, else None."""
         bridged = self._gateway.subscription(topic, ros_type) or self.encoded(topic, ros_type)
-        if bridged or any(matches(glob, topic) for glob in _NEVER_RECORDED):
-            return bridged
-        return RECORDED if any(matches(glob, topic) for glob in self._recorded) else None
+        return bridged or (RECORDED if any(names(glob, topic) for glob in self._recorded) else None)
+
+
+def names(glob: str, topic: str) -> bool:
+    """Return whether a glob selects a topic for recording.
+
+    A wildcard selects no hidden level, as in a shell and with ``ros2 bag record --all``, and no topic of ROS itself:
+    a glob names them.  ``/fib/_action/*`` selects ``/fib/_action/status``; ``/fib/**`` does not.
+    """
+    if topic in _OF_ROS:
+        return glob == topic
+    return glob.count(_HIDDEN) >= topic.count(_HIDDEN) and matches(glob, topic)
 
 
 def _not_encoded(_topic: str, _type: str) -> Qos | None:

@@ -140,7 +140,11 @@ def _write(file: SessionFile, part: Slice, window: SliceWindow, options: argpars
     own = (layout.PART_KEY, layout.PREVIOUS_KEY, layout.SNAPSHOT_KEY, layout.TRIGGER_KEY)
     facts = {**{key: value for key, value in file.session.items() if key not in own}, **facts}
     with written(options.output, overwrite=options.overwrite) as place:
-        writer = SessionWriter(place, facts, qos_of=qos_of, compression="zstd", prologue=part.before())
+        writer = SessionWriter(
+            place, facts, qos_of=qos_of, definition_of=file.definition_of, compression="zstd", prologue=part.before()
+        )
+        for each in file.beside():
+            writer.add_beside(each)
         for entry in part.entries():
             writer.write(entry)
         losses = {} if file.foreign else layout.declared_losses(file.ledger)

@@ -85,7 +85,7 @@ class Triggers:
 
         def definition_of(ros_type: str) -> str:
             found = types.find(ros_type)
-            return found.text if found else ""
+            return found.text(ros_type) if found else ""
 
         self._read = _Readers(MessageDecoder(definition_of), acceptance)
 

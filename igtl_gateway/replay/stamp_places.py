@@ -69,15 +69,17 @@ class StampPlaces:
     """Finds the stamps of messages.
 
     Args:
-        definitions: type → ``ros2msg`` text with all dependencies, from the recording.
+        definitions: type → definition with all dependencies, from the recording.
+        all_times: find all fields of the type ``builtin_interfaces/Time`` instead.
     """
 
-    def __init__(self, definitions: Mapping[str, str]) -> None:
+    def __init__(self, definitions: Mapping[str, str], *, all_times: bool = False) -> None:
         self._definitions = definitions
+        self._all_times = all_times
         self._known: dict[str, Any] = dict(get_typestore(Stores.ROS2_JAZZY).fielddefs)
         self._steps: dict[str, tuple[_Step, ...] | None] = {}
 
-    def of(self, ros_type: str, data: bytes) -> list[int] | None:
+    def of(self, ros_type: str, data: bytes | memoryview) -> list[int] | None:
         """Return the offsets in order; None for a type without a definition, or for bytes that are not of the type."""
         if ros_type not in self._steps:
             self._steps[ros_type] = self._compile(ros_type)
@@ -95,7 +97,7 @@ class StampPlaces:
         own: Mapping[str, Any] = {}
         try:
             if text := self._definitions.get(ros_type, ""):
-                own = definitions.parse_definition(text, ros_type)
+                own = definitions.parse_definition(text, ros_type, wide_strings=True)
             steps = self._of_struct(ros_type, own)
         except (RecordingError, OSError, UnicodeDecodeError, KeyError, RecursionError):
             return None
@@ -108,7 +110,7 @@ class StampPlaces:
         steps: list[_Step] = []
         for field, (kind, inner) in found[1]:
             is_stamp = field in _STAMPS or name == CLOCK_TYPE
-            added = [_Stamp()] if is_stamp and inner == _TIME else self._of_type(kind, inner, own)
+            added: list[_Step] = [_Stamp()] if is_stamp and inner == _TIME else self._of_type(kind, inner, own)
             for step in added:
                 last = steps[-1] if steps else None
                 if isinstance(step, _Numbers) and isinstance(last, _Numbers) and _joins(last, step):
@@ -119,11 +121,11 @@ class StampPlaces:
 
     def _of_type(self, kind: int, inner: Any, own: Mapping[str, Any]) -> list[_Step]:
         if kind == _BASE:
-            return [_Text() if inner[0] == "string" else _Numbers(_SIZES[inner[0]], 1)]
+            if inner[0] in ("string", "wstring"):
+                return [_Text(wide=inner[0] == "wstring")]
+            return [_Numbers(_SIZES[inner[0]], 1)]
         if kind == _NAME:
-            if inner.endswith("/wstring"):
-                return [_Text(wide=True)]
-            return self._of_struct(inner, own)
+            return [_Stamp()] if self._all_times and inner == _TIME else self._of_struct(inner, own)
         (kind_of_each, each_type), length = inner
         steps = self._of_type(kind_of_each, each_type, own)
         count = length if kind == _ARRAY else 0
@@ -154,7 +156,7 @@ def _has_stamp(step: _Step) -> bool:
 class _Walk:
     """One walk through a message.  Raises struct.error or ValueError if the bytes are not of the type."""
 
-    def __init__(self, data: bytes) -> None:
+    def __init__(self, data: bytes | memoryview) -> None:
         self._data = data
         self._number = struct.Struct(("<" if data[1] & 1 else ">") + "I")
         self.at = _ENCAPSULATION

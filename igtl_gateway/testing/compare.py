@@ -95,7 +95,7 @@ def _side(session: Session, rules: _Rules) -> _Side:
     entries = session.log if isinstance(session, ManualGateway) else list(session)
     types = {entry.type for entry in entries if entry.kind in (Kind.ROS_IN, Kind.ROS_OUT)}
     finder = RosTypes()
-    definitions = {name: found.text for name in sorted(types) if (found := finder.find(name))}
+    definitions = {name: found.text(name) for name in sorted(types) if (found := finder.find(name))}
     side = _Side(
         "the gateway of the test" if isinstance(session, ManualGateway) else "the entries of the test",
         _decoder(definitions, session.config if isinstance(session, ManualGateway) else Config()),

@@ -40,7 +40,7 @@ ONE_DEGREE = (0.0, 0.0, math.sin(HALF), math.cos(HALF))
 def definition(ros_type: str) -> str:
     found = RosTypes().find(ros_type)
     assert found
-    return found.text
+    return found.text(ros_type)
 
 
 def ros(message: RosMessage) -> Entry:

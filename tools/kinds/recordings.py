@@ -16,6 +16,7 @@ from igtl_gateway.base.untrusted.definitions import parse_definition
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile import layout
+from igtl_gateway.record.sessionfile.definition import Definition
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.wire.header import crc64
@@ -75,7 +76,7 @@ def session(make: Maker) -> Mapping[str, bytes]:
     known = {name: text for name, text in _texts().items() if name == ros_type}
     writer = SessionWriter(
         Path("a.mcap"), {key: _plain(text) for key, text in facts.items()}, memory=memory, chunk_bytes=3_000,
-        definition_of=lambda name: (known[name], "") if name in known else None,
+        definition_of=lambda name: Definition(known[name].encode()) if name in known else None,
     )  # fmt: skip
     for each in numbered:
         writer.write(each)

@@ -13,7 +13,7 @@ import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores
-from rosbags.typesys.base import normalize_fieldname
+from rosbags.typesys.base import TypesysError, normalize_fieldname
 
 from igtl_gateway.addon import (
     ConversionError,
@@ -242,6 +242,16 @@ class RosCleaner:
     def _array(self, message: Any, _: str) -> None:
         if message.scalar_type in (2, 3) and not self._context.keeps_type(_ARRAY):
             raise Removed("bytes")
+
+
+def bare_definition(text: str, ros_type: str) -> str:
+    """Return a definition without its comments; ``""`` for one in IDL that cannot be read."""
+    if not definitions.is_idl(text):
+        return "\n".join(line.partition("#")[0].rstrip() for line in text.splitlines())
+    try:
+        return definitions.definition_text(definitions.parse_definition(text, ros_type), ros_type)
+    except (GatewayError, TypesysError):
+        return ""
 
 
 @cache

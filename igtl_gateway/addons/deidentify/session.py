@@ -13,6 +13,7 @@ from igtl_gateway.addon import (
     IMPORTED,
     Config,
     DamagedRecording,
+    Definition,
     Entry,
     GatewayError,
     Kind,
@@ -45,7 +46,7 @@ from igtl_gateway.addons.deidentify.messages import MessageCleaner
 from igtl_gateway.addons.deidentify.notes import clean_mark, clean_note
 from igtl_gateway.addons.deidentify.profile import Profile
 from igtl_gateway.addons.deidentify.report import Report
-from igtl_gateway.addons.deidentify.ros import RosCleaner
+from igtl_gateway.addons.deidentify.ros import RosCleaner, bare_definition
 from igtl_gateway.app.sealing import SealVerification, verify_seal
 from igtl_gateway.convert.names import short_device_name
 from igtl_gateway.gateway.metadata import FULL_NAME, restore_metadata
@@ -268,12 +269,13 @@ class _Run:
             DEIDENTIFIED: f"by igtl-gateway {__version__}; options of DICOM PS3.15: {options}",
         }
 
-    def _definition_of(self, ros_type: str) -> tuple[str, str] | None:
+    def _definition_of(self, ros_type: str) -> Definition | None:
         """Return the definition of a kept type without its comments; None: the usual one."""
         text = self._file.definitions.get(ros_type, "")
         if not text or not self._context.keeps_type(ros_type):
             return None
-        return "\n".join(line.partition("#")[0].rstrip() for line in text.splitlines()), ""
+        bare = bare_definition(text, ros_type)
+        return Definition(bare.encode()) if bare else None
 
     def _note(self, stamp_ns: int) -> Entry:
         facts = self.report.to_dict()

@@ -99,6 +99,8 @@ def run(options: argparse.Namespace) -> int:
             place, import_facts(options.source, source), qos_of=source.qos_of, definition_of=source.definition_of
         )
         try:
+            for each in source.beside():
+                writer.add_beside(each)
             for entry in numbered(source.items()):
                 writer.write(entry)
         except (DamagedRecording, WireError, layout.LayoutError) as error:

@@ -2,7 +2,9 @@
 
 If ROS 2 has the type, the message is converted field by field: ``std_msgs/Header`` loses ``seq``, renamed fields
 (``CameraInfo`` D → d) are converted, and ``tf/tfMessage`` becomes ``tf2_msgs/TFMessage``.  Other types keep their own
-definition, as ``package/msg/Name``.  A note lists the fields without a counterpart.
+definition, as ``package/msg/Name``.  Notes list the fields without a counterpart, and names that ROS 2 does not allow.
+
+The times of ROS 2 end on 2038-01-19: a message with a later one is missing in the account.
 
 If a definition cannot be used, only its topics are left out, and their rows have the reason.
 
@@ -11,6 +13,7 @@ Memory: that of ``rosbag1_file``, and one message.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
@@ -22,11 +25,23 @@ from rosbags.typesys import Stores
 from rosbags.typesys.base import TypesysError
 from rosbags.typesys.store import Typestore
 
-from igtl_gateway.addon import DamagedRecording, ElementCounter, Kind, Qos, Types, limits, new_store, register_types
+from igtl_gateway.addon import (
+    DamagedRecording,
+    Definition,
+    ElementCounter,
+    Kind,
+    Qos,
+    Types,
+    limits,
+    new_store,
+    register_types,
+)
 from igtl_gateway.addon import ros_definitions as definitions
 from igtl_gateway.addons.exchange.rosbag1_file import BagConnection, BagFile
+from igtl_gateway.addons.exchange.rostypes import names_not_allowed
 from igtl_gateway.addons.exchange.source import ImportedItem, ImportedStream, NonRosSource
 from igtl_gateway.base.untrusted.definition_checks import weight
+from igtl_gateway.replay.stamp_places import StampPlaces
 
 #: Type → its different name in ROS 2.
 RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
@@ -46,6 +61,7 @@ _ROS1_TYPES: Types = {
         ],
     ),
 }
+_SECONDS = struct.Struct("<i")
 _Convert = Callable[[bytes], memoryview]
 
 
@@ -59,6 +75,8 @@ class Rosbag1(NonRosSource):
         self._fields = 0
         self._latched: set[tuple[str, str]] = set()
         self._converters: dict[int, tuple[str, str, ImportedStream, _Convert | None]] = {}
+        self._texts: dict[str, str] = {}
+        self._times = StampPlaces(self._texts, all_times=True)
         self._bag = BagFile(path)
         try:
             self._open()
@@ -82,6 +100,8 @@ class Rosbag1(NonRosSource):
             key = (name, connection.definition)
             if key not in converters:
                 converters[key] = self._converter(connection, name, ros_type)
+                if names := names_not_allowed(self._target.fielddefs, ros_type):
+                    self.notes.append(f"{ros_type}: {names}")
             convert, why = converters[key]
             if convert is None:
                 row.left_out += declared.get(connection.number, 0)
@@ -101,6 +121,7 @@ class Rosbag1(NonRosSource):
                 own = definitions.parse_definition(definitions.definition_text(source.fielddefs, name), ros_type)
                 # types that ROS 2 has, such as Header, keep the definition of ROS 2
                 self._register(self._target, {key: fields for key, fields in own.items() if key not in self._known})
+                self._texts[ros_type] = definitions.definition_text(self._target.fielddefs, ros_type)
             if is_same_wireformat(source, self._target, name, ros_type):
                 elements = ElementCounter({**types, **_ROS1_TYPES}, name, ros1=True)
                 return partial(_rewritten, self._target, ros_type, elements), ""
@@ -130,6 +151,7 @@ class Rosbag1(NonRosSource):
                 continue
             try:
                 payload = convert(message.data)
+                self._check_times(ros_type, payload)
             except Exception as error:  # generated code raises many types of errors for damaged bytes
                 reason = f"{type(error).__name__}: {error}"
                 row.why = f"some cannot be converted, the latest at {message.time_ns} ns: {reason}"
@@ -137,17 +159,25 @@ class Rosbag1(NonRosSource):
             row.taken += 1
             yield ImportedItem(message.time_ns, Kind.ROS_IN, payload, topic, ros_type)
 
+    def _check_times(self, ros_type: str, payload: memoryview) -> None:
+        """Raise OverflowError for a time that ROS 2 takes for one before 1970."""
+        for place in self._times.of(ros_type, payload) or ():
+            (seconds,) = _SECONDS.unpack_from(payload, place)
+            if seconds < 0:
+                raise OverflowError(f"found a time of {seconds + (1 << 32)} s, expected at most {(1 << 31) - 1} (2038)")
+
     def qos_of(self, topic: str, ros_type: str) -> Qos | None:
         return Qos(latched=True) if (topic, ros_type) in self._latched else None
 
-    def definition_of(self, ros_type: str) -> tuple[str, str] | None:
+    def definition_of(self, ros_type: str) -> Definition | None:
         if ros_type in self._known or ros_type not in self._target.fielddefs:
             return None
         types = self._target.fielddefs
         try:
-            return definitions.definition_text(types, ros_type), definitions.type_hash(types, ros_type)
+            text, type_hash = definitions.definition_text(types, ros_type), definitions.type_hash(types, ros_type)
         except (TypesysError, KeyError):
             return None  # the definition of a nested type is missing
+        return Definition(text.encode(), definitions.MSG, type_hash)
 
     def close(self) -> None:
         self._bag.close()

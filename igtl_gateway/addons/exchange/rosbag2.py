@@ -2,7 +2,11 @@
 
 The storage files are authoritative; the import is compared with the counts and serialization formats in
 ``metadata.yaml``.  Channels that are not topics, such as service events, are left out and listed.  Messages with a time
-outside the range of a session are missing in the account.  Parts of a split recording are merged in the order of time.
+outside the range of a session are missing in the account, and so are other bytes than CDR and messages with another
+definition of their type than the first.  Parts of a split recording are merged in the order of time.
+
+A compressed message shows itself by its first bytes, so a lost ``metadata.yaml`` does no harm.  Attachments, metadata
+records and ``custom_data`` come along.
 
 Memory: one message of each part, and one chunk of MCAP files.
 """
@@ -10,27 +14,54 @@ Memory: one message of each part, and one chunk of MCAP files.
 from __future__ import annotations
 
 import heapq
+import json
 import re
 import shutil
 import tempfile
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Protocol
 
-from igtl_gateway.addon import DamagedRecording, Kind, Qos, UnsupportedRecording, files, layout, limits, open_new
-from igtl_gateway.addons.exchange.rosbag2_metadata import METADATA, BagMetadata, Key, read_metadata, storage_files
+from mcap.records import Attachment, Metadata
+
+from igtl_gateway.addon import (
+    DamagedRecording,
+    Definition,
+    FileDefinitions,
+    Kind,
+    Qos,
+    UnsupportedRecording,
+    another_definition,
+    files,
+    layout,
+    limits,
+    open_new,
+)
+from igtl_gateway.addons.exchange.rosbag2_metadata import (
+    METADATA,
+    BagMetadata,
+    Key,
+    custom_data,
+    read_metadata,
+    storage_files,
+)
 from igtl_gateway.addons.exchange.rosbag2_sqlite import Message, SqliteStorage
-from igtl_gateway.addons.exchange.rostypes import definition
+from igtl_gateway.addons.exchange.rostypes import with_hash
 from igtl_gateway.addons.exchange.source import ImportedItem, ImportedStream, NonRosSource, library_errors_as_damage
 from igtl_gateway.base.untrusted.unpack import unpack_zstd_file, unpack_zstd_of_any_size
-from igtl_gateway.record.sessionfile.index import read_index, recover_hint
+from igtl_gateway.record.sessionfile import records
+from igtl_gateway.record.sessionfile.index import read_index, read_record, recover_hint
 from igtl_gateway.record.sessionfile.order import message_rows
 from igtl_gateway.record.sessionfile.records import Malformed
 
 #: Upper bound of times in a session, in ns; a larger time is damage, or has another unit.
 _MAX_NS = 1 << 62
 _ROS_TYPE = re.compile(r"\w+/msg/\w+", re.ASCII)
+#: First bytes of a zstd frame; bytes of a CDR message before its fields, of which the first is 0.
+_ZSTD = b"\x28\xb5\x2f\xfd"
+_ENCAPSULATION = 4
 
 
 class _StorageFile(Protocol):
@@ -41,14 +72,18 @@ class _StorageFile(Protocol):
         skipped: topic and type that cannot be read → reason.
         qos: QoS profiles as in the file, by topic and type.
         formats: serialization format by topic and type.
-        definitions: type → text and encoding of its definition.
+        undecodable: number of messages, by topic and type, with another definition of their type.
+        beside: the attachments and metadata records of MCAP that are not rosbag2's own.
+        serialized: ``metadata.yaml`` in the file.
     """
 
     counts: Counter[Key]
     skipped: dict[Key, str]
     qos: dict[Key, str]
     formats: dict[Key, str]
-    definitions: dict[str, tuple[str, str]]
+    undecodable: Counter[Key]
+    beside: list[Attachment | Metadata]
+    serialized: str
 
     def messages(self) -> Iterator[Message]: ...
 
@@ -63,7 +98,8 @@ class Rosbag2(NonRosSource):
         self._path = path
         self._parts: list[_StorageFile] = []
         self._unpacked: tempfile.TemporaryDirectory[str] | None = None
-        self._bad_types: set[str] = set()
+        self._definitions = FileDefinitions()
+        self._kept: dict[str, Definition | None] = {}
         try:
             self._metadata = read_metadata(path) if path.is_dir() else BagMetadata()
             for file in storage_files(path, self._metadata) if path.is_dir() else [path]:
@@ -81,7 +117,8 @@ class Rosbag2(NonRosSource):
         storage, declared = "sqlite3" if is_sqlite else "mcap", self._metadata.storage
         if declared not in ("", storage):
             self.notes.append(f"{METADATA} declares the storage {declared}, but {path.name} is {storage}")
-        return SqliteStorage(plain, _unreadable) if is_sqlite else _Mcap(plain)
+        kind = SqliteStorage if is_sqlite else _Mcap
+        return kind(plain, _unreadable, self._definitions)
 
     def _unpack(self, path: Path) -> Path:
         """Decompress a storage file to a temporary file, which exists until ``close``."""
@@ -122,23 +159,49 @@ class Rosbag2(NonRosSource):
                     f"{METADATA} declares the serialization {declared!r} of {key[0]}, its storage {found!r}: "
                     + ("left out" if key in skipped else f"read as {found!r}")
                 )
+            undecodable = sum(part.undecodable[key] for part in self._parts)
+            if undecodable:  # they are missing
+                row.why = f"{undecodable} have {another_definition(key[1])}"
         self.rows = list(self._rows.values())
+        for unit, kind in (("attachments", Attachment), ("metadata records", Metadata)):
+            count = sum(isinstance(each, kind) for part in self._parts for each in part.beside)
+            if count:
+                self.rows.append(ImportedStream(unit, count, taken=count, unit=unit))
+        texts = [part.serialized for part in self._parts if part.serialized]
+        custom = metadata.custom if metadata.found else custom_data(texts[0], str(self._path)) if texts else {}
+        if custom:
+            self.facts[layout.CUSTOM_KEY] = json.dumps(custom, sort_keys=True)
+            self.rows.append(ImportedStream("custom_data", len(custom), taken=len(custom), unit="keys"))
+
+    def beside(self) -> Iterator[Attachment | Metadata]:
+        for part in self._parts:
+            yield from part.beside
 
     def items(self) -> Iterator[ImportedItem]:
         packed = unpacked = 0
         bounds = limits.current_limits()
+        by_message = self._metadata.by_message
         for time_ns, key, data, source_ns in heapq.merge(*(part.messages() for part in self._parts), key=_time):
             row, payload = self._rows[key], data
             if not 0 <= time_ns < _MAX_NS:
                 row.why = "some have no bytes, or a time outside 1970 to 2116"
                 continue
-            if self._metadata.by_message:
+            if data[: len(_ZSTD)] == _ZSTD and not by_message:  # no CDR begins so
+                by_message = True
+                source = METADATA if self._metadata.found else "the file"
+                self.notes.append(f"each message is compressed with zstd, which {source} does not state")
+            if by_message:
                 place = f"{self._path}: {key[0]} at {time_ns} ns"
                 payload = unpack_zstd_of_any_size(data, place)
                 packed, unpacked = packed + len(data), unpacked + len(payload)
                 limits.check_limit(
                     "ratio", unpacked, f"{place}: all messages so far", bounds.free + bounds.ratio * packed
                 )
+            if payload[:1] != b"\0" or len(payload) < _ENCAPSULATION:
+                row.why = (
+                    f"some are no CDR, the latest at {time_ns} ns begins with {bytes(payload[:4]).hex() or 'nothing'}"
+                )
+                continue
             row.taken += 1
             known_ns = source_ns if 0 <= source_ns < _MAX_NS else 0
             yield ImportedItem(time_ns, Kind.ROS_IN, payload, key[0], key[1], source_ns=known_ns)
@@ -147,17 +210,11 @@ class Rosbag2(NonRosSource):
         texts = (part.qos.get((topic, ros_type), "") for part in self._parts)
         return next((qos for text in texts if (qos := layout.parse_qos_yaml(text))), None)
 
-    def definition_of(self, ros_type: str) -> tuple[str, str] | None:
-        for part in self._parts:
-            text, encoding = part.definitions.get(ros_type, ("", ""))
-            try:
-                if found := definition(ros_type, text, encoding):
-                    return found
-            except DamagedRecording as error:
-                if ros_type not in self._bad_types:
-                    self._bad_types.add(ros_type)
-                    self.notes.append(f"{error}: left out")
-        return None
+    def definition_of(self, ros_type: str) -> Definition | None:
+        if ros_type not in self._kept:
+            found = self._definitions.known.get(ros_type)
+            self._kept[ros_type] = with_hash(ros_type, found, self.notes.append) if found else None
+        return self._kept[ros_type]
 
     def close(self) -> None:
         for part in self._parts:
@@ -182,14 +239,18 @@ def _unreadable(ros_type: str, encoding: str) -> str:
 class _Mcap:
     """An MCAP file."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, unreadable: Callable[[str, str], str], definitions: FileDefinitions) -> None:
         self._path = path
+        self._unreadable = unreadable
+        self._definitions = definitions
         self._stream = files.open_file(path)
         self.counts: Counter[Key] = Counter()
         self.skipped: dict[Key, str] = {}
         self.qos: dict[Key, str] = {}
         self.formats: dict[Key, str] = {}
-        self.definitions: dict[str, tuple[str, str]] = {}
+        self.undecodable: Counter[Key] = Counter()
+        self.beside: list[Attachment | Metadata] = []
+        self.serialized = ""
         self._keys: dict[int, Key] = {}
         try:
             with library_errors_as_damage(path):
@@ -208,14 +269,41 @@ class _Mcap:
             key = (channel.topic, ros_type)
             self.counts[key] += index.counts.get(channel.id, 0)
             self.formats.setdefault(key, channel.message_encoding)
-            why = _unreadable(ros_type, channel.message_encoding)
+            why = self._unreadable(ros_type, channel.message_encoding)
             if why:
                 self.skipped[key] = why
                 continue
+            type_hash = channel.metadata.get(layout.TYPE_HASH_KEY, "")
+            if schema and not self._definitions.takes(
+                ros_type, Definition(bytes(schema.data), schema.encoding, type_hash)
+            ):
+                self.undecodable[key] += index.counts.get(channel.id, 0)
+                continue
             self._keys[channel.id] = key
             self.qos.setdefault(key, channel.metadata.get(layout.QOS_KEY, ""))
-            if schema:
-                self.definitions.setdefault(ros_type, (schema.data.decode("utf-8", "replace"), schema.encoding))
+        self._read_beside()
+
+    def _read_beside(self) -> None:
+        """Read the attachments and the metadata records; those with the name of one of a session get another one."""
+        place, size = str(self._path), 0
+        for each in (*self._index.attachments, *self._index.metadata):
+            size += each.length
+            limits.check_limit("free", size, f"{place}: attachments and metadata records")
+        for each in self._index.attachments:
+            found = records.parse_attachment(
+                read_record(self._stream, self._index, records.ATTACHMENT, each, f"{place}: attachment {each.name}")
+            )
+            is_ours = found.name in layout.ATTACHMENTS
+            self.beside.append(replace(found, name=f"imported/{found.name}") if is_ours else found)
+        for each in self._index.metadata:
+            record = records.parse_metadata(
+                read_record(self._stream, self._index, records.METADATA, each, f"{place}: metadata {each.name}")
+            )
+            if record.name == layout.ROSBAG2_METADATA:
+                self.serialized = record.metadata.get("serialized_metadata", "")
+                continue
+            is_ours = record.name.startswith(layout.OWN_METADATA)
+            self.beside.append(replace(record, name=f"imported.{record.name}") if is_ours else record)
 
     def messages(self) -> Iterator[Message]:
         try:

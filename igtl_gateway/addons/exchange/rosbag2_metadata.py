@@ -5,6 +5,7 @@ The importer compares these with the storage files.  Errors name the place in ``
 
 from __future__ import annotations
 
+import json
 import re
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
@@ -32,6 +33,7 @@ class BagMetadata:
         by_message: whether each message is compressed by itself.
         counts: number of messages by topic and type.
         formats: serialization format by topic and type.
+        custom: ``custom_data``: keys and values of the user.
     """
 
     found: bool = False
@@ -40,6 +42,7 @@ class BagMetadata:
     by_message: bool = False
     counts: dict[Key, int] = field(default_factory=dict)
     formats: dict[Key, str] = field(default_factory=dict)
+    custom: dict[str, str] = field(default_factory=dict)
 
 
 def read_metadata(folder: Path) -> BagMetadata:
@@ -72,7 +75,22 @@ def read_metadata(folder: Path) -> BagMetadata:
         reader.text(content.get("compression_mode", ""), "compression_mode").lower() == "message",
         counts,
         formats,
+        _custom(content, reader),
     )
+
+
+def custom_data(text: str, place: str) -> dict[str, str]:
+    """Return ``custom_data`` of the metadata that an MCAP file of rosbag2 has in it.  Raises DamagedRecording."""
+    content = parse_yaml(text, f"{place}: metadata record rosbag2")
+    return _custom(content, _ShapeReader(Path(place))) if isinstance(content, dict) else {}
+
+
+def _custom(content: dict[str, Any], reader: _ShapeReader) -> dict[str, str]:
+    found = content.get("custom_data")
+    if found in (None, "", "~", "null", []):
+        return {}
+    rows = reader.mapping(found, "custom_data")
+    return {str(key): value if isinstance(value, str) else json.dumps(value) for key, value in rows.items()}
 
 
 def storage_files(folder: Path, metadata: BagMetadata) -> list[Path]:

@@ -12,16 +12,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from mcap.records import Metadata
 from mcap.writer import CompressionType, Writer
 
-from igtl_gateway.addon import DamagedRecording, Qos, __version__, layout
+from igtl_gateway.addon import Qos, __version__, layout
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.folder import new_folder
-from igtl_gateway.addons.exchange.rostypes import definition
+from igtl_gateway.addons.exchange.rostypes import with_hash
 from igtl_gateway.addons.exchange.selection import ROS_KINDS, Recording, chosen_entries
 
 _CHUNK_BYTES = 1 << 20
 _VERSION = 8
+#: Attachment with the metadata of the session.
+_SESSION = "session.json"
 
 #: Policy → number in rmw.
 _NUMBERS = {
@@ -49,12 +52,7 @@ def export_rosbag2(recording: Recording, out: Path, globs: Sequence[str]) -> Exp
             register = _TopicRegistry(writer, recording, account)
             for sequence, entry in enumerate(chosen_entries(recording, ROS_KINDS, globs, account), 1):
                 row, key = account.row(entry), (entry.channel, entry.type)
-                try:
-                    topic = topics.get(key) or register.topic(*key)
-                except DamagedRecording as error:
-                    row.fail(str(error))
-                    continue
-                topics[key] = topic
+                topic = topics[key] = topics.get(key) or register.topic(*key)
                 writer.add_message(
                     topic.channel,
                     log_time=entry.stamp_ns,
@@ -66,15 +64,21 @@ def export_rosbag2(recording: Recording, out: Path, globs: Sequence[str]) -> Exp
                 topic.count += 1
                 first, last = first or entry.stamp_ns, entry.stamp_ns
             # Jazzy and later read the version of the metadata of channels from here
-            inner = _metadata(name, first, last, list(topics.values())).split("\n", 1)[1]
-            writer.add_metadata("rosbag2", {"serialized_metadata": textwrap.dedent(inner), "ROS_DISTRO": "jazzy"})
+            told = _metadata(name, first, last, list(topics.values()), _custom(recording))
+            inner = textwrap.dedent(told.split("\n", 1)[1])
+            writer.add_metadata(layout.ROSBAG2_METADATA, {"serialized_metadata": inner, "ROS_DISTRO": "jazzy"})
             # at least one metadata record and one attachment, which checkers of MCAP files expect
             writer.add_metadata("igtl_gateway.export", {"igtl_gateway_version": __version__})
             session = json.dumps(dict(recording.session), sort_keys=True)
-            writer.add_attachment(0, 0, "session.json", "application/json", session.encode())
+            writer.add_attachment(0, 0, _SESSION, "application/json", session.encode())
+            for each in recording.beside():
+                if isinstance(each, Metadata):
+                    writer.add_metadata(each.name, each.metadata)
+                elif each.name != _SESSION:
+                    writer.add_attachment(each.create_time, each.log_time, each.name, each.media_type, each.data)
             writer.finish()  # type: ignore[no-untyped-call]
         with folder.create("metadata.yaml") as stream:
-            stream.write(_metadata(name, first, last, list(topics.values())).encode())
+            stream.write(told.encode())
     account.files = 2
     return account
 
@@ -95,33 +99,29 @@ class _TopicRegistry:
     """Registers schemas and channels with the writer."""
 
     def __init__(self, writer: Writer, recording: Recording, account: ExportAccount) -> None:
-        self._writer, self._definitions, self._account = writer, recording.definitions, account
+        self._writer, self._recording, self._account = writer, recording, account
         self._offered = {(channel.topic, channel.type): channel.qos for channel in recording.channels}
-        self._schemas: dict[str, tuple[int, str] | DamagedRecording] = {}
+        self._schemas: dict[str, tuple[int, str]] = {}
 
     def topic(self, name: str, ros_type: str) -> _BagTopic:
-        """Register a channel.  Raises DamagedRecording if the definition of the type is invalid or above the limits."""
+        """Register a channel."""
         if ros_type not in self._schemas:
             self._schemas[ros_type] = self._schema(ros_type)
-        schema = self._schemas[ros_type]
-        if isinstance(schema, DamagedRecording):
-            raise schema
-        number, type_hash = schema
+        number, type_hash = self._schemas[ros_type]
         qos = numbered_qos(layout.qos_yaml(self._offered.get((name, ros_type)) or Qos()))
         facts = {layout.QOS_KEY: qos, layout.TYPE_HASH_KEY: type_hash}
         channel = self._writer.register_channel(name, layout.MESSAGE_ENCODING, number, facts)
         return _BagTopic(channel, name, ros_type, qos, type_hash)
 
-    def _schema(self, ros_type: str) -> tuple[int, str] | DamagedRecording:
-        try:
-            found = definition(ros_type, self._definitions.get(ros_type, ""), layout.SCHEMA_ENCODING)
-        except DamagedRecording as error:
-            return error
-        text, type_hash = found or ("", "")
-        if not text:
-            self._account.notes.append(f"{ros_type}: the session has no definition of this type")
-        encoding = layout.SCHEMA_ENCODING if text else ""
-        return self._writer.register_schema(ros_type, encoding, text.encode()), type_hash
+    def _schema(self, ros_type: str) -> tuple[int, str]:
+        notes = self._account.notes
+        given = self._recording.definition_of(ros_type)
+        found = with_hash(ros_type, given, notes.append) if given else None
+        if found is None:
+            if not (given and given.data.strip()):
+                notes.append(f"{ros_type}: the session has no definition of this type")
+            return self._writer.register_schema(ros_type, "", b""), ""
+        return self._writer.register_schema(ros_type, found.encoding, found.data), found.type_hash
 
 
 def numbered_qos(text: str) -> str:
@@ -129,7 +129,16 @@ def numbered_qos(text: str) -> str:
     return _POLICY.sub(lambda match: f"{match[1]}{_NUMBERS[match[2]]}", text)
 
 
-def _metadata(name: str, first: int, last: int, topics: list[_BagTopic]) -> str:
+def _custom(recording: Recording) -> dict[str, str]:
+    """Return what the user has put into the metadata of the session."""
+    try:
+        found = json.loads(recording.session.get(layout.CUSTOM_KEY, "{}"))
+    except ValueError:
+        return {}
+    return {key: str(value) for key, value in found.items()} if isinstance(found, dict) else {}
+
+
+def _metadata(name: str, first: int, last: int, topics: list[_BagTopic], custom: dict[str, str]) -> str:
     """Return ``metadata.yaml`` version 8, that of Iron, which Humble, Jazzy and later also read.
 
     In this version QoS profiles are a string with numbers for policies; Humble and Iron reject names.
@@ -168,7 +177,8 @@ def _metadata(name: str, first: int, last: int, topics: list[_BagTopic]) -> str:
         "      duration:",
         f"        nanoseconds: {last - first}",
         f"      message_count: {total}",
-        "  custom_data: ~",
+        *(["  custom_data:"] if custom else ["  custom_data: ~"]),
+        *(f"    {_yaml(key)}: {_yaml(value)}" for key, value in sorted(custom.items())),
         "  ros_distro: jazzy",
         "",
     ]

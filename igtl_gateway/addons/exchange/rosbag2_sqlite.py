@@ -13,7 +13,17 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import DamagedRecording, LimitExceeded, RecordingError, files, limit_values, limits, read_blob
+from igtl_gateway.addon import (
+    DamagedRecording,
+    Definition,
+    FileDefinitions,
+    LimitExceeded,
+    RecordingError,
+    files,
+    limit_values,
+    limits,
+    read_blob,
+)
 from igtl_gateway.addons.exchange.rosbag2_metadata import Key
 
 #: A message of a storage file: time in UTC ns, key, bytes, source stamp in UTC ns or 0.
@@ -37,18 +47,22 @@ class SqliteStorage:
     Args:
         path: the file.
         unreadable: returns why messages of a type and serialization format cannot be read; ``""`` if they can.
+        definitions: those of the recording, to which those of this file are added.
     """
 
-    def __init__(self, path: Path, unreadable: Callable[[str, str], str]) -> None:
+    def __init__(self, path: Path, unreadable: Callable[[str, str], str], definitions: FileDefinitions) -> None:
         self._path = path
         self._unreadable = unreadable
+        self._definitions = definitions
         self._size = files.size_of(path)
         self._steps = 0
         self.counts: Counter[Key] = Counter()
         self.skipped: dict[Key, str] = {}
         self.qos: dict[Key, str] = {}
         self.formats: dict[Key, str] = {}
-        self.definitions: dict[str, tuple[str, str]] = {}
+        self.undecodable: Counter[Key] = Counter()
+        self.beside: list[Any] = []
+        self.serialized = ""
         self._keys: dict[int, Key] = {}
         self._stored = 0
         self._base = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro&immutable=1", uri=True)
@@ -106,15 +120,29 @@ class SqliteStorage:
         columns = self._columns("topics")
         qos = "offered_qos_profiles" if "offered_qos_profiles" in columns else "''"
         self._count()
+        others = self._take_definitions()
         for number, topic, ros_type, encoding, profiles in self._rows(
             f"SELECT id, name, type, serialization_format, {qos} FROM topics", "topics"
         ):
+            if ros_type in others:
+                self.undecodable[str(topic), str(ros_type)] += self._counted[number]
+                self.counts[str(topic), str(ros_type)] += self._counted[number]
+                continue
             self._add_topic(number, str(topic), str(ros_type), str(encoding), str(profiles or ""))
-        if self._columns("message_definitions"):
-            found = self._rows(
-                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions", "topics"
-            )
-            self.definitions = {str(name): (str(text or ""), str(encoding)) for name, encoding, text in found}
+
+    def _take_definitions(self) -> set[str]:
+        """Add the definitions; return the types that have another one in the recording."""
+        if not self._columns("message_definitions"):
+            return set()
+        self._base.text_factory = bytes  # as they are
+        found = self._rows("SELECT topic_type, encoding, encoded_message_definition FROM message_definitions", "topics")
+        self._base.text_factory = _text
+        others = set()
+        for name, encoding, data in found:
+            definition = Definition(data if isinstance(data, bytes) else b"", _text(encoding or b""))
+            if not self._definitions.takes(_text(name), definition):
+                others.add(_text(name))
+        return others
 
     def _check_tables(self) -> None:
         kinds = {

@@ -7,7 +7,9 @@ from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Se
 from hashlib import blake2b
 from typing import Protocol
 
-from igtl_gateway.addon import Entry, Kind, Qos, WireError, matches
+from mcap.records import Attachment, Metadata
+
+from igtl_gateway.addon import Definition, Entry, Kind, Qos, WireError, matches
 from igtl_gateway.addon.igtl import HEADER_SIZE, ExtendedHeader, Header
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
 
@@ -58,6 +60,8 @@ class Recording(Protocol):
     def channels(self) -> Sequence[Channel]: ...
     @property
     def definitions(self) -> Mapping[str, str]: ...
+    def definition_of(self, ros_type: str) -> Definition | None: ...
+    def beside(self) -> Iterator[Attachment | Metadata]: ...
     @property
     def skipped(self) -> Sequence[Skipped]: ...
     def entries(self) -> Iterator[Entry]: ...

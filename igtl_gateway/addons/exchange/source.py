@@ -13,11 +13,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 
+from mcap.records import Attachment, Metadata
+
 from igtl_gateway.addon import (
     LINK_DOWN,
     LINK_UP,
     Buffer,
     DamagedRecording,
+    Definition,
     Entry,
     GatewayError,
     Kind,
@@ -94,8 +97,12 @@ class Source(Protocol):
         """Return the quality of service of a ROS topic; None if the file does not contain it."""
         ...
 
-    def definition_of(self, ros_type: str) -> tuple[str, str] | None:
-        """Return ``ros2msg`` text and hash (or ``""``) of a ROS type; None if the file does not contain them."""
+    def definition_of(self, ros_type: str) -> Definition | None:
+        """Return the definition of a ROS type; None if the file does not contain it."""
+        ...
+
+    def beside(self) -> Iterator[Attachment | Metadata]:
+        """Yield the attachments and metadata records of an MCAP file that are carried over."""
         ...
 
     def close(self) -> None:
@@ -115,8 +122,11 @@ class NonRosSource:
     def qos_of(self, _topic: str, _type: str) -> Qos | None:
         return None
 
-    def definition_of(self, _type: str) -> tuple[str, str] | None:
+    def definition_of(self, _type: str) -> Definition | None:
         return None
+
+    def beside(self) -> Iterator[Attachment | Metadata]:
+        return iter(())
 
 
 def numbered(items: Iterable[ImportedItem]) -> Iterator[Entry]:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from igtl_gateway.addon import Config, Entry, Kind, Qos, SessionWriter, __version__
+from igtl_gateway.addon import Config, Definition, Entry, Kind, Qos, SessionWriter, __version__
 from igtl_gateway.addons.resim.goals import numbering
 from igtl_gateway.addons.resim.unread import Digest, ledger_of
 
@@ -89,10 +89,10 @@ class OutputFile:
             overwrite=overwrite,
         )
 
-    def _definition_of(self, ros_type: str) -> tuple[str, str] | None:
+    def _definition_of(self, ros_type: str) -> Definition | None:
         """As the program has it; its own text of the feedback of an action is empty: that type is in no file."""
         text = self.definitions.get(ros_type, "")
-        return (text, "") if text and "/action/" not in ros_type else None
+        return Definition(text.encode()) if text and "/action/" not in ros_type else None
 
     def add(self, stream: OutputStream, time_ns: int, data: bytes) -> None:
         """Add a message."""

@@ -51,7 +51,9 @@ def write_corrected(
                 return qos.get((topic, ros_type))
 
             facts = {**file.session, "corrected_by": __version__}
-            writer = SessionWriter(place, facts, qos_of=qos_of, compression="zstd")
+            writer = SessionWriter(place, facts, qos_of=qos_of, definition_of=file.definition_of, compression="zstd")
+            for each in file.beside():
+                writer.add_beside(each)
             for entry in corrected(file.entries(), corrections):
                 writer.write(entry)
             writer.close({**(file.ledger or {}), **layout.declared_losses(file.ledger)})

@@ -2,7 +2,8 @@
 
 A definition is untrusted text: from a bag, an MCAP schema or a recording.  It is limited before it is parsed
 (characters, lines, steps of the parser), and checked (``definition_checks``) before code is generated.  Names are ASCII
-identifiers, so none of them can be code.  The grammars are those of rosidl: ``ros2msg`` and ``ros2idl``.
+identifiers, so none of them can be code.  The grammars are those of rosidl: ``ros2msg``, read by ``msg_text``, and
+``ros2idl``, read by rosbags.  Text shows which it is: ``ros2idl`` begins with the name of its first type.
 """
 
 from __future__ import annotations
@@ -15,19 +16,39 @@ from rosbags.interfaces import Nodetype
 from rosbags.typesys import TypesysError
 from rosbags.typesys.base import make_typesdict
 from rosbags.typesys.idl import IDLParser
-from rosbags.typesys.msg import MSGParser
 from rosbags.typesys.store import Typestore
 
 from igtl_gateway.base.errors import DamagedRecording
 from igtl_gateway.base.untrusted import elements, limits
 from igtl_gateway.base.untrusted.definition_checks import LONGEST_NAME, TYPE, Types, check_types
+from igtl_gateway.base.untrusted.dialects import IDL, MSG, RULE, is_idl
+from igtl_gateway.base.untrusted.msg_text import line_count, needed_types, read_types
 
-MSG, IDL = "ros2msg", "ros2idl"
+__all__ = [
+    "IDL",
+    "MSG",
+    "PLACEHOLDER",
+    "UnreadableDefinition",
+    "definition_text",
+    "halves",
+    "is_idl",
+    "is_same",
+    "needs_of_file",
+    "parse_definition",
+    "service_hash",
+    "type_hash",
+    "types_of_fields",
+    "with_dependencies",
+]
+
 #: The field that rosidl adds to a type without fields.
 PLACEHOLDER = (elements.PLACEHOLDER, (Nodetype.BASE, ("uint8", 0)))
 
-_EMPTY_LINES = re.compile(r"^[ \t]*(#[^\n]*)?\n", re.MULTILINE)
-_SEPARATOR = "=" * 80 + "\n"
+_SEPARATOR = f"{RULE}\n"
+_SEVERAL = (Nodetype.ARRAY, Nodetype.SEQUENCE)
+_LINE_END = re.compile(r"\r\n|\r")
+_IDL_DIRECTIVE = re.compile(r"^[ \t]*#[^\n]*$", re.MULTILINE)
+_IDL_INCLUDE = re.compile(r"""^[ \t]*#[ \t]*include[ \t]+["<]([A-Za-z0-9_/]+)\.idl[">]""", re.MULTILINE)
 #: Maximum number of parser steps per character: twenty times the need of real definitions.
 _STEPS_PER_CHARACTER = 100
 
@@ -40,11 +61,17 @@ _IDL_EXPRESSION = re.compile(r"<<|[*/%^|&~(]")
 
 
 class UnreadableDefinition(DamagedRecording):
-    """A definition in a dialect that rosbags does not read, or an empty one."""
+    """A definition in a dialect that is not read, with types that are not decoded, or an empty one."""
 
 
-def parse_definition(text: str, ros_type: str, encoding: str = MSG) -> Types:
+def parse_definition(text: str, ros_type: str, encoding: str = MSG, *, wide_strings: bool = False) -> Types:
     """Return the type ``package/msg/Name`` and all others that ``text`` defines, checked.
+
+    Args:
+        text: the definition.  One that begins with the name of its first type in IDL is ``ros2idl``.
+        ros_type: name of the type.
+        encoding: the dialect of text without such a beginning.
+        wide_strings: also types with ``wstring``, which nothing here decodes.
 
     Raises UnreadableDefinition, DamagedRecording, LimitExceeded.
     """
@@ -53,11 +80,13 @@ def parse_definition(text: str, ros_type: str, encoding: str = MSG) -> Types:
         raise DamagedRecording(f"{place}: found this name of a type, expected package/msg/Name")
     limits.check_limit("definition", len(text), place)
     try:
-        found = _parsed_idl(text, place) if encoding == IDL else _parsed_msg(text, ros_type, place)
+        found = _parsed_idl(text, place) if encoding == IDL or is_idl(text) else _parsed_msg(text, ros_type, place)
     except (TypesysError, ValueError, TypeError, AssertionError, KeyError, OverflowError, RecursionError) as error:
         raise UnreadableDefinition(f"{place}: found {_unread(error)!r}, expected {encoding}") from None
     types = {name: (list(constants), list(fields) or [PLACEHOLDER]) for name, (constants, fields) in found.items()}
     check_types(types, place)
+    if not wide_strings and (wide := _wide_strings(types)):
+        raise UnreadableDefinition(f"{place}: found {wide}, a wstring: messages with wstring are not decoded")
     return types
 
 
@@ -67,9 +96,7 @@ def type_hash(types: Types, ros_type: str) -> str:
     The ``char`` of a ``.msg`` is hashed as rosidl has it since Humble: as ``uint8``.
     """
     store = Typestore()
-    store.fielddefs = {
-        name: (types[name][0], [*map(_hashed, types[name][1])]) for name in with_dependencies(types, ros_type)
-    }
+    store.fielddefs = {name: (types[name][0], fields) for name, fields in _layout(types, ros_type).items()}
     return store.hash_rihs01(ros_type)
 
 
@@ -87,7 +114,7 @@ def service_hash(types: Types, ros_type: str, text: str) -> str:
     for part, body in zip(("Request", "Response"), halves(text), strict=True):
         name = f"{ros_type}_{part}"
         as_message = name.replace("/srv/", "/msg/")
-        made[name] = parse_definition(body, as_message)[as_message] if _has_fields(body) else ([], [PLACEHOLDER])
+        made[name] = parse_definition(body, as_message)[as_message]
     info = ("info", (Nodetype.NAME, "service_msgs/msg/ServiceEventInfo"))
     both = [
         (name, (Nodetype.SEQUENCE, ((Nodetype.NAME, f"{ros_type}_{part}"), 1)))
@@ -105,8 +132,27 @@ def halves(text: str) -> tuple[str, str]:
     return request, response.partition("\n")[2]
 
 
-def _has_fields(text: str) -> bool:
-    return bool(_EMPTY_LINES.sub("", f"{text}\n").strip())
+def is_same(one: str, other: str, ros_type: str) -> bool:
+    """Return whether two definitions of a type give messages the same bytes; False if one of them cannot be read."""
+    try:
+        first, second = (_layout(parse_definition(text, ros_type), ros_type) for text in (one, other))
+    except DamagedRecording:
+        return False
+    return first == second
+
+
+def _layout(types: Types, ros_type: str) -> dict[str, list[Any]]:
+    return {name: [*map(_hashed, types[name][1])] for name in with_dependencies(types, ros_type)}
+
+
+def needs_of_file(text: str, ros_type: str, encoding: str) -> list[str]:
+    """Return the types that one definition file needs: by its fields, or the files that it includes.
+
+    Raises ValueError for text that is not a definition.
+    """
+    if encoding == IDL:
+        return list(dict.fromkeys(_IDL_INCLUDE.findall(text)))
+    return needed_types(text, ros_type)
 
 
 def with_dependencies(types: Types, ros_type: str) -> list[str]:
@@ -127,36 +173,61 @@ def types_of_fields(fields: list[Any]) -> list[str]:
 
 
 def definition_text(types: Types, ros_type: str) -> str:
-    """Return the ``ros2msg`` text of a type with its dependencies.  Raises TypesysError if one is missing."""
+    """Return the ``ros2msg`` text of a type with its dependencies.  Raises TypesysError if one is missing.
+
+    Constants are written as rosidl reads them: rosbags writes ``True``, which other readers refuse, and strings without
+    quotes, which end at ``#``.
+    """
     store = Typestore()
-    store.fielddefs = dict(types)
+    store.fielddefs = {
+        name: ([(constant, of, _literal(of, value)) for constant, of, value in constants], list(fields))
+        for name, (constants, fields) in types.items()
+    }
     return store.generate_msgdef(ros_type, ros_version=2)[0]
+
+
+def _literal(of_type: str, value: Any) -> Any:
+    if of_type == "bool":
+        return "true" if value else "false"
+    if of_type not in ("string", "wstring") or not isinstance(value, str):
+        return value
+    quote = "'" if '"' in value and "'" not in value else '"'
+    return f"{quote}{value}{quote}"
 
 
 # -- parsing -----------------------------------------------------------------------------------------------------
 
 
 def _parsed_msg(text: str, ros_type: str, place: str) -> Mapping[str, Any]:
-    bare = _EMPTY_LINES.sub("", text)
-    limits.check_limit("fields", bare.count("\n") - bare.count(_SEPARATOR), f"{place}: lines")
-    return make_typesdict(_Msg(f"MSG: {ros_type}\n{bare}", place).specification())
+    limits.check_limit("fields", line_count(text), f"{place}: lines")
+    return read_types(text, ros_type)
 
 
 def _parsed_idl(text: str, place: str) -> Mapping[str, Any]:
     limits.check_limit("fields", text.count("@"), f"{place}: annotations")
     found: dict[str, Any] = {}
-    for part in text.split(_SEPARATOR):
+    for part in _LINE_END.sub("\n", text).split(_SEPARATOR):
         head, _, body = part.partition("\n")
         bare = _IDL_BESIDE.sub(lambda match: match.group(1) or " ", body if head.startswith("IDL: ") else part)
+        bare = _IDL_DIRECTIVE.sub("", bare)
         if not bare.strip():
             continue
-        unquoted = re.sub(r'"[^"]*"', "", "\n".join(line for line in bare.split("\n") if not line.startswith("#")))
+        unquoted = re.sub(r'"[^"]*"', "", bare)
         if expression := _IDL_EXPRESSION.search(unquoted):
             raise DamagedRecording(f"{place}: found {expression.group()!r}, expected constants without expressions")
         for opening in "<{[":
             limits.check_limit("depth", _deepest(unquoted, opening), f"{place}: nesting of {opening}")
         found.update(make_typesdict(_Idl(bare, place).specification()))
     return found
+
+
+def _wide_strings(types: Types) -> str:
+    """Return the name of the first field of ``wstring``; ``""`` without one."""
+    for name, (_, fields) in types.items():
+        for field, (kind, inner) in fields:
+            if (inner[0] if kind in _SEVERAL else (kind, inner))[1][0] == "wstring":
+                return f"{name}.{field}"[:60]
+    return ""
 
 
 def _deepest(text: str, opening: str) -> int:
@@ -197,16 +268,6 @@ class _Steps:
     def literal(self, pos: int, text: str) -> Any:
         self._step()
         return super().literal(pos, text)  # type: ignore[misc]
-
-
-class _Msg(_Steps, MSGParser):
-    def string_literal(self, pos: int) -> Any:
-        """As in rosbags, but within one line, so that an open quote does not search the rest of the text."""
-        found = self.regex(pos, r"""('(?:\\[^\n]|[^'\\\n])*')|("(?:\\[^\n]|[^"\\\n])*")""")
-        if hasattr(found, "value"):
-            return type(found)(found.pos, found.value[1:-1])
-        found = self.regex(pos, r"[ \t]*[^# \t\n][^\n]*")
-        return type(found)(found.pos, found.value.strip()) if hasattr(found, "value") else found
 
 
 class _Idl(_Steps, IDLParser):

@@ -33,8 +33,6 @@ CHUNK_BYTES = 1 << 20
 MCAP_PROFILE = "ros2"
 MESSAGE_ENCODING = "cdr"
 SCHEMA_ENCODING = "ros2msg"
-#: A definition of a message without fields, such as std_msgs/msg/Empty.
-NO_FIELDS = "# no fields\n"
 
 SESSION_METADATA = "igtl_gateway.session"
 #: A second copy of the session metadata: without them a recording cannot be verified.
@@ -48,6 +46,11 @@ TIME_STAMP_ATTACHMENT = "time-stamp.tsr"
 CONFIGURATION_ATTACHMENT = "configuration.json"
 #: Inputs before the first entry: an MCAP file of this layout inside the file.
 PROLOGUE_ATTACHMENT = "prologue.mcap"
+#: Attachments with a meaning in a session, and the beginning of the names of its metadata records.
+ATTACHMENTS = frozenset({CONFIGURATION_ATTACHMENT, PROLOGUE_ATTACHMENT, TIME_STAMP_ATTACHMENT})
+OWN_METADATA = "igtl_gateway."
+#: The metadata record in which rosbag2 repeats its ``metadata.yaml``; it follows from the messages.
+ROSBAG2_METADATA = "rosbag2"
 #: Keys of the session metadata of a part of a split recording: its number, from 0, and the file before it.
 PART_KEY, PREVIOUS_KEY = "part", "previous_part"
 #: Key of the session metadata of a snapshot: the requested seconds.

@@ -19,7 +19,7 @@ from tempfile import TemporaryFile
 from types import TracebackType
 from typing import IO
 
-from mcap.records import Attachment, Channel, Schema
+from mcap.records import Attachment, Channel, Metadata, Schema
 
 from igtl_gateway.base.errors import DamagedRecording, UnsupportedRecording
 from igtl_gateway.base.untrusted import files, limits
@@ -40,6 +40,7 @@ from igtl_gateway.record.sessionfile.channels import (
 )
 from igtl_gateway.record.sessionfile.chunks import Row
 from igtl_gateway.record.sessionfile.contents import ChunkEntry
+from igtl_gateway.record.sessionfile.definition import Definition, FileDefinitions, another_definition
 from igtl_gateway.record.sessionfile.index import read_index, read_record, recover_hint
 from igtl_gateway.record.sessionfile.index_check import damaged_indexes
 from igtl_gateway.record.sessionfile.layout import LayoutError
@@ -110,14 +111,14 @@ class SessionFile:
         self._known = frozenset(index.channels)
         if unknown := index.counts.keys() - self._known:
             raise self._damaged("index", f"found messages of channel {min(unknown)}, of which there is no record")
+        self._definitions = FileDefinitions()
+        # those of messages before those of channels without any
+        by_count = sorted(index.channels.values(), key=lambda channel: not index.counts.get(channel.id, 0))
+        self._undecodable = {channel.id for channel in by_count if not self._takes_definition(channel)}
         found = [self._open_channel(channel) for channel in index.channels.values()]
         self.channels = joined(channel for channel in found if isinstance(channel, ChannelSummary))
         self.skipped = tuple(channel for channel in found if isinstance(channel, SkippedChannel))
-        self.definitions = {
-            schema.name: schema.data.decode("utf-8", "replace") or layout.NO_FIELDS  # an empty one would look like none
-            for schema in index.schemas.values()
-            if schema.encoding == layout.SCHEMA_ENCODING
-        }
+        self.definitions = self._definitions.texts()
         self.entry_count = sum(channel.count for channel in self.channels)
         self.start_ns, self.end_ns = index.start_ns, index.end_ns
 
@@ -278,6 +279,23 @@ class SessionFile:
                 )
                 yield records.parse_attachment(content)
 
+    def beside(self) -> Iterator[Attachment | Metadata]:
+        """The attachments and metadata records of other programs, which an import has carried over.
+
+        Raises DamagedRecording.
+        """
+        # those of a merged session belong to its parts
+        for each in self.attachments() if self.merge is None else ():
+            if each.name not in layout.ATTACHMENTS:
+                yield each
+        for place in self._index.metadata:
+            if place.name.startswith(layout.OWN_METADATA) or place.name == layout.ROSBAG2_METADATA:
+                continue
+            what = f"metadata {place.name}"
+            with self._damage_in(what):
+                content = read_record(self._stream, self._index, records.METADATA, place, f"{self.path}: {what}")
+                yield records.parse_metadata(content)
+
     def damaged_indexes(self) -> int:
         """Chunks around which something is damaged: no entry is lost, but other programs may miss messages."""
         return damaged_indexes(self._stream, self._index)
@@ -339,6 +357,19 @@ class SessionFile:
                 raise Malformed(f"found the name {record.name!r}")
             return layout.unseal(record.metadata)
 
+    def _takes_definition(self, channel: Channel) -> bool:
+        """Keep the definition of a channel's type, if the type has no other one."""
+        schema = self._index.schemas.get(channel.schema_id)
+        if schema is None:
+            return True
+        type_hash = channel.metadata.get(layout.TYPE_HASH_KEY, "")
+        return self._definitions.takes(schema.name, Definition(bytes(schema.data), schema.encoding, type_hash))
+
+    def definition_of(self, ros_type: str) -> Definition | None:
+        """The definition of a type as the file has it; None if it has none, or one above the limit (it is cut off)."""
+        found = self._definitions.known.get(ros_type)
+        return None if found and len(found.data) > 4 * limits.current_limits().definition else found
+
     def _open_channel(self, channel: Channel) -> ChannelSummary | SkippedChannel:
         """Decide how a channel is read, or why it is not."""
         schema = self._index.schemas.get(channel.schema_id) if channel.schema_id else None
@@ -346,6 +377,8 @@ class SessionFile:
             raise self._damaged(f"channel {channel.topic}", f"found schema {channel.schema_id}, which is not there")
         count = self._index.counts.get(channel.id, 0)
         kind, why = kind_of(channel, schema, self.foreign)
+        if schema and channel.id in self._undecodable:
+            kind, why = None, another_definition(schema.name)
         if kind is None or schema is None:
             return SkippedChannel(channel.topic, schema.name if schema else "", count, why)
         found = ChannelSummary.of(channel, schema, kind, count)
@@ -484,7 +517,7 @@ class SessionParts(SessionFile):
         found: dict[int, PartSummary] = {}
         channels: list[ChannelSummary] = []
         skipped: list[SkippedChannel] = []
-        self.definitions = {}
+        self.definitions, self._definitions = {}, FileDefinitions()
         self.entry_count = self.start_ns = self.end_ns = 0
         for path in sorted(folder.glob("*.mcap")):
             with SessionFile.open(path) as part:
@@ -499,6 +532,7 @@ class SessionParts(SessionFile):
                 channels += part.channels
                 skipped += part.skipped
                 self.definitions |= part.definitions
+                self._definitions.known |= part._definitions.known
                 self.entry_count += part.entry_count
         if not found:
             raise UnsupportedRecording(f"{folder}: found a directory, expected the .mcap file in it")
@@ -595,6 +629,11 @@ class SessionParts(SessionFile):
         """Those of the first part, with which the session begins."""
         with SessionFile.open(self.parts[0].path) as part:
             yield from part.attachments()
+
+    def beside(self) -> Iterator[Attachment | Metadata]:
+        """Those of the first part, with which the session begins."""
+        with SessionFile.open(self.parts[0].path) as part:
+            yield from part.beside()
 
     def _of_parts(self, entries: Callable[[SessionFile], Iterator[Entry]], start_ns: int = 0) -> Iterator[Entry]:
         seq = 0

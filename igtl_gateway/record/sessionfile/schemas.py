@@ -1,18 +1,23 @@
-"""Definitions of ROS message types for the file: ``ros2msg`` text and type hash.
+"""Definitions of ROS message types for the file: the bytes of their own files, and the type hash.
 
-Searched in this order: the types of the recording itself; the types of ROS 2 Jazzy that rosbags contains (no
-installation needed); the ``.msg`` files of the installation, which are in ``share/PACKAGE/msg/`` under each folder of
-``AMENT_PREFIX_PATH`` and under ``sys.prefix`` (where the ROS wheels put them); the files of this package
-(``ros_interfaces``).
+Searched in this order: the types of the recording itself; the files of the installation, which are in
+``share/PACKAGE/msg/`` under each folder of ``AMENT_PREFIX_PATH`` and under ``sys.prefix`` (where the ROS wheels put
+them); the files of this package (``ros_interfaces``); the types of ROS 2 Jazzy that rosbags contains, for machines
+without an installation.
+
+A definition is written as rosbag2 writes it: the ``.msg`` file as it is, behind it those that it needs; where one of
+them is missing, the ``.idl`` files.  It is written also if it cannot be read here, since other programs might.  The
+hash is that of the ``.json`` file beside it, which rosidl has installed; without one it is computed.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,27 +26,20 @@ from rosbags.typesys.base import TypesysError
 
 from igtl_gateway.base.errors import RecordingError
 from igtl_gateway.base.untrusted import definitions, files
+from igtl_gateway.base.untrusted.dialects import IDL, MSG, RULE
 from igtl_gateway.convert.interfaces import SHARES
+from igtl_gateway.record.sessionfile.definition import Definition
 from igtl_gateway.record.sessionfile.layout import OWN_TYPES
 
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*/msg/[A-Za-z]\w*", re.ASCII)
 #: The type of the feedback of an action, whose ``.action`` file has the fields behind its second separator.
 _FEEDBACK = re.compile(r"([A-Za-z]\w*)/action/([A-Za-z]\w*)_FeedbackMessage", re.ASCII)
-_SEPARATOR = re.compile(r"^---[ \t]*$", re.MULTILINE)
+_SEPARATOR = re.compile(rb"^---[ \t\r]*$", re.MULTILINE)
 _PARTS_OF_AN_ACTION = 3
-
-
-@dataclass(frozen=True, slots=True)
-class Definition:
-    """The definition of a message type in a file.
-
-    Attributes:
-        text: the definition with all it depends on, as in ``ros2msg`` schemas.
-        type_hash: REP-2016 hash, ``RIHS01_…``.
-    """
-
-    text: str
-    type_hash: str
+_HASH = re.compile(r"RIHS01_[0-9a-f]{64}")
+#: Files of one definition, and bytes of all of them: more than any real one has.
+_MOST_FILES, _MOST_BYTES = 1000, 4 << 20
+_HEADER, _STD_HEADER = "msg/Header", "std_msgs/msg/Header"
 
 
 class RosTypes:
@@ -54,68 +52,123 @@ class RosTypes:
     def __init__(self, shares: Sequence[Path] | None = None) -> None:
         self._types = dict(get_typestore(Stores.ROS2_JAZZY).fielddefs)
         self._shares = (*installed_shares(), *SHARES) if shares is None else tuple(shares)
+        self._found: dict[str, Definition | None] = {}
         for name, text in OWN_TYPES.items():
             self._types |= definitions.parse_definition(text, name)
 
     def find(self, ros_type: str) -> Definition | None:
         """The definition of ``package/msg/Name``, or of the feedback of an action; None where it is not complete."""
-        try:
-            if not self._load(ros_type):
-                return None
-            return Definition(
-                definitions.definition_text(self._types, ros_type), definitions.type_hash(self._types, ros_type)
-            )
-        except (TypesysError, RecordingError, UnicodeDecodeError, KeyError):
-            # a file that is unreadable, or in a dialect that rosbags does not know
-            return None
+        if ros_type not in self._found:
+            self._found[ros_type] = self._of_files(ros_type)
+        return self._found[ros_type]
 
     def service_hash(self, ros_type: str, text: str) -> str:
         """The REP-2016 hash of the service ``package/srv/Name`` by its ``.srv`` text.
 
         Raises RecordingError or KeyError for a definition that cannot be read.
         """
+        known = dict(self._types)
         for part in definitions.halves(text):
-            for _, fields in definitions.parse_definition(
-                f"{part}\nuint8 x\n", ros_type.replace("/srv/", "/msg/")
-            ).values():
+            for _, fields in definitions.parse_definition(part, ros_type.replace("/srv/", "/msg/")).values():
                 for name in definitions.types_of_fields(fields):
-                    self._load(name)
-        return definitions.service_hash(self._types, ros_type, text)
+                    if name not in known and (found := self.find(name)):
+                        known |= definitions.parse_definition(found.text(name), name)
+        return definitions.service_hash(known, ros_type, text)
 
-    def _load(self, ros_type: str) -> bool:
-        """Find the type and all types that it needs."""
-        found: dict[str, Any] = {}
-        wanted = [ros_type]
-        while wanted:
-            name = wanted.pop()
-            if name in self._types or name in found:
-                continue
-            text = self._text(name)
-            if text is None:
-                return False
-            types = definitions.parse_definition(text, name)
-            found.update(types)
-            for _, fields in types.values():
-                wanted += definitions.types_of_fields(fields)
-        self._types |= found
-        return True
-
-    def _text(self, ros_type: str) -> str | None:
-        if _TYPE_NAME.fullmatch(ros_type):
-            return self._file(f"{ros_type}.msg")
-        if feedback := _FEEDBACK.fullmatch(ros_type):
-            package, name = feedback.groups()
-            parts = _SEPARATOR.split(self._file(f"{package}/action/{name}.action") or "")
-            own = f"{package}/{name}_Feedback"
-            head = f"unique_identifier_msgs/UUID goal_id\n{own} feedback\n{'=' * 80}\nMSG: {own}\n"
-            return head + parts[2] if len(parts) == _PARTS_OF_AN_ACTION else None
+    def _of_files(self, ros_type: str) -> Definition | None:
+        for encoding in (MSG, IDL):
+            try:
+                texts = self._texts(ros_type, encoding)
+            except (OSError, RecordingError, ValueError):  # a file that cannot be read, or is no text of any kind
+                texts = {}
+            if texts:
+                found = Definition(_joined(texts, encoding), encoding)
+                return replace(found, type_hash=self._hash_of(ros_type, found.text(ros_type)))
         return None
 
-    def _file(self, name: str) -> str | None:
-        """A definition file of the first folder that has it.  Raises UnicodeDecodeError."""
-        paths = (share / name for share in self._shares)
-        found = next((path for path in paths if path.is_file()), None)
-        return files.read_bytes(found).decode("utf-8") if found else None
+    def _texts(self, ros_type: str, encoding: str) -> dict[str, bytes]:
+        """The type and all that it needs, by name; empty if one of them is missing."""
+        found: dict[str, bytes] = {}
+        wanted, size = [ros_type], 0
+        while wanted:
+            name = wanted.pop(0)
+            if name in found:
+                continue
+            data = self._text(name, encoding)
+            if data is None:
+                if not name.endswith(_HEADER) or name == _STD_HEADER:
+                    return {}
+                wanted.insert(0, _STD_HEADER)  # a Header without a package
+                continue
+            found[name], size = data, size + len(data)
+            if len(found) > _MOST_FILES or size > _MOST_BYTES:
+                return {}
+            wanted += definitions.needs_of_file(data.decode("utf-8", "replace"), name, encoding)
+        return found
+
+    def _text(self, ros_type: str, encoding: str) -> bytes | None:
+        if encoding == IDL:
+            return self._file(f"{ros_type}.idl") if _TYPE_NAME.fullmatch(ros_type) else None
+        if own := OWN_TYPES.get(ros_type):  # our messages are what this version writes
+            return own.encode()
+        if _TYPE_NAME.fullmatch(ros_type):
+            data = self._file(f"{ros_type}.msg")
+            return self._known(ros_type) if data is None else data
+        if feedback := _FEEDBACK.fullmatch(ros_type):
+            package, name = feedback.groups()
+            parts = _SEPARATOR.split(self._file(f"{package}/action/{name}.action") or b"")
+            own = f"{package}/{name}_Feedback"
+            head = f"unique_identifier_msgs/UUID goal_id\n{own} feedback\n{RULE}\nMSG: {own}\n"
+            return head.encode() + parts[2] if len(parts) == _PARTS_OF_AN_ACTION else None
+        return None
+
+    def _known(self, ros_type: str) -> bytes | None:
+        """The text of a type of ROS 2 Jazzy that is not installed here."""
+        if ros_type not in self._types:
+            return None
+        return definitions.definition_text(self._types, ros_type).partition(f"{RULE}\n")[0].encode()
+
+    def _file(self, name: str) -> bytes | None:
+        """A definition file of the first folder that has it."""
+        found = self._place(name)
+        return files.read_bytes(found) if found else None
+
+    def _place(self, name: str) -> Path | None:
+        return next((path for share in self._shares if (path := share / name).is_file()), None)
+
+    def _hash_of(self, ros_type: str, text: str) -> str:
+        if told := self._told_hash(ros_type):
+            return told
+        try:
+            known: dict[str, Any] = {**self._types, **definitions.parse_definition(text, ros_type)}
+            return definitions.type_hash(known, ros_type)
+        except (TypesysError, RecordingError, KeyError):
+            return ""  # it cannot be read here
+
+    def _told_hash(self, ros_type: str) -> str:
+        """The hash in the ``.json`` file beside the definition."""
+        if ros_type in OWN_TYPES:
+            return ""
+        place = next((each for kind in ("msg", "idl") if (each := self._place(f"{ros_type}.{kind}"))), None)
+        try:
+            rows = json.loads(files.read_bytes(place.with_suffix(".json")))["type_hashes"] if place else []
+            told = {row["type_name"]: row["hash_string"] for row in rows}.get(ros_type, "")
+        except (OSError, RecordingError, ValueError, KeyError, TypeError, AttributeError):
+            return ""
+        return told if isinstance(told, str) and _HASH.fullmatch(told) else ""
+
+
+def _joined(texts: dict[str, bytes], encoding: str) -> bytes:
+    """Definition files behind each other, as rosbag2 joins them."""
+    parts = []
+    for number, (name, data) in enumerate(texts.items()):
+        package, _, last = name.partition("/msg/")
+        if encoding == IDL:
+            parts.append(f"{RULE}\nIDL: {name}\n".encode())
+        elif number:
+            parts.append(f"{RULE}\nMSG: {package}/{last}\n".encode())
+        parts.append(data if not data or data.endswith(b"\n") else data + b"\n")
+    return b"".join(parts)
 
 
 def installed_shares() -> tuple[Path, ...]:

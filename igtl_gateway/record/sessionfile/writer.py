@@ -17,6 +17,8 @@ from io import BufferedWriter, BytesIO
 from pathlib import Path
 from typing import Any, Literal
 
+from mcap.records import Attachment, Metadata
+
 from igtl_gateway.base.errors import FileTaken, RecordingError
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.systems.files import sync_folder
@@ -26,10 +28,11 @@ from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.beside import replaced
 from igtl_gateway.record.sessionfile.chunk_rows import RowStream
 from igtl_gateway.record.sessionfile.compression import Compression
+from igtl_gateway.record.sessionfile.definition import Definition
 from igtl_gateway.record.sessionfile.layout import CHUNK_BYTES, LayoutError
 from igtl_gateway.record.sessionfile.messages import RawPacker, device_name, pack_message
 from igtl_gateway.record.sessionfile.new_file import cannot_begin, create_file, os_error_text
-from igtl_gateway.record.sessionfile.schemas import Definition, RosTypes
+from igtl_gateway.record.sessionfile.schemas import RosTypes
 from igtl_gateway.record.sessionfile.sealing import Sealer
 from igtl_gateway.record.sessionfile.side_file import TopicCount, topic_counts
 from igtl_gateway.record.sessionfile.stream import McapStream
@@ -37,7 +40,7 @@ from igtl_gateway.record.sessionfile.stream import McapStream
 #: When written data are forced to the disk, so that a power failure does not lose them.
 Fsync = Literal["never", "flush", "close"]
 QosOf = Callable[[str, str], Qos | None]
-DefinitionOf = Callable[[str], tuple[str, str] | None]
+DefinitionOf = Callable[[str], Definition | None]
 
 #: Channels of ROS topics.  MCAP has 65,535 channels, and the other kinds need some.
 _MAX_ROS_CHANNELS = 60_000
@@ -60,7 +63,7 @@ class SessionWriter:
         path: the file to create.
         session: the session metadata (configuration, versions, host …).
         qos_of: QoS of a ROS topic (name, type), None where it is not known.
-        definition_of: ``ros2msg`` text and hash (or ``""``) of a ROS type; it has precedence over other sources.
+        definition_of: definition of a ROS type, None where it is not known; it has precedence over other sources.
         compression: of the chunks.
         chunk_bytes: size at which a chunk is closed.
         fsync: when written data are forced to the disk.
@@ -134,6 +137,15 @@ class SessionWriter:
         if prologue:
             self._mcap.add_attachment(layout.PROLOGUE_ATTACHMENT, "application/octet-stream", prologue)
         self._mcap.flush()
+
+    def add_beside(self, found: Attachment | Metadata) -> None:
+        """Add an attachment or a metadata record of another program, as it is.  Raises RecordingError."""
+        with self._disk_errors():
+            if isinstance(found, Metadata):
+                self._mcap.add_metadata(found.name, found.metadata)
+            else:
+                times = found.log_time, found.create_time
+                self._mcap.add_attachment(found.name, found.media_type, found.data, *times)
 
     def write(self, entry: Entry) -> None:
         """Add an entry; the next :meth:`flush` hands it to the operating system.
@@ -278,8 +290,7 @@ class SessionWriter:
 
     def _register(self, topic: str, ros_type: str, kind: Kind, facts: dict[str, str]) -> int:
         metadata = {layout.QOS_KEY: layout.qos_yaml(Qos()), layout.KIND_KEY: kind.value, **facts}
-        given = self._definition_of(ros_type)
-        definition = Definition(*given) if given else self._types.find(ros_type)
+        definition = self._definition_of(ros_type) or self._types.find(ros_type)
         if definition and definition.type_hash:
             metadata[layout.TYPE_HASH_KEY] = definition.type_hash
         if not definition and ros_type not in self._schemas:
@@ -287,9 +298,8 @@ class SessionWriter:
         with self._disk_errors():
             if ros_type not in self._schemas:
                 # without a definition the encoding must be empty, too, as in files of rosbag2
-                encoding = layout.SCHEMA_ENCODING if definition else ""
-                text = definition.text.encode() if definition else b""
-                self._schemas[ros_type] = self._mcap.register_schema(ros_type, encoding, text)
+                encoding, data = (definition.encoding, definition.data) if definition else ("", b"")
+                self._schemas[ros_type] = self._mcap.register_schema(ros_type, encoding, data)
             return self._mcap.register_channel(topic, layout.MESSAGE_ENCODING, self._schemas[ros_type], metadata)
 
     def _check_file(self, *moments: Fsync) -> None:

@@ -22,8 +22,10 @@ from igtl_gateway.cli.options import (
 )
 from igtl_gateway.cli.terminal import print_json, print_line, print_text
 from igtl_gateway.config.configuration import Config
+from igtl_gateway.convert.interfaces import SHARES
 from igtl_gateway.gateway import Gateway
 from igtl_gateway.record.sessionfile.beside import written
+from igtl_gateway.record.sessionfile.schemas import RosTypes
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway_lab.cli import stage
 from igtl_gateway_lab.simulate.catalogue import SCENARIOS
@@ -154,6 +156,7 @@ def _write(options: argparse.Namespace, scenario: Scenario) -> int:
             scenario_facts(options.name, scenario.config),
             qos_of=lambda topic, ros_type: gateway.qos(topic) or gateway.subscription(topic, ros_type),
             compression="zstd",
+            types=RosTypes(SHARES),  # equal files with and without ROS on this machine
         )
         for entry in scenario.entries(options.duration, gateway, cast):
             writer.write(entry)

@@ -6,10 +6,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from mcap.records import Attachment, Metadata
+
 from igtl_gateway.addons.exchange.source import ImportedItem, note_item, numbered, peer_item
 from igtl_gateway.base.buffers import join
 from igtl_gateway.base.stamp import ns_to_ticks
 from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.record.sessionfile.definition import Definition
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.message import Item
@@ -31,6 +34,13 @@ class InMemory:
 
     def entries(self) -> Iterator[Entry]:
         return numbered(self.items)
+
+    def beside(self) -> Iterator[Attachment | Metadata]:
+        return iter(())
+
+    def definition_of(self, ros_type: str) -> Definition | None:
+        text = self.definitions.get(ros_type, "")
+        return Definition(text.encode()) if text else None
 
 
 def sent(at_ms: float, device: str, kind: str, content: Body, **metadata: str) -> ImportedItem:

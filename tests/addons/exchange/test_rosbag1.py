@@ -10,15 +10,20 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap_ros2._dynamic import generate_dynamic
+from mcap_ros2._vendor.rosidl_adapter.parser import InvalidResourceName
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from igtl_gateway.addons.exchange.rosbag1 import Rosbag1
+from igtl_gateway.addons.exchange.rostypes import names_not_allowed
 from igtl_gateway.base.errors import DamagedRecording
 from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.untrusted.definitions import parse_definition
 from igtl_gateway.gateway.log.entry import Kind
 from tests.foreign_bags import grid_map, humanoid, turtles
 from tests.integration.hostile_files.bags import bag1
+from tests.tables import table
 
 ROS1 = get_typestore(Stores.ROS1_NOETIC)
 ROS2 = get_typestore(Stores.ROS2_JAZZY)
@@ -83,8 +88,8 @@ def test_messages_become_those_of_ros_2(tmp_path: Path, compression: str) -> Non
     assert list(camera.d) == [1.0, 2.0]  # type: ignore[attr-defined]  # D in ROS 1
     assert told
     store = get_typestore(Stores.EMPTY)
-    store.register(get_types_from_msg(told[0], "lab/msg/Probe"))
-    assert store.hash_rihs01("lab/msg/Probe") == told[1]
+    store.register(get_types_from_msg(told.data.decode(), "lab/msg/Probe"))
+    assert store.hash_rihs01("lab/msg/Probe") == told.type_hash
     probe = store.deserialize_cdr(bytes(items[0].payload), "lab/msg/Probe")
     assert (probe.name, probe.depth, probe.taken.sec, probe.waits[0].nanosec) == ("näme", 1.5, 9, 2)  # type: ignore[attr-defined]
     assert probe.header.frame_id == "f"  # type: ignore[attr-defined]
@@ -171,3 +176,68 @@ def test_an_array_of_messages_without_bytes_is_counted(tmp_path: Path, definitio
             (row,) = source.rows
             assert (row.taken, row.declared) == (taken, 1)
             assert ("LimitExceeded" in row.why) == (not taken)
+
+
+def own_bag(path: Path, definition: str, *values: dict[str, Any]) -> Path:
+    """A bag with messages of one own type, which has times and durations as ROS 1 has them."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    store.register(get_types_from_msg(definition, "lab/msg/Odd"))
+    with Writer(path) as writer:
+        odd = writer.add_connection("/odd", "lab/msg/Odd", typestore=store)
+        for number, fields in enumerate(values, 1):
+            writer.write(odd, number, store.serialize_ros1(store.types["lab/msg/Odd"](**fields), odd.msgtype))
+    return path
+
+
+def test_times_beyond_2038_are_missing_and_durations_keep_their_sign(tmp_path: Path) -> None:
+    """ROS 1 counts seconds of a time in 32 bits without a sign; ROS 2 with one.  Durations have one in both.
+
+    rosbags writes the bits of these times, as times with a sign.
+    """
+    made = [
+        {"header": header(1, seconds, "f"), "wait": ROS1.types["builtin_interfaces/msg/Duration"](wait, 500_000_000),
+         "times": [ROS1.types[TIME](later, 0)]}
+        for seconds, wait, later in ((2**31 - 1, -2, 0), (-(2**31), 1, 0), (7, -(2**31), -1), (0, 0, 2**31 - 1))
+    ]  # fmt: skip
+    path = own_bag(tmp_path / "a.bag", f"std_msgs/Header header\nduration wait\ntime[] times\n{HEADER_TEXT}", *made)
+    with closing(Rosbag1(path)) as source:
+        items = list(source.items())
+        told = source.definition_of("lab/msg/Odd")
+    assert [item.time_ns for item in items] == [1, 4]
+    (row,) = source.rows
+    assert (row.good, row.declared, row.taken) == (False, 4, 2)
+    assert "found a time of 4294967295 s" in row.why and "2038" in row.why
+    assert told
+    store = get_typestore(Stores.EMPTY)
+    store.register(get_types_from_msg(told.data.decode(), "lab/msg/Odd"))
+    first: Any = store.deserialize_cdr(bytes(items[0].payload), "lab/msg/Odd")
+    assert (first.header.stamp.sec, first.wait.sec, first.wait.nanosec) == (2**31 - 1, -2, 500_000_000)
+
+
+NAMES = {
+    "uint8 Kp\nuint8 kp_2\n": "Odd.Kp",
+    "uint8 a_\nuint8 b__c\n": "Odd.a_, Odd.b__c",
+    "uint8 fast=1\nuint8 x\n": "Odd.fast",
+    f"Lab/low p\nuint8 x\n{RULE}MSG: Lab/low\nuint8 y\n": "Lab/msg/low",
+    "uint8 kp\nuint8 A_B2=3\n": "",
+}
+
+
+@table(("definition", "names"), NAMES.items(), ids=NAMES)
+def test_names_that_ros_2_does_not_allow_are_said(definition: str, names: str, tmp_path: Path) -> None:
+    """The reader of mcap-ros2-support, which has the parser of rosidl, refuses exactly these."""
+    text = definition
+    found = names_not_allowed(parse_definition(definition, "lab/msg/Odd"), "lab/msg/Odd")
+    if "fast" not in definition and "Lab" not in definition:  # rosbags writes no such bag
+        with closing(Rosbag1(own_bag(tmp_path / "a.bag", definition))) as source:
+            told = source.definition_of("lab/msg/Odd")
+            assert source.notes == ([f"lab/msg/Odd: {found}"] if names else [])
+        assert told
+        text = told.data.decode()
+    assert found.partition(": some")[0] == (f"ROS 2 does not allow {names}" if names else "")
+    try:
+        generate_dynamic("lab/msg/Odd", text)
+    except (NameError, InvalidResourceName):
+        assert names
+    else:
+        assert not names

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
 import pytest
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from mcap.reader import make_reader
+from mcap.writer import Writer as McapWriter
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from igtl_gateway.addons.exchange.rosbag2 import Rosbag2
-from igtl_gateway.addons.exchange.rosbag2_metadata import METADATA
+from igtl_gateway.addons.exchange.rosbag2_metadata import METADATA, read_metadata
 from igtl_gateway.addons.exchange.source import ImportedItem, ImportedStream
 from igtl_gateway.base.errors import DamagedRecording, UnsupportedRecording
+from igtl_gateway.cli import main
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from tests.foreign_bags import cdr_mcap, cdr_sqlite3, dashing, talker, topics_and_services
 
 ROS2 = get_typestore(Stores.ROS2_JAZZY)
@@ -93,8 +98,8 @@ def test_the_files_own_definition_is_given(tmp_path: Path) -> None:
     with closing(Rosbag2(recording(tmp_path / "bag", StoragePlugin.MCAP))) as source:
         told = source.definition_of(STRING)
     assert told
-    assert "string data" in told[0]
-    assert told[1] == ROS2.hash_rihs01(STRING)
+    assert b"string data" in told.data
+    assert told.type_hash == ROS2.hash_rihs01(STRING)
 
 
 @pytest.mark.parametrize("storage", StoragePlugin)
@@ -141,3 +146,80 @@ def test_service_events_are_left_out_by_name(tmp_path: Path) -> None:
     assert {(row.stream, row.left_out, row.why) for row in rows if row.left_out} == {
         ("/add_two_ints/_service_event", 6, "service events, not a topic")
     }
+
+
+def test_compressed_messages_show_themselves(tmp_path: Path) -> None:
+    """One file of a recording whose ``metadata.yaml`` is lost: rosbag2 writes the compression nowhere else."""
+    for storage in StoragePlugin:
+        folder = recording(tmp_path / storage.name, storage, CompressionMode.MESSAGE)
+        (file,) = (each for each in folder.iterdir() if each.name != METADATA)
+        items, rows, notes = read(file)
+        assert {bytes(item.payload) for item in items} == {text(f"1000 {index}") for index in range(5)}
+        assert all(row.good for row in rows)
+        assert notes == ["each message is compressed with zstd, which the file does not state"]
+
+
+def bag(path: Path, *messages: bytes, **metadata: dict[str, str]) -> Path:
+    with path.open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start("ros2", "test")
+        for name, items in metadata.items():
+            writer.add_metadata(name.replace("__", "."), items)
+        for name in ("calibration.yaml", "configuration.json"):
+            writer.add_attachment(5, 6, name, "text/plain", name.encode())
+        channel = writer.register_channel("/a", "cdr", writer.register_schema(STRING, "ros2msg", b"string data\r\n"))
+        for number, data in enumerate(messages, 1):
+            writer.add_message(channel, number, data, number)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return path
+
+
+def test_bytes_that_are_no_cdr_are_missing(tmp_path: Path) -> None:
+    items, rows, _ = read(bag(tmp_path / "a.mcap", text("good"), b"LZ4\x01....", b"\0\1", text("good")))
+    assert [item.time_ns for item in items] == [1, 4]
+    assert (rows[0].good, rows[0].taken, rows[0].declared) == (False, 2, 4)
+    assert rows[0].why == "some are no CDR, the latest at 3 ns begins with 0001"
+
+
+def test_what_is_beside_the_messages_comes_along(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Attachments, metadata records and custom data: into the session, its slices, and back into a bag."""
+    told = "version: 9\ncustom_data:\n  patient: phantom\n  run: '3'\n"
+    place = bag(
+        tmp_path / "a.mcap", text("one"), text("two"),
+        robot={"arm": "left"}, rosbag2={"serialized_metadata": told}, igtl_gateway__ledger={"ledger": "{}"},
+    )  # fmt: skip
+    assert main(["import", str(place), "-o", str(tmp_path / "s.mcap"), "--json"]) == 0
+    rows = {row["stream"]: (row["declared"], row["imported"]) for row in json.loads(capsys.readouterr().out)["rows"]}
+    assert rows == {"/a": (2, 2), "attachments": (2, 2), "metadata records": (2, 2), "custom_data": (2, 2)}
+    assert main(["slice", str(tmp_path / "s.mcap"), "-o", str(tmp_path / "t.mcap")]) == 0
+    assert main(["export", str(tmp_path / "t.mcap"), "--to", "rosbag2", "-o", str(tmp_path / "bag")]) == 0
+    for path in (tmp_path / "s.mcap", tmp_path / "t.mcap", tmp_path / "bag" / "bag_0.mcap"):
+        with path.open("rb") as stream:
+            reader = make_reader(stream)
+            found = {each.name: (each.create_time, each.log_time, each.data) for each in reader.iter_attachments()}
+            assert found["calibration.yaml"] == (5, 6, b"calibration.yaml"), path
+            assert found["imported/configuration.json"] == (5, 6, b"configuration.json"), path
+            metadata = {each.name: each.metadata for each in reader.iter_metadata()}
+            assert metadata["robot"] == {"arm": "left"} and metadata["imported.igtl_gateway.ledger"] == {"ledger": "{}"}
+            (schema,) = (each for each in reader.get_summary().schemas.values() if each.name == STRING)  # type: ignore[union-attr]
+            assert schema.data == b"string data\r\n"
+    with SessionFile.open(tmp_path / "t.mcap") as session:
+        assert json.loads(session.session["custom_data"]) == {"patient": "phantom", "run": "3"}
+    assert read_metadata(tmp_path / "bag").custom == {"patient": "phantom", "run": "3"}
+    with Reader(tmp_path / "bag") as again:  # which refuses metadata that it cannot read
+        assert again.message_count == 2
+
+
+def test_messages_with_another_definition_of_their_type_are_missing(tmp_path: Path) -> None:
+    with (tmp_path / "a.mcap").open("wb") as stream:
+        writer = McapWriter(stream)
+        writer.start("ros2", "test")
+        for number, definition in enumerate((b"string data\n", b"string data # words\r\n", b"int32 data\n"), 1):
+            schema = writer.register_schema(STRING, "ros2msg", definition)
+            channel = writer.register_channel(f"/{number}", "cdr", schema)
+            writer.add_message(channel, number, text("abc"), number)
+        writer.finish()  # type: ignore[no-untyped-call]
+    items, rows, _ = read(tmp_path / "a.mcap")
+    assert [item.channel for item in items] == ["/1", "/2"]
+    assert {row.stream: row.good for row in rows} == {"/1": True, "/2": True, "/3": False}
+    assert rows[2].why == "1 have another definition of std_msgs/msg/String than the first one of the file"

@@ -13,6 +13,7 @@ import pytest
 from igtl_gateway.addons.exchange.rosbag2 import Rosbag2
 from igtl_gateway.addons.exchange.rosbag2_sqlite import NO_TIME, Message, SqliteStorage
 from igtl_gateway.base.errors import DamagedRecording, LimitExceeded, RecordingError
+from igtl_gateway.record.sessionfile.definition import FileDefinitions
 from tests.tables import table
 
 STRING = "std_msgs/msg/String"
@@ -32,7 +33,7 @@ def made(path: Path, *statements: str) -> Path:
 
 
 def read(path: Path) -> list[Message]:
-    with closing(SqliteStorage(path, lambda _type, _format: "")) as storage:
+    with closing(SqliteStorage(path, lambda _type, _format: "", FileDefinitions())) as storage:
         return list(storage.messages())
 
 

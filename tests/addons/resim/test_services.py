@@ -10,6 +10,7 @@ import pytest
 
 from igtl_gateway.addon import Entry, Kind, SessionFile, SessionWriter
 from igtl_gateway.addons.resim.services import RecordedAnswer, RecordedService, recorded_services
+from igtl_gateway.record.sessionfile.definition import Definition
 from tests.addons.resim import sessions
 from tests.addons.resim.runs import RUNS, judged, published, strings
 
@@ -38,7 +39,7 @@ def record(path: Path, *events: bytes) -> Path:
     facts = {"config": "{}", "igtl_gateway_version": "1"}
     writer = SessionWriter(
         path, facts, qos_of=lambda _topic, _type: None, overwrite=True,
-        definition_of=lambda name: (DEFINITION, "") if name.endswith("_Event") else None,
+        definition_of=lambda name: Definition(DEFINITION.encode()) if name.endswith("_Event") else None,
     )  # fmt: skip
     rows = [(ns, topic, type_, sessions.cdr(type_, content)) for ns, topic, type_, content in sessions.texts(20)]
     rows += [(0, "/switch/_service_event", f"{SWITCH}_Event", each) for each in events]

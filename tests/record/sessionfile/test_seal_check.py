@@ -86,7 +86,7 @@ def _write(path: Path, key: SigningKey, entries: list[Entry], *, flush: int = 1)
 def test_a_seal_of_the_same_key_from_another_recording_is_an_addition(tmp_path: Path) -> None:
     one, other = tmp_path / "one.mcap", tmp_path / "other.mcap"
     _write(one, KEY, [samples.ros(number) for number in range(1, 9)])
-    _write(other, KEY, [samples.ros(number) for number in range(1, 4)])
+    _write(other, KEY, [samples.ros(number, text="other") for number in range(1, 4)])
     first, second = sealed_units(one), sealed_units(other)
     place = first.units[5].at
     part = second.data[second.units[5].at : second.units[9].end]
