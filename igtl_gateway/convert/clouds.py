@@ -27,6 +27,7 @@ from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.point import POINT_DTYPE, Points
 from igtl_gateway.wire.polydata import (
     CELL,
+    MAX_ATTRIBUTES,
     MAX_COMPONENTS,
     NO_CELLS,
     NORMAL,
@@ -127,6 +128,10 @@ def cloud_to_polydata(message: PointCloud2, to: ToIgtlContext) -> ConvertedMessa
     for name in columns.fields:
         if name in known:
             continue
+        if len(attributes) == MAX_ATTRIBUTES:
+            text = f"fields from {name!r} on are left out: a message has at most {MAX_ATTRIBUTES} attributes"
+            to.warnings.append(("field_left_out", text))
+            break
         values = columns[name]
         width = values.shape[1] if values.ndim > 1 else 1
         if width > MAX_COMPONENTS:

@@ -37,8 +37,11 @@ from igtl_gateway.wire.transform import Position, Transform
 Array = npt.NDArray[Any]
 Tracking = wire.TrackingData | wire.QuaternionTrackingData
 
-#: Maximum number of tools: one takes up to 0.2 ms (a matrix that is not a rotation).  Trackers have hundreds at most.
-MAX_TOOLS = 4_096
+#: Maximum number of tools: one takes up to 0.2 ms (a matrix that is not a rotation).  Trackers have a hundred at most.
+MAX_TOOLS = 512
+
+#: What `ToRosContext.made` has of the tools.
+TOOLS = "tools"
 
 _POSE_COLUMNS = 7
 _NO_POSE = (float("nan"),) * _POSE_COLUMNS
@@ -116,10 +119,16 @@ def _tf(frames: Iterable[tuple[str, str, Pose]], to: ToRosContext) -> TFMessage:
 
 
 def _tools(content: Tracking, to: ToRosContext) -> list[tuple[str, Pose | None]]:
-    """Return name and pose of each tool; None, with a warning, for an invalid pose.
+    """Return name and pose of each tool; None, with a warning, for an invalid pose.  The rows share them.
 
     Raises ConversionError for more than MAX_TOOLS tools.
     """
+    if (known := to.made.get(TOOLS)) is None:
+        known = to.made[TOOLS] = _read_tools(content, to)
+    return list(known)
+
+
+def _read_tools(content: Tracking, to: ToRosContext) -> list[tuple[str, Pose | None]]:
     elements = content.elements
     check_rows(elements, f"{content.NAME} {to.device_name!r}", MAX_TOOLS)
     names = texts(elements, "name")

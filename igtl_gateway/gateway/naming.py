@@ -36,12 +36,15 @@ class FrameNames:
         self.news: list[Finding] = []
         self._owners: dict[tuple[str, str], str] = {}  # parent and child → the name that they belong to
 
-    def of(self, name: str, base_frame: str) -> tuple[str, str]:
-        """Return (parent, child) frame of a device or tool, as ``frames_of_name``, or a child frame of its own."""
+    def of(self, name: str, base_frame: str, *, keep: bool = True) -> tuple[str, str]:
+        """Return (parent, child) frame of a device or tool, as ``frames_of_name``, or a child frame of its own.
+
+        ``keep``: it has the frame from now on.
+        """
         parent, child = wanted = frames_of_name(name, base_frame)
         while (owner := self._owners.get((parent, child), name)) != name:
             child = f"{child}_{name_hash(name)}"
-        if (parent, child) in self._owners or len(self._owners) >= MAX_NAMES:
+        if not keep or (parent, child) in self._owners or len(self._owners) >= MAX_NAMES:
             return parent, child
         self._owners[parent, child] = name
         if child != wanted[1]:

@@ -142,26 +142,35 @@ class Streams:
             stream = self._to_ros[key] = self._resolve_device(igtl_type, device)
         return stream
 
-    def _resolve_device(self, igtl_type: str, device: str) -> ToRosStream:
+    def foreseen(self, igtl_type: str, device: str) -> ToRosStream:
+        """Return the stream that ``to_ros`` would, and change nothing; from any thread.
+
+        It may be another one by then: who uses what was made with it compares first.
+        """
+        return self._to_ros.get((igtl_type, device)) or self._resolve_device(igtl_type, device, keep=False)
+
+    def _resolve_device(self, igtl_type: str, device: str, *, keep: bool = True) -> ToRosStream:
         config = self._config
         row = config.row_to_ros(igtl_type, device)
-        token = self._token(device)
+        token = self._token(device, keep=keep)
 
         def topic_of(kind: str) -> str:
             template = row.topic if "{kind}" in row.topic or kind not in (RAW, METADATA) else IN_TOPIC
             return template.format(device=token, kind=kind, type=topic_token(igtl_type.lower()))
 
-        parent, child = self.frames(device, config.base_frame)
+        parent, child = self.frames(device, config.base_frame, keep=keep)
         outputs = []
         for conversion in self._chosen(row, rows_to_ros(igtl_type)):
             topic = conversion.topic or topic_of(conversion.kind)
             outputs.append((conversion, topic))
-            self._qos.setdefault(topic, row.qos or conversion.qos)
-            if not conversion.topic:
+            if keep:
+                self._qos.setdefault(topic, row.qos or conversion.qos)
+            if keep and not conversion.topic:
                 self._share_topic(topic, igtl_type, device)
         poses = any(conversion.kind == "transform" for conversion in rows_to_ros(igtl_type))
         topics = ", ".join(dict.fromkeys(topic for _, topic in outputs)) or topic_of(RAW)
-        self.opened.append((f"{igtl_type}/{device}", f"to {topics}"))
+        if keep:
+            self.opened.append((f"{igtl_type}/{device}", f"to {topics}"))
         return ToRosStream(
             row,
             config.max_age_of(row),
@@ -174,9 +183,9 @@ class Streams:
             config.lengths(row),
         )
 
-    def frames(self, name: str, base_frame: str) -> tuple[str, str]:
-        """Return (parent, child) frame of a device, or of a tool in tracking data."""
-        return self._frames.of(name, base_frame) if self._frames else frames_of_name(name, base_frame)
+    def frames(self, name: str, base_frame: str, *, keep: bool = True) -> tuple[str, str]:
+        """Return (parent, child) frame of a device, or of a tool in tracking data; ``keep``: it has it from now on."""
+        return self._frames.of(name, base_frame, keep=keep) if self._frames else frames_of_name(name, base_frame)
 
     def _share_topic(self, topic: str, igtl_type: str, device: str) -> None:
         """Note that a topic without ``{device}`` has the messages of several devices."""
@@ -199,11 +208,13 @@ class Streams:
         # a topic has one type: the standard one if there is one
         return [one for one in wanted if one.role is Role.STANDARD] or wanted[:1]
 
-    def _token(self, device: str) -> str:
+    def _token(self, device: str, *, keep: bool = True) -> str:
         """Return the topic token of a device, with a hash added if another device has that token."""
         token = topic_token(device)
-        while self._tokens.setdefault(token, device) != device:
+        while self._tokens.get(token, device) != device:
             token = f"{token}_{name_hash(device)}"
+        if keep:
+            self._tokens[token] = device
         return token
 
     # -- ROS → OpenIGTLink --------------------------------------------------------------------------------------

@@ -22,8 +22,9 @@ from igtl_gateway.wire.name_table import COUNT, need, pack_names, read_count, re
 #: How deep BIND may lie in BIND, the outermost counted.  Real messages have one level.
 MAX_DEPTH = 4
 
-#: Children on all levels together.  Real messages have tens; each costs a look, and in the gateway conversions.
-MAX_CHILDREN = 4_096
+#: Children on all levels together.  Real messages have tens; each costs conversions and outputs of its own, for which
+#: all others wait: what a message causes stands together in the log.
+MAX_CHILDREN = 128
 
 
 #: A BIND without children: their number, and the size of their names.
@@ -56,7 +57,7 @@ class Bind:
     Children have no header, time stamp, id or metadata of their own.
 
     Accepted: a table of names of odd size (the contents follow after ``names_size`` bytes: the C++ library does not
-    always pad the table), names without the last NUL, a missing last pad byte, nested BIND up to four levels, 4,096
+    always pad the table), names without the last NUL, a missing last pad byte, nested BIND up to four levels, 128
     children on all levels together.  Any 4 bytes, which have no child: the C++ library reserves them for the two sizes
     of a BIND without children, and leaves them uninitialised.
 

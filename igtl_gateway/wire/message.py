@@ -31,6 +31,8 @@ from igtl_gateway.wire.text import US_ASCII, mib_of
 MAX_METADATA_SENT = 65_535
 #: What we accept: far above any real use, far below what could hurt.
 MAX_METADATA_ACCEPTED = 1 << 20
+#: Items of one message.  Real senders have tens, and the attributes of a DICOM header are hundreds; each is an object.
+MAX_ITEMS = 1_024
 
 
 @value(frozen=True, slots=True)
@@ -233,6 +235,7 @@ def _metadata(head: memoryview, data: memoryview) -> tuple[tuple[Item, ...], int
     (count,) = _COUNT.unpack_from(head)
     if head.nbytes < _COUNT.size + count * _ITEM.size:
         raise MalformedBody("metadata header", f"{count} items in {head.nbytes} bytes", f"{_ITEM.size} bytes an item")
+    _check_count(count)
     items = []
     offset = 0
     for index in range(count):
@@ -247,6 +250,11 @@ def _metadata(head: memoryview, data: memoryview) -> tuple[tuple[Item, ...], int
         items.append(Item(key, bytes(data[value_at:end]), encoding))
         offset = end
     return tuple(items), offset
+
+
+def _check_count(count: int) -> None:
+    if count > MAX_ITEMS:
+        raise MalformedBody("metadata header", f"{count} items", f"at most {MAX_ITEMS}")
 
 
 def encode(message: Message) -> list[Buffer]:
@@ -298,6 +306,7 @@ def _encode(message: Message) -> list[Buffer]:
 
 def _pack_metadata(items: Sequence[Item]) -> tuple[bytes, bytes]:
     """Metadata header and metadata."""
+    _check_count(len(items))
     head = [_COUNT.pack(len(items))]
     data: list[bytes] = []
     for item in items:

@@ -44,7 +44,7 @@ MAX_ATTRIBUTE_NAME = 255
 MAX_COMPONENTS = 255
 
 #: Each costs a few microseconds to read, whatever it holds; real files have a dozen.
-MAX_ATTRIBUTES = 4096
+MAX_ATTRIBUTES = 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -231,7 +231,7 @@ class PolyData:
         Field("polygons_size", "u32", 1, "bytes of their cell array"),
         Field("strips_count", "u32", 1, "number of triangle strips"),
         Field("strips_size", "u32", 1, "bytes of their cell array"),
-        Field("num_attributes", "u32", 1, "number of attributes, at most 4096"),
+        Field("num_attributes", "u32", 1, "number of attributes, at most 256"),
         Field(
             "points",
             "f32",

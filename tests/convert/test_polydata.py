@@ -17,7 +17,19 @@ from igtl_gateway.convert.igtl_msgs import MetadataItem, PolyDataAttribute
 from igtl_gateway.convert.polydata import exceeds_standard, polydata_to_igtl, polydata_to_ros
 from igtl_gateway.convert.profiles import BY_NAME
 from igtl_gateway.convert.rosmsg import Header
-from igtl_gateway.wire.polydata import CELL, NORMAL, RGBA, SCALAR, TCOORDS, TENSOR, VECTOR, Attribute, Cells, PolyData
+from igtl_gateway.wire.polydata import (
+    CELL,
+    MAX_ATTRIBUTES,
+    NORMAL,
+    RGBA,
+    SCALAR,
+    TCOORDS,
+    TENSOR,
+    VECTOR,
+    Attribute,
+    Cells,
+    PolyData,
+)
 from tests.strategies import finite32, polydatas
 from tests.tables import table
 
@@ -163,7 +175,7 @@ def test_values_that_are_no_tuples(attribute: PolyDataAttribute) -> None:
 
 def test_attributes_beyond_what_can_be_read_again() -> None:
     one = PolyDataAttribute("a", 0, 1, np.zeros(0, np.float32))
-    join(sent(attributes=(one,) * 4096).pack())
+    join(sent(attributes=(one,) * MAX_ATTRIBUTES).pack())
     with pytest.raises(ConversionError, match="4097 attributes"):
         sent(attributes=(one,) * 4097)
 

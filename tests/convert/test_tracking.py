@@ -226,7 +226,7 @@ def test_more_tools_than_any_tracker_has_are_refused(
     kind: type[Content], convert: Callable[[Any, ToRosContext], Any]
 ) -> None:
     """16 MB of matrices that are not orthonormal would be a minute of work."""
-    with pytest.raises(ConversionError, match="elements, expected at most 4096"):
+    with pytest.raises(ConversionError, match="elements, expected at most 512"):
         convert(kind(np.zeros(tracking.MAX_TOOLS + 1, kind.DTYPE)), to_ros())
 
 

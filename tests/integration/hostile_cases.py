@@ -317,8 +317,10 @@ def _texts() -> Iterable[Case]:
     yield Case("metadata-sizes", "Metadata of 4 GB in a body of 42 bytes", data, _REFUSED, _MALFORMED)
     data = message("STRING", extended(text(b"x"), {"k": "v" * (1 << 20)}), device="metadata-of-1MiB", version=2)
     yield Case("metadata-of-1MiB", "Metadata above 1 MiB", data, _REFUSED, _MALFORMED)
-    data = message("STRING", metadata([(b"", b"")] * 8191, text(b"x")), device="metadata-8191", version=2)
-    yield Case("metadata-8191", "8,191 items of metadata, all empty", data, _FINE)
+    data = message("STRING", metadata([(b"", b"")] * 1024, text(b"x")), device="metadata-1024", version=2)
+    yield Case("metadata-1024", "1,024 items of metadata, all empty", data, _FINE)
+    data = message("STRING", metadata([(b"", b"")] * 1025, text(b"x")), device="metadata-1025", version=2)
+    yield Case("metadata-1025", "1,025 items of metadata", data, _REFUSED, _MALFORMED)
     data = message("STRING", b"xx", device="no-extended-header", version=2)
     yield Case("no-extended-header", "Version 2 without its extended header", data, {"truncated": 1}, _TRUNCATED)
 

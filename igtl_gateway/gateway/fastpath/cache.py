@@ -23,6 +23,7 @@ from igtl_gateway.gateway.to_ros.beforehand import Beforehand, Results
 from igtl_gateway.gateway.to_ros.route import RosOrigin
 from igtl_gateway.gateway.to_ros.subscribers import Subscribers
 from igtl_gateway.gateway.to_ros.volumes import Volumes
+from igtl_gateway.wire.cost import AT_ONCE_NS, cost_ns
 from igtl_gateway.wire.header import HEADER_SIZE, NAMES
 
 #: Maximum number of compiled streams in each direction; further streams take the full path.
@@ -153,7 +154,7 @@ class FastPath:
 
         The result is for ``take``, which uses it if the stream is the same then.
         """
-        is_large = len(payload) >= LARGE_BYTES
+        is_large = len(payload) >= LARGE_BYTES or (kind is Kind.IGTL_IN and cost_ns(payload) >= AT_ONCE_NS)
         if kind is Kind.ROS_IN:
             to_igtl = self.to_igtl.get((channel, type_name)) if is_large else None
             if to_igtl and (for_igtl := to_igtl.prepare((payload,), source_ns)):
@@ -260,7 +261,6 @@ class FastPath:
         Those from the other peers stay, and small streams to peers are compiled again at once: otherwise all of them
         would take the full path at the same time, whenever a peer comes or goes.
         """
-        self._beforehand.forget(link)
         if len(self._compiled) >= MAX_STREAMS:  # others have their chance
             self.drop_compiled()
             return
@@ -276,7 +276,6 @@ class FastPath:
 
     def drop_compiled(self) -> None:
         """Drop all compiled streams, because settings have changed."""
-        self._beforehand.forget()
         self.to_ros.clear()
         self.to_igtl.clear()
         self._compiled.clear()

@@ -1,35 +1,46 @@
 """Work of the full path that is done before a message has its number: without the sequence lock, by any thread.
 
-A surface takes a millisecond, which the poses of others would wait for the lock.  What depends on a message alone is
-done beforehand.  The full path then asks for each result with all that it depends on, and does itself what it is not
-given: its outputs are the same, and those of a verification, which has nothing of this.
+A surface takes a millisecond, and a list of thousands many, which the poses of others would wait for the lock.  What
+depends on a message alone is done beforehand: it is decoded, and so are the children of a BIND; what takes long is
+converted, with the stream that it has or will have.  The full path then asks for each result with all that it
+depends on, and does itself what it is not given: its outputs are the same, and those of a verification, which has
+nothing of this.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 from igtl_gateway.base.buffers import Buffer
-from igtl_gateway.base.errors import WireError
+from igtl_gateway.base.errors import ConversionError, WireError
 from igtl_gateway.config.configuration import Config
-from igtl_gateway.convert import clouds, polydata, surfaces
+from igtl_gateway.convert import clouds, polydata, surfaces, tracking
 from igtl_gateway.convert.cdr import CdrWriter
+from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.context import ToRosContext
-from igtl_gateway.convert.rosmsg import Header, Mesh, RosMessage
+from igtl_gateway.convert.igtl_msgs import Metadata
+from igtl_gateway.convert.multi_arrays import MULTI_ARRAYS
+from igtl_gateway.convert.rosmsg import DiagnosticStatus, Header, Mesh, RosMessage, String
 from igtl_gateway.convert.table import ConversionToRos
 from igtl_gateway.gateway.acceptance import Acceptance
 from igtl_gateway.gateway.log.entry import Entry
-from igtl_gateway.gateway.metadata import restore_metadata
+from igtl_gateway.gateway.metadata import RestoredMetadata, restore_metadata
 from igtl_gateway.gateway.output import Packed
-from igtl_gateway.gateway.streams import ToRosStream
+from igtl_gateway.gateway.streams import Streams
+from igtl_gateway.gateway.to_ros.routed import child_message, context_of
 from igtl_gateway.gateway.to_ros.subscribers import Subscribers
 from igtl_gateway.wire import Message
-from igtl_gateway.wire.header import NAMES
+from igtl_gateway.wire.bind import Bind
+from igtl_gateway.wire.body import Body
+from igtl_gateway.wire.cost import AT_ONCE_NS, cost_ns
+from igtl_gateway.wire.fields import visible
+from igtl_gateway.wire.image import Image
+from igtl_gateway.wire.registry import read_child
 
-#: Conversions that take long.  The stamp is in their results only where a header begins them.
-LONG: frozenset[Callable[[Any, ToRosContext], RosMessage]] = frozenset(
+#: Conversions that take long for a message of any size.
+LONG: frozenset[Callable[[Any, ToRosContext], RosMessage | list[RosMessage]]] = frozenset(
     {
         clouds.polydata_to_cloud,
         surfaces.polydata_to_mesh,
@@ -38,11 +49,36 @@ LONG: frozenset[Callable[[Any, ToRosContext], RosMessage]] = frozenset(
         polydata.polydata_to_ros,
     }
 )
-#: ROS types of them without a header.
-_WITHOUT_STAMP = frozenset({Mesh.TYPE})
+#: ROS types without a stamp; those of all others that are made beforehand begin with a header, and have no other stamp.
+_WITHOUT_STAMP = frozenset(
+    {Mesh.TYPE, String.TYPE, DiagnosticStatus.TYPE, *(one.TYPE for one in MULTI_ARRAYS.values())}
+)
 
-_MAX_STREAMS = 4_096
 _STAMP_END = 12  # of CDR that begins with a header
+
+
+_Made = tuple[Sequence[Packed] | ConversionError, list[tuple[str, str]]]
+
+
+@dataclass(slots=True)
+class Piece:
+    """What a message, or a child of a BIND, has given beforehand.
+
+    Attributes:
+        content: its content, or why there is none.
+        to: context of the conversions, without a stamp; None: nothing was converted.
+        made: conversion function → ROS messages or why there are none, and warnings.
+        shared: what the rows share; see ``ToRosContext.made``.
+        metadata: the message of the sender's metadata.
+        children: pieces of the children of a BIND.
+    """
+
+    content: Body | WireError
+    to: ToRosContext | None = None
+    made: dict[object, _Made] = field(default_factory=dict)
+    shared: dict[str, Any] = field(default_factory=dict)
+    metadata: Packed | None = None
+    children: tuple[Piece, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,15 +87,20 @@ class Results:
 
     Attributes:
         payload: the message.
-        decoded: its content, or why there is none.
-        to: context of the conversions, without a stamp.
-        made: conversion function → ROS message and warnings.
+        decoded: the message, or why it cannot be decoded.
+        restored: the contents of its metadata.
+        pieces: of contents, by their identity.
     """
 
     payload: Buffer
     decoded: Message | WireError
-    to: ToRosContext | None = None
-    made: dict[object, tuple[Packed, list[tuple[str, str]]]] = field(default_factory=dict)
+    restored: RestoredMetadata | None = None
+    pieces: dict[int, Piece] = field(default_factory=dict)
+
+    @property
+    def made(self) -> int:
+        """How many conversions were done."""
+        return sum(len(piece.made) for piece in self.pieces.values())
 
 
 class Beforehand:
@@ -69,23 +110,14 @@ class Beforehand:
         results: of the message that is handled now; set and used with the sequence lock.
     """
 
-    def __init__(self, config: Config, subscribers: Subscribers) -> None:
+    def __init__(self, config: Config, streams: Streams, subscribers: Subscribers) -> None:
         self.results: Results | None = None
         self._acceptance = Acceptance.of(config)
+        self._config = config
+        self._streams = streams
         self._subscribers = subscribers
-        # link and names in the header → what the last message of a stream was converted with
-        self._streams: dict[tuple[int, bytes], tuple[ToRosStream, ToRosContext]] = {}
 
-    def learn(self, entry: Entry, stream: ToRosStream, to: ToRosContext) -> None:
-        """Remember with what the messages of a stream are converted."""
-        key = entry.links[0], bytes(entry.payload[0][NAMES])
-        if key in self._streams or len(self._streams) < _MAX_STREAMS:
-            if any(row.convert in LONG for row, _ in stream.outputs):
-                self._streams[key] = stream, _alone(to)
-
-    def forget(self, link: int | None = None) -> None:
-        """Forget the streams of a link, or of all."""
-        self._streams = {key: one for key, one in self._streams.items() if link is not None and key[0] != link}
+    # ── from any thread ───────────────────────────────────────────────────────────────────────────────────────
 
     def work(self, payload: Buffer, link: int) -> Results:
         """Do what depends on the message alone; from any thread."""
@@ -93,53 +125,132 @@ class Beforehand:
             message = self._acceptance.message(payload)
         except WireError as error:
             return Results(payload, error)
-        known = self._streams.get((link, bytes(payload[NAMES])))
-        if known is None:
-            return Results(payload, message)
-        stream, before = known
-        metadata = restore_metadata(message).items
-        to = replace(before, metadata=metadata, message_id=message.message_id)
-        results = Results(payload, message, to)
+        restored = restore_metadata(message, self._config.naming)
+        results = Results(payload, message, restored)
+        self._piece(results, message, restored, link, takes_long=cost_ns(payload) >= AT_ONCE_NS)
+        return results
+
+    def _piece(
+        self, results: Results, message: Message, restored: RestoredMetadata, link: int, *, takes_long: bool
+    ) -> Piece:
+        content = message.content
+        piece = Piece(content)
+        if isinstance(content, Image) or not (takes_long or visible(message.type) == "POLYDATA"):
+            return piece
+        results.pieces[id(content)] = piece
+        stream = self._streams.foreseen(visible(message.type), restored.device_name)
+        frame_id = stream.row.frame_id or restored.frame_id or stream.frame_id
+        to = piece.to = _alone(context_of(self._config, self._streams, stream, message, restored, frame_id, link, 0))
+        shared = replace(to, made={})
         for row, topic in stream.outputs:
             if (
-                row.convert in LONG
-                and isinstance(message.content, row.content)
-                and row.applies(message.content)
+                (takes_long or row.convert in LONG)
+                and not row.topic  # frames belong to their names in the order of the log
+                and isinstance(content, row.content)
+                and row.applies(content)
                 and self._subscribers.has(topic, row.message.TYPE)
             ):
-                one = _alone(to)
-                results.made[row.convert] = Packed.of(row.convert(message.content, one)), one.warnings
-        return results
+                self._convert(piece, row, content, replace(shared, warnings=[]))
+        piece.shared = {name: one for name, one in shared.made.items() if name == tracking.TOOLS}
+        if takes_long and to.metadata and self._subscribers.has(stream.metadata_topic, Metadata.TYPE):
+            piece.metadata = Packed.of(metadata_message(to))
+        if isinstance(content, Bind):
+            piece.children = tuple(self._child(results, child, message, restored, link) for child in content.children)
+        return piece
+
+    def _child(self, results: Results, child: Any, message: Message, restored: RestoredMetadata, link: int) -> Piece:
+        try:
+            inner, its = child_message(child, read_child(child), message, restored)
+        except WireError as error:
+            return Piece(error)
+        return self._piece(results, inner, its, link, takes_long=True)
+
+    def _convert(self, piece: Piece, row: ConversionToRos, content: Body, one: ToRosContext) -> None:
+        try:
+            converted = row.convert(content, one)
+        except ConversionError as error:
+            piece.made[row.convert] = error, one.warnings
+            return
+        messages = converted if isinstance(converted, list) else [converted]
+        if all(_is_patched(message) for message in messages):
+            piece.made[row.convert] = [Packed.of(message) for message in messages], one.warnings
+
+    # ── with the sequence lock ────────────────────────────────────────────────────────────────────────────────
 
     def decode(self, entry: Entry) -> Message:
         """Return the decoded message of an entry.  Raises WireError."""
-        results = self.results
-        if results is None or results.payload is not entry.payload[0]:
+        results = self._of(entry)
+        if results is None:
             return self._acceptance.message(entry.payload[0])
         if isinstance(results.decoded, WireError):
             raise results.decoded
         return results.decoded
 
-    def converted(
-        self, entry: Entry, row: ConversionToRos, content: object, to: ToRosContext
-    ) -> Sequence[Packed] | None:
-        """Return the results of a conversion; None: it was not done with this content and context."""
-        results = self.results
-        if (
-            results is None
-            or row.convert not in results.made
-            or isinstance(results.decoded, WireError)
-            or content is not results.decoded.content
-            or _alone(to) != results.to
-        ):
+    def restored(self, entry: Entry, message: Message) -> RestoredMetadata:
+        """Return the contents of the metadata of a message."""
+        results = self._of(entry)
+        if results and results.restored and results.decoded is message:
+            return results.restored
+        return restore_metadata(message, self._config.naming)
+
+    def children(self, bind: Bind) -> Sequence[Body | WireError | None]:
+        """Return the contents of the children of a BIND, or why there is none; None: not known."""
+        piece = self._piece_of(bind)
+        return [one.content for one in piece.children] if piece else [None] * len(bind.children)
+
+    def converted(self, row: ConversionToRos, content: object, to: ToRosContext) -> Sequence[Packed] | None:
+        """Return the results of a conversion; None: it was not done with this content and context.
+
+        Raises ConversionError.
+        """
+        piece = self._piece_of(content)
+        if piece is None or (not piece.made and not piece.shared) or _alone(to) != piece.to:
             return None
-        message, warnings = results.made[row.convert]
+        if row.convert not in piece.made:
+            to.made.update(piece.shared)
+            return None
+        messages, warnings = piece.made[row.convert]
         to.warnings.extend(warnings)
-        if message.TYPE in _WITHOUT_STAMP:
-            return [message]
-        head = CdrWriter()
-        Header(to.stamp_ns).write(head)
-        return [Packed(message.TYPE, head.finish()[:_STAMP_END] + message.cdr[_STAMP_END:])]
+        if isinstance(messages, ConversionError):
+            raise messages
+        return [_stamped(message, to) for message in messages]
+
+    def metadata(self, content: object, to: ToRosContext) -> Packed | None:
+        """Return the message of the sender's metadata; None: it was not made with this content and context."""
+        piece = self._piece_of(content)
+        if piece is None or piece.metadata is None or _alone(to) != piece.to:
+            return None
+        return _stamped(piece.metadata, to)
+
+    def _of(self, entry: Entry) -> Results | None:
+        results = self.results
+        return results if results and entry.payload and results.payload is entry.payload[0] else None
+
+    def _piece_of(self, content: object) -> Piece | None:
+        piece = self.results.pieces.get(id(content)) if self.results else None
+        return piece if piece and piece.content is content else None
+
+
+def metadata_message(to: ToRosContext) -> Metadata:
+    """Return the metadata of the sender as a message of its own, beside a ROS type that cannot contain it."""
+    header = Header(to.stamp_ns, to.frame_id)
+    return Metadata(header, to.igtl_type, to.device_name, to.message_id, to.metadata)
+
+
+def _is_patched(message: Any) -> bool:
+    """Return whether the only stamp of a message, if there is one, is in the header at its beginning."""
+    if message.TYPE in _WITHOUT_STAMP:
+        return True
+    return message.TYPE != TFMessage.TYPE and bool(fields(message)[0].name == "header")
+
+
+def _stamped(message: Packed, to: ToRosContext) -> Packed:
+    """Return a message with its stamp."""
+    if message.TYPE in _WITHOUT_STAMP:
+        return message
+    head = CdrWriter()
+    Header(to.stamp_ns).write(head)
+    return Packed(message.TYPE, head.finish()[:_STAMP_END] + message.cdr[_STAMP_END:])
 
 
 def _alone(to: ToRosContext) -> ToRosContext:

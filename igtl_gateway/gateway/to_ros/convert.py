@@ -6,13 +6,12 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from igtl_gateway.base.buffers import join
-from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.errors import ConversionError, WireError
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.context import ToRosContext
 from igtl_gateway.convert.igtl_msgs import Metadata
 from igtl_gateway.convert.raw import raw_message
-from igtl_gateway.convert.rosmsg import Header as RosHeader
 from igtl_gateway.convert.rosmsg import RosMessage
 from igtl_gateway.convert.table import ConversionToRos, Role
 from igtl_gateway.gateway.log.entry import Entry
@@ -23,9 +22,11 @@ from igtl_gateway.gateway.outcome import Finding, Item, Outcome, conversion_fail
 from igtl_gateway.gateway.output import Packed, ros_output
 from igtl_gateway.gateway.streams import Streams, ToRosStream
 from igtl_gateway.gateway.to_igtl.tf_receive import TfReceiver
-from igtl_gateway.gateway.to_ros.beforehand import Beforehand
+from igtl_gateway.gateway.to_ros.beforehand import Beforehand, metadata_message
 from igtl_gateway.gateway.to_ros.subscribers import Subscribers, Waiting
 from igtl_gateway.wire import Message, Raw, decode, encode
+from igtl_gateway.wire.bind import Bind
+from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.image import Image
 
 RAW_QOS = Qos(depth=100)
@@ -104,7 +105,7 @@ class Converter:
             raise problems[0][1]
         items += [conversion_failure(error, f"not published as {row.message.TYPE}", entry) for row, error in problems]
         if to.metadata and not full and self._subscribers.has(stream.metadata_topic, Metadata.TYPE):
-            items.append(self._metadata(stream, to))
+            items.append(self._metadata(content, stream, to))
         return items + warning_findings(to.warnings, entry) + frames
 
     def build_waiting(self, topic: str) -> list[Item]:
@@ -125,7 +126,9 @@ class Converter:
     ) -> Sequence[RosMessage | Packed]:
         """Return the outputs of a row; none without a subscriber.  Raises ConversionError."""
         if self._subscribers.has(topic, row.message.TYPE):
-            messages = self._beforehand.converted(entry, row, content, to) or _converted(row, content, to)
+            messages: Sequence[RosMessage | Packed] | None = self._beforehand.converted(row, content, to)
+            if messages is None:
+                messages = _converted(row, content, to)
             self._subscribers.waiting.pop(topic, None)
             return messages
         qos = self._streams.qos(topic)
@@ -134,12 +137,15 @@ class Converter:
             self._subscribers.waiting[topic] = Waiting(replace(entry, payload=()), row, content, to, size)
         return ()
 
-    def _metadata(self, stream: ToRosStream, to: ToRosContext) -> Item:
+    def _metadata(self, content: object, stream: ToRosStream, to: ToRosContext) -> Item:
         """Return the metadata of the sender as a message of its own, beside a ROS type that cannot contain it."""
-        header = RosHeader(to.stamp_ns, to.frame_id)
-        message = Metadata(header, to.igtl_type, to.device_name, to.message_id, to.metadata)
+        message = self._beforehand.metadata(content, to) or metadata_message(to)
         self._streams.advertise(stream.metadata_topic, _METADATA_QOS)
         return ros_output(stream.metadata_topic, message, to.stamp_ns)
+
+    def children(self, bind: Bind) -> Sequence[Body | WireError | None]:
+        """Return the contents of the children of a BIND that are known; see ``Beforehand.children``."""
+        return self._beforehand.children(bind)
 
     def _unconverted(self, entry: Entry, message: Message, stream: ToRosStream, to: ToRosContext) -> Outcome:
         """Publish a message without a conversion as a RawMessage; an empty one of a known type is not published."""

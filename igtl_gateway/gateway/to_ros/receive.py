@@ -17,7 +17,6 @@ from igtl_gateway.gateway.dialogue.querying import Queries
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.fates import GREETED, MARKED, PROBED
 from igtl_gateway.gateway.log.note import Level
-from igtl_gateway.gateway.metadata import restore_metadata
 from igtl_gateway.gateway.outcome import Finding, Item, Outcome, conversion_failure
 from igtl_gateway.gateway.peers import Peer, Peers
 from igtl_gateway.gateway.to_ros.beforehand import Beforehand
@@ -91,13 +90,11 @@ class IgtlReceiver:
             refusal, answered = self._commands.accept(entry, peer, message)
             if refusal:
                 return Outcome([*news, *refusal], "command_refused", decoded=True)
-        restored = restore_metadata(message, self._config.naming)
+        restored = self._beforehand.restored(entry, message)
         if answered and not restored.device_name and self._config.naming:
             restored = replace(restored, device_name=answered)
         outcome = self._router.route(entry, message, restored)
         outcome.decoded = True
-        if outcome.origin:
-            self._beforehand.learn(entry, outcome.origin.stream, outcome.origin.to)
         if peer is None:
             outcome.origin = None
             return outcome

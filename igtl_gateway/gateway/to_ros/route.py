@@ -9,7 +9,6 @@ from igtl_gateway.base.errors import ConversionError, WireError
 from igtl_gateway.base.stamp import ticks_to_ns
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.context import ToRosContext
-from igtl_gateway.convert.names import short_device_name
 from igtl_gateway.gateway.command_guard import CommandGuard, Refused
 from igtl_gateway.gateway.guard import STALE, Guard, GuardedStream, check_stamp, translation_of
 from igtl_gateway.gateway.log.entry import Entry
@@ -21,6 +20,7 @@ from igtl_gateway.gateway.outcome import Finding, Item, Outcome, conversion_fail
 from igtl_gateway.gateway.peers import Peers
 from igtl_gateway.gateway.streams import Streams, ToRosStream
 from igtl_gateway.gateway.to_ros.convert import Converter
+from igtl_gateway.gateway.to_ros.routed import child_message, context_of
 from igtl_gateway.gateway.to_ros.volumes import Volumes
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.bind import Bind
@@ -92,19 +92,7 @@ class Router:
         source_ns = restored.stamp_ns or ticks_to_ns(message.ticks)
         if frame_id is None:
             frame_id = stream.row.frame_id or restored.frame_id or self._frame_of(message, link) or stream.frame_id
-        to = ToRosContext(
-            restored.device_name,
-            self._config.pick_stamp(stream.row, source_ns, entry.stamp_ns),
-            frame_id,
-            stream.row.child_frame_id or restored.child_frame_id or stream.child_frame_id,
-            stream.lengths,
-            igtl_type,
-            restored.items,
-            message.message_id,
-            link,
-            reads_status=self._config.knows_peers,
-            frames=self._streams.frames,
-        )
+        to = context_of(self._config, self._streams, stream, message, restored, frame_id, link, entry.stamp_ns)
         found: list[Item] = []
         name = (
             entry.channel if entry.payload else f"{igtl_type}/{restored.device_name}"
@@ -167,9 +155,11 @@ class Router:
         """Route a BIND as a whole, then each child as a separate message."""
         items = self._converter.publish(entry, bind, to, stream, stream.outputs) if stream.outputs else []
         alone = replace(entry, payload=())
-        for child in bind.children:
+        for child, known in zip(bind.children, self._converter.children(bind), strict=True):
             try:
-                content = read_child(child)
+                if isinstance(known, WireError):
+                    raise known
+                inner, its = child_message(child, known or read_child(child), message, restored)
             except WireError as error:
                 items.append(
                     conversion_failure(
@@ -177,7 +167,5 @@ class Router:
                     )
                 )
                 continue
-            name = visible(child.name) or restored.device_name
-            inner = Message(child.type, short_device_name(name), content, message.ticks)
-            items += self.route(alone, inner, replace(restored, device_name=name, items=())).items
+            items += self.route(alone, inner, its).items
         return items

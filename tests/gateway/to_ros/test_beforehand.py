@@ -18,6 +18,7 @@ from igtl_gateway.gateway import Session
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.session import make_core
+from igtl_gateway.gateway.to_ros import beforehand
 from igtl_gateway.gateway.to_ros.beforehand import LONG
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.message import Item
@@ -52,9 +53,14 @@ def inputs() -> Iterator[tuple[int, bytes]]:
                 yield 1, data[:-1] + bytes([data[-1] ^ 1])
 
 
+@pytest.mark.parametrize("takes_long", [False, True])
 @pytest.mark.parametrize("with_subscribers", [False, True], ids=["recorded", "live"])
-def test_outputs_are_those_of_the_full_path(with_subscribers: bool) -> None:
+def test_outputs_are_those_of_the_full_path(
+    with_subscribers: bool, takes_long: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Also where the context has changed since the last message: other metadata, id, link, stamp."""
+    if takes_long:
+        monkeypatch.setattr(beforehand, "AT_ONCE_NS", 0)
     used = 0
     logs: list[list[Entry]] = []
     for early in (False, True):
@@ -66,7 +72,7 @@ def test_outputs_are_those_of_the_full_path(with_subscribers: bool) -> None:
             link_up(session, link)
         for step, (link, data) in enumerate(inputs()):
             prepared = session.prepare(Kind.IGTL_IN, data, "", "", (link,), 0) if early else None
-            used += len(getattr(prepared, "made", ()))
+            used += getattr(prepared, "made", 0)
             log += session.input(T0_NS + step * 1_000_000, Kind.IGTL_IN, (data,), links=(link,), prepared=prepared)
         logs.append(log)
     assert logs[0] == logs[1]
