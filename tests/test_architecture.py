@@ -287,6 +287,7 @@ UNMIRRORED = (
     "test_fixtures.py",  # what the recordings in fixtures/ promise
     "test_fuzz_files.py",  # tools/fuzz_files.py
     "test_fuzz_values.py",  # tools/fuzz_values.py
+    "test_truth.py",  # tools/truth
     "test_gateway_fuzz.py",
     "test_ros_package.py",  # ros2/igtl_gateway_ros
     "test_notebooks.py",  # docs/notebooks

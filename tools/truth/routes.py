@@ -1,0 +1,384 @@
+"""The ways out of the product, a row for each: what it is asked, and which reader of others judges the result."""
+
+from __future__ import annotations
+
+import socket
+import threading
+import warnings
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import igtl_gateway
+from igtl_gateway.base.errors import GatewayError
+from tools.truth.files import Printed, Recording, product
+from tools.truth.judges import arrays, files, igtl, lerobot, ros, rrd, tables
+from tools.truth.judges.samples import Sample
+from tools.truth.judges.truth import LOST, NAME, TIME, Findings, Truth
+from tools.truth.senders import MS, Plan
+from tools.truth.world import BEGIN_NS
+
+#: The jitter of two stamps, s; the largest distance that ``align`` is asked for.
+_JITTER_S, _ALIGN_S = 0.0012, 0.06
+#: A picture of 10 Hz at a moment of 10 Hz; joints are held; s.
+_LEROBOT_S = 0.0612
+_DEADLINE_S = 60.0
+#: What ``align`` is asked for.
+_ASKED = [(clock, method) for clock in ("gateway", "source") for method in ("nearest", "interpolate")]
+
+
+@dataclass
+class Case:
+    """A world on its way out.
+
+    Attributes:
+        plan, recording, truth: of the world.
+        folder: for results; new.
+    """
+
+    plan: Plan
+    recording: Recording
+    truth: Truth
+    folder: Path
+    number: int = 0
+
+    def out(self, name: str) -> Path:
+        self.number += 1
+        return self.folder / f"out{self.number}{name}"
+
+
+@dataclass
+class Result:
+    """What a route gave: the exit code and text of the product, and what the judge found."""
+
+    code: int
+    text: str
+    findings: Findings = field(default_factory=Findings)
+
+
+@dataclass(frozen=True)
+class Route:
+    """A way out.
+
+    Attributes:
+        run: takes it.
+        reader: that judges, for the table.
+        tolerance: that holds, for the table.
+        every, turn: one world in this number takes it, where routes are alike or cost much, and which one.
+    """
+
+    run: Callable[[Case], Result]
+    reader: str
+    tolerance: str
+    every: int = 1
+    turn: int = 0
+
+
+#: Kinds of streams that a table, a bag or a view has.
+_ALL = ("transform", "tdata", "string", "point", "tf_static", "tf", "pose", "joints")
+_PICTURES = ("image", "ros_image", "depth")
+_CLOUDS = ("polydata", "cloud")
+
+
+def _table(to: str, reader: Callable[[Path], Iterable[Sample]], kinds: tuple[str, ...]) -> Callable[[Case], Result]:
+    def run(case: Case) -> Result:
+        out = case.out("-tables")
+        printed = product("export", case.recording.path, "--to", to, "-o", out)
+        return _judged(case, printed, reader(out) if out.exists() else (), kinds)
+
+    return run
+
+
+def _judged(case: Case, printed: Printed, samples: Iterable[Sample], kinds: tuple[str, ...]) -> Result:
+    result = Result(printed.code, printed.text)
+    found = list(samples)
+    result.findings = case.truth.judge(found)
+    if found or printed.code == 0:
+        case.truth.lost(result.findings, kinds)
+    return result
+
+
+def _bag(case: Case) -> Result:
+    out = case.out("-bag")
+    printed = product("export", case.recording.path, "--to", "rosbag2", "-o", out)
+    reader = ros.by_mcap if case.plan.seed % 2 else ros.by_rosbags
+    return _judged(case, printed, reader(out) if out.exists() else (), (*_ALL, *_PICTURES, *_CLOUDS))
+
+
+def _each_file(to: str, reader: Callable[[Path], Iterable[Sample]], kinds: tuple[str, ...]) -> Callable[[Case], Result]:
+    def run(case: Case) -> Result:
+        out = case.out("-files")
+        printed = product("export", case.recording.path, "--to", to, "-o", out)
+        return _judged(case, printed, reader(out) if out.exists() else (), kinds)
+
+    return run
+
+
+def _sequence(case: Case) -> Result:
+    out = case.out(".igs.mha")
+    printed = product("export", case.recording.path, "--to", "igs.mha", "-o", out)
+    result = Result(printed.code, printed.text)
+    if out.exists():
+        frames = list(files.by_itk(out))
+        samples = [one for reference, others in frames for one in (reference, *others)]
+        result.findings = case.truth.judge(samples, interpolated=True)
+        case.truth.judge_frames(frames, result.findings, _JITTER_S, _stated(printed.text), nearest=True)
+        _names_of_sequence(case, samples, printed, result.findings)
+    return result
+
+
+def _names_of_sequence(case: Case, samples: list[Sample], printed: Printed, findings: Findings) -> None:
+    """A transform without other signs has the name of its own device, or the output has the map."""
+    for sample in samples:
+        if sample.kind != "pose":
+            continue
+        thing = ("pose", int(sample.value[0, 3] // 1000))
+        names = case.truth.names_of(thing)
+        if sample.name in {each.replace("Transform", "") for each in names} or not sample.name:
+            continue
+        if any(other.key == f"TRANSFORM/{sample.name}" for other in case.plan.streams):
+            findings.fault(NAME, sorted(names), f"{sample.name}Transform is that of {sorted(names)}")
+
+
+def _stated(text: str) -> str:
+    """The clock that an output states: "gateway" if values are together by time of receipt."""
+    shows = any(
+        words in line
+        for line in text.splitlines()
+        for words in ("clock: gateway", "gateway time", "time of receipt", "times of receipt", "by receipt")
+    )
+    return "gateway" if shows else ""
+
+
+def _rrd(case: Case) -> Result:
+    out = case.out(".rrd")
+    printed = product("view", case.recording.path, "-o", out, "--no-review")
+    result = _judged(case, printed, rrd.by_rerun(out) if out.exists() else (), (*_ALL, *_PICTURES, *_CLOUDS))
+    result.text += rrd.stated_in(out) if out.exists() else ""
+    return result
+
+
+def _recipe(case: Case) -> str:
+    """A recipe with all that a frame can have; streams that the file does not have are left out."""
+    with igtl_gateway.open(case.recording.path) as recording:
+        keys = set(recording)
+    lines = ["[dataset]", "fps = 10", 'task = "look"', f'format = "{"v3.0" if case.plan.seed % 2 else "v2.1"}"']
+    lines += ["[episodes]", 'by = "whole"']
+    rows = []
+    for stream in case.plan.streams:
+        key = next((each for each in (stream.key, f"in:{stream.key}") if each in keys), "")
+        if not key or key in rows:
+            continue
+        rows.append(key)
+        if stream.kind in ("transform", "pose"):
+            lines += ["[[feature]]", 'name = "observation.state"', f'stream = "{key}"', "tolerance_ms = 100"]
+        elif stream.kind == "joints":
+            lines += ["[[feature]]", 'name = "observation.state"', f'stream = "{key}"', 'fields = ["position"]']
+            lines += ["tolerance_ms = 60"]
+        elif stream.kind in ("image", "ros_image"):
+            name = "us" if stream.kind == "image" else "camera"
+            lines += ["[[feature]]", f'name = "observation.images.{name}"', f'stream = "{key}"', "tolerance_ms = 60"]
+    lines += ["[[feature]]", 'name = "action"', 'next_of = "observation.state"']
+    return "\n".join(lines) + "\n"
+
+
+def _lerobot(case: Case) -> Result:
+    out, recipe = case.out("-set"), case.out(".toml")
+    try:
+        recipe.write_text(_recipe(case))
+    except GatewayError as error:
+        return Result(1, str(error))
+    printed = product("export", case.recording.path, "--to", "lerobot", "--recipe", recipe, "-o", out)
+    result = Result(printed.code, printed.text)
+    if out.exists():
+        result.text += product("export", case.recording.path, "--to", "lerobot", "--check", out).text
+        frames = list(lerobot.by_pyarrow(out))
+        samples = [one for reference, others in frames for one in (reference, *others)]
+        result.findings = case.truth.judge(samples, interpolated=True)
+        held = ("joint", "video", "text")  # a picture before the moment of the frame, and one after it
+        for within_s, kinds in ((_LEROBOT_S, ("pose",)), (2 * _LEROBOT_S, held)):
+            part = [(reference, [one for one in others if one.kind in kinds]) for reference, others in frames]
+            case.truth.judge_frames(part, result.findings, within_s, _stated(printed.text))
+    return result
+
+
+def _in_python(find: Callable[[Case, Any, Result], None]) -> Callable[[Case], Result]:
+    def run(case: Case) -> Result:
+        result = Result(0, "")
+        with warnings.catch_warnings(record=True) as stated:
+            warnings.simplefilter("always")
+            try:
+                with igtl_gateway.open(case.recording.path) as recording:
+                    find(case, recording, result)
+                    notes = [f"{note.stream} {note.text}" for note in recording.notes if note.level != "INFO"]
+                    result.text += "\n".join([*map(str, recording.warnings), *notes])
+            except GatewayError as error:
+                result.code, result.text = 1, f"{result.text}\n{error}"
+        result.text += "".join(f"\n{each.message}" for each in stated)
+        return result
+
+    return run
+
+
+def _streams(case: Case, recording: Any, result: Result) -> None:
+    result.findings = case.truth.judge(list(arrays.of_streams(recording)))
+    kinds = ("transform", "tdata", "pose", "tf", "image", "ros_image", "depth", "cloud")
+    # a merged session has the surfaces of peers as igtl_msgs/PolyData, of which ``points`` reads none
+    case.truth.lost(result.findings, kinds if "merge" in case.plan.files else (*kinds, "polydata"))
+
+
+def _pictures(recording: Any) -> Any:
+    for key in ("IMAGE/Image", "/camera/image"):
+        for each in (key, f"in:{key}"):
+            if each in recording and len(recording[each].times):
+                return recording[each]
+    raise GatewayError("found no pictures to align with")
+
+
+def _align(case: Case, recording: Any, result: Result) -> None:
+    on = _pictures(recording)
+    refusals = []
+    for clock, method in _ASKED:
+        try:
+            frames = list(arrays.aligned(recording, on, clock, method, _ALIGN_S))
+        except GatewayError as error:
+            refusals.append(f"{clock}: {error}")
+            continue
+        samples = [one for reference, others in frames for one in (reference, *others)]
+        found = case.truth.judge(samples, interpolated=True)
+        # asked for gateway time, it is by receipt; asked for the senders' stamps, it has to be by these
+        case.truth.judge_frames(frames, found, _ALIGN_S + _JITTER_S, clock if clock == "gateway" else "")
+        result.findings.samples += found.samples
+        for each in found.faults:
+            result.findings.fault(each.kind, each.about, f"align {clock} {method}: {each.text}")
+    result.text += "\n".join(refusals)
+    result.code = int(len(refusals) == len(_ASKED))
+
+
+def _lookup(case: Case, recording: Any, result: Result) -> None:
+    on = _pictures(recording)
+    frames = list(arrays.looked_up(recording, on))
+    samples = [one for reference, others in frames for one in (reference, *others)]
+    result.findings = case.truth.judge(samples, interpolated=True)
+    # pictures without stamps are at their gateway times, which is what is asked for: later by their delay
+    sender = next(one.sender for one in case.plan.streams if one.key == on.key.rpartition(":")[2])
+    late_s = 0.0 if sender.stamped else 0.0025
+    case.truth.judge_frames(frames, result.findings, _JITTER_S + late_s)
+    if any(stream.kind == "tf_static" for stream in case.plan.streams):
+        case.truth.lost(result.findings, ("tf_static",))
+
+
+def _cohort(case: Case) -> Result:
+    out = case.out("-study")
+    printed = product("cohort", "info", case.recording.path, "-o", out)
+    result = Result(printed.code, printed.text)
+    rows = tables.cohort_streams(out) if out.exists() else []
+    sent: dict[str, list[int]] = {}
+    for one in case.plan.messages():
+        sent.setdefault(one.stream.key, []).append(BEGIN_NS + one.receipt_ns + case.recording.shift_ns)
+    counts: dict[str, int] = {}
+    for row in sorted(rows, key=lambda row: row["first"]):
+        key = row["stream"]
+        if "merge" in case.plan.files:  # a merged session has a level for each part
+            key = "/" + key.removeprefix("/").partition("/")[2]
+        # an output can have the name of an input of ROS
+        if key not in sent or not (row["direction"].endswith("_in") or "merge" in case.plan.files):
+            continue
+        result.findings.samples += 1
+        found_ns = int(row["first"].value)
+        if key not in counts and case.recording.whole and abs(found_ns - sent[key][0]) > MS and key != "/tf":
+            result.findings.fault(TIME, (key,), f"{key}: {(found_ns - sent[key][0]) / 1e6} ms")
+        counts[key] = counts.get(key, 0) + row["messages"]
+    for key, count in counts.items():
+        if case.recording.whole and count != len(sent[key]) and not ("merge" in case.plan.files and key == "/tf"):
+            result.findings.fault(LOST, (key,), f"{key}: {count} of {len(sent[key])}")
+    return result
+
+
+def _free_port() -> int:
+    with socket.socket() as one:
+        one.bind(("127.0.0.1", 0))
+        return int(one.getsockname()[1])
+
+
+def _to_igtl(case: Case) -> Result:
+    port = _free_port()
+    data: list[bytes] = []
+
+    def read() -> None:
+        for _ in range(200):
+            try:
+                data.append(igtl.received(("127.0.0.1", port), _DEADLINE_S))
+            except ConnectionRefusedError:
+                done.wait(0.05)
+                if done.is_set():
+                    return
+                continue
+            return
+
+    done = threading.Event()
+    reader = threading.Thread(target=read)
+    reader.start()
+    words = ("--listen", f"127.0.0.1:{port}", "--as-fast-as-possible", "--side", "both")
+    printed = product("replay", case.recording.path, "--to", "igtl", *words)
+    done.set()
+    reader.join(_DEADLINE_S)
+    kinds = ("transform", "image", "string", "point")
+    return _judged(case, printed, igtl.by_pyigtl(b"".join(data)), kinds)
+
+
+def _to_ros(case: Case) -> Result:
+    from tools.truth.judges.graph import Listener  # rclpy is not everywhere
+
+    try:
+        with igtl_gateway.open(case.recording.path) as recording:
+            topics = {
+                key.rpartition(":")[2]: stream.type for key, stream in recording.items() if stream.type.count("/") == 2
+            }
+    except GatewayError as error:
+        return Result(1, str(error))
+    with Listener(topics) as listener:
+        words = ["--as-fast-as-possible", "--wait-peers", "1"]
+        for topic in listener.topics:
+            words += ["--streams", topic]
+        printed = product("replay", case.recording.path, "--to", "ros", *words)
+        samples = list(listener.samples())
+    return _judged(case, printed, samples, ("tf", "pose", "joints", *_PICTURES, "cloud"))
+
+
+#: Name of a route → how it is taken and judged.
+ROUTES: dict[str, Route] = {
+    "csv": Route(_table("csv", tables.by_pandas, _ALL), "pandas", "0.05 mm; stamps 3 µs; receipt 1 ms", 3),
+    "parquet": Route(
+        _table("parquet", tables.by_parquet, (*_ALL, "image", "ros_image", "depth", "polydata")),
+        "pyarrow",
+        "0.05 mm; stamps 3 µs; receipt 1 ms; pixels exact",
+        3,
+        1,
+    ),
+    "arrow": Route(
+        _table("arrow", tables.by_feather, (*_ALL, "image", "ros_image", "depth", "polydata")),
+        "pyarrow (Feather)",
+        "as parquet",
+        3,
+        2,
+    ),
+    "rosbag2": Route(_bag, "rosbags; mcap with mcap-ros2-support", "as parquet", 2),
+    "igs.mha": Route(
+        _sequence, "SimpleITK", "poses half a period and 1.2 ms beside their picture; pixels and place exact"
+    ),
+    "vtk": Route(_each_file("vtk", files.by_vtk, _CLOUDS), "VTK", "0.05 mm, RAS as 3D Slicer reads it"),
+    "ply": Route(_each_file("ply", files.by_meshio, _CLOUDS), "meshio, VTK", "0.05 mm, RAS as 3D Slicer reads it"),
+    "nrrd": Route(_each_file("nrrd", files.by_nrrd, _PICTURES), "pynrrd, SimpleITK", "pixels exact; place 0.01 mm"),
+    "view": Route(_rrd, "rerun", "as parquet, for each time line", 2, 1),
+    "lerobot": Route(
+        _lerobot, "pyarrow, PyAV", "tolerance of the recipe: poses 61.2 ms, held values 122.4 ms beside the picture", 3
+    ),
+    "python": Route(_in_python(_streams), "numpy", "as parquet"),
+    "align": Route(_in_python(_align), "numpy", "61.2 ms (the tolerance asked for) on the clock asked for"),
+    "lookup": Route(_in_python(_lookup), "numpy", "1.2 ms beside the picture"),
+    "cohort": Route(_cohort, "pyarrow", "counts exact; first time 1 ms", 10, 1),
+    "to_igtl": Route(_to_igtl, "pyigtl", "0.05 mm; stamps 3 µs", 20, 2),
+    "to_ros": Route(_to_ros, "rclpy", "0.05 mm; stamps 3 µs", 20, 3),
+}
