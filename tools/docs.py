@@ -847,6 +847,13 @@ def doctor() -> str:
             f"""A pause is reported if it is longer than {checks.GAP_FACTOR} mean intervals and longer than a second, in
             streams of at least {checks.MIN_MESSAGES} messages."""
         ),
+        "## Numbers",
+        prose(
+            """A number that is not 0 and below 1e-38 (float32) or 2e-308 (float64) is no measurement.  It is what the
+            bytes of an integer are in a float field.  In rclpy `transform.translation.x = 1` publishes 5e-324, because
+            it does not check assignments.  Of each topic of ROS that the gateway can send, the first 1,000 messages of
+            at most 64 KiB are looked at."""
+        ),
         "## The machine",
         prose(
             f"""`doctor --host` checks the machine on which it runs, without a peer.  It takes two seconds and changes

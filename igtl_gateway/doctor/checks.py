@@ -43,8 +43,6 @@ NOISE_STEP, MIN_STEPS = 0.2, 20
 MIN_FROZEN = 10
 #: Lengths above this do not occur in an operating room.
 LARGE_MM = 50_000.0
-#: The smallest plausible pixel spacing: that of a microscope.
-FINE_MM = 0.001
 #: A pause is longer than this number of mean intervals, and than this time; minimum number of messages of the stream.
 GAP_FACTOR, GAP_NS, MIN_MESSAGES = 10, NS_PER_S, 20
 
@@ -303,14 +301,36 @@ def is_old(stream: ObservedStream) -> int:
     return stream.timing.stamped if OLD_NS < stream.timing.least_ns and not other_epoch(stream) else 0
 
 
+def other_unit(stream: ObservedStream) -> int:
+    return stream.fractions.stamped if stream.fractions.unit else 0
+
+
+def in_unit(stream: ObservedStream) -> str:
+    fractions = stream.fractions
+    return (
+        f"the fractions of {fractions.stamped} stamps count {fractions.unit}, not 2^-32 s: none is above "
+        f"{fractions.largest:,}"
+        + (f", and ages differ by {ms(fractions.spread_ns)}" if fractions.spread_ns >= NS_PER_MS else "")
+    )
+
+
+def from_epoch(stream: ObservedStream) -> str:
+    text = f"stamps are {abs(stream.timing.most_ns) / EPOCH_NS:,.0f} days from the current time"
+    if not stream.fractions.is_low_word:
+        return text
+    return f"{text}: their seconds are 0, and the fraction counts the seconds since 1970, as clients in MATLAB write it"
+
+
 def is_coarse(stream: ObservedStream) -> int:
     """Return the number of coarse stamps: repeated ones, or all if they are rounded.
+
+    Stamps that count fractions in another unit are another finding.
 
     Stamps at multiples of a step are not necessarily rounded: messages can be sent at these times.  In that case their
     age is nearly constant.
     """
     timing = stream.timing
-    if timing.stamped < MIN_STAMPS:
+    if timing.stamped < MIN_STAMPS or stream.fractions.unit or stream.fractions.is_low_word:
         return 0
     if timing.repeated * REPEATED_ONE_IN >= timing.stamped:
         return timing.repeated
@@ -395,8 +415,40 @@ def is_small(stream: ObservedStream) -> int:
 
 
 def is_fine(stream: ObservedStream) -> int:
-    spacing = stream.lengths.smallest_spacing
-    return 0 if spacing is None or spacing >= FINE_MM else stream.messages
+    return stream.lengths.fine
+
+
+def fine(stream: ObservedStream) -> str:
+    text = f"spacing of {stream.lengths.smallest_spacing:.3g} mm in {stream.lengths.fine} of {stream.messages} images"
+    if stream.lengths.smallest_spacing:
+        return text
+    return f"{text}: C++ senders that do not call SetSpacing send 0, and pygtlink 1.0.0 always"
+
+
+def not_rotations(stream: ObservedStream) -> str:
+    text = f"columns not perpendicular or not of length 1 in {stream.not_orthonormal} messages"
+    if stream.by_rows == stream.not_orthonormal:
+        text += ": its rows are; openigtlink-rust 0.4.1 writes TDATA row by row, the protocol has columns"
+    return text
+
+
+def not_unit(stream: ObservedStream) -> str:
+    text = f"the quaternion of {stream.not_unit} messages has a length of {stream.shortest:.3g}, not 1"
+    return text if stream.shortest else f"{text}: no rotation; pygtlink 1.0.0 sends 0 unless one is given"
+
+
+def denormal(observed: Observer) -> Iterator[RuleMatch]:
+    for stream in observed.streams.values():
+        if stream.denormal:
+            text = f"numbers such as {stream.denormal_value:.3g} in {stream.denormal} of {stream.messages} messages: "
+            yield RuleMatch(stream.name, f"{text}the bytes of an integer in a float field?", {"count": stream.denormal})
+    for name, topic in observed.topics.items():
+        if topic.denormal:
+            text = (
+                f"{topic.field} is {topic.value:.3g} in {topic.denormal} of {topic.messages} messages of {topic.type}: "
+                "an int, a bool or a number of numpy was assigned to a float field, and rclpy sends other bytes of it"
+            )
+            yield RuleMatch(name, text, {"field": topic.field, "count": topic.denormal})
 
 
 def has_gap(stream: ObservedStream) -> int:
@@ -491,7 +543,7 @@ _COVERED = frozenset({
 
 def other_notes(observed: Observer) -> Iterator[RuleMatch]:
     streams = observed.streams.values()
-    explained = {one.name for one in streams if one.not_finite or one.not_orthonormal or one.mirrored}
+    explained = {one.name for one in streams if one.not_finite or one.not_orthonormal or one.mirrored or one.not_unit}
     for code, noted in observed.notes.items():
         if code not in _COVERED and noted.first.level >= Level.WARN and noted.first.stream not in explained:
             where = visible(noted.first.stream) or code

@@ -49,6 +49,14 @@ class ContentMeasures:
     full_names: tuple[str, ...] = ()
 
     @property
+    def has_rotations_by_rows(self) -> bool:
+        """Whether the twelve numbers of each matrix are rotations if they are read row by row."""
+        columns = np.concatenate([self.rotations.transpose(0, 2, 1), self.positions[:, None]], axis=1)
+        rows = columns.reshape(-1, 3, 4)[:, :, :3]
+        off = np.abs(rows @ rows.transpose(0, 2, 1) - np.eye(3)).max()
+        return bool(off < _BY_ROWS)
+
+    @property
     @ieee_754
     def is_finite(self) -> bool:
         """Whether there is no NaN or infinity."""
@@ -57,6 +65,8 @@ class ContentMeasures:
 
 
 NOTHING = ContentMeasures()
+#: Tolerance for rotations that are read row by row: float32 and the noise of a tracker.
+_BY_ROWS = 0.02
 
 
 @ieee_754

@@ -13,8 +13,12 @@ import numpy as np
 
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.doctor.content import ContentMeasures
+from igtl_gateway.doctor.fractions import FractionUnits
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.gateway.log.timing import StampTiming
+
+#: The smallest plausible pixel spacing: that of a microscope.
+FINE_MM = 0.001
 
 
 @dataclass(slots=True)
@@ -31,6 +35,7 @@ class LengthStats:
         steps, path, span: of poses: number of steps from one message to the next, the sum of their lengths, and the
             largest distance from the first position, all in the unit of the messages.
         smallest_spacing: of images, mm; 0 = an image without spacing, None = no image.
+        fine: number of images with a spacing below ``FINE_MM``.
     """
 
     messages: int = 0
@@ -43,6 +48,7 @@ class LengthStats:
     path: float = 0.0
     span: float = 0.0
     smallest_spacing: float | None = None
+    fine: int = 0
     _first: Any = None
     _last: Any = None
     _content: Any = None
@@ -51,7 +57,9 @@ class LengthStats:
         """Add the lengths of a message, which are finite; ``millimetres`` is the size of their unit."""
         if measured.spacing:
             spacing = min(measured.spacing) * millimetres
-            self.smallest_spacing = min(spacing, self.smallest_spacing or spacing)
+            # 0 is a spacing, too
+            self.smallest_spacing = spacing if self.smallest_spacing is None else min(spacing, self.smallest_spacing)
+            self.fine += spacing < FINE_MM
         positions = measured.positions
         if not len(positions):
             return
@@ -96,7 +104,10 @@ class ObservedStream:
         element_names: names in the body that fill their field.
         not_finite: number of messages with NaN or infinity.
         not_orthonormal, mirrored: number of messages with an invalid rotation, or a reflection.
-        timing, lengths: statistics of stamps and lengths.
+        by_rows: of the invalid rotations, number of those that are valid if the matrix is read row by row.
+        not_unit, shortest: number of messages with a quaternion whose length is not 1, and the smallest length.
+        denormal, denormal_value: number of messages with a denormal number, and the first one.
+        timing, fractions, lengths: statistics of stamps and lengths.
     """
 
     link: int
@@ -123,7 +134,13 @@ class ObservedStream:
     not_finite: int = 0
     not_orthonormal: int = 0
     mirrored: int = 0
+    by_rows: int = 0
+    not_unit: int = 0
+    shortest: float = 1.0
+    denormal: int = 0
+    denormal_value: float = 0.0
     timing: StampTiming = field(default_factory=StampTiming)
+    fractions: FractionUnits = field(default_factory=FractionUnits)
     lengths: LengthStats = field(default_factory=LengthStats)
 
     @property
@@ -175,6 +192,23 @@ class ObservedPeer:
     def name(self) -> str:
         """The address, or the number of the link if the address is unknown."""
         return self.address or f"link {self.number}"
+
+
+@dataclass(slots=True)
+class ObservedTopic:
+    """The messages of a topic of ROS, as far as they were looked at.
+
+    Attributes:
+        type: the type of the first message.
+        messages: number of messages.
+        denormal: number of messages with a denormal number; ``field`` and ``value`` are those of the first one.
+    """
+
+    type: str
+    messages: int = 0
+    denormal: int = 0
+    field: str = ""
+    value: float = 0.0
 
 
 @dataclass(slots=True)

@@ -14,8 +14,9 @@ from igtl_gateway.base.errors import ChecksumMismatch, WireError
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.units import ieee_754, scale
 from igtl_gateway.doctor.content import NOTHING, measure_content
+from igtl_gateway.doctor.denormals import LEAST_FLOAT32, denormal_in_ros, denormal_of
 from igtl_gateway.doctor.graph import Graph
-from igtl_gateway.doctor.observations import NoteCount, ObservedPeer, ObservedStream
+from igtl_gateway.doctor.observations import NoteCount, ObservedPeer, ObservedStream, ObservedTopic
 from igtl_gateway.doctor.protocols import is_openigtlink
 from igtl_gateway.gateway import LINK_DOWN, LINK_UP, metadata
 from igtl_gateway.gateway.dialogue.probing import PROBE_DEVICE, is_reply
@@ -32,6 +33,8 @@ from igtl_gateway.wire.registry import BODIES, read_content
 MAX_STREAMS = 2_000
 #: Maximum number of names that are kept of one stream.
 MAX_KEPT = 100
+#: Number of messages of a topic of ROS whose numbers are looked at: a sender's type error is in all of them.
+MAX_LOOKED_AT = 1_000
 #: Tolerance for an orthonormal rotation matrix: float32 and the noise of a tracker.
 ORTHONORMAL = 0.02
 _IDENTITY = np.eye(3)
@@ -61,6 +64,7 @@ class Observer:
         ended_ns: gateway time of the last entry, UTC.
         peers: by number of the link.
         streams: the OpenIGTLink streams from peers, in order of appearance.
+        topics: the topics from ROS, in order of appearance.
         too_many_streams: whether there are more streams or links than are observed.
         published: ROS topic → type that the gateway publishes.
         notes: notes of edges and gateway, by code; begin and end of links are in ``peers``.
@@ -76,6 +80,7 @@ class Observer:
         self.ended_ns = 0
         self.peers: dict[int, ObservedPeer] = {}
         self.streams: dict[tuple[int, str, str], ObservedStream] = {}
+        self.topics: dict[str, ObservedTopic] = {}
         self.too_many_streams = False
         self.published: dict[str, str] = {}
         self.notes: dict[str, NoteCount] = {}
@@ -99,7 +104,7 @@ class Observer:
                 if len(self.published) < MAX_STREAMS:
                     self.published.setdefault(entry.channel, entry.type)
             case Kind.ROS_IN:
-                pass
+                self._from_ros(entry)
             case _:
                 self._noted(entry)
 
@@ -142,6 +147,7 @@ class Observer:
             for stream in self.streams.values():
                 without_jump(stream, step)
                 stream.timing.reset()
+                stream.fractions.reset()
         if head := note.data.get("head"):
             for number in entry.links:
                 peer = self.peer(number)
@@ -180,11 +186,26 @@ class Observer:
         stream.bytes += len(data)
         stream.versions[header.version] += 1
         stream.timing.add(entry.source_ns, entry.stamp_ns - self._ahead_ns)
+        stream.fractions.add(header.ticks, entry.stamp_ns - self._ahead_ns)
         if header.version in HEADER_VERSIONS:
             message = _decoded(stream, header, data)
             if message is not None:
                 peer.is_gateway |= is_reply(message)
                 self._measure(stream, message)
+
+    def _from_ros(self, entry: Entry) -> None:
+        topic = self.topics.get(entry.channel)
+        if topic is None:
+            if len(self.topics) >= MAX_STREAMS:
+                return
+            topic = self.topics[entry.channel] = ObservedTopic(entry.type)
+        topic.messages += 1
+        if topic.messages > MAX_LOOKED_AT or not entry.payload:
+            return
+        if found := denormal_in_ros(entry.type, entry.data()):
+            topic.denormal += 1
+            if not topic.field:
+                topic.field, topic.value = found
 
     def _stream(self, number: int, header: Header) -> ObservedStream | None:
         key = (number, header.type, header.device_name)
@@ -218,11 +239,18 @@ class Observer:
             products = measured.rotations.transpose(0, 2, 1) @ measured.rotations
             if float(np.abs(products - _IDENTITY).max()) > ORTHONORMAL:
                 stream.not_orthonormal += 1
+                stream.by_rows += measured.has_rotations_by_rows
             elif float(np.linalg.det(measured.rotations).min()) < 0:
                 stream.mirrored += 1
         if len(measured.quaternions):
             lengths = np.linalg.norm(measured.quaternions, axis=1)
-            stream.not_orthonormal += bool((np.abs(lengths - 1) > ORTHONORMAL).any())
+            stream.not_unit += bool((np.abs(lengths - 1) > ORTHONORMAL).any())
+            stream.shortest = min(stream.shortest, float(lengths.min()))
+        for numbers in (measured.positions, measured.rotations, measured.quaternions):
+            if found := denormal_of(numbers, LEAST_FLOAT32):
+                stream.denormal += 1
+                stream.denormal_value = stream.denormal_value or found
+                break
 
 
 def _decoded(stream: ObservedStream, header: Header, data: bytes) -> Message | None:

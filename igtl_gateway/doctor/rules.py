@@ -117,7 +117,8 @@ RULES: tuple[Rule, ...] = (
     ),
     Rule(
         "IGTL-E201", "invalid header version", f"{HEADER}: Version number",
-        "use 1 for protocol versions 1 and 2, and 2 for protocol version 3",
+        "use 1 for protocol versions 1 and 2, and 2 for protocol version 3; openigtlink-rust 0.4.1 writes 3 with "
+        "metadata",
         each_stream(
             lambda one: len(checks.wrong_versions(one)),
             lambda one: f"header version {', '.join(map(str, checks.wrong_versions(one)))}, expected 1 or 2",
@@ -125,7 +126,8 @@ RULES: tuple[Rule, ...] = (
     ),
     Rule(
         "IGTL-E202", "header version does not fit the body", f"{HEADER}: Extended header",
-        "the header has one version and the body the format of the other: correct the sender",
+        "let the sender write version 1, or the extended header of version 2; openigtlink-rust 0.4.1 writes version 2 "
+        "without one by default",
         each_stream(
             lambda one: one.misfits,
             lambda one: f"{one.misfits} messages with header version {min(one.versions)} have the body of the other",
@@ -138,7 +140,8 @@ RULES: tuple[Rule, ...] = (
     ),
     Rule(
         "IGTL-E206", "CRC not written", f"{HEADER}: CRC",
-        "let the sender compute it (C++: Pack() before sending), or set `check_crc = false`",
+        "let the sender compute it (C++: Pack() after each change; clients in MATLAB do not), or set "
+        "`check_crc = false`",
         each_stream(
             lambda one: one.no_crc,
             lambda one: f"the CRC of {one.no_crc} of {one.messages} messages is 0: the sender does not compute it",
@@ -155,7 +158,8 @@ RULES: tuple[Rule, ...] = (
     ),
     Rule(
         "IGTL-E210", "malformed body", "docs/reference/messages.md",
-        "correct the encoding of the sender; `igtl-gateway decode` shows the bytes",
+        "correct the encoding of the sender, which the finding names if it is known to differ (pyIGTLink, pyigtl, "
+        "OpenIGTLink-Java, openigtlink-rust, 3D Slicer); `igtl-gateway decode` shows the bytes",
         each_stream(lambda one: one.malformed, lambda one: f"{one.malformed} messages cannot be decoded: {one.error}"),
     ),
     Rule(
@@ -216,8 +220,17 @@ RULES: tuple[Rule, ...] = (
         "the columns of the matrix must be perpendicular and have length 1; remove scale and shear",
         each_stream(
             lambda one: one.not_orthonormal,
-            lambda one: f"columns not perpendicular or not of length 1 in {one.not_orthonormal} messages",
+            checks.not_rotations,
         ),
+    ),
+    Rule(
+        "IGTL-W509", "quaternion is not of length 1", "Protocol/position.md",
+        "send x, y, z, w with length 1; 0, 0, 0, 1 is no rotation; a POSITION of 12 bytes has none",
+        each_stream(lambda one: one.not_unit, checks.not_unit),
+    ),
+    Rule(
+        "IGTL-W510", "denormal numbers", f"{DOCTOR}: Numbers",
+        "assign float(value); rclpy checks assignments if ROS_PYTHON_CHECK_FIELDS is 1", checks.denormal,
     ),
     Rule(
         "IGTL-W505", "left-handed axes", "Protocol/transform.md",
@@ -229,7 +242,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "IGTL-W506", "implausible pixel spacing", "Protocol/image.md",
         "the length of the matrix columns must be the spacing in millimetres, for 2-D images too",
-        each_stream(checks.is_fine, lambda one: f"spacing of {one.lengths.smallest_spacing:.3g} mm"),
+        each_stream(checks.is_fine, checks.fine),
     ),
     Rule(
         "IGTL-W402", "one name for two streams", NAMES,
@@ -274,10 +287,13 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "IGTL-W305", "stamps of another epoch", "Protocol/timestamp.md",
         'use UTC since 1970 in the sender, or the time of receipt (`stamp = "receive"`); a replay has old stamps too',
-        each_stream(
-            checks.other_epoch,
-            lambda one: f"stamps are {abs(one.timing.most_ns) / checks.EPOCH_NS:,.0f} days from the current time",
-        ),
+        each_stream(checks.other_epoch, checks.from_epoch),
+    ),
+    Rule(
+        "IGTL-W307", "fractions of stamps in another unit", "Protocol/timestamp.md",
+        "multiply the fraction of a second by 2^32 in the sender (OpenIGTLink4J writes milliseconds), or use the time "
+        'of receipt (`stamp = "receive"`)',
+        each_stream(checks.other_unit, checks.in_unit),
     ),
     Rule(
         "IGTL-W303", "stamps in the future", "Protocol/timestamp.md",

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import field
 from typing import Any, ClassVar
 
@@ -20,6 +21,7 @@ from igtl_gateway.base.errors import ChecksumMismatch, MalformedBody, TruncatedM
 from igtl_gateway.base.stamp import fraction_to_ns
 from igtl_gateway.base.values import value
 from igtl_gateway.wire.body import Body
+from igtl_gateway.wire.deviations import explained
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.header import HEADER_SIZE, HEADER_VERSIONS, Header, crc64
 from igtl_gateway.wire.layout import Field, compile_struct, offset_of
@@ -122,14 +124,31 @@ def decode(data: Buffer, *, check_crc: bool = True) -> Message:
     """
     view = memoryview(data)
     header = Header.unpack(view)
-    if header.version not in HEADER_VERSIONS:
-        raise MalformedBody("header, version", header.version, "1 or 2")
     body = view[HEADER_SIZE:]
+    if header.version not in HEADER_VERSIONS:
+        raise explained(MalformedBody("header, version", header.version, "1 or 2"), header, body, body)
     if body.nbytes != header.body_size:
         error = TruncatedMessage if body.nbytes < header.body_size else MalformedBody
         raise error(f"{visible(header.type)} body", f"{body.nbytes} bytes", f"{header.body_size} bytes")
     if check_crc and (wrong := _checksum_mismatch(header, body)):
         raise wrong
+    try:
+        return _decoded(header, body)
+    except (MalformedBody, TruncatedMessage) as error:
+        raise explained(error, header, body, _content(header, body)) from None
+
+
+def _content(header: Header, body: memoryview) -> memoryview:
+    """The content of a body; all of it if its extended header is not valid."""
+    if header.version == 1:
+        return body
+    try:
+        return ExtendedHeader.unpack(body).split(body)[0]
+    except WireError:
+        return body
+
+
+def _decoded(header: Header, body: memoryview) -> Message:
     if header.version == 1:
         return Message(header.type, header.device_name, read_content(header.type, body), header.ticks)
     extended = ExtendedHeader.unpack(body)
@@ -345,14 +364,15 @@ def describe(data: Buffer) -> dict[str, Any]:
     errors: list[WireError] = [wrong] if wrong else []
     try:
         if header.version == 2:
-            extended = ExtendedHeader.unpack(body)
-            shown["ext"] = {
-                "ext_header_size": extended.ext_header_size,
-                "metadata_header_size": extended.metadata_header_size,
-                "metadata_size": extended.metadata_size,
-                "message_id": extended.message_id,
-            }
-            shown["content_size"] = extended.split(body)[0].nbytes
+            with suppress(MalformedBody, TruncatedMessage):  # that of ``decode`` also has what is known of the sender
+                extended = ExtendedHeader.unpack(body)
+                shown["ext"] = {
+                    "ext_header_size": extended.ext_header_size,
+                    "metadata_header_size": extended.metadata_header_size,
+                    "metadata_size": extended.metadata_size,
+                    "message_id": extended.message_id,
+                }
+                shown["content_size"] = extended.split(body)[0].nbytes
         else:
             shown["content_size"] = body.nbytes
         message = decode(view, check_crc=False)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from igtl_gateway.base.buffers import join
-from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks
+from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S, ns_to_ticks, ticks_to_ns
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.doctor import Observer
 from igtl_gateway.doctor.observer import ExpectedLinks
@@ -100,6 +100,41 @@ def whole_seconds(made: Scene, every_ns: int) -> Scene:
     return made
 
 
+def images(made: Scene, spacings: Iterable[float]) -> Scene:
+    for one in spacings:
+        made.receive(Image((1, 1, 1), 3, b"\0", wire_matrix=(one, 0, 0, 0, one, 0, 0, 0, one, 0, 0, 0)), kind="IMAGE")
+    return made
+
+
+def fractions(made: Scene, per_second: int, every_ns: int = 70 * NS_PER_MS, imported: bool = False) -> Scene:
+    """60 stamps of the present, whose fractions count ``per_second``; imported ones arrive at their stamps."""
+    made.now_ns += 100 * NS_PER_MS
+    for step in range(60):
+        now_ns = made.now_ns + every_ns
+        ticks = now_ns // NS_PER_S << 32 | now_ns % NS_PER_S * per_second // NS_PER_S
+        made.now_ns = (ticks_to_ns(ticks) if imported else now_ns) - 20 * NS_PER_MS
+        data = join(encode(Message("TRANSFORM", "Probe", pose(100.0 + step), ticks)))
+        made.add(Kind.IGTL_IN, data, 1, "TRANSFORM/Probe", ticks_to_ns(ticks))
+        made.now_ns = now_ns
+    return made
+
+
+def low_words(made: Scene) -> Scene:
+    """As clients in MATLAB send them: the seconds where the fraction belongs."""
+    for step in range(30):
+        ticks = (made.now_ns + 20 * NS_PER_MS) // NS_PER_S
+        data = join(encode(Message("TRANSFORM", "Probe", pose(100.0 + step), ticks)))
+        made.add(Kind.IGTL_IN, data, 1, "TRANSFORM/Probe", ticks_to_ns(ticks))
+    return made
+
+
+def by_rows() -> TrackingData:
+    """A quarter turn about z and a translation, row by row."""
+    elements = np.zeros(1, TRACKING_DTYPE)
+    elements["name"], elements["matrix"][0] = b"Tool", (0, -1, 0, 100, 1, 0, 0, 20, 0, 0, 1, 30)
+    return TrackingData(elements)
+
+
 def tools(name: bytes) -> TrackingData:
     elements = np.zeros(1, TRACKING_DTYPE)
     elements["name"], elements["matrix"][:, [0, 4, 8]], elements["matrix"][:, 9] = name, 1.0, 100.0
@@ -188,7 +223,7 @@ CASES: dict[str, tuple[Callable[[], Scene], list[str]]] = {
     "scaled": (lambda: scene().receive(pose(diagonal=(2.0, 2.0, 2.0))), ["W504"]),
     "quaternion of no length": (
         lambda: scene().receive(Position((1e2, 0.0, 0.0), (0.0, 0.0, 0.0, 0.5)), kind="POSITION"),
-        ["W504"],
+        ["W509"],
     ),
     "left-handed": (lambda: scene().receive(pose(diagonal=(1.0, 1.0, -1.0))), ["W505"]),
     "spacing in metres": (
@@ -196,6 +231,20 @@ CASES: dict[str, tuple[Callable[[], Scene], list[str]]] = {
                              kind="IMAGE"),
         ["W506"],
     ),
+    "no spacing, then one": (lambda: images(scene(), [0.0, 1.0, 1.0]), ["W506"]),
+    "a spacing, then none": (lambda: images(scene(), [1.0, 1.0, 0.0]), ["W506"]),
+    "fractions in ns": (lambda: fractions(scene(), NS_PER_S), ["W307"]),
+    "fractions in us": (lambda: fractions(scene(), 1_000_000), ["W307"]),
+    "fractions in ms": (lambda: fractions(scene(), 1_000), ["W307"]),
+    "fractions of the protocol": (lambda: fractions(scene(), 2**32), []),
+    "fractions in ns, imported": (lambda: fractions(scene(), NS_PER_S, imported=True), ["W307"]),
+    "fractions in ms, imported": (lambda: fractions(scene(), 1_000, imported=True), ["W307"]),
+    "fractions of the protocol, imported": (lambda: fractions(scene(), 2**32, imported=True), []),
+    # once a second at one moment of it: all fractions are below 10^9, and right
+    "a steady phase": (lambda: fractions(scene(), 2**32, every_ns=NS_PER_S), []),
+    "seconds in the low word": (lambda: low_words(scene()), ["W305"]),
+    "denormal": (lambda: scene().receive(pose(x=3e-45)), ["W510"]),
+    "rows for columns": (lambda: scene().receive(by_rows(), kind="TDATA"), ["W504"]),
     "a pause": (lambda: poses(poses(scene(), range(100, 130)).after(3 * NS_PER_S), [100]), ["W507"]),
     "a note": (lambda: poses(scene(), [100]).note("out_of_memory", level=Level.ERROR), ["W801"]),
 }  # fmt: skip
@@ -212,6 +261,29 @@ def test_the_text_has_the_found_values() -> None:
     texts = {finding.rule.id: finding.match.text for finding in judge(made.observed)}
     assert texts["IGTL-W501"].startswith("all 12 positions are within 0.514 mm of the origin")
     assert texts["IGTL-W301"] == "12 of 12 messages have the stamp 0 (unset)"
+
+
+@pytest.mark.parametrize(
+    ("made", "rule", "named"),
+    [
+        (lambda: fractions(scene(), NS_PER_S), "W307", "count ns, not 2^-32 s"),
+        (lambda: fractions(scene(), 1_000), "W307", "count ms"),
+        (lambda: low_words(scene()), "W305", "MATLAB"),
+        (lambda: scene().receive(by_rows(), kind="TDATA"), "W504", "openigtlink-rust"),
+        (lambda: images(scene(), [0.0, 1.0]), "W506", "spacing of 0 mm in 1 of 2 images: C++ senders"),
+        (lambda: scene().receive(Position((1.0, 2.0, 3.0), (0.0,) * 4), kind="POSITION"), "W509", "pygtlink"),
+        (lambda: scene().receive(Raw(b"TRANSFORMSTRING"), kind="CAPABILITY"), "E210", "OpenIGTLink-Java"),
+    ],
+)
+def test_the_text_names_the_senders_that_do_it(made: Callable[[], Scene], rule: str, named: str) -> None:
+    texts = {finding.rule.id: finding.match.text for finding in judge(made().observed)}
+    assert named in texts[f"IGTL-{rule}"]
+
+
+def test_the_advice_names_the_senders_that_do_it() -> None:
+    advice = {rule.id: rule.advice for rule in RULES}
+    assert "openigtlink-rust" in advice["IGTL-E201"] and "openigtlink-rust" in advice["IGTL-E202"]
+    assert "MATLAB" in advice["IGTL-E206"] and "pyIGTLink" in advice["IGTL-E210"]
 
 
 def test_the_ledger_and_the_damage_of_a_recording() -> None:
