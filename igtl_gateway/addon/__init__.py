@@ -16,6 +16,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from igtl_gateway.api.igtl_columns import quaternions_of as quaternions_of
+    from igtl_gateway.api.named_numbers import NAME_FIELDS as NAME_FIELDS
+    from igtl_gateway.api.named_numbers import by_name as by_name
+    from igtl_gateway.api.named_numbers import completed as completed
     from igtl_gateway.api.poses import between_poses as between_poses
     from igtl_gateway.api.recording import Recording as Recording
     from igtl_gateway.api.recording import of_session as of_session
@@ -281,6 +284,8 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("gateway.log.interleaving", "Interleaving is_mixed"),
     ("gateway.log.joining", "GAP_NS NEAR_NS Picks pick"),
     ("api.poses", "between_poses"),
+    # Numbers of joints, by their names
+    ("api.named_numbers", "NAME_FIELDS by_name completed"),
     ("gateway.log.marks", "Mark MarkNote ago_ns"),
     ("record.sessionfile.added_marks", "added_marks marks_files"),
     ("replay.recorded_marks", "carry_marks marked_moment marks_of"),

@@ -9,7 +9,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import NS_PER_S, ConfigError, GatewayError, Recording, Stream, quaternions_of
+from igtl_gateway.addon import (
+    NAME_FIELDS,
+    NS_PER_S,
+    ConfigError,
+    GatewayError,
+    Recording,
+    Stream,
+    by_name,
+    completed,
+    quaternions_of,
+)
 from igtl_gateway.addons.lerobot.pictures import Pictures, has_pictures
 from igtl_gateway.addons.lerobot.recipe import Feature
 from igtl_gateway.addons.sync.correction import StampCorrection
@@ -177,7 +187,7 @@ def _values(stream: Stream, row: Feature) -> tuple[str, Array, Any, tuple[str, .
         if stream.type not in _TEXTS:
             return _poses(stream, row)
         fields = (_TEXTS[stream.type],)
-    return _columns(stream, fields)
+    return _columns(stream, fields, row)
 
 
 def _poses(stream: Stream, row: Feature) -> tuple[str, Array, Any, tuple[str, ...], None]:
@@ -225,7 +235,7 @@ def _check_lengths(table: Any, fields: Sequence[str]) -> None:
                 raise ConfigError(f"fields: found {longest:,} numbers in {name}, expected at most {MAX_NUMBERS:,}")
 
 
-def _columns(stream: Stream, fields: Sequence[str]) -> tuple[str, Array, Any, tuple[str, ...], None]:
+def _columns(stream: Stream, fields: Sequence[str], row: Feature) -> tuple[str, Array, Any, tuple[str, ...], None]:
     """The numbers in columns of the table of the stream, or the text in one."""
     import pyarrow as pa
 
@@ -249,9 +259,12 @@ def _columns(stream: Stream, fields: Sequence[str]) -> tuple[str, Array, Any, tu
         values = table[name].to_pylist()
         shown = f"{name.removesuffix(f'_{unit}')}_{wanted}" if unit and name.endswith(f"_{unit}") else name
         size = next((len(each) for each in values if isinstance(each, list) and each), 0)
-        if any(isinstance(each, list) for each in values):
+        if size and (named := _by_name(table, values, stream, rows, row)):
+            blocks.append(named[1] * factor)
+            names += [f"{joint}.{shown}" for joint in named[0]]
+        elif any(isinstance(each, list) for each in values):
             blocks.append(np.array([_row(each, size) for each in values]).reshape(len(values), size) * factor)
-            names += _element_names(table, shown, size)
+            names += [f"{shown}_{number}" for number in range(size)]
         else:
             blocks.append(np.array([np.nan if each is None else float(each) for each in values])[:, None] * factor)
             names.append(shown)
@@ -274,13 +287,28 @@ def _row(values: Any, size: int) -> list[float]:
     return [float(each) for each in values]
 
 
-def _element_names(table: Any, name: str, size: int) -> list[str]:
-    """The names of the elements of a list: those of the joints, where the message has them."""
-    if "name" in table.schema.names:
-        joints = next((each for each in table["name"].to_pylist() if isinstance(each, list) and each), [])
-        if len(joints) == size and all(isinstance(each, str) and each.isprintable() for each in joints):
-            return [f"{joint}.{name}" for joint in joints]
-    return [f"{name}_{number}" for number in range(size)]
+def _by_name(
+    table: Any, values: list[Any], stream: Stream, rows: Times, row: Feature
+) -> tuple[tuple[str, ...], Array] | None:
+    """The names of the joints and their values (N, K), of messages with any of them in any order; None without names.
+
+    A message that does not have a joint has the value by the rule of the row, within its tolerance: so the last value
+    of each joint, or the one between two, is exact at the times of all messages.
+    """
+    field = next((each for each in NAME_FIELDS if each in table.schema.names), "")
+    lists = table[field].to_pylist() if field else []
+    if not any(isinstance(each, list) and each and isinstance(each[0], str) for each in lists):
+        return None
+    found = by_name(lists, values)
+    if found is None:
+        return None
+    if len(found.names) > MAX_NUMBERS:
+        raise ConfigError(f"fields: found {len(found.names):,} names, expected at most {MAX_NUMBERS:,}")
+    sources = stream.source_times[rows]
+    times = sources if np.all(sources > 0) else stream.times[rows]
+    most_ns = (1 << 62) - 1 if row.tolerance_ms is None else round(row.tolerance_ms * 1e6)
+    names = tuple(each if each.isprintable() else repr(each) for each in found.names)
+    return names, completed(found, times, row.rule or "hold", most_ns)
 
 
 def signal_of(stream: Stream, clock: str, frame: str = "", pictures: Pictures | None = None) -> Signal:

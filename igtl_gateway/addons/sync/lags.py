@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import ConfigError, GatewayError, Kind, Stream
+from igtl_gateway.addon import NAME_FIELDS, NS_PER_S, ConfigError, GatewayError, Kind, Stream, by_name, completed
 from igtl_gateway.addon.ros import Image as RosImage
 from igtl_gateway.addon.ros import Marker, PointCloud2, PointList, PointStamped, TFMessage, Volume
 from igtl_gateway.addons.sync.defaults import CUT_OFF_HZ
@@ -31,6 +31,9 @@ _TOOL_M = 0.1
 #: Fields of messages that count or name something, and the most numbers of one message that are compared.
 _NOT_MOVING = frozenset({"header", "stamp", "unit", "id", "status", "layout"})
 _MOST_NUMBERS = 64
+#: Numbers of joints, of which the first that a topic has moves; the longest time between two values of a joint.
+_OF_JOINTS = ("position", "velocity", "effort")
+_LONGEST_NS = NS_PER_S
 #: Streams that are measured without being named.
 _MOST_STREAMS = 100
 
@@ -219,12 +222,32 @@ def _of_clouds(stream: Stream, _line: bool) -> tuple[Array, str]:
 
 
 def _of_numbers(stream: Stream) -> Array:
-    """The numbers in the messages, as many as the first message has; NaN for one that has others."""
-    rows = [_numbers(message.content) for message in stream.messages()]
+    """The numbers in the messages, as many as the first message has; NaN for one that has others.
+
+    Of joints those of each name, whatever their order is, and whether or not all are in each message.
+    """
+    messages = [message.content for message in stream.messages()]
+    for field in _OF_JOINTS:
+        if (values := _of_names(messages, field, stream)) is not None:
+            return values
+    rows = [_numbers(content) for content in messages]
     size = len(rows[0]) if rows else 0
     if rows and not size:
         raise ConfigError(f"{stream.key}: found {stream.type}, expected poses, images, points or numbers")
     return np.array([row if len(row) == size else [np.nan] * size for row in rows]).reshape(len(rows), size)
+
+
+def _of_names(messages: Sequence[Any], field: str, stream: Stream) -> Array | None:
+    """A field of messages by the names in them (N, K), K up to ``_MOST_NUMBERS``; None without names or numbers."""
+    name = next((each for each in NAME_FIELDS if messages and hasattr(messages[0], each)), "")
+    lists = [getattr(content, name, None) for content in messages] if name else []
+    if not any(isinstance(each, list) and each and isinstance(each[0], str) for each in lists):
+        return None
+    found = by_name(lists, [getattr(content, field, None) for content in messages])
+    if found is None:
+        return None
+    times = stream.source_times if np.all(stream.source_times > 0) else stream.times
+    return completed(found, times, "interpolate", _LONGEST_NS)[:, :_MOST_NUMBERS]
 
 
 def _numbers(content: Any) -> list[float]:

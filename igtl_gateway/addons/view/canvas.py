@@ -12,10 +12,10 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
-from igtl_gateway.addon import Once
+from igtl_gateway.addon import ConversionError, Once
 from igtl_gateway.addons.view.colours import SERIES
 from igtl_gateway.addons.view.contents import FRAMES, LOG, EntityKind, SessionContents, ShownTopic, escape_path_part
-from igtl_gateway.addons.view.pen import Pen, Pose, Xyz
+from igtl_gateway.addons.view.pen import MAX_ENTITIES, Pen, Pose, Xyz
 
 NS_PER_MS = 1_000_000
 
@@ -93,11 +93,33 @@ class Canvas:
         self.colour = SERIES[number % len(SERIES)]
         self._seen = seen
         self._trails: dict[str, _Trail] = {}
+        self._parts: dict[str, str] = {}  # name → part of a path
+        self._taken: set[str] = set()
         self._paths = {"": shown.path}  # child → its entity
 
     def fields(self, names: Iterable[str]) -> None:
         """Record the names of fields that can colour a cloud."""
         self._seen.fields.update(names)
+
+    def part(self, name: str) -> str:
+        """Return a name as one part of the path of a child: a different one for each name.
+
+        Raises ConversionError above the maximum number of entities.
+        """
+        part = self._parts.get(name)
+        if part is None:
+            if len(self._parts) >= MAX_ENTITIES:
+                raise ConversionError(f"found more than {MAX_ENTITIES:,} names, expected fewer")
+            wanted = part = escape_path_part(name)
+            number = 1
+            while part in self._taken:
+                number += 1
+                part = f"{wanted}_{number}"
+            if part != wanted:
+                self.text_once(f"{name!r} is drawn at {part}: {wanted} is another name")
+            self._parts[name] = part
+            self._taken.add(part)
+        return part
 
     def frame(self, frame_id: str) -> str:
         """Return the frame to draw in; the base frame of the session if the message names none."""

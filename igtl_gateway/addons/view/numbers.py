@@ -21,6 +21,8 @@ from igtl_gateway.convert.multi_arrays import MultiArray
 
 #: Up to this many numbers are curves; more numbers are a bar chart.
 _CURVES = 16
+#: Sets of joints of one topic that are drawn.
+_MOST_GROUPS = 64
 _WRENCH = (*(f"force {axis} (N)" for axis in "xyz"), *(f"torque {axis} (Nm)" for axis in "xyz"))
 _TWIST = (*(f"linear {axis} (m/s)" for axis in "xyz"), *(f"angular {axis} (rad/s)" for axis in "xyz"))
 #: Units of revolute and of prismatic joints: the message does not state the kind of a joint.
@@ -30,9 +32,36 @@ _JOINTS = {"position": "rad or m", "velocity": "rad/s or m/s", "effort": "Nm or 
 def draw_joints(message: JointState, canvas: Canvas) -> None:
     """sensor_msgs/JointState: positions at the path of the topic, velocities and efforts below it; moves robots."""
     for (what, unit), values in zip(_JOINTS.items(), (message.position, message.velocity, message.effort), strict=True):
-        names = [f"{name} ({unit})" for name in message.name]
-        _curves(canvas, values.tolist(), names, "" if what == "position" else what)
+        _joint_curves(canvas, message.name, values.tolist(), unit, "" if what == "position" else what)
     canvas.robots.move(message.name, message.position.tolist(), canvas)
+
+
+def _joint_curves(canvas: Canvas, names: tuple[str, ...], values: list[float], unit: str, child: str) -> None:
+    """Draw a curve for each joint, by its name: another message may have them in another order, or other ones.
+
+    Joints of another arm have curves of their own, ``<number>``; the curve of a joint that a message does not have has
+    a gap.  A message whose names are not those of its numbers has curves without names.
+    """
+    if not values:
+        return
+    if len(set(names)) != len(values) or len(names) != len(values):
+        if names:
+            canvas.text_once(f"found {len(values)} numbers and the names {', '.join(names)[:200]}, expected one each")
+            child = f"{child}/unnamed" if child else "unnamed"
+        _curves(canvas, values, (), child)
+        return
+    groups: list[tuple[str, ...]] = canvas.memory.setdefault(f"joints {child}", [])
+    number = next((each for each, known in enumerate(groups) if set(names) <= set(known)), len(groups))
+    if number == len(groups):
+        if number >= _MOST_GROUPS:
+            canvas.text_once(f"more than {_MOST_GROUPS} sets of joints are not drawn")
+            return
+        groups.append(names)
+    by_name = dict(zip(names, values, strict=True))
+    if number:
+        child = f"{child}/{number + 1}" if child else str(number + 1)
+    shown = [f"{name} ({unit})" for name in groups[number]]
+    _curves(canvas, [by_name.get(name, math.nan) for name in groups[number]], shown, child)
 
 
 def draw_sensor(message: Sensor, canvas: Canvas) -> None:

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 from igtl_gateway.addon.ros import PoseArray, PoseStamped, TFMessage, TrackingData, TransformStamped
 from igtl_gateway.addons.view.canvas import Canvas
-from igtl_gateway.addons.view.contents import escape_path_part
 
 _HUGE = 1e18  #: its square fits into float32
 
@@ -33,7 +32,7 @@ def draw_tracking(message: TrackingData, canvas: Canvas) -> None:
     """igtl_msgs/TrackingData: each tool under its name."""
     frame = canvas.frame(message.header.frame_id)
     for tool in message.tools:
-        _tool(tool.pose, frame, canvas, escape_path_part(tool.name))
+        _tool(tool.pose, frame, canvas, canvas.part(tool.name))
 
 
 def draw_tf(message: TFMessage, canvas: Canvas) -> None:

@@ -18,7 +18,7 @@ import rerun as rr
 from igtl_gateway.addon import RecordingError
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.colours import GREY, WARN, rgba
-from igtl_gateway.addons.view.contents import EntityKind, escape_path_part
+from igtl_gateway.addons.view.contents import EntityKind
 from igtl_gateway.addons.view.meshes import MeshFolders
 from igtl_gateway.addons.view.robot_model import MOVING, Joint, JointKind, Robot, Visual, Xyz
 from igtl_gateway.addons.view.urdf import parse_urdf
@@ -178,7 +178,7 @@ class Robots:
         for link in links:
             drawn = [self._body(visual, urdf, missing) for visual in model.visuals.get(link, ())]
             whole = bool(drawn) and None not in drawn
-            name = escape_path_part(link)
+            name = canvas.part(link)
             bodies[link] = [(f"{name}/{n}", body) for n, body in enumerate(drawn, 1) if body is not None]
             ground = link == model.root and link not in model.visuals and bool(model.visuals)
             if not whole and not ground and (lines := _lines(model, link)):

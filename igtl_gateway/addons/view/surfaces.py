@@ -21,7 +21,7 @@ from igtl_gateway.addon.ros import Marker, Mesh, PolyData, TrajectoryList
 from igtl_gateway.addons.view import colours
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.clouds import POINT_M
-from igtl_gateway.addons.view.contents import EntityKind, escape_path_part
+from igtl_gateway.addons.view.contents import EntityKind
 from igtl_gateway.addons.view.markers import MarkerArray
 from igtl_gateway.addons.view.other_msgs import Path
 from igtl_gateway.convert import surfaces
@@ -148,13 +148,13 @@ def draw_marker(message: Marker, canvas: Canvas) -> None:
     canvas.set_kind(_WHAT.get(message.type, EntityKind.MARKERS))
     key = (message.ns, message.id)
     first = canvas.memory.setdefault("first", key)
-    _draw(message, canvas, "" if key == first else f"{escape_path_part(message.ns)}/{message.id}")
+    _draw(message, canvas, "" if key == first else f"{canvas.part(message.ns)}/{message.id}")
 
 
 def draw_marker_array(message: MarkerArray, canvas: Canvas) -> None:
     """visualization_msgs/MarkerArray: each at ``<namespace>/<id>`` below the topic."""
     for marker in message.markers:
-        _draw(marker, canvas, f"{escape_path_part(marker.ns)}/{marker.id}")
+        _draw(marker, canvas, f"{canvas.part(marker.ns)}/{marker.id}")
 
 
 def _draw(marker: Marker, canvas: Canvas, child: str) -> None:

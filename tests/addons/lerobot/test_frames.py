@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -305,3 +306,52 @@ def test_a_stream_of_thousands_of_numbers_is_left_out(tmp_path: Path) -> None:
     with igtl_gateway.open(path) as recording:
         text = draft(recording)
     assert "found 5,000 numbers in position, expected at most 4,096" in text and f'stream = "{ARM}"' in text
+
+
+def _states(*names: str, sign: float = 1.0) -> Callable[[int], JointState]:
+    """A state in which the position of a joint is the number at the end of its name."""
+    values = np.array([sign * int(name[-1]) for name in names])
+    return lambda stamp_ns: JointState(Header(stamp_ns, ""), names, values, np.array([]), np.array([]))
+
+
+@pytest.mark.parametrize("rule", ["hold", "nearest", "interpolate"])
+def test_joints_go_by_name_whoever_publishes_them_in_any_order(rule: str, tmp_path: Path) -> None:
+    random, messages = np.random.default_rng(1), list[Sent]()
+    for number in range(200):
+        side, sign = ("left", 1.0) if number % 2 else ("right", -1.0)
+        names = [f"{side}_{joint}" for joint in random.permutation(3) + 1]
+        messages.append((number / 100, "/joint_states", _states(*names[: 2 if number % 7 == 3 else 3], sign=sign)))
+    path = write_session(tmp_path / "s.mcap", messages)
+    recipe = f"""[dataset]
+fps = 30
+task = "t"
+[[feature]]
+name = "observation.state"
+stream = "/joint_states"
+fields = ["position"]
+rule = "{rule}"
+[[feature]]
+name = "action"
+next_of = "observation.state"
+"""
+    (tmp_path / "r.toml").write_text(recipe)
+    with igtl_gateway.open(path) as recording:
+        plan = build(recording, read_recipe(tmp_path / "r.toml"))
+        values = np.concatenate([plan.values(episode, "observation.state") for episode in plan.episodes])
+    names = plan.names("observation.state")
+    assert sorted(names) == [f"{side}_{joint}.position" for side in ("left", "right") for joint in (1, 2, 3)]
+    expected = [(1 if name.startswith("left") else -1) * int(name.split(".")[0][-1]) for name in names]
+    assert len(values) > 50
+    np.testing.assert_array_equal(values, np.broadcast_to(np.array(expected, np.float32), values.shape))
+
+
+def test_a_joint_that_is_no_longer_published_has_no_value(tmp_path: Path) -> None:
+    messages: list[Sent] = [
+        (number / 100, "/joint_states", _states("a1", "b2") if number < 100 else _states("a1")) for number in range(200)
+    ]
+    path = write_session(tmp_path / "s.mcap", messages)
+    with igtl_gateway.open(path) as recording:
+        (tmp_path / "r.toml").write_text(draft(recording))
+        samples = build(recording, read_recipe(tmp_path / "r.toml")).samples[0]
+    assert samples is not None and samples.names == ("a1.position", "b2.position")
+    assert 110 <= len(samples.times) <= 111 and samples.unusable == 200 - len(samples.times), "100 ms longer at most"

@@ -11,7 +11,7 @@ import pytest
 
 import igtl_gateway
 from igtl_gateway.addons.sync.lag import measure_lag
-from igtl_gateway.addons.sync.lags import movements, picture_components
+from igtl_gateway.addons.sync.lags import movement, movements, picture_components
 from igtl_gateway.addons.sync.signal import Signal, moves
 from igtl_gateway.base.errors import GatewayError
 from igtl_gateway.convert.common_msgs import JointState
@@ -75,3 +75,27 @@ def test_more_streams_than_can_be_measured(tmp_path: Path) -> None:
                     movements([recording])
             else:
                 assert movements([recording]) == []
+
+
+def test_joints_of_two_arms_in_turn_and_in_any_order_are_one_movement(tmp_path: Path) -> None:
+    random = np.random.default_rng(1)
+    paths = []
+    for name, in_turn in (("whole", False), ("turn", True)):
+        path = tmp_path / f"{name}.mcap"
+        writer = SessionWriter(path, {"imported_format": "a test"})
+        for number in range(400):
+            at = number * 0.01
+            values = {f"{side}_{n}": float(np.sin(n * at + ord(side))) for side in "lr" for n in (1, 2, 3)}
+            own = [each for each in values if not in_turn or each[0] == "lr"[number % 2]]
+            names = [own[place] for place in random.permutation(len(own))] if in_turn else own
+            joints = JointState(Header(0, ""), tuple(names), np.array([values[each] for each in names])).pack()
+            at_ns = 10**9 + int(at * 1e9)
+            writer.write(Entry(number + 1, at_ns, Kind.ROS_IN, "/joint_states", JointState.TYPE, (joints,), (), at_ns))
+        writer.close({})
+        paths.append(path)
+    with igtl_gateway.open(paths[0]) as whole, igtl_gateway.open(paths[1]) as turn:
+        one, other = movement(whole["/joint_states"]), movement(turn["/joint_states"])
+    assert len(other.times_ns) > 390
+    shared = np.isin(one.times_ns, other.times_ns)
+    best = [np.abs(one.values[shared] - column[:, None]).max(axis=0).min() for column in other.values.T]
+    assert max(best) < 1e-3, "each column is one joint, between two of its values"

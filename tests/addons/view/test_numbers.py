@@ -28,6 +28,31 @@ def test_joints_are_curves_with_their_names(draw: Draw) -> None:
     assert drawn.count("topic/effort") == 0
 
 
+def joints(*names: str, sign: float = 1.0, values: tuple[float, ...] | None = None) -> JointState:
+    """A state in which the position of a joint is the number at the end of its name."""
+    return JointState(HEADER, names, np.array([sign * int(name[-1]) for name in names] if values is None else values))
+
+
+def test_curves_of_joints_go_by_name(draw: Draw) -> None:
+    left, right = joints("l1", "l2", "l3"), joints("r1", "r2", "r3", sign=-1)
+    some = joints("l3", "l1", "l2"), right, joints("l2"), joints("r3", "r1", sign=-1), joints("l1", "x4")
+    drawn = draw(left, right, *some)
+    of_left = [row["Scalars:scalars"] for row in drawn.rows("topic") if "Scalars:scalars" in row]
+    assert [of_left[row] for row in (0, 1)] == [[1.0, 2.0, 3.0]] * 2
+    assert np.isnan(of_left[2][0]) and of_left[2][1] == 2.0 and np.isnan(of_left[2][2])
+    of_right = [row["Scalars:scalars"] for row in drawn.rows("topic/2")]
+    assert of_right[:2] == [[-1.0, -2.0, -3.0]] * 2 and of_right[2][::2] == [-1.0, -3.0]
+    assert drawn.static("topic")["SeriesLines:names"] == [f"l{number} (rad or m)" for number in (1, 2, 3)]
+    assert drawn.static("topic/2")["SeriesLines:names"] == [f"r{number} (rad or m)" for number in (1, 2, 3)]
+    assert drawn.rows("topic/3")[0]["Scalars:scalars"] == [1.0, 4.0]
+
+
+def test_joints_whose_names_are_unclear_have_none(draw: Draw) -> None:
+    drawn = draw(joints("a1", "a2"), joints("a1", "a1"), joints("a1", "a2", values=(5.0,)))
+    assert [row.get("Scalars:scalars") for row in drawn.rows("topic")] == [[1.0, 2.0], None, None]
+    assert drawn.rows("topic/unnamed")[0]["Scalars:scalars"] == [1.0, 1.0]
+
+
 def test_joints_without_positions_count(draw: Draw) -> None:
     drawn = draw(JointState(HEADER, ("a1",), effort=np.array([3.0])))
     assert drawn.count("topic") == 1

@@ -49,6 +49,17 @@ def test_poses_by_the_thousand_are_all_there(draw: Draw) -> None:
     np.testing.assert_allclose(last["Transform3D:translation"], [(4.999, 0, 0)], atol=1e-6)
 
 
+def test_tools_whose_names_differ_in_signs_have_their_own_paths(draw: Draw) -> None:
+    tools = [
+        TrackedTool(name, 1, (0.1 * n, 0.0, 0.0, *TURN))
+        for n, name in enumerate(("Tool A", "Tool_A", "Tool-A", "Tool/A"))
+    ]
+    drawn = draw(TrackingData(HEADER, tuple(tools)), TrackingData(HEADER, tuple(tools[::-1])))
+    for number, path in enumerate(("Tool_A", "Tool_A_2", "Tool-A", "Tool_A_3")):
+        for row in drawn.rows(f"topic/{path}"):
+            np.testing.assert_allclose(row["Transform3D:translation"], [(0.1 * number, 0, 0)], atol=1e-7)
+
+
 def test_a_trail_is_where_the_tool_was_in_the_last_seconds(draw: Draw) -> None:
     drawn = draw(*moving(1000))
     trail = drawn.rows("topic/trail")

@@ -160,6 +160,19 @@ def test_markers_are_told_apart_and_deleted(draw: Draw) -> None:
     assert [row["Clear:is_recursive"] for row in drawn.rows("topic") if "Clear:is_recursive" in row] == [[False]]
 
 
+def test_markers_of_namespaces_that_differ_in_signs_are_told_apart(draw: Draw) -> None:
+    said = [
+        marker(Marker.POINTS, ns, 1, points=CORNERS[:1] + number)
+        for number, ns in enumerate(("a b", "a_b", "", "unnamed"))
+    ]
+    drawn = draw(Several(*said), Several(*said))
+    paths = ("a_b", "a_b_2", "unnamed", "unnamed_2")
+    for number, path in enumerate(paths):
+        rows = [row["Points3D:positions"] for row in drawn.rows(f"topic/{path}/1")]
+        np.testing.assert_allclose(rows, [[list(CORNERS[0] + number)]] * 2)
+    assert sum("is drawn at" in line for line in drawn.log()) == 2
+
+
 def test_all_markers_of_an_array(draw: Draw) -> None:
     said = Several(marker(Marker.POINTS, "x", 1, points=CORNERS, text="one"), marker(1, "y", 7), marker(3, "y", 8))
     drawn = draw(said)
