@@ -75,5 +75,5 @@ def test_names_that_are_not_clear_have_no_values() -> None:
 def test_a_value_that_is_no_number_is_not_replaced() -> None:
     found = found_in([["a"], ["a"], ["b"]], [[1.0], [float("nan")], [5.0]])
     result = completed(found, np.array([1, 2, 3]), "hold", NEVER)
-    assert np.isnan(result[1, 0]) and np.isnan(result[2, 0]), "the last value is the one that is no number"
+    assert np.isnan(result[1, 0]) and np.isnan(result[2, 0]), "the last value is not finite"
     assert np.isnan(result[0, 1])
