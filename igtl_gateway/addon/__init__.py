@@ -242,6 +242,8 @@ if TYPE_CHECKING:
     from igtl_gateway.replay.recorded_marks import marked_moment as marked_moment
     from igtl_gateway.replay.recorded_marks import marks_of as marks_of
     from igtl_gateway.replay.source import check_recorded as check_recorded
+    from igtl_gateway.replay.state_before import latched_before as latched_before
+    from igtl_gateway.replay.state_before import with_state as with_state
 
 #: Names that are others there; the rest of the surface is above.
 __all__ = ["VIDEO_THREADS", "open_recording", "ros_definitions"]
@@ -352,6 +354,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("base.distinct", "distinct_names numbered"),
     ("base.near", "did_you_mean near_names"),
     ("replay.source", "check_recorded"),
+    ("replay.state_before", "latched_before with_state"),
     ("base.once", "Once"),
     ("base.systems.leaving", "expect_threads_of"),
     ("base.child", "Child report_facts"),

@@ -34,6 +34,7 @@ from igtl_gateway.record.sessionfile.new_file import write_bytes
 from igtl_gateway.record.sessionfile.ranges import named
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.remote import RemoteFile, is_url
+from igtl_gateway.replay.state_before import with_state, without_state
 
 if TYPE_CHECKING:
     import pandas
@@ -311,12 +312,17 @@ def open(path: str | Path, *, limits: FileLimits | Mapping[str, int] | None = No
     except BaseException:
         resources.close()
         raise
+    whole = with_state(file)
+    if count := whole.entry_count - file.entry_count:
+        warnings.append(f"{path}: begins midway; its first {count:,} messages were latched before")
+    file = whole
     warnings += [f"{each.topic} ({each.count:,} messages) is not read: {each.why}" for each in file.skipped]
     return Recording(Source(file, bounds, file.start_ns, file.end_ns), str(path), tuple(warnings), resources)
 
 
 def of_session(file: SessionFile) -> Recording:
     """Return the recording of an open session file, which the caller closes."""
+    file = with_state(file)
     source = Source(file, file_limits.current_limits(), file.start_ns, file.end_ns)
     return Recording(source, str(file.path), (), ExitStack())
 
@@ -335,7 +341,7 @@ def session_of(recording: Recording | str | PathLike[str]) -> Iterator[SessionFi
     if not recording.is_whole:
         raise ConfigError(f"{recording!r}: found a part of a recording, expected the whole one")
     with file_limits.limits_in_force(recording._source.limits):
-        yield recording._source.file
+        yield without_state(recording._source.file)
 
 
 def _limits(given: FileLimits | Mapping[str, int] | None) -> FileLimits:

@@ -137,6 +137,10 @@ class Stream:
         """Gateway time of the last message, UTC ns; 0 without messages."""
         return self._span[1]
 
+    def blocks_until_end(self) -> Iterator[MessageBlock]:
+        """The messages before the end of the part and those before its start, too: for messages that stay valid."""
+        return self._source.limited(lambda: self._source.file.blocks(self._channel, 0, self._window[1]))
+
     def blocks(self) -> Iterator[MessageBlock]:
         """Yield the messages in blocks of arrays, undecoded: for programs that decode themselves."""
         return self._source.limited(lambda: self._source.file.blocks(self._channel, *self._window))

@@ -214,7 +214,7 @@ def _one_by_one(stream: Stream) -> list[tuple[tuple[str, str], Times, Array, boo
     static = stream.name.rpartition("/")[2] == _STATIC_TOPIC
     numerator, denominator = ratio(stream.unit, "m")
     found: dict[tuple[str, str], tuple[list[int], list[Array]]] = {}
-    for block in stream.blocks():
+    for block in stream.blocks_until_end() if static else stream.blocks():
         for row in range(len(block)):
             try:
                 each = list(transforms_of(block.payload(row), stream.type))

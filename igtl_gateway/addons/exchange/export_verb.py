@@ -27,6 +27,7 @@ from igtl_gateway.addon import (
     print_json,
     print_line,
     width,
+    with_state,
 )
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
 from igtl_gateway.addons.exchange.selection import bare_glob
@@ -100,7 +101,7 @@ def run(options: argparse.Namespace) -> int:
     with SessionFile.open(options.file) as file:
         faults = check_recorded([file], [bare_glob(glob) for glob in options.streams])
         try:
-            account = export_to(options.to, file, options.output, options.streams, gap_ns)
+            account = export_to(options.to, with_state(file), options.output, options.streams, gap_ns)
         except OSError as error:
             raise GatewayError(f"cannot write to {options.output}: {error.strerror or error}") from None
     account.notes += faults

@@ -39,6 +39,7 @@ from igtl_gateway.addon import (
     default,
     is_present,
     is_terminal,
+    latched_before,
     live_line,
     marked_moment,
     marks_of,
@@ -340,6 +341,9 @@ def _entries(file: SessionFile, config: Config) -> Iterator[Entry]:
 
     If OpenIGTLink messages were not converted (the recording of a relay, an imported one), this version converts them.
     """
+    # what was latched before a part is there from its first moment on
+    for entry in latched_before(file, config):
+        yield replace(entry, stamp_ns=file.start_ns)
     kinds = {channel.kind for channel in file.channels if channel.count}
     if Kind.IGTL_IN not in kinds or Kind.ROS_OUT in kinds:
         yield from file.entries()

@@ -319,13 +319,24 @@ class SessionFile:
 
         Raises DamagedRecording.
         """
+        attachment = self._prologue_attachment()
+        return prologue_of(attachment, self.path) if attachment else []
+
+    def prologue_file(self) -> SessionFile | None:
+        """The prologue as a session of its own, in memory; None without one.  Raises DamagedRecording."""
+        attachment = self._prologue_attachment()
+        if attachment is None:
+            return None
+        prologue_of(attachment, self.path)  # within the limits of untrusted files
+        return SessionFile(self.path, BytesIO(attachment.data))
+
+    def _prologue_attachment(self) -> Attachment | None:
         place = next((each for each in self._index.attachments if each.name == layout.PROLOGUE_ATTACHMENT), None)
         if place is None:
-            return []
+            return None
         with self._damage_in("prologue"):
             content = read_record(self._stream, self._index, records.ATTACHMENT, place, f"{self.path}: prologue")
-            attachment = records.parse_attachment(content)
-        return prologue_of(attachment, self.path)
+            return records.parse_attachment(content)
 
     # -- opening ----------------------------------------------------------------------------------------------
 
@@ -654,3 +665,8 @@ class SessionParts(SessionFile):
         """That of the first part; nothing if the recording has all parts: it begins with the session."""
         with SessionFile.open(self.parts[0].path) as first:
             return first.prologue()
+
+    def prologue_file(self) -> SessionFile | None:
+        """As SessionFile.prologue_file, of the first part."""
+        with SessionFile.open(self.parts[0].path) as first:
+            return first.prologue_file()

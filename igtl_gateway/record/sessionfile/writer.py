@@ -113,7 +113,7 @@ class SessionWriter:
         self._closed = False
         self._failure = ""
         self._fsync = fsync
-        before = _packed(prologue, self._types)
+        before = _packed(prologue, self._types, qos_of)
         with replaced(path) if overwrite and os.path.lexists(path) else nullcontext(path) as place:
             self._file = memory or create_file(place)
             self._mcap = McapStream(self._file, chunk_bytes=chunk_bytes, compression=compression, sealer=sealer)
@@ -359,13 +359,13 @@ def _data(entry: Entry) -> bytes | memoryview:
     return entry.data()
 
 
-def _packed(entries: Iterable[Entry], types: RosTypes) -> bytes:
+def _packed(entries: Iterable[Entry], types: RosTypes, qos_of: QosOf) -> bytes:
     """Entries as the bytes of an MCAP file of the same layout; no bytes without entries."""
     entries = list(entries)
     if not entries:
         return b""
     stream = BytesIO()
-    writer = SessionWriter(Path(layout.PROLOGUE_ATTACHMENT), {}, types=types, memory=stream)
+    writer = SessionWriter(Path(layout.PROLOGUE_ATTACHMENT), {}, qos_of=qos_of, types=types, memory=stream)
     for entry in entries:
         writer.write(entry)
     writer.close({})
