@@ -18,6 +18,7 @@ from igtl_gateway.gateway.log.entry import MESSAGES, Entry, Kind
 from igtl_gateway.record.sessionfile.bulk import MessageBlock
 from igtl_gateway.record.sessionfile.channels import ChannelSummary, joined
 from igtl_gateway.record.sessionfile.chunks import Row
+from igtl_gateway.record.sessionfile.definition import Definition
 from igtl_gateway.record.sessionfile.lookup import LatchedStateRule
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.latched import STATE_TYPES, part_of_session
@@ -93,6 +94,10 @@ class _SessionWithState(SessionFile):
         self.channels = joined((*latched, *file.channels))
         self.definitions = before.definitions | file.definitions
         self.entry_count = file.entry_count + sum(each.count for each in latched)
+
+    def definition_of(self, ros_type: str) -> Definition | None:
+        """As SessionFile.definition_of."""
+        return self.itself.definition_of(ros_type) or self._before.definition_of(ros_type)
 
     def close(self) -> None:
         """Close the file."""

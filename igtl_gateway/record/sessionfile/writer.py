@@ -113,7 +113,7 @@ class SessionWriter:
         self._closed = False
         self._failure = ""
         self._fsync = fsync
-        before = _packed(prologue, self._types, qos_of)
+        before = _packed(prologue, self._types, qos_of, definition_of)
         with replaced(path) if overwrite and os.path.lexists(path) else nullcontext(path) as place:
             self._file = memory or create_file(place)
             self._mcap = McapStream(self._file, chunk_bytes=chunk_bytes, compression=compression, sealer=sealer)
@@ -359,13 +359,15 @@ def _data(entry: Entry) -> bytes | memoryview:
     return entry.data()
 
 
-def _packed(entries: Iterable[Entry], types: RosTypes, qos_of: QosOf) -> bytes:
+def _packed(entries: Iterable[Entry], types: RosTypes, qos_of: QosOf, definition_of: DefinitionOf) -> bytes:
     """Entries as the bytes of an MCAP file of the same layout; no bytes without entries."""
     entries = list(entries)
     if not entries:
         return b""
     stream = BytesIO()
-    writer = SessionWriter(Path(layout.PROLOGUE_ATTACHMENT), {}, qos_of=qos_of, types=types, memory=stream)
+    writer = SessionWriter(
+        Path(layout.PROLOGUE_ATTACHMENT), {}, qos_of=qos_of, definition_of=definition_of, types=types, memory=stream
+    )
     for entry in entries:
         writer.write(entry)
     writer.close({})
