@@ -22,6 +22,7 @@ from igtl_gateway.record.options import RecordOptions
 from igtl_gateway.record.recorder import Recorder
 from igtl_gateway.record.selection import StateInputRule
 from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.with_state import SessionWithState
 from igtl_gateway.replay.state_before import latched_before, with_state, without_state
 from igtl_gateway.testing.gateway import ManualGateway
 from igtl_gateway.wire import Message
@@ -121,3 +122,9 @@ def test_what_the_gateway_made_of_latched_messages_is_there_for_the_viewer(part:
     assert (Kind.ROS_IN, "/tf_static") in found
     assert {(Kind.IGTL_IN, "STATUS/Navigation"), (Kind.ROS_OUT, "/igtl/in/Navigation/status")} <= found
     assert (Kind.ROS_IN, "/tf") not in found
+
+
+def test_each_method_of_a_file_has_its_state() -> None:
+    """A method that the class does not have would read attributes that only a file of its own has."""
+    public = {name for name, each in vars(SessionFile).items() if callable(each) and not name.startswith("_")}
+    assert public - vars(SessionWithState).keys() == set()

@@ -1,0 +1,121 @@
+"""A session file that begins with channels of its prologue, as one session; see ``replay.state_before``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator
+from itertools import chain
+from typing import IO
+
+from mcap.records import Attachment, Channel, Metadata, Schema
+
+from igtl_gateway.gateway.log.entry import MESSAGES, Entry, Kind
+from igtl_gateway.record.sessionfile.bulk import MessageBlock
+from igtl_gateway.record.sessionfile.channels import ChannelSummary, joined
+from igtl_gateway.record.sessionfile.chunks import Row
+from igtl_gateway.record.sessionfile.definition import Definition
+from igtl_gateway.record.sessionfile.lookup import LatchedStateRule
+from igtl_gateway.record.sessionfile.reader import SessionFile
+
+_END_NS = 1 << 63
+
+
+class SessionWithState(SessionFile):
+    """A session file, of which some channels begin with their messages in the prologue.
+
+    Args:
+        itself: the file, which the caller closes.
+        before: its prologue.
+        latched: channels of the prologue.
+    """
+
+    def __init__(self, itself: SessionFile, before: SessionFile, latched: list[ChannelSummary]) -> None:
+        for name in (
+            "path size session format_version ledger foreign skipped recorded_session recorded_ledger merge parts "
+            "missing_parts start_ns end_ns"
+        ).split():
+            setattr(self, name, getattr(itself, name))
+        self.itself, self._before = itself, before
+        self._own = {_key(each) for each in itself.channels}
+        self._latched = {_key(each) for each in latched}
+        self.channels = joined((*latched, *itself.channels))
+        self.definitions = before.definitions | itself.definitions
+        self.entry_count = itself.entry_count + sum(each.count for each in latched)
+
+    def definition_of(self, ros_type: str) -> Definition | None:
+        """As SessionFile.definition_of."""
+        return self.itself.definition_of(ros_type) or self._before.definition_of(ros_type)
+
+    def close(self) -> None:
+        """Close the file."""
+        self.itself.close()
+
+    def _state(self) -> Iterator[Entry]:
+        for entry in self._before.entries():
+            kind = entry.kind
+            if kind in MESSAGES and (kind, entry.channel, entry.type) in self._latched:
+                yield entry
+
+    def entries(self) -> Iterator[Entry]:
+        """The latched messages, then all entries; as SessionFile.entries."""
+        return chain(self._state(), self.itself.entries())
+
+    def entries_of_kinds(self, kinds: Collection[Kind]) -> Iterator[Entry]:
+        """As SessionFile.entries_of_kinds."""
+        return chain((each for each in self._state() if each.kind in kinds), self.itself.entries_of_kinds(kinds))
+
+    def entries_with_state(self, start_ns: int, rule: LatchedStateRule) -> Iterator[Entry]:
+        """As SessionFile.entries_with_state."""
+        return chain(self._state(), self.itself.entries_with_state(start_ns, rule))
+
+    def entries_starting_at(self, start_ns: int, seq: int = 0) -> Iterator[Entry]:
+        """As SessionFile.entries_starting_at."""
+        state = (each for each in self._state() if each.stamp_ns >= start_ns)
+        return chain(state, self.itself.entries_starting_at(start_ns, seq))
+
+    def blocks(self, channel: ChannelSummary, start_ns: int = 0, end_ns: int = _END_NS) -> Iterator[MessageBlock]:
+        """As SessionFile.blocks."""
+        if _key(channel) in self._latched:
+            yield from self._before.blocks(channel, start_ns, end_ns)
+        if _key(channel) in self._own:
+            yield from self.itself.blocks(channel, start_ns, end_ns)
+
+    def span(self, channel: ChannelSummary) -> tuple[int, int]:
+        """As SessionFile.span."""
+        spans = [self._before.span(channel)] if _key(channel) in self._latched else []
+        spans += [self.itself.span(channel)] if _key(channel) in self._own else []
+        found = [each for each in spans if each[0]]
+        return (found[0][0], found[-1][1]) if found else (0, 0)
+
+    def messages(
+        self, wanted: Callable[[Channel], bool] = lambda _: True
+    ) -> Iterator[tuple[Schema | None, Channel, Row]]:
+        """Those of the file itself; as SessionFile.messages."""
+        return self.itself.messages(wanted)
+
+    def attachments(self) -> Iterator[Attachment]:
+        """As SessionFile.attachments."""
+        return self.itself.attachments()
+
+    def beside(self) -> Iterator[Attachment | Metadata]:
+        """As SessionFile.beside."""
+        return self.itself.beside()
+
+    def damaged_indexes(self) -> int:
+        """As SessionFile.damaged_indexes."""
+        return self.itself.damaged_indexes()
+
+    def extract(self, name: str, out: IO[bytes]) -> None:
+        """As SessionFile.extract."""
+        self.itself.extract(name, out)
+
+    def prologue(self) -> list[Entry]:
+        """As SessionFile.prologue."""
+        return self.itself.prologue()
+
+    def prologue_file(self) -> SessionFile | None:
+        """None: its state is in it."""
+        return None
+
+
+def _key(channel: ChannelSummary) -> tuple[Kind, str, str]:
+    return channel.kind, channel.stream or channel.topic, channel.entry_type
