@@ -73,7 +73,7 @@ LEVELS = {
 MOST_OF_CORE = {
     "cohort": 9,
     "deidentify": 12,
-    "exchange": 14,
+    "exchange": 13,
     "lerobot": 7,
     "merge": 11,
     "page": 23,

@@ -144,6 +144,7 @@ NOTES: dict[str, dict[str, str]] = {
     },
     "Video": {
         "video_drop": "the encoder or decoder is slower than the stream; pictures were dropped",
+        "video_changed": "pictures are encoded with fewer bits or another size than they have",
         "video_refused": "a picture cannot be encoded, or a frame cannot be decoded",
         "video_failed": "an encoder or decoder failed",
     },

@@ -161,6 +161,14 @@ if TYPE_CHECKING:
     from igtl_gateway.convert.context import ToRosContext as ToRosContext
     from igtl_gateway.convert.images import image_to_igtl as image_to_igtl
     from igtl_gateway.convert.images import pixel_layout as pixel_layout
+    from igtl_gateway.convert.pictures import JPEG as JPEG
+    from igtl_gateway.convert.pictures import PNG as PNG
+    from igtl_gateway.convert.pictures import Coding as Coding
+    from igtl_gateway.convert.pictures import bayer_pattern as bayer_pattern
+    from igtl_gateway.convert.pictures import coding_of as coding_of
+    from igtl_gateway.convert.pictures import demosaiced as demosaiced
+    from igtl_gateway.convert.pictures import depths as depths
+    from igtl_gateway.convert.pictures import is_deep_png as is_deep_png
     from igtl_gateway.convert.polydata import polydata_to_igtl as polydata_to_igtl
     from igtl_gateway.convert.poses import rotation_matrix as rotation_matrix
     from igtl_gateway.convert.poses import unit_quaternion as unit_quaternion
@@ -174,6 +182,7 @@ if TYPE_CHECKING:
     from igtl_gateway.convert.units import millimetres as millimetres
     from igtl_gateway.convert.units import scale as scale
     from igtl_gateway.convert.volumes import volume_to_image as volume_to_image
+    from igtl_gateway.edges.video.still import decoded_still as decoded_still
     from igtl_gateway.edges.video.worker import MAX_PIXELS as MAX_PIXELS
     from igtl_gateway.edges.video.worker import THREADS as VIDEO_THREADS
     from igtl_gateway.edges.video.worker import import_av as import_av
@@ -242,6 +251,7 @@ if TYPE_CHECKING:
     from igtl_gateway.replay.recorded_marks import marked_moment as marked_moment
     from igtl_gateway.replay.recorded_marks import marks_of as marks_of
     from igtl_gateway.replay.source import check_recorded as check_recorded
+    from igtl_gateway.replay.stamp_places import StampPlaces as StampPlaces
     from igtl_gateway.replay.state_before import latched_before as latched_before
     from igtl_gateway.replay.state_before import with_state as with_state
 
@@ -290,11 +300,13 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("api.named_numbers", "NAME_FIELDS by_name completed"),
     ("gateway.log.marks", "Mark MarkNote ago_ns"),
     ("record.sessionfile.added_marks", "added_marks marks_files"),
+    ("replay.stamp_places", "StampPlaces"),
     ("replay.recorded_marks", "carry_marks marked_moment marks_of"),
     # Conversions of pictures and geometry, one message at a time
     ("convert.context", "ConvertedMessage ToIgtlContext ToRosContext"),
     ("convert.images", "image_to_igtl pixel_layout"),
     ("convert.volumes", "volume_to_image"),
+    ("convert.pictures", "Coding JPEG PNG bayer_pattern coding_of demosaiced depths is_deep_png"),
     ("convert.clouds", "cloud_to_polydata"),
     ("convert.polydata", "polydata_to_igtl"),
     ("convert.surfaces", "marker_to_igtl mesh_to_igtl"),
@@ -306,6 +318,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("api.igtl_columns", "quaternions_of"),
     # Video: a library that an extra installs, and its limits
     ("convert.bitstream", "is_key_frame"),
+    ("edges.video.still", "decoded_still"),
     ("edges.video.worker", "MAX_PIXELS VIDEO_THREADS import_av"),
     # New files: written beside their place, moved there when they are whole
     ("record.sessionfile.beside", "check_folder check_target is_unfinished write_error written written_folder"),

@@ -45,5 +45,9 @@ def _losses(ledger: dict[str, Any]) -> Iterator[tuple[str, int]]:
     for topic, counts in ledger.get("ros_topics", {}).items():
         if number := counts.get("lost", 0):
             yield f"messages on {topic}, lost before the bridge received them", number
+    for side, streams in ledger.get("video", {}).items():
+        for stream, counts in streams.items():
+            if number := sum(counts.get("dropped", {}).values()):
+                yield f"pictures of {stream} that the {side} of video dropped", number
     if number := ledger.get("recorder", {}).get("dropped_entries", 0):
         yield "entries that the recorder dropped: its queue was full, or the disk failed", number

@@ -34,6 +34,21 @@ _LINK_FAULTS = {
 }
 
 
+#: What the counts of video call it → what people call it.
+_VIDEO = {
+    "queue_full": "faster than its codec",
+    "refused": "not encoded: see the note video_refused",
+    "broken": "not valid",
+    "internal_error": "an internal error: see the note video_failed",
+    "no_key_frame": "before a key frame",
+    "no_picture": "no picture yet: the codec looks ahead",
+    "too_many_streams": "more streams than are served",
+    "stopped": "waited when the bridge stopped",
+    "upper_8_of_16_bits": "encoded by the upper 8 of 16 bits",
+    "without_alpha": "encoded without alpha",
+    "padded_to_even": "encoded with a repeated last column or row: its size was odd",
+}
+
 #: Of a split recording whose last part is not the last one.
 NO_END = "unknown: the last part was closed for a next one, which is not there"
 
@@ -81,6 +96,14 @@ def losses(ledger: dict[str, Any] | None) -> list[str]:
                 lines.append(f"{number:>7,}  to {peer}, {stream}: {reason}")
     for code, number in ledger.get("link_faults", {}).items():
         lines.append(f"{number:>7,}  links: {_LINK_FAULTS.get(code, code)}")
+    for topic, counts in ledger.get("ros_topics", {}).items():
+        if number := counts.get("lost", 0):
+            lines.append(f"{number:>7,}  ROS in {topic}: lost before the bridge received them")
+    for side, streams in ledger.get("video", {}).items():
+        for stream, counts in streams.items():
+            for fate in ("dropped", "changed"):
+                for reason, number in counts.get(fate, {}).items():
+                    lines.append(f"{number:>7,}  {side} {stream}: {_VIDEO.get(reason, reason)}")
     recorder = ledger.get("recorder", {})
     if recorder.get("dropped_entries"):
         why = "its queue was full, or the disk failed"

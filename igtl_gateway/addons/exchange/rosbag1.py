@@ -31,6 +31,7 @@ from igtl_gateway.addon import (
     ElementCounter,
     Kind,
     Qos,
+    StampPlaces,
     Types,
     limits,
     new_store,
@@ -41,7 +42,6 @@ from igtl_gateway.addons.exchange.rosbag1_file import BagConnection, BagFile
 from igtl_gateway.addons.exchange.rostypes import names_not_allowed
 from igtl_gateway.addons.exchange.source import ImportedItem, ImportedStream, NonRosSource
 from igtl_gateway.base.untrusted.definition_checks import weight
-from igtl_gateway.replay.stamp_places import StampPlaces
 
 #: Type → its different name in ROS 2.
 RENAMED = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from igtl_gateway.addon import NS_PER_MS, NS_PER_S, ConfigError, GatewayError, Recording, Stream
-from igtl_gateway.addons.lerobot.pictures import Pictures, has_pictures
+from igtl_gateway.addons.lerobot.pictures import Pictures, first_pixels, has_pictures
 from igtl_gateway.addons.lerobot.recipe import ACTION, IMAGES, STATE, Feature, Recipe
 from igtl_gateway.addons.lerobot.recipe_file import toml_value
 from igtl_gateway.addons.lerobot.resampling import common, coverage, frame_count
@@ -137,7 +137,7 @@ def _window(stream: Stream) -> tuple[float, ...]:
             raise
     else:
         return ()
-    pixels = stream.images()[0].plane
+    pixels = first_pixels(stream)
     finite = pixels[np.isfinite(pixels)]
     low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 0.0)
     return (low, high) if low < high else (low, low + 1)

@@ -1,19 +1,31 @@
-"""The pictures of a stream as RGB of 8 bits, of one size with even width and height."""
+"""The pictures of a stream as RGB of 8 bits, of one size with even width and height.
+
+Every form of a picture gives the pixels that it stands for, or is refused by name; a window applies to all of them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.addon import (
+    JPEG,
     MAX_PIXELS,
+    PNG,
     ConfigError,
+    ConversionError,
     GatewayError,
     MessageBlock,
     Stream,
+    bayer_pattern,
+    coding_of,
+    decoded_still,
+    demosaiced,
+    depths,
     import_av,
     is_key_frame,
     pixel_layout,
@@ -31,7 +43,6 @@ _CODED = frozenset({"VIDEO", CompressedImage.TYPE, CompressedVideo.TYPE})
 #: Codecs of VIDEO → names of CompressedImage.
 _FOUR_LETTERS = {"H264": "h264", "X265": "h265", "O265": "h265", "VP90": "vp9", "AV10": "av1"}
 _VIDEO_DECODERS = {"h264": "h264", "h265": "hevc", "vp9": "vp9", "av1": "libdav1d"}
-_PICTURE_DECODERS = {"jpeg": "mjpeg", "jpg": "mjpeg", "png": "png"}
 
 
 def has_pictures(stream: Stream) -> bool:
@@ -39,18 +50,31 @@ def has_pictures(stream: Stream) -> bool:
     return stream.type in _PLAIN or stream.type in _CODED
 
 
+def first_pixels(stream: Stream) -> Array:
+    """Return the pixels of the first picture as they are.  Raises ConfigError if a stream has none."""
+    if stream.type in _PLAIN:
+        return stream.images()[0].plane
+    coded = _Coded(stream)
+    found = next((each for each in map(coded.read, range(len(coded))) if each is not None), None)
+    if found is None:
+        raise ConfigError(f"{stream.key}: found no picture that can be decoded")
+    return found
+
+
 class Pictures:
     """The pictures of a stream; each one is decoded when it is used.
 
     Args:
         stream: IMAGE, VIDEO, sensor_msgs/Image, CompressedImage, CompressedVideo, or Volume with one slice.
-        window: (low, high) values that become black and white; needed for more than 8 bits.
+        window: (low, high) values that become black and white; needed for more than 8 bits.  Depth that
+            compressed_depth_image_transport has quantised is in metres again.
 
     Attributes:
         usable: indices of the messages that have a picture.
         size: rows and columns of the recorded pictures.
 
-    Raises ConfigError for other types, for a size that changes, and for more than 8 bits without a window.
+    Raises ConfigError for other types, for a size that changes, for encodings that are not read, and for more than
+    8 bits without a window.
     """
 
     def __init__(self, stream: Stream, window: tuple[float, ...] = ()) -> None:
@@ -63,7 +87,7 @@ class Pictures:
             self._read, count = lambda index: self._plain(images, index), len(images)
         else:
             coded = _Coded(stream)
-            self._read, count = coded.read, len(coded)
+            self._read, count = lambda index: self._coded(coded, index), len(coded)
         self.size = (0, 0)
         self.usable = np.array([index for index in range(count) if self._fits(index)], np.int64)
 
@@ -97,12 +121,24 @@ class Pictures:
         try:
             view = images[index]
             plane = view.plane
-            is_blue_first = bool(view.encoding) and pixel_layout(view.encoding)[2]
         except ConfigError:
             raise
+        except ConversionError as error:  # an encoding that is not read
+            raise ConfigError(f"{self._key}: {error}") from None
         except GatewayError:
             return None
-        return self._eight_bits(plane, is_blue_first) if plane.size else None
+        if not plane.size:
+            return None
+        if pattern := bayer_pattern(view.encoding):
+            return self._eight_bits(demosaiced(np.ascontiguousarray(plane), pattern), False)
+        return self._eight_bits(plane, bool(view.encoding) and pixel_layout(view.encoding)[2])
+
+    def _coded(self, coded: _Coded, index: int) -> Pixels | None:
+        try:
+            picture = coded.read(index)
+        except ConversionError as error:
+            raise ConfigError(f"{self._key}: message {index}: {error}") from None
+        return None if picture is None else self._eight_bits(picture, False)
 
     def _eight_bits(self, plane: Array, is_blue_first: bool) -> Pixels:
         if plane.ndim == 2:
@@ -133,16 +169,20 @@ class _Coded:
         self._ends = np.cumsum([len(block) for block in self._blocks], dtype=np.int64)
         self._codec: Any = None
         self._next = 0
-        self._last: tuple[int, Pixels | None] = (-1, None)
+        self._last: tuple[int, Array | None] = (-1, None)
 
     def __len__(self) -> int:
         return int(self._ends[-1]) if len(self._ends) else 0
 
-    def read(self, index: int) -> Pixels | None:
-        """Return a picture (rows, columns, 3), or None if the message gives none."""
+    def read(self, index: int) -> Array | None:
+        """Return a picture (rows, columns) or (rows, columns, 3), or None if the message gives none.
+
+        Raises ConversionError for a format that is not read.
+        """
         if self._last[0] == index:
             return self._last[1]
         codec, data = self._frame(index)
+        picture: Array | None
         if not data:
             picture = None
         elif codec in _VIDEO_DECODERS:
@@ -164,7 +204,7 @@ class _Coded:
             payload = block.payload(row)
             if self._type == CompressedImage.TYPE:
                 image = CompressedImage.unpack(payload)
-                return image.format, bytes(image.data)
+                return _form(image), bytes(image.data)
             if self._type == CompressedVideo.TYPE:
                 video = CompressedVideo.unpack(payload)
                 return video.format, bytes(video.data)
@@ -193,23 +233,29 @@ class _Coded:
             return None
         return _pixels(found[0]) if found else None
 
-    def _alone(self, codec: str, data: bytes) -> Pixels | None:
-        words = codec.lower().replace(";", " ").split()
-        name = next((_PICTURE_DECODERS[word] for word in words if word in _PICTURE_DECODERS), None)
-        if name is None or "compresseddepth" in codec.lower():
-            return None
-        decoder = self._open(name)
+    def _alone(self, form: str, data: bytes) -> Array | None:
+        coding = coding_of(form, data)
+        if coding.codec not in (JPEG, PNG):
+            raise ConversionError(f"found format {form!r}, expected JPEG, PNG or video")
         try:
-            found = [*decoder.decode(self._av.Packet(data)), *decoder.decode(None)]
-        except self._av.FFmpegError:
-            return None
-        return _pixels(found[0]) if found else None
+            pixels = decoded_still(coding.codec, data[coding.start :])
+        except ConversionError:
+            return None  # damaged
+        return depths(pixels, coding) if coding.depth else pixels
 
     def _open(self, name: str) -> Any:
         codec = self._av.CodecContext.create(name, "r")
         codec.options = {"max_pixels": str(MAX_PIXELS), "err_detect": "explode"}
         codec.thread_count = 1
         return codec
+
+
+def _form(image: CompressedImage) -> str:
+    """The codec of video; the format of other pictures, which states more."""
+    with suppress(ConversionError):
+        codec = coding_of(image.format, image.data).codec
+        return codec if codec in _VIDEO_DECODERS else image.format
+    return image.format
 
 
 def _pixels(picture: Any) -> Pixels:

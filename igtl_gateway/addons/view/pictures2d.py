@@ -9,7 +9,21 @@ import numpy as np
 import numpy.typing as npt
 import rerun as rr
 
-from igtl_gateway.addon import Buffer, ConversionError, is_key_frame
+from igtl_gateway.addon import (
+    JPEG,
+    PNG,
+    Buffer,
+    Coding,
+    ConversionError,
+    Unavailable,
+    bayer_pattern,
+    coding_of,
+    decoded_still,
+    demosaiced,
+    depths,
+    is_deep_png,
+    is_key_frame,
+)
 from igtl_gateway.addon.ros import CameraInfo, ColorTable, CompressedImage, CompressedVideo, Image, VideoFrame
 from igtl_gateway.addons.view.canvas import Canvas
 from igtl_gateway.addons.view.colours import span
@@ -24,17 +38,16 @@ _CHANNELS = {"mono": 1, "bgr": 3, "rgb": 3, "bgra": 4, "rgba": 4}
 _NAMED = re.compile(r"(mono|rgba?|bgra?)(8|16)")
 _OPENCV = re.compile(r"(8U|8S|16U|16S|32S|32F|64F)(?:C([1-9][0-9]{0,4}))?")
 _DTYPES = {"8U": "u1", "8S": "i1", "16U": "u2", "16S": "i2", "32S": "i4", "32F": "f4", "64F": "f8"}
-_BAYER = re.compile(r"bayer_(rggb|bggr|gbrg|grbg)(8|16)")
 _MODELS = {3: rr.ColorModel.RGB, 4: rr.ColorModel.RGBA}
 _PIXEL_FORMATS = {
-    "nv12": (rr.PixelFormat.NV12, 1.5),
-    "yuv422_yuy2": (rr.PixelFormat.YUY2, 2.0),
-    "yuyv": (rr.PixelFormat.YUY2, 2.0),
-    "uyvy": (rr.PixelFormat.YUY2, 2.0),
-    "yuv422": (rr.PixelFormat.YUY2, 2.0),
+    "nv12": rr.PixelFormat.NV12,
+    "yuv422_yuy2": rr.PixelFormat.YUY2,
+    "yuyv": rr.PixelFormat.YUY2,
+    "uyvy": rr.PixelFormat.YUY2,
+    "yuv422": rr.PixelFormat.YUY2,
 }
 _UYVY = ("uyvy", "yuv422")
-_MEDIA = {"jpeg": "image/jpeg", "jpg": "image/jpeg", "png": "image/png"}
+_MEDIA = {JPEG: "image/jpeg", PNG: "image/png"}
 _CODECS = {
     "h264": rr.VideoCodec.H264,
     "h265": rr.VideoCodec.H265,
@@ -57,28 +70,24 @@ def draw_image(message: Image, canvas: Canvas) -> None:
 
 def image_archetype(message: Image, canvas: Canvas) -> rr.Image:
     """Return the archetype of an image.  Raises ConversionError for an unknown encoding."""
-    encoding, width, height = message.encoding.lower(), message.width, message.height
+    encoding = message.encoding.lower()
     if encoding in _PIXEL_FORMATS:
-        pixel_format, octets = _PIXEL_FORMATS[encoding]
-        data = np.frombuffer(message.data, np.uint8, int(width * height * octets))
-        if encoding in _UYVY:
-            data = data.reshape(-1, 2)[:, ::-1]
-        return rr.Image(bytes=data.tobytes(), width=width, height=height, pixel_format=pixel_format)
-    if bayer := _BAYER.fullmatch(encoding):
-        return image_of_pixels(
-            demosaiced(_rows(message, f"u{int(bayer[2]) // 8}", 1)[..., 0], bayer[1]), rr.ColorModel.RGB
-        )
+        return _subsampled(message, encoding)
+    if pattern := bayer_pattern(encoding):
+        is_wide = encoding.endswith("16")
+        pixels = demosaiced(_rows(message, "u2" if is_wide else "u1", 1)[..., 0], pattern)
+        return image_of_pixels(_eight_bits(pixels, canvas, message.encoding), rr.ColorModel.RGB)
     if named := _NAMED.fullmatch(encoding):
         pixels = _rows(message, f"u{int(named[2]) // 8}", _CHANNELS[named[1]])
         if named[1] == "mono":
             return grey(pixels[..., 0])
-        return image_of_pixels(_eight_bits(pixels), _COLOURS[named[1]])
+        return image_of_pixels(_eight_bits(pixels, canvas, message.encoding), _COLOURS[named[1]])
     if opencv := _OPENCV.fullmatch(message.encoding):
         channels = int(opencv[2] or 1)
         pixels = _rows(message, _DTYPES[opencv[1]], channels)
         if channels in _COLOUR_PLANES:
             # OpenCV's names do not state the order; the gateway uses RGB for them, as OpenIGTLink does
-            return image_of_pixels(_eight_bits(pixels), _MODELS[channels])
+            return image_of_pixels(_eight_bits(pixels, canvas, message.encoding), _MODELS[channels])
         if channels > 1:
             canvas.text_once(f"{message.encoding} is drawn by its first component")
         return grey(pixels[..., 0])
@@ -111,28 +120,31 @@ def windowed(pixels: Array) -> Array:
     return octets
 
 
-def demosaiced(mosaic: Array, pattern: str) -> Array:
-    """Convert a Bayer mosaic to 8-bit RGB: all pixels of a 2 × 2 cell get the colours of the cell."""
-    if mosaic.dtype != np.uint8:
-        mosaic = (mosaic >> 8).astype(np.uint8)
-    height, width = mosaic.shape[0] & ~1, mosaic.shape[1] & ~1
-    cell = {(row, column): mosaic[row:height:2, column:width:2] for row in (0, 1) for column in (0, 1)}
-    at = {colour: [(i // 2, i % 2) for i, name in enumerate(pattern) if name == colour] for colour in "rgb"}
-    (red,), (blue,), greens = at["r"], at["b"], at["g"]
-    green = (cell[greens[0]].astype(np.uint16) + cell[greens[1]]) >> 1
-    small = np.stack([cell[red], green.astype(np.uint8), cell[blue]], axis=-1)
-    return small.repeat(2, axis=0).repeat(2, axis=1)
-
-
 def draw_compressed_image(message: CompressedImage, canvas: Canvas) -> None:
-    """sensor_msgs/CompressedImage: JPEG, PNG, or a frame of video."""
+    """sensor_msgs/CompressedImage: JPEG, PNG, depth, or a frame of video."""
     canvas.frame(message.header.frame_id)
-    words = _WORDS.findall(message.format.lower().replace("h.26", "h26"))
-    media = next((_MEDIA[word] for word in words if word in _MEDIA), None)
-    if media:
-        canvas.log(rr.EncodedImage(contents=bytes(message.data), media_type=media))
+    coding = coding_of(message.format, message.data)
+    if coding.codec not in _MEDIA:
+        _draw_video(canvas, [coding.codec or message.format], message.data)
+    elif coding.depth or (coding.codec == PNG and is_deep_png(message.data)):
+        canvas.log(_deep(message, coding, canvas))
     else:
-        _draw_video(canvas, words, message.data)
+        canvas.log(rr.EncodedImage(contents=bytes(message.data), media_type=_MEDIA[coding.codec]))
+
+
+def _deep(message: CompressedImage, coding: Coding, canvas: Canvas) -> rr.Image:
+    """Draw a picture of 16 bits: the viewer's own decoder knows neither its range nor its metres."""
+    try:
+        pixels = decoded_still(coding.codec, bytes(message.data[coding.start :]))
+    except Unavailable as error:
+        raise ConversionError(f"{message.TYPE}: found {message.format!r} of 16 bits: {error}") from None
+    if coding.depth:
+        pixels = depths(pixels, coding)
+    return (
+        grey(pixels)
+        if pixels.ndim == 2
+        else image_of_pixels(_eight_bits(pixels, canvas, message.format), rr.ColorModel.RGB)
+    )
 
 
 def draw_compressed_video(message: CompressedVideo, canvas: Canvas) -> None:
@@ -230,13 +242,36 @@ def _rows(message: Image, kind: str, channels: int) -> Array:
     return native
 
 
-def _eight_bits(pixels: Array) -> Array:
+def _subsampled(message: Image, encoding: str) -> rr.Image:
+    """Draw YUV, whose colours are those of two columns, or of two rows, too.  Raises ConversionError for odd sizes."""
+    pixel_format = _PIXEL_FORMATS[encoding]
+    width, height = message.width, message.height
+    is_planar = pixel_format == rr.PixelFormat.NV12
+    row = width if is_planar else 2 * width
+    rows = height * 3 // 2 if is_planar else height
+    step = message.step or row
+    size = memoryview(message.data).nbytes
+    if width % 2 or (is_planar and height % 2) or not width or not height:
+        raise ConversionError(f"{message.TYPE}: found {width} x {height} of {message.encoding}, expected even numbers")
+    if step < row or size < step * (rows - 1) + row:
+        raise ConversionError(
+            f"{message.TYPE}: found {size} bytes with step {step}, expected {rows} rows of {row} bytes"
+        )
+    data: Array = np.ascontiguousarray(np.ndarray((rows, row), np.uint8, message.data, 0, (step, 1)))
+    if encoding in _UYVY:
+        data = data.reshape(-1, 2)[:, ::-1]
+    return rr.Image(bytes=data.tobytes(), width=width, height=height, pixel_format=pixel_format)
+
+
+def _eight_bits(pixels: Array, canvas: Canvas, encoding: str) -> Array:
     """Convert colours to 8 bits: the upper 8 of 16 bits; floats from 0 … 1; signed numbers by their window."""
     kind = pixels.dtype
     if kind == np.uint8:
         return np.ascontiguousarray(pixels)
     if kind == np.uint16:
+        canvas.text_once(f"{encoding} is drawn by the upper 8 of its 16 bits")
         return (pixels >> 8).astype(np.uint8)
     if kind.kind == "f" and float(np.nanmax(pixels, initial=0.0)) <= 1.0:
         return np.nan_to_num(np.clip(pixels, 0.0, 1.0) * 255.0).astype(np.uint8)
+    canvas.text_once(f"{encoding} is drawn from its 1st to its 99th percentile")
     return windowed(pixels)

@@ -13,7 +13,19 @@ from igtl_gateway.convert.bitstream import is_key_frame
 from igtl_gateway.convert.common_msgs import CompressedImage
 from igtl_gateway.convert.rosmsg import Image
 from igtl_gateway.edges.video.options import ENCODERS, VideoOptions
-from igtl_gateway.edges.video.worker import DROPPED, MAX_PIXELS, THREADS, CodecThread, OnNote, VideoStream, import_av
+from igtl_gateway.edges.video.worker import (
+    CHANGED,
+    DROPPED,
+    MAX_PIXELS,
+    NO_ALPHA,
+    PADDED,
+    THREADS,
+    UPPER_BITS,
+    CodecThread,
+    OnNote,
+    VideoStream,
+    import_av,
+)
 from igtl_gateway.gateway.log.note import Note
 
 #: Pictures of one topic that wait for the encoder: 100 ms at 30 Hz.
@@ -83,7 +95,27 @@ class VideoEncoder(CodecThread[tuple[bytes, int]]):
             stream.counts.done += 1
             stream.counts.key_frames += is_key_frame(self._options.codec, data)
             stream.counts.encoded_bytes += len(data)
+        self._tell_changes(stream, image)
         self._on_frame(stream.name, CompressedImage.TYPE, message, source_ns)
+
+    def _tell_changes(self, stream: VideoStream[tuple[bytes, int]], image: Image) -> None:
+        """Count what the picture has lost besides the losses of the codec; note it once."""
+        width, height = image.width, image.height
+        changes = {}
+        if image.encoding == "mono16":
+            changes[UPPER_BITS] = "mono16 is encoded by the upper 8 of its 16 bits"
+        if image.encoding in ("rgba8", "bgra8"):
+            changes[NO_ALPHA] = f"{image.encoding} is encoded without its alpha"
+        if width % 2 or height % 2:
+            size = f"{width + width % 2} x {height + height % 2}"
+            changes[PADDED] = f"{width} x {height} is encoded as {size}: the last column or row is repeated"
+        if not changes:
+            return
+        with self._condition:
+            stream.counts.changed.update(changes.keys())
+            note = self._note_once(stream, CHANGED, "; ".join(changes.values()))
+        if note:
+            self._on_note(note)
 
 
 class _OpenEncoder:

@@ -20,7 +20,9 @@ MAX_STREAMS = 32
 MAX_PIXELS = 1 << 24
 
 #: Codes of our notes.
-DROPPED, REFUSED, FAILED = "video_drop", "video_refused", "video_failed"
+DROPPED, REFUSED, FAILED, CHANGED = "video_drop", "video_refused", "video_failed", "video_changed"
+#: Reasons of ``changed``: what a picture loses.
+UPPER_BITS, NO_ALPHA, PADDED = "upper_8_of_16_bits", "without_alpha", "padded_to_even"
 
 #: Threads of FFmpeg for one picture.
 THREADS = 2
@@ -38,6 +40,7 @@ class VideoCounts:
         key_frames: of those encoded, or of the frames received.
         encoded_bytes: of the frames made, or received.
         dropped: not done, by reason.
+        changed: of those done, with other pixels than they had, by reason.
     """
 
     received: int = 0
@@ -45,6 +48,7 @@ class VideoCounts:
     key_frames: int = 0
     encoded_bytes: int = 0
     dropped: Counter[str] = field(default_factory=Counter)
+    changed: Counter[str] = field(default_factory=Counter)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the counts as JSON values."""
@@ -54,6 +58,7 @@ class VideoCounts:
             "key_frames": self.key_frames,
             "encoded_bytes": self.encoded_bytes,
             "dropped": dict(sorted(self.dropped.items())),
+            **({"changed": dict(sorted(self.changed.items()))} if self.changed else {}),
         }
 
 

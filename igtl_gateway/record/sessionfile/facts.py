@@ -45,6 +45,7 @@ _LEDGER = fields(
         ),
         "link_faults": _COUNTS,
         "ros_topics": map_of(fields({"lost": number})),
+        "video": map_of(map_of(fields({"dropped": _COUNTS, "changed": _COUNTS}, other=number))),
         "recorder": fields(
             {
                 "dropped": _COUNTS,

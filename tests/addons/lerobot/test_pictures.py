@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import igtl_gateway
+from igtl_gateway.addons.lerobot.drafting import _window as drafted_window
 from igtl_gateway.addons.lerobot.pictures import Pictures
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.convert.common_msgs import CompressedImage
@@ -18,6 +19,7 @@ from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.video import Video
 from tests.addons.lerobot.sessions import Sent, bars, number_of, write_session
+from tests.picture_encodings import FORMS
 
 
 def encoded(codec: str, numbers: range, **options: str) -> list[bytes]:
@@ -79,3 +81,43 @@ def test_colours_stay_and_alpha_goes(pixels: Any, tmp_path: Path) -> None:
 def test_other_streams_have_none(tmp_path: Path) -> None:
     with igtl_gateway.open("fixtures/star.mcap") as recording, pytest.raises(ConfigError, match="expected pictures"):
         Pictures(recording["/star/tool"])
+
+
+def scaled(pixels: Any, low: float, high: float) -> Any:
+    """The pixels of a video, by a window: (rows, columns, 3) of 8 bits."""
+    with np.errstate(invalid="ignore"):
+        part = np.clip((np.asarray(pixels, np.float64) - low) / (high - low), 0, 1)
+    eight = np.round(np.nan_to_num(part) * 255).astype(np.uint8)
+    return np.repeat(eight[:, :, np.newaxis], 3, 2) if eight.ndim == 2 else eight
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_every_form_of_a_picture_is_right_or_refused(name: str, tmp_path: Path) -> None:
+    form = FORMS[name]
+    rows, columns = form.pixels.shape[:2]
+    low, high = (600.0, 2000.0) if form.pixels.dtype == np.uint16 else (0.5, 3.0) if form.is_deep else (16.0, 235.0)
+    path = write_session(tmp_path / "s.mcap", [(0.0, "/camera", form.at), (0.1, "/camera", form.at)])
+    with igtl_gateway.open(path) as recording:
+        stream = recording["/camera"]
+        if form.refused:
+            with pytest.raises(ConfigError, match=r"/camera.*: found .*, expected"):
+                Pictures(stream, (low, high))
+            return
+        made = Pictures(stream, (low, high))
+        assert (made.usable.tolist(), made.size) == ([0, 1], (rows, columns))
+        expected = scaled(form.pixels, low, high)
+        close = form.close * 255 / (high - low)
+        assert np.abs(made.rgb(1)[:rows, :columns].astype(int) - expected).max() <= close + (close > 0)
+        if form.is_deep:
+            with pytest.raises(ConfigError, match=r"window = \[low, high\]"):
+                Pictures(stream)
+        else:
+            whole = form.pixels if form.pixels.ndim == 3 else np.repeat(form.pixels[:, :, np.newaxis], 3, 2)
+            assert np.abs(Pictures(stream).rgb(0)[:rows, :columns].astype(int) - whole).max() <= form.close
+
+
+def test_a_draft_has_the_window_of_encoded_depth(tmp_path: Path) -> None:
+    form = FORMS["depth, even"]
+    path = write_session(tmp_path / "s.mcap", [(0.1 * number, "/camera", form.at) for number in range(3)])
+    with igtl_gateway.open(path) as recording:
+        assert drafted_window(recording["/camera"]) == (form.pixels.min(), form.pixels.max())

@@ -14,6 +14,7 @@ from igtl_gateway.addons.view.contents import EntityKind
 from igtl_gateway.convert.common_msgs import CompressedImage
 from igtl_gateway.convert.igtl_msgs import ColorTable, VideoFrame
 from igtl_gateway.convert.rosmsg import Header, Image
+from tests.picture_encodings import FORMS
 
 from .conftest import Draw, Drawn
 
@@ -161,3 +162,42 @@ def test_a_colour_table_is_a_strip_of_its_colours(draw: Draw) -> None:
     colours = np.arange(256 * 3, dtype=np.uint32).astype(np.uint8)
     strip = seen_as(draw(ColorTable(HEADER, 3, 19, False, colours.tobytes())))
     np.testing.assert_array_equal(strip[0], colours.reshape(256, 3))
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_every_form_of_a_picture_is_right_or_not_drawn(name: str, draw: Draw) -> None:
+    """Encoded pictures of 8 bits are those of the publisher; the others have the numbers of the sensor."""
+    form = FORMS[name]
+    drawn = draw(form.at(0))
+    if form.refused:
+        assert not any("Image" in column for row in drawn.rows("topic") for column in row)
+        assert any("found" in line and "expected" in line for line in drawn.log())
+        return
+    row = drawn.one("topic")
+    if "EncodedImage:blob" in row:
+        (blob,) = row["EncodedImage:blob"]
+        data = bytes(bytearray(blob))
+        assert not form.is_deep and data == bytes(form.content.data)
+        (media,) = row["EncodedImage:media_type"]
+        assert media == ("image/png" if data.startswith(b"\x89PNG") else "image/jpeg")
+        return
+    pixels = seen_as(drawn)
+    expected = form.pixels
+    if expected.ndim == 3 and form.is_deep:
+        assert any("the upper 8 of its 16 bits" in line for line in drawn.log())
+        expected = (expected >> 8).astype(np.uint8)
+    assert pixels.shape == expected.shape
+    np.testing.assert_allclose(pixels.astype(float), expected.astype(float), atol=form.close)
+
+
+@pytest.mark.parametrize("encoding", ["yuv422_yuy2", "uyvy", "nv12"])
+def test_padded_rows_of_yuv_are_left_out_and_odd_sizes_refused(encoding: str, draw: Draw) -> None:
+    rows, row = (3, 4) if encoding == "nv12" else (2, 8)
+    lines = [bytes(range(10 * number, 10 * number + row)) for number in range(rows)]
+    plain = draw(Image(HEADER, 2, 4, encoding, 0, row, b"".join(lines))).one("topic")
+    padded = draw(Image(HEADER, 2, 4, encoding, 0, row + 3, b"".join(line + b"xyz" for line in lines))).one("topic")
+    assert padded["Image:buffer"] == plain["Image:buffer"]
+    for width, step, data in ((3, 6, bytes(60)), (4, row, b"".join(lines)[:-1])):
+        drawn = draw(Image(HEADER, 2, width, encoding, 0, step, data))
+        assert not any("Image:buffer" in each for each in drawn.rows("topic"))
+        assert any("found" in line and "expected" in line for line in drawn.log())

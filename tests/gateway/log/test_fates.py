@@ -65,3 +65,15 @@ def test_every_reason_has_words() -> None:
     for reason in (*REASONS, *(f"{NOT_FOR}{profile.name}" for profile in PROFILES)):
         assert " " in reason_text(reason), reason
     assert reason_text("of_a_later_version") == "of_a_later_version"
+
+
+def test_losses_at_the_edges_are_told() -> None:
+    """Of video, and of messages that DDS lost: no entry shows them."""
+    counts = {"received": 9, "done": 4, "dropped": {"refused": 3, "queue_full": 2}, "changed": {"padded_to_even": 4}}
+    told = {"ros_topics": {"/scan": {"lost": 7}, "/tf": {"lost": 0}}, "video": {"encoder": {"/depth": counts}}}
+    assert losses(told) == [
+        "      7  ROS in /scan: lost before the bridge received them",
+        "      3  encoder /depth: not encoded: see the note video_refused",
+        "      2  encoder /depth: faster than its codec",
+        "      4  encoder /depth: encoded with a repeated last column or row: its size was odd",
+    ]
