@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import shutil
 import tempfile
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
@@ -20,7 +21,7 @@ from igtl_gateway.api.moments import Moment
 from igtl_gateway.api.source import Source
 from igtl_gateway.api.stream import STREAM_HEAD, Stream, narrowed
 from igtl_gateway.api.transforms import TransformTree
-from igtl_gateway.base.errors import BeingRecorded, ConfigError, DamagedRecording
+from igtl_gateway.base.errors import BeingRecorded, ConfigError, DamagedRecording, UnsupportedRecording
 from igtl_gateway.base.near import did_you_mean, near_names
 from igtl_gateway.base.untrusted import files
 from igtl_gateway.base.untrusted import limits as file_limits
@@ -29,11 +30,13 @@ from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.log.entry import MESSAGES, Kind
 from igtl_gateway.gateway.log.marks import Mark
 from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.added_marks import marks_files
 from igtl_gateway.record.sessionfile.new_file import write_bytes
 from igtl_gateway.record.sessionfile.ranges import named
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.remote import RemoteFile, is_url
+from igtl_gateway.record.sessionfile.side_file import part_files
 from igtl_gateway.replay.state_before import with_state, without_state
 
 if TYPE_CHECKING:
@@ -378,6 +381,8 @@ def _salvaged(path: Path, resources: ExitStack, warnings: list[str]) -> SessionF
 
     folder = Path(resources.enter_context(tempfile.TemporaryDirectory(prefix="igtl-gateway-")))
     copy = folder / path.name
+    if path.is_dir():
+        return _salvaged_parts(path, copy, resources, warnings)
     report = copy_readable(path, copy)
     for side in marks_files(path):
         write_bytes(folder / side.name, files.read_bytes(side))
@@ -385,4 +390,37 @@ def _salvaged(path: Path, resources: ExitStack, warnings: list[str]) -> SessionF
         f"{path}: was cut off after {report.size:,} bytes; {report.messages:,} messages are read, and it has no ledger "
         "of a finished session"
     )
+    return resources.enter_context(SessionFile.open(copy))
+
+
+def _salvaged_parts(path: Path, copy: Path, resources: ExitStack, warnings: list[str]) -> SessionFile:
+    """As `_salvaged`, for the folder of a split recording: parts that are whole are not copied."""
+    from igtl_gateway.record.sessionfile.recovery import copy_readable
+
+    copy.mkdir()
+    for part in part_files(path):
+        place = copy / part.name
+        try:
+            SessionFile.open(part).close()
+        except DamagedRecording as error:
+            if "was cut off" not in str(error):
+                raise
+            report = copy_readable(part, place)
+            warnings.append(
+                f"{part}: was cut off after {report.size:,} bytes; {report.messages:,} messages are read, and there is "
+                "no ledger of a finished session"
+            )
+            with SessionFile.open(place) as file:
+                is_part = layout.PART_KEY in file.session
+            if not is_part:  # it was cut off in its first records
+                place.unlink()
+        except UnsupportedRecording as error:
+            warnings.append(str(error))
+        else:
+            try:
+                place.symlink_to(part.absolute())
+            except OSError:  # Windows permits links to few
+                shutil.copyfile(part, place)
+    for side in marks_files(path):
+        write_bytes((copy if side.parent == path else copy.parent) / side.name, files.read_bytes(side))
     return resources.enter_context(SessionFile.open(copy))

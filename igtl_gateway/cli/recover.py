@@ -3,22 +3,34 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
-from igtl_gateway.base.errors import ConfigError, GatewayError, UnsupportedRecording
+from igtl_gateway.base.errors import (
+    ConfigError,
+    DamagedRecording,
+    GatewayError,
+    LimitExceeded,
+    UnsupportedRecording,
+)
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.files import is_same
+from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.cli.common import count_text, size_text
 from igtl_gateway.cli.losses import NO_END
 from igtl_gateway.cli.options import add_file, add_json, add_output, add_overwrite, default, new_recording
 from igtl_gateway.cli.terminal import clear_live_line, is_terminal, live_line, print_json, print_line
+from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.added_marks import added_marks
 from igtl_gateway.record.sessionfile.beside import written, written_folder
+from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.recovery import Recovery, recover
-from igtl_gateway.record.sessionfile.salvage import Salvage
+from igtl_gateway.record.sessionfile.salvage import HAS_SESSION, Salvage
 from igtl_gateway.record.sessionfile.salvage_report import Loss, SalvageReport
-from igtl_gateway.record.sessionfile.side_file import SIDE_FILE, write_side_file
+from igtl_gateway.record.sessionfile.side_file import SIDE_FILE, part_files, write_side_file
 from igtl_gateway.replay.recorded_marks import carry_marks
 
 EXAMPLES = """\
@@ -74,16 +86,25 @@ def _run_parts(options: argparse.Namespace) -> int:
         raise ConfigError(f"{output}: found the damaged recording, expected another name for the recovered one")
     if output.suffix == ".mcap" and not output.is_dir():
         raise ConfigError(f"{output}: found the name of a file, expected a directory for the parts of {source}")
-    paths = sorted(source.glob("*.mcap"))
+    paths = _parts(source)
     if not paths:
         raise UnsupportedRecording(f"{source}: found a directory without .mcap files, expected a split recording")
     everything: list[tuple[dict[str, Any], SalvageReport | None]] = []
     recovered: list[Recovery] = []
     with written_folder(output, overwrite=options.overwrite) as folder:
+        shared = _session(paths)
+        number = -1
         for path in paths:
+            number += 1
+            place = folder / path.name
             try:
-                part = _recover(path, folder / path.name, options)
-            except UnsupportedRecording as error:
+                part = _recover(path, place, options, {**shared, layout.PART_KEY: str(number)} if shared else {})
+                number = _number(place, part, number)
+            except (UnsupportedRecording, DamagedRecording) as error:
+                if isinstance(error, LimitExceeded):
+                    raise
+                place.unlink(missing_ok=True)
+                number -= 1
                 everything.append(({"file": str(path), "whole": False, "why": str(error)}, None))
             else:
                 recovered.append(part)
@@ -113,6 +134,35 @@ def _run_parts(options: argparse.Namespace) -> int:
     return 0 if whole else 1
 
 
+def _parts(folder: Path) -> list[Path]:
+    """The files of a split recording, in the order of the numbers in their names; links only if there is nothing else.
+
+    A folder or a FIFO with the name of a part is none.
+    """
+    found = part_files(folder)
+    found = [path for path in found if not path.is_symlink()] or found
+    return sorted(found, key=lambda path: (len(path.name), path.name))
+
+
+def _session(paths: Sequence[Path]) -> dict[str, str]:
+    """The session metadata that all parts have, of the first part that has them; empty without one."""
+    for path in paths:
+        with suppress(GatewayError), Salvage.open(path) as file:
+            if layout.PART_KEY in file.recorded_session:
+                own = (layout.PART_KEY, layout.PREVIOUS_KEY)
+                return {key: value for key, value in file.recorded_session.items() if key not in own}
+    return {}
+
+
+def _number(place: Path, part: Recovery, expected: int) -> int:
+    """The number of a recovered part.  Raises DamagedRecording if there is nothing of a part in it."""
+    with SessionFile.open(place) as file:
+        number = whole_number(file.session.get(layout.PART_KEY))
+    if not (part.part.entries or part.facts[HAS_SESSION]):
+        raise DamagedRecording(f"{part.facts['from']}: found no entry and no session metadata in it")
+    return expected if number is None else number
+
+
 def _carried(source: Path, output: Path, start_ns: int, end_ns: int) -> list[str]:
     """Copy the marks that were added to a recording; return why that was not possible, if so."""
     try:
@@ -126,7 +176,9 @@ def _carried(source: Path, output: Path, start_ns: int, end_ns: int) -> list[str
     return []
 
 
-def _recover(source: Path, place: Path, options: argparse.Namespace) -> Recovery:
+def _recover(
+    source: Path, place: Path, options: argparse.Namespace, session: Mapping[str, str] = MappingProxyType({})
+) -> Recovery:
     """Recover one file, and show how far that is."""
     shown = 0
 
@@ -137,7 +189,7 @@ def _recover(source: Path, place: Path, options: argparse.Namespace) -> Recovery
             shown = file.position
 
     has_progress = is_terminal(error=True) and not options.json
-    found = recover(source, place, progress) if has_progress else recover(source, place)
+    found = recover(source, place, progress if has_progress else lambda _: None, session)
     if shown:
         clear_live_line(error=True)
     return found

@@ -94,7 +94,7 @@ class PartsWriter:
         self._gone: set[Path] = set()  # those of them that were removed
         self._left: list[Path] = []  # parts that could not be written to their end
         self._left_entries = 0
-        self._number = 0
+        self._number = self._name = 0  # of the part, and the one in its name, which may be larger
         self._asked = False  # the next part
         self._begun_ns: deque[int] = deque(maxlen=MAX_PER_MINUTE)  # stamps of the inputs before which parts began
         self._is_held = self._was_held = False  # the end of this part, and that of the part before
@@ -111,7 +111,7 @@ class PartsWriter:
         if waits:
             return
         try:
-            self._part = self._open(0)
+            self._part = self._open(0, 0)
         except RecordingError:
             with contextlib.suppress(OSError):  # it holds something
                 self.path.rmdir()
@@ -237,11 +237,12 @@ class PartsWriter:
 
     def _next(self) -> None:
         self._asked = False
-        number = self._number + 1
-        while (path := part_path(self.path, number)) not in self._old and os.path.lexists(path):
-            number += 1  # the beginning of one that the disk refused
-        self._part = self._open(number)
-        self._number = number
+        number, name = self._number + 1, self._name + 1
+        # something has that name: a folder, a link, or the beginning of a part that the disk refused
+        while (path := part_path(self.path, name)) not in self._old and os.path.lexists(path):
+            name += 1
+        self._part = self._open(number, name)
+        self._number, self._name = number, name
         self._ended = False
 
     def _full(self, entry: Entry) -> bool:
@@ -275,11 +276,11 @@ class PartsWriter:
             )
         return ""
 
-    def _open(self, number: int) -> SessionWriter:
+    def _open(self, number: int, name: int) -> SessionWriter:
         facts = {layout.PART_KEY: str(number)}
         if self._previous:
             facts[layout.PREVIOUS_KEY] = self._previous
-        path, prologue = part_path(self.path, number), self._prologue.entries()
+        path, prologue = part_path(self.path, name), self._prologue.entries()
         part = self._open_part(path, facts, prologue)
         self._begin_bytes, self._prologue_bytes = part.size, sum(entry.size for entry in prologue)
         self._previous = path.name

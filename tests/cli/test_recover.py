@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import random
+import shutil
 import subprocess
 import sys
 from collections import Counter
@@ -16,12 +18,21 @@ from mcap.writer import Writer
 from rosbags.rosbag2 import Reader
 from ruamel.yaml import YAML
 
+import igtl_gateway
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import DamagedRecording
 from igtl_gateway.cli import main
 from igtl_gateway.config.configuration import Config
-from igtl_gateway.gateway.log.entry import Entry
-from igtl_gateway.record.sessionfile import layout
+from igtl_gateway.gateway import LINK_UP, Gateway, Session
+from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.record.sessionfile import layout, records
+from igtl_gateway.record.sessionfile.damaged import DamagedFile
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
+from igtl_gateway.wire import Message, encode
+from igtl_gateway.wire.image import Image
+from igtl_gateway.wire.transform import Transform
 from tests.places import ROOT
 from tests.record import samples
 from tests.record.test_parts import record, session
@@ -293,7 +304,7 @@ def test_the_parts_of_a_split_recording_are_recovered_together(
     last = folder / "split_1.mcap"
     last.write_bytes(last.read_bytes()[:-300])
     assert main(["info", str(folder)]) == 1
-    assert capsys.readouterr().err.endswith(f"; run: igtl-gateway recover {last}\n")
+    assert capsys.readouterr().err.endswith(f"; run: igtl-gateway recover {folder}\n")
     facts = told(capsys, "recover", folder, code=0)
     assert [Path(part["file"]).name for part in facts["parts"]] == ["split_0.mcap", "split_1.mcap"]
     assert entries(tmp_path / "split.recovered") == [samples.flat(entry) for entry in ENTRIES]
@@ -386,3 +397,80 @@ def test_where_nothing_can_be_read_the_side_file_names_nothing(tmp_path: Path) -
     told = told["rosbag2_bagfile_information"]
     lists = ("relative_file_paths", "files", "topics_with_message_count")
     assert [told[key] for key in (*lists, "message_count")] == [[], [], [], 0]
+
+
+def with_pictures(path: Path) -> tuple[Path, list[Entry]]:
+    """The folder of a split recording whose parts have a picture in their prologue, and its entries."""
+    live = Session(Gateway(Config(base_frame="world")))
+    up = Note(Level.INFO, LINK_UP, "a peer", data={"address": "127.0.0.1:1"}).pack()
+    found = live.input(samples.START_NS, Kind.LINK, (up,), links=(1,))
+    picture = bytes(join(encode(Message("IMAGE", "CT", Image((30, 20, 1), 3, random.Random(1).randbytes(600))))))
+    for number in range(40):
+        now_ns = samples.START_NS + (number + 1) * 50_000_000
+        pose = Message("TRANSFORM", "AToB", Transform((1.0, 0, 0, 0, 1, 0, 0, 0, 1, number, 2, 3)))
+        found += live.input(now_ns, Kind.IGTL_IN, (bytes(join(encode(pose))),), links=(1,))
+        if number in (1, 15):
+            found += live.input(now_ns + 5, Kind.IGTL_IN, (picture,), links=(1,))
+    return record(path, found, split_s=1.0).path, found
+
+
+def test_a_folder_whose_last_part_was_cut_off_anywhere_is_recovered_to_one_that_opens(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, all_entries = with_pictures(tmp_path / "long.mcap")
+    last = max(folder.glob("*.mcap"))
+    data = last.read_bytes()
+    with SessionFile.open(last) as part:
+        first = next(part.entries()).seq
+        assert any(entry.type == "IMAGE" for entry in part.prologue())
+    with last.open("rb") as stream:
+        spans = list(DamagedFile(last, stream).walk())
+    prologue = [span for span in spans if span.opcode == records.ATTACHMENT][-1]
+    begins = [span.at for span in spans if span.opcode in (records.METADATA, records.ATTACHMENT, records.CHUNK)]
+    places = [0, 7, 20, *begins, *range(prologue.at, prologue.end, 211), prologue.end - 1, len(data) - 1]
+    for cut in sorted(set(places)):
+        last.write_bytes(data[:cut])
+        out = tmp_path / f"recovered-{cut}"
+        assert main(["recover", str(folder), "-o", str(out)]) in (0, 1)
+        assert main(["verify", str(out)]) == 0, (cut, capsys.readouterr().out)
+        assert main(["info", str(out)]) == 0, cut
+        with SessionFile.open(out) as file:
+            left = [entry.seq for entry in file.entries()]
+        assert left == [entry.seq for entry in all_entries][: len(left)] and len(left) >= first - 1, cut
+        if (out / last.name).exists():
+            assert all(entry.seq >= first for entry in entries(out / last.name)), cut
+        with igtl_gateway.open(folder) as recording:  # directly
+            assert sum(map(len, recording.values())) <= len(all_entries), cut
+        with pytest.raises(DamagedRecording, match=f"recover {folder}"):
+            SessionFile.open(folder)
+        shutil.rmtree(out)
+
+
+def test_a_part_that_lost_its_session_metadata_gets_those_of_the_others(tmp_path: Path) -> None:
+    folder, all_entries = with_pictures(tmp_path / "long.mcap")
+    part = folder / "long_1.mcap"
+    data = bytearray(part.read_bytes())
+    for name in layout.SESSION_RECORDS:
+        place = data.find(name.encode())
+        data[place - 20 : place + 40] = bytes(60)
+    part.write_bytes(data)
+    assert main(["recover", str(folder)]) == 1
+    with SessionFile.open(tmp_path / "long.recovered") as file:
+        assert [entry.seq for entry in file.entries()] == [entry.seq for entry in all_entries]
+
+
+def test_what_is_no_part_has_no_place_in_a_folder(tmp_path: Path) -> None:
+    folder, all_entries = with_pictures(tmp_path / "long.mcap")
+    os.mkfifo(folder / "long_5.mcap")
+    (folder / "long_6.mcap").mkdir()
+    (folder / "long_7.mcap").symlink_to(tmp_path / "nothing")
+    (folder / "long_00.mcap").symlink_to(ROOT / "fixtures" / "star.mcap")
+    (folder / "long_8.mcap").symlink_to(folder / "long_1.mcap")
+    assert main(["recover", str(folder)]) == 0
+    for place in (folder, tmp_path / "long.recovered"):
+        with SessionFile.open(place) as file:
+            assert [entry.seq for entry in file.entries()] == [entry.seq for entry in all_entries]
+    assert not any(path.is_symlink() for path in (tmp_path / "long.recovered").iterdir())
+    shutil.copy(folder / "long_1.mcap", folder / "copy.mcap")
+    with pytest.raises(DamagedRecording, match="part 1 twice"):
+        SessionFile.open(folder)

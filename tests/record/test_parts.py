@@ -303,3 +303,39 @@ def test_other_folders_are_not_taken_for_a_recording(tmp_path: Path) -> None:
     assert recorder.files == (tmp_path / "one.mcap",)
     with pytest.raises(UnsupportedRecording, match=r"found a directory with one\.mcap"):
         SessionFile.open(tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["folder", "FIFO", "link", "file"])
+def test_names_of_coming_parts_that_are_taken_leave_no_gap(path: Path, kind: str) -> None:
+    entries = session()
+    taken = [path.with_suffix("") / f"long_{number}.mcap" for number in (2, 3)]
+    make: dict[str, Callable[[Path], object]] = {
+        "folder": Path.mkdir,
+        "FIFO": os.mkfifo,
+        "link": lambda place: place.symlink_to("nothing"),
+        "file": Path.touch,
+    }
+    done = False
+
+    def on_note(note: Note) -> None:
+        pytest.fail(note.text)
+
+    recorder = Recorder(
+        path, samples.SESSION, qos_of=lambda _topic, _type: None, on_note=on_note, clock=ManualClock(),
+        host=in_thread, options=RecordOptions(split_s=1.0), rule=RULE,
+    )  # fmt: skip
+    for entry in entries:
+        recorder(entry)
+        if not done:
+            done = True
+            for place in taken:
+                make[kind](place)
+    summary = recorder.close({"streams": {}})
+    names = [file.name for file in summary.files if file.suffix == ".mcap"]
+    assert names[:3] == ["long_0.mcap", "long_1.mcap", "long_4.mcap"]
+    if kind == "file":
+        for place in taken:
+            place.unlink()
+    with SessionFile.open(summary.path) as whole:
+        assert list(whole.entries()) == [samples.flat(entry) for entry in entries]
+        assert not whole.missing_parts

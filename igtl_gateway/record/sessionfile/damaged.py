@@ -3,6 +3,10 @@
 Each record of an MCAP file has its length in front, and almost all of them have it in their fields once more.  Where
 the length in front does not fit, the fields may show the end of the record after all; otherwise the next offset is
 searched at which a record fits.
+
+What looks like a record may be of another file: a prologue is an MCAP file in an attachment, and the payload of a
+message may hold one.  So where both lengths of a record agree and the file ends before them, the rest is that record;
+and a search does not stop between the two magics of a file in the file.
 """
 
 from __future__ import annotations
@@ -21,7 +25,17 @@ from igtl_gateway.record.sessionfile import records
 from igtl_gateway.record.sessionfile.chunks import check_chunk
 from igtl_gateway.record.sessionfile.compression import NAMES, declared_size, decompress
 from igtl_gateway.record.sessionfile.contents import check_work
-from igtl_gateway.record.sessionfile.records import CHUNK_HEAD, FIELDS, HEAD, MAGIC, MESSAGE_HEAD, U32, U64, Malformed
+from igtl_gateway.record.sessionfile.records import (
+    CHUNK_HEAD,
+    FIELDS,
+    FOOTER_RECORD,
+    HEAD,
+    MAGIC,
+    MESSAGE_HEAD,
+    U32,
+    U64,
+    Malformed,
+)
 
 #: Where a record may begin, for the search: a record that is never inside a chunk, or, in files that have messages
 #: outside of chunks, a message.  None is larger than a terabyte.
@@ -64,6 +78,7 @@ class DamagedFile:
         self._deadline = limits.Deadline(files.stored_bytes(path, self.size))
         self._work = 0  # bytes unpacked
         self._loose = False  # messages lie outside of chunks
+        self._magic = (0, -1)  # from here on, the first magic is there; -1: unknown
 
     def walk(self) -> Iterator[RecordSpan]:
         """All records up to the end of the data, and the bytes between them."""
@@ -73,7 +88,7 @@ class DamagedFile:
             self._deadline.check(str(self._path))
             span = self._span(at, limit, ended)
             if span.opcode == 0 and span.end == at:
-                span = RecordSpan(0, at, self._seek_record(at + 1, limit))
+                span = RecordSpan(0, at, self._seek_record(at + 1, limit) if ended else self._next_record(at, limit))
             if span.opcode == records.MESSAGE:
                 self._loose = True
             if not ended or span.opcode:
@@ -165,6 +180,8 @@ class DamagedFile:
         inner = self._inner_end(opcode, at, limit)
         if inner == outer or (ended and outer <= limit and opcode not in FIELDS and self._fits(outer, limit)):
             return RecordSpan(opcode, at, outer)
+        if outer > limit == self.size and self._is_torn(opcode, at, outer):
+            return RecordSpan(0, at, limit)
         outer_fits = outer <= limit and self._fits(outer, limit)
         if inner and outer_fits and inner < outer and opcode in FIELDS and not self._fits(inner, limit):
             # more bytes than its fields need, as MCAP allows; of a chunk only the opcode may be damaged
@@ -180,6 +197,60 @@ class DamagedFile:
             # of a chunk only the opcode may be damaged
             return RecordSpan(records.CHUNK if self._inner_end(records.CHUNK, at, limit) == outer else 0, at, outer)
         return RecordSpan(0, at, at)
+
+    def _is_torn(self, opcode: int, at: int, outer: int) -> bool:
+        """Whether the file ends inside a record: its fields state the same end as its length, as far as they go."""
+        fields = FIELDS.get(opcode)
+        if not fields:
+            return False
+        end = at + HEAD.size
+        for each in fields:
+            if isinstance(each, int):
+                end += each
+                continue
+            size = self.read(end, each.size)
+            if len(size) < each.size:
+                return end <= outer
+            end += each.size + each.unpack(size)[0]
+        return end == outer
+
+    def _next_record(self, at: int, limit: int) -> int:
+        """Offset of the next record behind damage at ``at`` that is not in a file in the file, or of the end."""
+        magic = self._next_magic(at, limit)
+        if magic == limit:
+            return self._seek_record(at + 1, limit)
+        if not self._ends_file(magic):  # a file in the file begins there, unless a record has it
+            found = self._seek_record(at + 1, limit, magic)
+            if found < magic:
+                return found
+            while not self._ends_file(magic):
+                magic = self._next_magic(magic + 1, limit)
+                if magic == limit:
+                    return limit
+        return magic + len(MAGIC)
+
+    def _next_magic(self, at: int, limit: int) -> int:
+        """Offset of the next magic that is not the last one of the file; ``limit``: there is none."""
+        known_from, known = self._magic
+        if known >= 0 and known_from <= at <= known:
+            return known
+        known_from = at
+        while at < limit:
+            self._deadline.check(f"{self._path}: offset {at:,}")
+            at = min(files.next_data(self._stream, at), limit)
+            window = self.read(at, min(_WINDOW, limit - at))
+            place = window.find(MAGIC)
+            if 0 <= place and at + place < self.size - len(MAGIC):
+                limit = at + place
+                break
+            at += max(1, len(window) - len(MAGIC) + 1) if at + len(window) < limit else len(window)
+        self._magic = (known_from, limit)
+        return limit
+
+    def _ends_file(self, magic: int) -> bool:
+        """Whether a magic is the last one of a file: a footer is before it."""
+        head = self.read(magic - FOOTER_RECORD.size + len(MAGIC), HEAD.size)
+        return head == HEAD.pack(records.FOOTER, records.FOOTER_LENGTH)
 
     def _fits(self, at: int, limit: int, chain: int = 1) -> bool:
         """Whether at ``at`` the file ends, or ``chain`` records may follow."""
@@ -213,22 +284,25 @@ class DamagedFile:
                 return 0
         return end
 
-    def _seek_record(self, at: int, limit: int) -> int:
-        """Offset of the next record that fits, or of the end."""
+    def _seek_record(self, at: int, limit: int, until: int | None = None) -> int:
+        """Offset of the next record that fits and begins before ``until``, or that, or of the end."""
         pattern = _CANDIDATE_MESSAGE if self._loose else _CANDIDATE
-        while at < limit:
+        until = limit if until is None else until
+        while at < until:
             self._deadline.check(f"{self._path}: offset {at:,}")
-            at = min(files.next_data(self._stream, at), limit)
+            at = min(files.next_data(self._stream, at), until)
             window = self.read(at, min(_WINDOW, limit - at))
             self._window = (at, window)
             for found in pattern.finditer(window):
+                if at + found.start() >= until:
+                    break
                 if self._is_record(at + found.start(), limit):
                     self._window = (0, b"")
                     return at + found.start()
             # a head may lie across the end of the window
             at += max(1, len(window) - HEAD.size + 1) if at + len(window) < limit else len(window)
         self._window = (0, b"")
-        return limit
+        return until
 
     def _is_record(self, at: int, limit: int) -> bool:
         """Whether there is a record beyond doubt."""

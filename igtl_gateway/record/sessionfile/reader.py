@@ -48,6 +48,7 @@ from igtl_gateway.record.sessionfile.lookup import LatchedStateRule, look_up
 from igtl_gateway.record.sessionfile.merged import MERGE_METADATA, Merge, extract_part, parse_merge
 from igtl_gateway.record.sessionfile.order import message_rows
 from igtl_gateway.record.sessionfile.records import Malformed
+from igtl_gateway.record.sessionfile.side_file import part_files
 
 _ALL_KINDS = frozenset(Kind)
 #: What stands for inputs that are not wanted.
@@ -530,9 +531,29 @@ class SessionParts(SessionFile):
         skipped: list[SkippedChannel] = []
         self.definitions, self._definitions = {}, FileDefinitions()
         self.entry_count = self.start_ns = self.end_ns = 0
-        for path in sorted(folder.glob("*.mcap")):
-            with SessionFile.open(path) as part:
+        shared: dict[str, str] = {}  # session metadata of all parts
+        own = (layout.PART_KEY, layout.PREVIOUS_KEY)
+        for path in sorted(part_files(folder), key=Path.is_symlink):
+            try:
+                opened = SessionFile.open(path)
+            except UnsupportedRecording:
+                if path.is_symlink():  # to anything
+                    continue
+                if not path.stat().st_size:
+                    raise DamagedRecording(f"{path}: was cut off after 0 bytes{recover_hint(folder)}") from None
+                raise
+            except DamagedRecording as error:
+                raise type(error)(str(error).replace(recover_hint(path), recover_hint(folder))) from None
+            with opened as part:
                 number = whole_number(part.session.get(layout.PART_KEY))
+                items = {key: value for key, value in part.session.items() if key not in own}
+                if path.is_symlink() and (number is None or number in found or items != (shared or items)):
+                    continue  # to no part of this recording
+                shared = shared or items
+                if number in found:
+                    raise DamagedRecording(
+                        f"{folder}: found part {number} twice: {found[number].path.name}, {path.name}"
+                    )
                 if number is None:
                     raise UnsupportedRecording(
                         f"{folder}: found a directory with {path.name}, expected parts of a split recording; "
@@ -557,7 +578,6 @@ class SessionParts(SessionFile):
         self.parts = tuple(found[number] for number in sorted(found))
         self.size = sum(part.size for part in self.parts)
         with SessionFile.open(self.parts[0].path) as first, SessionFile.open(self.parts[-1].path) as last:
-            own = (layout.PART_KEY, layout.PREVIOUS_KEY)
             # a recording that lacks its first parts begins midway, and states it as a part does
             self.session = {key: value for key, value in first.session.items() if min(found) or key not in own}
             self.format_version = first.format_version

@@ -10,10 +10,11 @@ from __future__ import annotations
 import json
 from array import array
 from bisect import bisect_right
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryFile
+from types import MappingProxyType
 from typing import Any
 
 from mcap.reader import make_reader
@@ -66,44 +67,59 @@ class _Disorder(Exception):
     """A message of a session is older than the one before it."""
 
 
-def recover(source: Path, place: Path, progress: Callable[[Salvage], None] = lambda _: None) -> Recovery:
+def recover(
+    source: Path,
+    place: Path,
+    progress: Callable[[Salvage], None] = lambda _: None,
+    session: Mapping[str, str] = MappingProxyType({}),
+) -> Recovery:
     """Write the readable rest of a recording, and read it again with every reader.
 
     Args:
         source: the damaged file, or a sound one.
         place: the file to write, which is incomplete after an error.
         progress: called after each message.
+        session: session metadata of a recording that has lost its own.
 
     Raises UnsupportedRecording (nothing of MCAP in it, a newer version), DamagedRecording if no file with all that is
     readable can be read again, RecordingError if the file cannot be written.
     """
-    return _recovered(source, place, progress, _check)
+    return _recovered(source, place, progress, _check, session)
 
 
 def copy_readable(source: Path, place: Path) -> SalvageReport:
     """As :func:`recover`, but only our reader will read the new file: what it refuses is found when it does."""
-    return _recovered(source, place, lambda _: None, lambda _place, _file: iter(())).report
+    return _recovered(source, place, lambda _: None, lambda _place, _file: iter(()), {}).report
 
 
 #: Reads the new file; yields which programs do not.
 _Reads = Callable[[Path, Salvage], Iterator[str]]
 
 
-def _recovered(source: Path, place: Path, progress: Callable[[Salvage], None], check: _Reads) -> Recovery:
+def _recovered(
+    source: Path, place: Path, progress: Callable[[Salvage], None], check: _Reads, session: Mapping[str, str]
+) -> Recovery:
     try:
-        return _attempt(source, place, progress, check, in_turn=True)
+        return _attempt(source, place, progress, check, session, in_turn=True)
     except (_Disorder, LimitExceeded):
         place.unlink(missing_ok=True)
-    return _attempt(source, place, progress, check, in_turn=False)
+    return _attempt(source, place, progress, check, session, in_turn=False)
 
 
 def _attempt(
-    source: Path, place: Path, progress: Callable[[Salvage], None], check: _Reads, *, in_turn: bool
+    source: Path,
+    place: Path,
+    progress: Callable[[Salvage], None],
+    check: _Reads,
+    session: Mapping[str, str],
+    *,
+    in_turn: bool,
 ) -> Recovery:
     """Copy messages in turn, or in order of time and not compressed, which takes more room but no limit refuses it."""
     with Salvage.open(source) as file:
         compression: Compression = file.compression if in_turn else "none"
-        with CopyWriter(place, file.profile, file.library, file.recorded_session, compression=compression) as writer:
+        items = file.recorded_session or ({} if file.foreign else dict(session))
+        with CopyWriter(place, file.profile, file.library, items, compression=compression) as writer:
             losses = list(_copy_beside(file, writer))
             if not file.has_header:
                 losses.append(_loss(HEADER, "not readable: which program wrote the file"))

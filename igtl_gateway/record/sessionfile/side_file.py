@@ -66,6 +66,11 @@ def part_path(folder: Path, number: int) -> Path:
     return folder / f"{folder.name}_{number}.mcap"
 
 
+def part_files(folder: Path) -> list[Path]:
+    """The files that may be parts of a split recording, by name; other things with such names are none."""
+    return sorted(path for path in folder.glob("*.mcap") if path.is_file())
+
+
 def files_of(folder: Path) -> list[Path]:
     """The files of a split recording that are in its folder, complete or not."""
     found = [folder / SIDE_FILE, *folder.glob(f"{folder.name}_*.mcap")]

@@ -75,3 +75,40 @@ def test_a_chunk_with_one_damaged_field_is_read() -> None:
     data[span.end - 1] ^= 1
     with pytest.raises(Malformed, match="its checksum is wrong"):
         opened(bytes(data)).chunk(span)
+
+
+INNER = bag(Chunk((*DEFINITIONS, *messages(1, 2, 3, 4)))).finish()
+OUTER = bag(
+    (build.ATTACHMENT, build.attachment("prologue", "application/octet-stream", INNER)),
+    Chunk((*DEFINITIONS, *messages(7, 9))),
+    (build.ATTACHMENT, build.attachment("last", "application/octet-stream", INNER)),
+    Chunk((*DEFINITIONS, *messages(11))),
+).data
+
+
+def chunks_in(data: bytes) -> list[tuple[int, int]]:
+    """Place and end of the chunks that are found, by distance from the end of the whole file."""
+    return [(span.at, span.end) for span in spans(data) if span.opcode == records.CHUNK]
+
+
+def test_what_is_in_an_attachment_that_is_cut_off_or_damaged_is_not_of_the_file() -> None:
+    own = chunks_in(OUTER)
+    attachments = [span for span in spans(OUTER) if span.opcode == records.ATTACHMENT]
+    assert len(own) == 2 and len(attachments) == 2
+    for attachment in attachments:
+        for cut in range(attachment.at, attachment.end):
+            assert set(chunks_in(OUTER[:cut])) <= set(own), cut
+        for begin in range(attachment.at, attachment.end, 7):
+            # a page of zeros, which costs the head of the attachment, or not
+            data = OUTER[: attachment.at] + bytes(begin - attachment.at) + OUTER[begin:]
+            assert set(chunks_in(data)) <= set(own), begin
+            rest = [each for each in own if each[0] >= attachment.end]
+            assert set(rest) <= set(chunks_in(data)) or begin > attachment.end - 60, begin
+
+
+def test_a_chunk_that_is_cut_off_hides_what_is_in_its_messages() -> None:
+    whole = bag(Chunk((*DEFINITIONS, *messages(7))), Chunk(((build.MESSAGE, build.message(1, 8, 8, 8, INNER)),))).data
+    own = chunks_in(whole)
+    assert len(own) == 2
+    for cut in range(own[1][0], own[1][1]):
+        assert chunks_in(whole[:cut]) == own[:1], cut
