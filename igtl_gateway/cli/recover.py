@@ -137,7 +137,7 @@ def _run_parts(options: argparse.Namespace) -> int:
 def _parts(folder: Path) -> list[Path]:
     """The files of a split recording, in the order of the numbers in their names; links only if there is nothing else.
 
-    A folder or a FIFO with the name of a part is none.
+    A folder or a FIFO with the name of a part is not one.
     """
     found = part_files(folder)
     found = [path for path in found if not path.is_symlink()] or found

@@ -67,7 +67,7 @@ def part_path(folder: Path, number: int) -> Path:
 
 
 def part_files(folder: Path) -> list[Path]:
-    """The files that may be parts of a split recording, by name; other things with such names are none."""
+    """The files that may be parts of a split recording, by name; other things with such names are not."""
     return sorted(path for path in folder.glob("*.mcap") if path.is_file())
 
 
