@@ -10,6 +10,7 @@ from igtl_gateway.base.once import Once
 from igtl_gateway.gateway import FAULT, TICK
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.gateway.orders import UNWRITTEN
 
 #: Called with level, text and time (UTC ns).
 Log = Callable[[Level, str, int], None]
@@ -55,8 +56,11 @@ class RosLog:
 
 
 def is_routine(note: Note) -> bool:
-    """Return whether a note only drives the gateway, several times a second, and is not for people."""
-    return note.code == TICK
+    """Return whether a note only drives the gateway, several times a second, and is not for people.
+
+    The commands that were not written have notes of their own.
+    """
+    return note.code in (TICK, UNWRITTEN)
 
 
 def note_text(note: Note, links: tuple[int, ...]) -> str:

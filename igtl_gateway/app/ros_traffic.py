@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 
 from igtl_gateway.app.bridge_options import BridgeOptions
@@ -14,8 +15,13 @@ from igtl_gateway.app.subscriptions import RECORDED, Subscriptions
 from igtl_gateway.app.video import VideoCodecs
 from igtl_gateway.base.addons import part_of
 from igtl_gateway.base.errors import GatewayError
+from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.config.configuration import COMMAND_QOS, SET_POINT_QOS
 from igtl_gateway.config.settings import DEFAULT_LATCHED_MIB
+from igtl_gateway.convert.arms import arms_row
 from igtl_gateway.convert.common_msgs import CompressedImage, TFMessage
+from igtl_gateway.convert.crtk import NAMES, namespaces, row_of
 from igtl_gateway.convert.igtl_msgs import CommandReply, LinkStatusList
 from igtl_gateway.convert.rosmsg import String
 from igtl_gateway.edges.interface import RosSide
@@ -25,6 +31,7 @@ from igtl_gateway.gateway import LINKS_TOPIC, LISTENED, Core
 from igtl_gateway.gateway.log.entry import Entry
 from igtl_gateway.gateway.log.marks import MarkNote
 from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.gateway.orders import Order, Unwritten
 from igtl_gateway.gateway.to_igtl.tf_out import TF_QOS
 from igtl_gateway.native.passage import Passage
 
@@ -32,6 +39,8 @@ from igtl_gateway.native.passage import Passage
 MARKS = "mark"
 #: Types of messages to ROS that the bridge itself reads: replies for the service, video frames for the decoder.
 _OWN_USE = frozenset({CommandReply.TYPE, CompressedImage.TYPE})
+#: Commands to robots in one message, and arms, at most.
+_WRITTEN, _NAMESPACES = 4_096, 1_000
 
 
 class RosTraffic:
@@ -74,6 +83,9 @@ class RosTraffic:
         self.recording: BridgeRecording | None = None
         self.mark: Callable[[MarkNote], None] | None = None
         self._log = RosLog(self.side.log)
+        self._written: deque[bytes] = deque(maxlen=_WRITTEN)  # commands to robots, whose outputs have not come yet
+        self._namespaces: set[str] = set()  # of the arms whose commands are expected
+        gateway.write = self._write if gateway.config.all_arms else None
         self.video: VideoCodecs | None = None
         if options.video:
             self.video = VideoCodecs(options.video, gateway.config, hub, self.side)
@@ -83,7 +95,7 @@ class RosTraffic:
 
     def _make_side(self, host: NodeHost | None, passage: Passage | None) -> RosSide:
         """Return the edge over the middleware of the options."""
-        options, note, wanted = self._options, self._hub.note, self._subscriptions.wanted
+        options, note, wanted = self._options, self._hub.note, self._wanted
         latched_mib = self._gateway.config.latched_mib or DEFAULT_LATCHED_MIB
         if options.zenoh is None:
             return RosEdge(
@@ -123,6 +135,33 @@ class RosTraffic:
             serve_recording(self.side, self.recording.recorder)
         if self.mark:
             self.side.subscribe(self._marks_topic, String.TYPE, RECORDED)
+        for device in self._gateway.config.allow_in:
+            self._expect(device)  # a glob is the name of no device
+
+    def _wanted(self, topic: str, ros_type: str) -> Qos | None:
+        """Return the QoS of a subscription to a topic; for one of a robot, prepare to write commands to it."""
+        device = topic.removeprefix("/")
+        if self._gateway.write and row_of(device) and (base := namespaces(device)[0]) not in self._namespaces:
+            if len(self._namespaces) < _NAMESPACES:
+                self._namespaces.add(base)
+                for name in NAMES:
+                    self._expect(f"{base[1:]}/{name.name}")
+        return self._subscriptions.wanted(topic, ros_type)
+
+    def _expect(self, device: str) -> None:
+        """Make the publisher of a command that peers may send, before the first one, which does not wait for it."""
+        config, name = self._gateway.config, row_of(device)
+        arms = arms_row(config.all_arms, device)
+        if arms and name and name.motion and config.allows_in(device):
+            qos = SET_POINT_QOS if name.streamed else COMMAND_QOS
+            self.side.expect_orders(f"/{device}", name.ros_type, qos, round(arms.max_age_s * NS_PER_S))
+
+    def _write(self, order: Order) -> Unwritten | None:
+        """Write a command to a robot at once, or never."""
+        refused = self.side.write(order)
+        if refused is None:
+            self._written.append(order.cdr)
+        return refused
 
     def stop(self) -> None:
         """Publish what the log has left, and leave the graph."""
@@ -130,8 +169,10 @@ class RosTraffic:
         self.side.stop()
 
     def publish(self, entry: Entry) -> None:
-        """Publish an output, and pass it to the parts that read it."""
-        if not (self._builds_all and self.side.count_if_unsubscribed(entry.channel)):
+        """Publish an output, unless it is a command that was written, and pass it to the parts that read it."""
+        if self._written and entry.payload[0] is self._written[0]:
+            self._written.popleft()
+        elif not (self._builds_all and self.side.count_if_unsubscribed(entry.channel)):
             qos = self._gateway.qos(entry.channel) or RECORDED
             self.side.publish(entry.channel, entry.type, entry.data(), qos)
         self.commands.on_entry(entry)
@@ -173,7 +214,12 @@ class RosTraffic:
 
     def _has_subscriber(self, topic: str, ros_type: str) -> bool:
         """Return whether a topic has a subscriber in ROS, or the bridge itself reads the type."""
-        return ros_type in _OWN_USE or self.side.has_subscriber(topic)
+        return ros_type in _OWN_USE or self._is_command(topic) or self.side.has_subscriber(topic)
+
+    def _is_command(self, topic: str) -> bool:
+        """Return whether a topic has commands to a robot: what is not written is refused, and said."""
+        name = row_of(topic.removeprefix("/")) if self._gateway.write else None
+        return name is not None and name.motion is not None
 
     def _on_first_subscriber(self, topic: str) -> None:
         """Report the first subscriber of a topic: the gateway then builds the latched message of the topic."""

@@ -31,6 +31,8 @@ replay and verification use the settings of the recorded session.
     keep_mib = 48                  # MiB of the last images of all devices but the newest, and of the last messages of
                                    # topics; by default in live sessions only
     latched_mib = 1536             # MiB of the latched messages of all topics; by default in live sessions only
+    max_behind_s = 0.2             # default of the rows of [[crtk]]: how far set points may be from the measured state,
+                                   # as a time at the speed limits; 0: any distance; by default in live sessions only
 
     [[to_igtl]]                    # ROS topic → OpenIGTLink; the first matching row applies
     topic = "/camera/image_raw"    # * matches within one level, ** across levels
@@ -94,6 +96,7 @@ from igtl_gateway.config.setting import GATEWAY, HOST, IGTL, RECORD, TYPE_NAMES
 from igtl_gateway.config.settings import (
     DEFAULT_KEEP_MIB,
     DEFAULT_LATCHED_MIB,
+    DEFAULT_MAX_BEHIND_S,
     PROFILE_NAMES,
     RECEIVE,
     SOURCE,
@@ -109,17 +112,20 @@ from igtl_gateway.convert.table import TO_IGTL
 from igtl_gateway.convert.units import UNITS, LengthUnits
 
 #: Settings that older recordings do not have, and their default in a live session.  They are None in these recordings.
-LIVE: Mapping[str, bool | int] = {
+LIVE: Mapping[str, bool | int | float] = {
     "watch": True,
     "cautious": True,
     "keep_mib": DEFAULT_KEEP_MIB,
     "latched_mib": DEFAULT_LATCHED_MIB,
+    "max_behind_s": DEFAULT_MAX_BEHIND_S,
 }
 #: The rules by which devices, tools and topics get names; older recordings do not state them, which is 0.
 #: 1: each frame on /tf has one sender, what shares a name is noted, full names and frames of known programs are read.
 NAMING = 1
 #: Former names of the policies, in the configurations of old recordings.
 _STAMP_ALIASES = {"now": RECEIVE}
+#: Commands to robots: of a stream only the newest counts, so that nothing older is sent again to a reader that lags.
+COMMAND_QOS, SET_POINT_QOS = Qos(10), Qos(1)
 OUT_PREFIX = "/igtl/out/"
 IN_TOPIC = "/igtl/in/{device}/{kind}"
 
@@ -196,8 +202,8 @@ class Config:
     """The configuration of a session; see the module for the meaning of each setting.
 
     ``watch`` adds notes.  None, as in recordings that are older than this setting, means no such notes.  Live sessions
-    set it; see ``watched``.  ``cautious``, ``keep_mib`` and ``latched_mib`` are None in older recordings, too: there,
-    peers are treated as they were then, and nothing is forgotten.
+    set it; see ``watched``.  ``cautious``, ``keep_mib``, ``latched_mib`` and ``max_behind_s`` are None in older
+    recordings, too: there, peers are treated as they were then, nothing is forgotten, and arms need not follow.
 
     ``naming`` is the version of the rules by which streams get their topics and frames: ``NAMING``, or 0, as in
     recordings that are older than it, so that they give the same names.  It is not a setting of the user.
@@ -226,6 +232,7 @@ class Config:
     cautious: bool | None = None
     keep_mib: int | None = None
     latched_mib: int | None = None
+    max_behind_s: float | None = None
     naming: int = NAMING
     to_igtl: tuple[ToIgtlRow, ...] = ()
     to_ros: tuple[ToRosRow, ...] = ()
@@ -325,6 +332,7 @@ class Config:
                 igtl_unit=arms.igtl_unit,
                 frame_id=arms.frame_id,
                 max_age_s=0.0 if name.motion else None,  # the age of a command has a check of its own
+                qos=SET_POINT_QOS if name.streamed else COMMAND_QOS if name.motion else None,
             )
         for row in self.to_ros:
             if matches(row.device, device) and matches(row.type, igtl_type):
@@ -399,9 +407,12 @@ class Config:
         for name in ("max_age_s", "kinds", "allow_in", "allow_out", "mark_from", "naming", "crtk"):
             if not values[name]:
                 del values[name]
-        for name in ("cautious", "keep_mib", "latched_mib"):
+        for name in ("cautious", "keep_mib", "latched_mib", "max_behind_s"):
             if values[name] is None:
                 del values[name]
+        for row in values.get("crtk", ()):
+            if row["max_behind_s"] is None:
+                del row["max_behind_s"]
         for table in ("to_igtl", "to_ros", "tf_out"):
             for row in values[table]:
                 if row["max_age_s"] is None:
@@ -567,7 +578,7 @@ def from_values(place: str, kind: type[T], settings: Mapping[str, Any]) -> T:
 
 def _checked(place: str, name: str, kind: type, value: Any) -> Any:
     """Return the value of a setting as the type of its default.  Raises ConfigError."""
-    if name == "max_age_s" and value is not None:
+    if name in ("max_age_s", "max_behind_s") and value is not None:
         kind = float
     if kind is float and type(value) is int and abs(value) < 1 << 63:
         return float(value)

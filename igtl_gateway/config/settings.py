@@ -59,6 +59,8 @@ VIDEO_CODECS = ("h264", "vp9")
 DEFAULT_KEEP_MIB = 48
 #: MiB of latched messages: three of the largest usual volumes, of which DDS may have two each.
 DEFAULT_LATCHED_MIB = 1536
+#: The way of a robot and its network from a command to the state that shows it takes less.
+DEFAULT_MAX_BEHIND_S = 0.2
 #: Upper limit of the timeout of a COMMAND, s: one day.
 MAX_TIMEOUT_S = 86_400.0
 
@@ -449,6 +451,17 @@ _ROS = (
         unit="MiB",
         least=1,
         most=1 << 20,
+    ),
+    Setting(
+        "max_behind_s",
+        DEFAULT_MAX_BEHIND_S,
+        "how far a stream of commands may be from the measured state of its arm, as a time at the speed limits; 0: any "
+        "distance",
+        GATEWAY,
+        "",
+        unit="s",
+        least=0,
+        most=3600,
     ),
     Setting(
         "command_timeout_s",

@@ -32,6 +32,8 @@ class ArmsRow:
         workspace: where the tool may be commanded, m: sphere (x, y, z, radius) or box (x, y, z least, then most);
             empty: anywhere.
         max_speed, max_turn_speed: highest speed of a streamed pose, m/s and rad/s; 0: no limit.
+        max_behind_s: how far a streamed pose or joint may be from the measured one, as a time at the limits of speed,
+            s; 0: any distance; None: the setting of ``[gateway]``.
         joint_min, joint_max: range of each joint, rad or m; empty: no limit.
         joint_speed: highest speed of each joint, rad/s or m/s, or one for all of them; empty: no limit.
         max_force, max_torque: highest commanded force and torque, N and N m; 0: no limit.
@@ -44,6 +46,7 @@ class ArmsRow:
     workspace: tuple[float, ...] = ()
     max_speed: float = 0.25
     max_turn_speed: float = 3.0
+    max_behind_s: float | None = None
     joint_min: tuple[float, ...] = ()
     joint_max: tuple[float, ...] = ()
     joint_speed: tuple[float, ...] = (1.0,)

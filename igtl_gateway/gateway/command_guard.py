@@ -3,7 +3,8 @@
 Strategy: a command passes if ``allow_in`` has its device, and if the command, the last published commands to the arm
 and the last states of the arm on ROS give no reason against it.  All of it is a function
 of the inputs of the session: times are arguments, so a verification gives the same result.  A refusal has a code,
-which is the fate of the message, and its note has the value found and the value expected.
+which is the fate of the message, and its note has the value found and the value expected.  What passed is an
+`Order`, which the edge writes at once or refuses: that is an input, too (``orders``).
 
 A stream with such a check is not compiled: neither the fast path nor the native passage has a command.
 ``command_motion`` limits the speed.
@@ -18,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from igtl_gateway.base.errors import ConversionError
+from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.arms import arms_row
@@ -25,9 +27,21 @@ from igtl_gateway.convert.common_msgs import JointState, PoseStamped
 from igtl_gateway.convert.crtk import STATE_COMMANDS, Motion, namespaces, row_of
 from igtl_gateway.convert.poses import determinant, distance_from_rotation, nearest_quaternion, unit_quaternion
 from igtl_gateway.convert.units import LengthUnits
-from igtl_gateway.gateway.command_motion import LONGEST_NS, SHOWN_NS, Motions, check_joint_speed, check_pose_speed
+from igtl_gateway.gateway.command_motion import (
+    LONGEST_NS,
+    SHOWN_NS,
+    Motions,
+    check_joint_speed,
+    check_joints_behind,
+    check_pose_behind,
+    check_pose_speed,
+    needed_ns,
+)
 from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.gateway.orders import BEGIN_AGAIN, Order, Unwritten, note_of, orders_of
+from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.robot_command import Refused, RobotCommand, SetPoint
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.sensor import Sensor
@@ -43,6 +57,7 @@ _STATE_NS = NS_PER_S
 
 _CONTENT: dict[str, type[Body]] = {"TRANSFORM": Transform, "SENSOR": Sensor, "STRING": String}
 _SIX = 6
+_OF_JOINTS = frozenset({Motion.JOINTS, Motion.JOINT_STEPS})
 
 Latest = Callable[[str], Entry | None]
 
@@ -56,11 +71,18 @@ class Checked:
     frame_id: str
 
 
+#: Writes an order at once; returns why it did not.
+Write = Callable[[Order], Unwritten | None]
+
+
 class CommandGuard:
     """The checks of all CRTK commands of a session.
 
     Args:
         latest: returns the last message of a ROS topic, such as ``/PSM1/measured_cp``; None if there is none.
+
+    Attributes:
+        write: writes an order; None: what was not written is known from the inputs.
     """
 
     def __init__(self, config: Config, latest: Latest) -> None:
@@ -68,6 +90,76 @@ class CommandGuard:
         self._arms = config.all_arms
         self._latest = latest
         self._motions = Motions()
+        self.write: Write | None = None
+        self._unwritten: dict[int, Unwritten] = {}  # orders of the message, by their number in it
+        self._noted: tuple[tuple[int, ...], str] = (), ""  # links and stream of the message that a note is about
+        self._orders = 0
+
+    # -- what is written ----------------------------------------------------------------------------------------
+
+    def recall(self, links: tuple[int, ...], note: Note) -> None:
+        """Take the note about the orders of the next message that were not written."""
+        self._unwritten, self._noted = orders_of(note), (links, note.stream)
+
+    def begin_message(self, entry: Entry) -> None:
+        """A message begins: its orders are numbered from 0."""
+        self._orders = 0
+        if self._unwritten and self._noted != (entry.links, entry.channel):
+            self._unwritten = {}
+
+    def end_message(self, entry: Entry) -> Note | None:
+        """Return the note about the orders of a message that were not written; None if all were."""
+        unwritten, self._unwritten = self._unwritten, {}
+        return note_of(entry.channel, unwritten) if unwritten and self.write else None
+
+    def order(self, checked: Checked, outputs: Sequence[Output], qos: Qos) -> None:
+        """Have a command that passed written: ``outputs`` is what it became, of which one is for its own topic.
+
+        Raises:
+            Refused: it was not written.
+        """
+        command, topic = checked.command, f"/{checked.command.device}"
+        number, self._orders = self._orders, self._orders + 1
+        output = next((each for each in outputs if each.channel == topic), None)
+        if self.write and output:
+            last = self._motions.last(command.device)
+            refused = self.write(
+                Order(
+                    command.device,
+                    topic,
+                    output.type,
+                    bytes(output.payload[0]),
+                    qos,
+                    max(command.stamp_ns, 0),
+                    round(command.arms.max_age_s * NS_PER_S),
+                    needed_ns(command, checked.point, last),
+                    "command_speed" if command.name.motion is Motion.POSE else "command_joint_speed",
+                    not (self._limits_speed(command) and self._motions.goes_on(command)),
+                )
+            )
+            if refused:
+                self._unwritten[number] = refused
+        if found := self._unwritten.get(number):
+            raise Refused(found.code, found.text)
+
+    def refused(self, device: str, code: str) -> None:
+        """Take the refusal of a command: after some of them its stream begins again where the arm is."""
+        if code in BEGIN_AGAIN:
+            self._motions.begin_again(device)
+
+    def published(self, checked: Checked) -> None:
+        """Take a command that was published: it is where the arm will be."""
+        self._motions.published(checked.command, checked.point)
+
+    @staticmethod
+    def _limits_speed(command: RobotCommand) -> bool:
+        """Return whether a command is a set point whose way is limited."""
+        arms, motion = command.arms, command.name.motion
+        if motion is Motion.POSE:
+            return command.name.streamed and bool(arms.max_speed or arms.max_turn_speed)
+        return command.name.streamed and motion in _OF_JOINTS and bool(arms.joint_speed)
+
+    # -- the checks ---------------------------------------------------------------------------------------------
 
     def is_command(self, device: str) -> bool:
         """Return whether a device is a command to an arm of the configuration."""
@@ -111,10 +203,6 @@ class CommandGuard:
         if published and published.type == PoseStamped.TYPE:
             frame = point.frame = PoseStamped.unpack(published.payload[0]).header.frame_id
         return Checked(command, point, frame)
-
-    def published(self, checked: Checked) -> None:
-        """Take a command that was published: it is where the arm will be."""
-        self._motions.published(checked.command, checked.point)
 
     def _examine(self, command: RobotCommand, content: Body, point: SetPoint, now_ns: int) -> str:
         """Check all of a command, and set what it asks for; return its frame.  Raises Refused."""
@@ -195,7 +283,28 @@ class CommandGuard:
         if command.name.streamed and (arms.max_speed or arms.max_turn_speed):
             reaches = self._motions.reaches(command, measured, "measured_cp", frame)
             check_pose_speed(command, place, point.rotation, reaches)
+            if near := self._to_follow(command, measured, "measured_cp"):
+                check_pose_behind(command, place, point.rotation, near, self._behind_s(command))
         return frame or ""
+
+    def _behind_s(self, command: RobotCommand) -> float:
+        """Return how far a stream may be from its arm, s at the speed limit; 0: no limit."""
+        own_s = command.arms.max_behind_s
+        return (self._config.max_behind_s or 0.0) if own_s is None else own_s
+
+    def _to_follow(self, command: RobotCommand, measured: SetPoint | None, state: str) -> SetPoint | None:
+        """Return the state that a set point has to be near; None if there is no such limit.
+
+        One that begins a stream is nearer to it already.  Raises Refused.
+        """
+        if not (self._behind_s(command) and self._motions.goes_on(command)):
+            return None
+        if measured is None:
+            raise Refused(
+                "command_unknown_state",
+                f"{command.device}: found no {command.base}/{state} of the last second, expected one for max_behind_s",
+            )
+        return measured
 
     def _frame(self, command: RobotCommand, measured: SetPoint | None) -> str | None:
         """Return the frame of the poses of an arm; None if nothing shows it.
@@ -260,6 +369,8 @@ class CommandGuard:
         if command.name.streamed and arms.joint_speed:
             reaches = self._motions.reaches(command, measured, "measured_js")
             check_joint_speed(command, goal, values if relative else None, reaches)
+            if not relative and (near := self._to_follow(command, measured, "measured_js")):
+                check_joints_behind(command, goal, near, self._behind_s(command))
 
     def _goal_of_steps(self, command: RobotCommand, steps: Sequence[float], measured: SetPoint) -> list[float]:
         """Return where the steps of a relative command end at the farthest: the state might not show earlier steps.

@@ -6,7 +6,11 @@ no window of time, between any two published set points, has a faster motion: th
 and no tolerance that a burst adds up.  A pause counts as 0.1 s at most, and after 0.5 s the arm must be where the
 command begins: ``docs/how-to/guard.md`` has the policy and its reasons.
 
-The state is the last published command of each device, so the prologue of a part of a recording restores it.
+While a stream goes on, its set point stays near the measured state, too: how near, the configuration has as a time at
+the speed limit (``max_behind_s``).
+
+The state is the last published command of each device, and after it a refusal after which the stream begins again.  So
+the prologue of a part of a recording restores it.
 """
 
 from __future__ import annotations
@@ -16,6 +20,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
+from igtl_gateway.convert.crtk import Motion
 from igtl_gateway.convert.poses import Quaternion
 from igtl_gateway.gateway.robot_command import Refused, RobotCommand, SetPoint
 
@@ -44,9 +49,22 @@ class Motions:
     def __init__(self) -> None:
         self._of_device: dict[str, SetPoint] = {}
         self._of_arm: dict[str, tuple[str, SetPoint]] = {}
+        self._beginning: set[str] = set()  # devices whose next set point has to be where the arm is
+
+    def begin_again(self, device: str) -> None:
+        """The next set point of a stream has to be where the arm is: a robot has not got what was before."""
+        self._beginning.add(device)
+
+    def goes_on(self, command: RobotCommand) -> bool:
+        """Return whether a command goes on with the stream of its device, so that it is compared with its last one."""
+        last = self._of_device.get(command.device)
+        if last is None or command.device in self._beginning:
+            return False
+        return command.arrived_ns - last.arrived_ns < PAUSE_NS
 
     def published(self, command: RobotCommand, point: SetPoint) -> None:
         """Take a command that was published."""
+        self._beginning.discard(command.device)
         self._of_device[command.device] = point
         self._of_arm[command.arm] = command.device, point
 
@@ -85,7 +103,7 @@ class Motions:
             )
         passed_ns = _passed_ns(last, command) if last else 0
         other_frame = last is not None and None not in (last.frame, frame) and last.frame != frame
-        if last and pause_ns < PAUSE_NS:
+        if last and pause_ns < PAUSE_NS and device not in self._beginning:
             if other_frame:
                 raise Refused(
                     "command_frame",
@@ -153,6 +171,56 @@ def check_joint_speed(
                 )
 
 
+def check_pose_behind(
+    command: RobotCommand, place: Sequence[float], rotation: Quaternion, measured: SetPoint, behind_s: float
+) -> None:
+    """Check the distance of a pose from the measured one, while its stream goes on.  Raises Refused."""
+    device, arms = command.device, command.arms
+    assert measured.rotation is not None  # a measured pose
+    way, most = math.dist(measured.values, place), arms.max_speed * behind_s
+    if arms.max_speed and not way <= most:
+        raise Refused("command_behind", _behind(command, "cp", f"{1000 * way:.3g}", f"{1000 * most:.3g} mm"))
+    turn, most = angle(measured.rotation, rotation), arms.max_turn_speed * behind_s
+    if arms.max_turn_speed and not turn <= most:
+        raise Refused("command_behind", _behind(command, "cp", f"{turn:.3g}", f"{most:.3g} rad"))
+
+
+def check_joints_behind(command: RobotCommand, goal: Sequence[float], measured: SetPoint, behind_s: float) -> None:
+    """Check the distance of all joints from the measured ones, while a stream goes on.  Raises Refused."""
+    for number, (value, at, speed) in enumerate(
+        zip(goal, measured.values, _speeds(command, len(goal)), strict=True), 1
+    ):
+        way, most = abs(value - at), speed * behind_s
+        if not way <= most:
+            found = f"{way:.3g} of joint {number}"
+            raise Refused("command_behind", _behind(command, "js", found, f"{most:.3g}"))
+
+
+def needed_ns(command: RobotCommand, point: SetPoint, last: SetPoint | None) -> int:
+    """Return the time that the way from the last set point takes at the limits, ns; 0 if nothing limits it."""
+    arms, times = command.arms, [0.0]
+    if last is None or not command.name.streamed:
+        return 0
+    if point.rotation is not None and last.rotation is not None:
+        if None not in (last.frame, point.frame) and last.frame != point.frame:
+            return 0  # poses of two frames have no distance
+        if arms.max_speed:
+            times.append(math.dist(last.values, point.values) / arms.max_speed)
+        if arms.max_turn_speed:
+            times.append(angle(last.rotation, point.rotation) / arms.max_turn_speed)
+    elif arms.joint_speed and len(point.values) == len(last.values):
+        steps = command.name.motion is Motion.JOINT_STEPS
+        before = [0.0] * len(point.values) if steps else last.values
+        speeds = _speeds(command, len(point.values))
+        times += [abs(to - at) / speed for to, at, speed in zip(point.values, before, speeds, strict=False)]
+    return math.ceil(max(times) * NS_PER_S)
+
+
+def _speeds(command: RobotCommand, count: int) -> tuple[float, ...]:
+    speeds = command.arms.joint_speed
+    return speeds * count if len(speeds) == 1 else speeds
+
+
 def angle(a: Quaternion, b: Quaternion) -> float:
     """Return the angle between two rotations, rad; exact for small ones too."""
     minus = [x - y for x, y in zip(a, b, strict=True)]
@@ -167,6 +235,11 @@ def _most(speed: float, reach: Reach) -> float:
 
 def _too_fast(device: str, found: str, reach: Reach, limit: str) -> str:
     return f"{device}: found {found} {reach.origin} in {_ms(reach.span_ns)} ms, expected {limit}"
+
+
+def _behind(command: RobotCommand, state: str, found: str, most: str) -> str:
+    where = f"from {command.base}/measured_{state}"
+    return f"{command.device}: found {found} {where}, expected at most {most} (max_behind_s): the arm does not follow"
 
 
 def _frame(name: str | None) -> str:

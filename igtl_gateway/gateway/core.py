@@ -15,7 +15,7 @@ from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.igtl_msgs import RawMessage
 from igtl_gateway.gateway.activity import Activity
-from igtl_gateway.gateway.command_guard import CommandGuard
+from igtl_gateway.gateway.command_guard import CommandGuard, Write
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.commanding import Commands
 from igtl_gateway.gateway.dialogue.links import LINKS_QOS, LINKS_TOPIC, Links
@@ -31,6 +31,7 @@ from igtl_gateway.gateway.log.ledger import Ledger
 from igtl_gateway.gateway.log.marks import MarkNote, OpenPhases
 from igtl_gateway.gateway.log.note import Level, Note
 from igtl_gateway.gateway.naming import SharedNames
+from igtl_gateway.gateway.orders import UNWRITTEN
 from igtl_gateway.gateway.outcome import Bookkeeper, Finding, Item, Outcome, Tally
 from igtl_gateway.gateway.peers import Peers
 from igtl_gateway.gateway.streams import Streams
@@ -101,7 +102,8 @@ class Gateway:
         self._frames = frames = TfReceiver(tf, guard, peers, delivery, tracking)
         shared = SharedNames(peers) if config.naming else None
         self._converter = Converter(streams, subscribers, frames, beforehand, shared)
-        robots = CommandGuard(config, latest.get)
+        self._robots = robots = CommandGuard(config, latest.get)
+        self._unwritten: Note | None = None
         router = Router(config, streams, guard, volumes, self._converter, robots, peers)
 
         self._commands = commands = Commands(config, peers, streams, composer, delivery)
@@ -176,6 +178,8 @@ class Gateway:
         stage, streams = self._stages.get(entry.kind), self._streams
         if stage is None:
             return []
+        if entry.kind is Kind.IGTL_IN:
+            self._robots.begin_message(entry)
         try:
             outcome = stage(entry)
             if streams.has_news:
@@ -186,10 +190,26 @@ class Gateway:
         except Exception as error:  # an internal error must cost one message, not the session
             streams.news()
             outputs = self._accounts.fail(entry, error)
+        if entry.kind is Kind.IGTL_IN:
+            self._unwritten = self._robots.end_message(entry)
         if self.deadline_set:
             self.deadline_set()
         self.fast_path.end_full_path()
         return [output.entry(entry, step) for step, output in enumerate(outputs, start=1)]
+
+    @property
+    def write(self) -> Write | None:
+        """Writes a command to a robot at once, or returns why it did not; None: a session that is computed again."""
+        return self._robots.write
+
+    @write.setter
+    def write(self, write: Write | None) -> None:
+        self._robots.write = write
+
+    def take_unwritten(self) -> Note | None:
+        """Return the note about the commands of the last input that were not written: an input before it."""
+        note, self._unwritten = self._unwritten, None
+        return note
 
     # -- queries by the edges: none of them changes what influences outputs ------------------------------------
 
@@ -267,6 +287,9 @@ class Gateway:
             outcome = self._forget()
             outcome.items += [*self._commands.overdue(entry), *self._links.ping(entry), *self._links.release(entry)]
             return outcome
+        if event.code == UNWRITTEN:
+            self._robots.recall(entry.links, event)
+            return Outcome()
         if event.code == LISTENED:
             return Outcome(self._converter.build_waiting(event.stream))
         if settings := LiveSettings.from_note(event):

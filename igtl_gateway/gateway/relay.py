@@ -24,6 +24,7 @@ from igtl_gateway.config.configuration import Config
 from igtl_gateway.config.faults import Fate, FaultLine, RelayFaults
 from igtl_gateway.gateway.acceptance import Acceptance
 from igtl_gateway.gateway.activity import INACTIVE, Activity
+from igtl_gateway.gateway.command_guard import Write
 from igtl_gateway.gateway.denials import Denials
 from igtl_gateway.gateway.dialogue.links import LINK_DOWN, LINK_UP
 from igtl_gateway.gateway.fastpath import FastHandler, PrepareMessage, no_fast_path
@@ -65,6 +66,8 @@ class RelayGateway:
         self.ledger = Ledger()
         self.phases = OpenPhases()
         self.on_mark: Callable[[MarkNote], None] | None = None
+        self.write: Write | None = None
+        self.take_unwritten: Callable[[], Note | None] = no_fast_path
         self._partners: dict[int, int] = {}
         self._servers: set[int] = set()  # links to the server
         self._denied_in, self._denied_out = Denials(config.deny_in), Denials(config.deny_out)

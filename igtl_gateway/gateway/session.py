@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import lru_cache
 from typing import Protocol
 
@@ -14,12 +15,14 @@ from igtl_gateway.base.buffers import Buffer
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.stamp import ticks_to_ns
 from igtl_gateway.config.configuration import Config
+from igtl_gateway.gateway.command_guard import Write
 from igtl_gateway.gateway.core import Gateway
 from igtl_gateway.gateway.fastpath import FastHandler, Prepared, PrepareMessage
 from igtl_gateway.gateway.guard import Guard
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.ledger import Ledger
 from igtl_gateway.gateway.log.marks import MarkNote, OpenPhases
+from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.gateway.relay import RelayGateway
 from igtl_gateway.gateway.to_ros.subscribers import HasSubscriber
 from igtl_gateway.gateway.verdicts import Verdicts
@@ -37,6 +40,7 @@ class Core(Protocol):
     deadline_set: Callable[[], None] | None
     phases: OpenPhases
     on_mark: Callable[[MarkNote], None] | None
+    write: Write | None
 
     @property
     def ledger(self) -> Ledger: ...
@@ -50,6 +54,8 @@ class Core(Protocol):
     def due_ns(self) -> int | None: ...
 
     def handle(self, entry: Entry) -> list[Entry]: ...
+
+    def take_unwritten(self) -> Note | None: ...
 
     def collect(self) -> None: ...
     def receivers(self) -> dict[str, int]: ...
@@ -115,6 +121,7 @@ class Session:
         """Return the entry of an input that arrived at ``now_ns`` (UTC), followed by the entries that it causes.
 
         Channel, type and stamp of OpenIGTLink input are read from its header.  ``prepared``: result of ``prepare``.
+        If the edge did not write a command in it, the note about that is an input of its own, and the first entry.
         """
         numbers = self._numbers
         seq = numbers.seq + 1
@@ -124,8 +131,13 @@ class Session:
         if not entries:
             if kind is Kind.IGTL_IN:
                 channel, type_name, source_ns = header_names(payload[0])
+                if self.gateway.write:
+                    stamp_ns = max(stamp_ns, numbers.stamp_ns + 2)  # room for a note before it
             entry = Entry(seq, stamp_ns, kind, channel, type_name, payload, links, source_ns)
             entries = [entry, *self.gateway.handle(entry)]
+            if note := self.gateway.take_unwritten():
+                before = Entry(seq, stamp_ns - 1, Kind.EDGE_NOTE, payload=(note.pack(),), links=links)
+                entries = [before, *(replace(one, seq=one.seq + 1) for one in entries)]
         numbers.seq, numbers.stamp_ns = entries[-1].seq, entries[-1].stamp_ns
         return entries
 

@@ -73,7 +73,7 @@ class ZenohEdge(PlainSide):
         latched_mib: bound of the latched messages of all topics.
 
     Attributes:
-        publish, count_if_unsubscribed, has_subscriber: see `Publishing`.
+        publish, count_if_unsubscribed, has_subscriber, expect_orders, write: see `Publishing`.
     """
 
     def __init__(
@@ -133,6 +133,8 @@ class ZenohEdge(PlainSide):
         self.publish = self._publishing.publish
         self.count_if_unsubscribed = self._publishing.count_if_unsubscribed
         self.has_subscriber = self._publishing.has_subscriber
+        self.expect_orders = self._publishing.expect_orders
+        self.write = self._publishing.write
 
     @staticmethod
     def check() -> None:
@@ -290,6 +292,7 @@ class ZenohEdge(PlainSide):
     def _on_graph(self, entity: Entity | None) -> None:
         """Called by Zenoh, in its threads."""
         if entity is not None and entity.kind is Kind.SUBSCRIPTION:
+            self._publishing.joined(entity.topic)
             publisher = self._publishing.publisher(entity.topic)
             if publisher is not None and publisher.matched and publisher.type_name == entity.type:
                 self._listened.append(entity.topic)

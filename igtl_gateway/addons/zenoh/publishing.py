@@ -17,9 +17,9 @@ from igtl_gateway.addon import Clock, Level, Qos
 from igtl_gateway.addons.zenoh.library import first_line
 from igtl_gateway.addons.zenoh.names import Kind, Node, attachment, gid
 from igtl_gateway.addons.zenoh.own_node import OwnNode
-from igtl_gateway.addons.zenoh.traffic import Traffic, how_to_send
+from igtl_gateway.addons.zenoh.traffic import ROBOT, Traffic, how_to_send
 from igtl_gateway.addons.zenoh.waiting import Commands
-from igtl_gateway.edges.interface import Publishers, Reports, TopicCounts
+from igtl_gateway.edges.interface import Heard, Publishers, Reports, TopicCounts
 
 #: From the declaration on until Zenoh knows the subscribers, a publisher counts as one with a subscriber.
 _SETTLE_NS = 500_000_000
@@ -33,6 +33,7 @@ class TopicPublisher:
 
     Attributes:
         matched: whether Zenoh knows a subscriber.
+        joined: whether one has joined since the last command to a robot.
         in_graph: the token is declared with this number.
     """
 
@@ -46,7 +47,11 @@ class TopicPublisher:
         clock: Clock,
         traffic: Traffic | None = None,
         commands: Commands | None = None,
+        *,
+        of_robot: bool = False,
     ) -> None:
+        self.joined = False
+        self.written_ns: int | None = None
         self.topic = topic
         self.type_name = type_name
         self.key = key
@@ -56,6 +61,8 @@ class TopicPublisher:
         self.noted_over_budget = 0
         self._traffic = traffic
         self._class = traffic.class_of(topic, type_name) if traffic else None
+        if of_robot:  # at once or never, and no budget: what waits for the line is late
+            self._class = ROBOT
         if self._class and qos.latched:  # nothing repeats it for late joiners
             self._class = replace(self._class, debt_s=None)
         self._commands = commands if self._class and self._class.blocks else None
@@ -93,6 +100,7 @@ class TopicPublisher:
             with self._looking:
                 before, self.matched = self.matched, self._watch is not None and self._watch.matching_status.matching
                 came = self.matched and not before
+                self.joined = self.joined or came
             if came:
                 matched()
 
@@ -148,6 +156,11 @@ class TopicPublisher:
                     self.counts.unheard += 1
                 return ""
             return self._pass_on(cdr)
+
+    def write(self, cdr: bytes) -> str:
+        """Send a command to a robot at once; return why that failed, or ``""``."""
+        with self.lock:
+            return self._put(cdr)
 
     def forget(self) -> None:
         """Forget the latched messages: Zenoh clears no cache, so that another publisher has the next ones."""
@@ -205,9 +218,8 @@ class Publishing(Publishers[TopicPublisher]):
         traffic: Traffic | None,
         latched_bytes: int,
     ) -> None:
-        super().__init__(node.connection.lock, reports, {}, latched_bytes)
+        super().__init__(node.connection.lock, reports, {}, latched_bytes, clock)
         self._node = node
-        self._clock = clock
         self._matched = matched
         self._traffic = traffic
         self._commands = Commands(reports, clock)
@@ -218,6 +230,19 @@ class Publishing(Publishers[TopicPublisher]):
             publisher.counts.failed += 1
             return "the node has stopped"
         return publisher.send(cdr)
+
+    def _heard(self, publisher: TopicPublisher) -> Heard:
+        reached = publisher.matched and not self._closed and self._node.connection.is_open
+        return Heard(int(reached), publisher.joined)
+
+    def _write(self, publisher: TopicPublisher, cdr: bytes) -> str:
+        publisher.joined = False
+        return publisher.write(cdr)
+
+    def joined(self, topic: str) -> None:
+        """Take notice of another subscription to a topic: Zenoh itself reports the first one only."""
+        if publisher := self._publishers.get(topic):
+            publisher.joined = True
 
     def _forget(self, publisher: TopicPublisher) -> bool:
         publisher.forget()
@@ -255,6 +280,7 @@ class Publishing(Publishers[TopicPublisher]):
             self._clock,
             self._traffic,
             self._commands,
+            of_robot=topic in self._lifespans,
         )
 
         def declare(session: Any) -> None:

@@ -48,6 +48,8 @@ CLASSES = {
     "data": TrafficClass("DATA", "DROP", False, _DATA_DEBT_S),
     "pictures": TrafficClass("BACKGROUND", "DROP", False, 0.0),
 }
+#: Commands to robots: nobody waits for the line, and no budget counts them.
+ROBOT = TrafficClass("REAL_TIME", "DROP", True, None)
 #: ROS type → class; other types are data.
 _TYPES = {
     **dict.fromkeys(("igtl_msgs/msg/Command", "igtl_msgs/msg/CommandReply", "std_msgs/msg/String"), "commands"),

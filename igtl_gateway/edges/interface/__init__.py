@@ -10,12 +10,14 @@ from igtl_gateway.edges.interface.publishers import DISCOVERY_NS, Publishers
 from igtl_gateway.edges.interface.reports import OnNote, Reports, TopicCounts
 from igtl_gateway.edges.interface.side import Change, OnMessage, PlainSide, Publication, RosSide, Wants
 from igtl_gateway.edges.interface.subscriptions import Deliver, Subscriptions, describe, guarded
+from igtl_gateway.gateway.orders import Heard
 
 __all__ = [
     "DEFAULT_LATCHED_MIB",
     "DISCOVERY_NS",
     "Change",
     "Deliver",
+    "Heard",
     "OnMessage",
     "OnNote",
     "PlainSide",

@@ -7,11 +7,13 @@ from collections import deque
 from contextlib import AbstractContextManager
 from typing import Generic, Protocol, TypeVar
 
+from igtl_gateway.base.clock import Clock
 from igtl_gateway.base.errors import RosError
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.edges.interface.reports import Reports, TopicCounts
 from igtl_gateway.gateway.kept import FORGOTTEN, beyond, forgotten_text, largest_first
 from igtl_gateway.gateway.log.note import Level
+from igtl_gateway.gateway.orders import FAILED, Heard, Order, Unwritten, unwritten
 
 #: Within this time after the start a graph without subscribers might only mean that discovery is not complete: a
 #: participant whose first announcements are lost sends the next one after 3 s.
@@ -27,6 +29,7 @@ class TopicPublisher(Protocol):
         lock: guards its counts.
         has_subscriber: whether a message might reach a subscriber.
         kept: bytes of each message that is kept for late joiners; only the last ones of latched topics are.
+        written_ns: when the last command to a robot had been written, monotonic ns; None: there was none.
     """
 
     @property
@@ -50,6 +53,8 @@ class TopicPublisher(Protocol):
     @property
     def kept(self) -> deque[int]: ...
 
+    written_ns: int | None
+
 
 P = TypeVar("P", bound=TopicPublisher)
 
@@ -62,6 +67,7 @@ class Publishers(ABC, Generic[P]):
         reports: takes the notes.
         publishers: by the name as given, and by the full name.
         latched_bytes: of the latched messages of all topics; see ``bound_latched``.
+        clock: of the host.
     """
 
     def __init__(
@@ -70,7 +76,10 @@ class Publishers(ABC, Generic[P]):
         reports: Reports,
         publishers: dict[str, P],
         latched_bytes: int,
+        clock: Clock,
     ) -> None:
+        self._clock = clock
+        self._lifespans: dict[str, int] = {}  # topic of commands to a robot, as given and in full → see expect_orders
         self._lock = lock
         self._reports = reports
         self._publishers = publishers
@@ -87,6 +96,14 @@ class Publishers(ABC, Generic[P]):
     @abstractmethod
     def _forget(self, publisher: P) -> bool:
         """Forget the latched messages of a publisher, which its subscribers have; False: the middleware cannot."""
+
+    @abstractmethod
+    def _heard(self, publisher: P) -> Heard:
+        """Return what is known of the subscribers of a topic of commands to a robot."""
+
+    @abstractmethod
+    def _write(self, publisher: P, cdr: bytes) -> str:
+        """Send a command to a robot at once, and count it; return why that failed, or ``""``."""
 
     def _full(self, topic: str) -> str:
         """Return the full name of a topic.  May raise anything."""
@@ -122,6 +139,48 @@ class Publishers(ABC, Generic[P]):
         if failure:
             self._reports.publish_failed(publisher.topic, failure)
         return failure
+
+    def expect_orders(self, topic: str, type_name: str, qos: Qos, lifespan_ns: int) -> P | None:
+        """Make the publisher of a topic of commands to a robot, perhaps in another thread, so that robots find it.
+
+        It never holds a message.  None (and a note): that is impossible.
+
+        Args:
+            topic, type_name, qos: of the publisher.
+            lifespan_ns: after this time since its write the middleware passes on no command; 0: no limit.
+        """
+        try:
+            self._lifespans[topic] = self._lifespans[self._full(topic)] = lifespan_ns
+        except Exception as error:  # as in advertise
+            self._reports.refuse("publish", topic, type_name, error)
+            return None
+        return self._first(topic, type_name, qos)
+
+    def write(self, order: Order) -> Unwritten | None:
+        """Write a command to a robot now, or never; returns why it is not written.
+
+        Called by one thread at a time: the one that has the sequence lock.
+        """
+        publisher = self._publishers.get(order.topic)
+        if publisher is None or publisher.type_name != order.type:
+            publisher = self.expect_orders(order.topic, order.type, order.qos, order.max_age_ns)
+        if publisher is None:
+            cause = self._reports.refusal("publish", order.topic, order.type) or "the node is not running"
+            return Unwritten(FAILED, f"{order.device}: found {order.topic} without a publisher: {cause}")
+        heard = self._heard(publisher)
+        now_ns, written_ns = self._clock.monotonic_ns(), publisher.written_ns
+        passed_ns = None if written_ns is None else now_ns - written_ns
+        refused = unwritten(order, heard, self._clock.utc_ns(), passed_ns)
+        if refused is None:
+            failure = self._write(publisher, order.cdr)
+            publisher.written_ns = self._clock.monotonic_ns()  # the end of the call: the stamp of DDS is before it
+            if not failure:
+                return None
+            self._reports.publish_failed(publisher.topic, failure)
+            return Unwritten(FAILED, f"{order.device}: found {failure}")
+        with publisher.lock:
+            publisher.counts.unwritten += 1
+        return refused
 
     def has_subscriber(self, topic: str) -> bool:
         """Whether a message published now might reach a subscriber: cheap, and exact once discovery is complete.

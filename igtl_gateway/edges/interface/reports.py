@@ -20,13 +20,14 @@ class TopicCounts:
 
     Attributes:
         received: passed to the gateway.
-        published: passed to the middleware.  The counts ``published``, ``held``, ``unheard``, ``over_budget`` and
-            ``failed`` add up to all messages that were to be published.
+        published: passed to the middleware.  The counts ``published``, ``held``, ``unheard``, ``over_budget``,
+            ``unwritten`` and ``failed`` add up to all messages that were to be published.
         held: waiting for subscribers now.
         lost: sent by others but never received.
         failed: refused by the middleware, or by a defect of our own.
         ``unheard``: not passed to the middleware, because there was no subscriber, and a later one would not get them.
         over_budget: dropped, because the budget of the site is exceeded.
+        unwritten: commands to a robot that passed the guard and were not written: no subscriber, too late, too fast.
         forgotten: published, and no longer kept for late joiners, because latched messages exceed ``latched_mib``.
     """
 
@@ -37,6 +38,7 @@ class TopicCounts:
     failed: int = 0
     unheard: int = 0
     over_budget: int = 0
+    unwritten: int = 0
     forgotten: int = 0
 
     def to_dict(self) -> dict[str, int]:

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 from igtl_gateway.base.qos import Endpoint, Qos
 from igtl_gateway.config.setting import Value
 from igtl_gateway.gateway.log.note import Level
+from igtl_gateway.gateway.orders import Order, Unwritten
 from igtl_gateway.native.passage import Publisher, Subscription
 
 #: Called with topic, type, CDR bytes and source stamp of a message.
@@ -68,6 +69,11 @@ class RosSide(Protocol):
     def serve(self, name: str, type_name: str, answer: Callable[[Any, Any], Any], /) -> bool: ...
 
     def advertise(self, topic: str, type_name: str, qos: Qos, /) -> None: ...
+
+    def expect_orders(self, topic: str, type_name: str, qos: Qos, lifespan_ns: int, /) -> object: ...
+
+    @property
+    def write(self) -> Callable[[Order], Unwritten | None]: ...
 
     def subscribe(self, topic: str, type_name: str, qos: Qos, /) -> bool: ...
 

@@ -88,6 +88,25 @@ def create_publisher(
     return node.create_publisher(message_class, topic, profile, event_callbacks=events, callback_group=group)
 
 
+def match_events(rclpy: Any, publisher: Any, group: Any) -> Callable[[], int] | None:
+    """Return what counts the matches of a publisher since its last call; None: this rclpy has no such event."""
+    module = _event_module(rclpy)
+    kinds = getattr(module, "QoSPublisherEventType", None)
+    kind = getattr(kinds, "RCL_PUBLISHER_MATCHED", None)
+    if kind is None:
+        return None
+    handler = module.EventHandler(
+        callback_group=group, callback=lambda _event: None, event_type=kind, parent_impl=publisher.handle
+    )
+
+    def count() -> int:
+        handler._ready_to_take_data = True  # as in receiver.EventPolling
+        event = handler.take_data()
+        return int(event.total_count_change) if event is not None else 0
+
+    return count
+
+
 def create_subscription(
     rclpy: Any,
     node: Any,

@@ -9,7 +9,8 @@ Three threads work beside the callers of `RosEdge.publish`:
 Three rules that DDS leaves to its users:
 
 * **First messages.**  A new publisher reaches no subscriber until discovery has matched it.  Messages are held until
-  every subscription that the graph shows has been matched, or a limit has passed (``publishing``).
+  every subscription that the graph shows has been matched, or a limit has passed (``publishing``).  Commands to robots
+  are never held (``edges.interface.publishers``).
 * **No echo.**  What we publish does not come back to us: topics that only we publish are not subscribed to, and on
   topics that others publish too our own messages are recognised (``topics.EchoFilter``).
 * **Loss is silent.**  A KEEP_LAST queue that overflows raises no event.  Gaps in the publisher's sequence numbers
@@ -63,8 +64,8 @@ class RosEdge:
         latched_mib: bound of the latched messages of all topics.
 
     Attributes:
-        publish, count_if_unsubscribed, has_subscriber: see `Publishing`.  They are its methods, without a layer in
-            between, because every message passes them.
+        publish, count_if_unsubscribed, has_subscriber, expect_orders, write: see `Publishing`.  They are its methods,
+            without a layer in between, because every message passes them.
     """
 
     def __init__(
@@ -96,6 +97,8 @@ class RosEdge:
         self.publish = self._publishing.publish
         self.count_if_unsubscribed = self._publishing.count_if_unsubscribed
         self.has_subscriber = self._publishing.has_subscriber
+        self.expect_orders = self._publishing.expect_orders
+        self.write = self._publishing.write
 
     @staticmethod
     def check() -> None:

@@ -83,10 +83,12 @@ def interface_class(type_name: str) -> Any:
         raise UnknownTypeError(f"unknown type, {first_line(error)} (install the package {package} for it)") from error
 
 
-def profile_of(rclpy: Any, qos: Qos) -> Any:
-    """Return the rclpy profile of ``qos``."""
+def profile_of(rclpy: Any, qos: Qos, lifespan_ns: int | None = None) -> Any:
+    """Return the rclpy profile of ``qos``; ``lifespan_ns``: of each message, 0 and None: for ever."""
     policies = rclpy.qos
+    limited = {"lifespan": rclpy.duration.Duration(nanoseconds=lifespan_ns)} if lifespan_ns else {}
     return policies.QoSProfile(
+        **limited,
         history=policies.HistoryPolicy.KEEP_LAST,
         depth=qos.depth,
         reliability=policies.ReliabilityPolicy.RELIABLE if qos.reliable else policies.ReliabilityPolicy.BEST_EFFORT,

@@ -1,4 +1,4 @@
-"""Publishers: made on first use, holding their first messages until the subscribers are matched.
+"""Publishers: made on first use, holding their first messages until the subscribers are matched, but no command.
 
 The first message does not wait for its publisher, because the thread that publishes has the sequence lock: rcl needs up
 to 60 ms for the first publisher of a type, and a message package that is not compiled yet needs many seconds.  So
@@ -28,6 +28,7 @@ from igtl_gateway.edges.ros.receiver import EventPolling, UnmanagedCallbackGroup
 from igtl_gateway.edges.ros.topics import HOLD_ALL_BYTES, HOLD_BYTES, HOLD_MESSAGES, TopicPublisher, Topics
 from igtl_gateway.gateway.kept import beyond, largest_first
 from igtl_gateway.gateway.log.note import Level
+from igtl_gateway.gateway.orders import Heard
 from igtl_gateway.native.passage import Publisher as NativePublisher
 
 #: Subscriptions that the graph knows are matched well within this time, or never (incompatible QoS).
@@ -59,9 +60,8 @@ class Publishing(Publishers[TopicPublisher]):
         latched_bytes: int,
     ) -> None:
         # not the lock of the node: for moments only
-        super().__init__(threading.Lock(), reports, topics.publishers, latched_bytes)
+        super().__init__(threading.Lock(), reports, topics.publishers, latched_bytes, node.clock)
         self._node = node
-        self._clock = node.clock
         self._topics = topics
         self._graph = graph
         self._on_first_subscriber = on_listener
@@ -80,6 +80,9 @@ class Publishing(Publishers[TopicPublisher]):
         with publisher.lock:
             if publisher.ready:
                 return publisher.send(cdr, self._clock)
+            if publisher.lifespan_ns is not None:  # a topic of a robot: what waits is late
+                publisher.counts.unheard += 1
+                return ""
             publisher.hold(cdr)
             overflown = publisher.overflows
             # not dropped: the subscribers that are matched by now get it
@@ -132,7 +135,23 @@ class Publishing(Publishers[TopicPublisher]):
         return self._node.names.full(topic)
 
     def _new(self, topic: str, type_name: str, qos: Qos) -> TopicPublisher:
-        return TopicPublisher(topic, type_name, qos, self._reports.counts(topic))
+        return TopicPublisher(topic, type_name, qos, self._reports.counts(topic), self._lifespans.get(topic))
+
+    def _heard(self, publisher: TopicPublisher) -> Heard:
+        if not (publisher.is_made and self._node.is_running):
+            return Heard(0)
+        now_ns, joins = self._clock.monotonic_ns(), publisher.joins
+        own = len(self._topics.subscriptions_at(publisher.in_graph))
+        count = int(publisher.publisher.get_subscription_count()) - own
+        joined = joins.look(count, now_ns)
+        recent = joins.since_ns is not None and now_ns < joins.since_ns + FOREIGN_NS
+        unsettled = count > 0 and recent and self._graph.has_foreign_subscription(publisher.topic)
+        return Heard(count, joined, unsettled)
+
+    def _write(self, publisher: TopicPublisher, cdr: bytes) -> str:
+        publisher.joins.forget()
+        with publisher.lock:
+            return publisher.send(cdr, self._clock)
 
     def _make_announced(self) -> None:
         """Make the publishers that messages wait for, one after the other, until the stop.
@@ -299,13 +318,15 @@ class Publishing(Publishers[TopicPublisher]):
             self._node.handle,
             message_class,
             self._node.names.asked(topic),
-            profile_of(rclpy, publisher.qos),
+            profile_of(rclpy, publisher.qos, publisher.lifespan_ns),
             group=self._group,
             incompatible_qos=lambda event: self._note_incompatible(topic, event),
         )
         self._polling.events += made.event_handlers
         direct = direct_publisher(made)
         matched = partial(self._on_matched, topic)
+        if publisher.lifespan_ns is not None:
+            publisher.joins.events = distributions.match_events(rclpy, made, self._group)
         self._matches.append(distributions.CountedMatches(direct.get_subscription_count, matched))
         publisher.in_graph = self._node.names.in_graph(topic)
         subscriptions = self._topics.subscriptions_at(publisher.in_graph)

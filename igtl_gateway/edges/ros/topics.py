@@ -8,6 +8,7 @@ from __future__ import annotations
 import threading
 from bisect import bisect_right
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -165,17 +166,51 @@ class TopicSubscription:
                 self._unconfirmed += missing
 
 
+class Joins:
+    """Whether a subscriber has joined a topic since it was `forget`-ten, even if another one has left meanwhile.
+
+    Attributes:
+        events: returns how many more have ever been matched than at its last call; None: the middleware counts only
+            those that are matched now.
+        since_ns: monotonic time at which it was seen; None: none has joined.
+    """
+
+    def __init__(self) -> None:
+        self.events: Callable[[], int] | None = None
+        self.since_ns: int | None = None
+        self._count = 0
+
+    def look(self, count: int, now_ns: int) -> bool:
+        """Return whether one has joined; ``count`` are matched now."""
+        came = (self.events() if self.events else 0) > 0 or count > self._count
+        self._count = count
+        if came:
+            self.since_ns = now_ns
+        return self.since_ns is not None
+
+    def forget(self) -> None:
+        """A message has reached all of them."""
+        self.since_ns = None
+
+
 class TopicPublisher:
     """One publisher, with the messages that wait until it is made, and for its subscribers.
+
+    ``lifespan_ns`` if it has commands to a robot, which never wait: it is ``ready`` as soon as it is made.
 
     ``ready`` once they need not wait: from then on `Publishing.publish` sends in the caller's thread.  All attributes
     but ``ready`` are guarded by ``lock``, for which no other thread competes after the first seconds.  ``kept`` has the
     bytes of each message that the middleware keeps for late joiners.
     """
 
-    def __init__(self, topic: str, type_name: str, qos: Qos, counts: TopicCounts) -> None:
+    def __init__(
+        self, topic: str, type_name: str, qos: Qos, counts: TopicCounts, lifespan_ns: int | None = None
+    ) -> None:
         self.topic = topic
         self.type_name = type_name
+        self.lifespan_ns = lifespan_ns  # of commands to a robot, 0: no limit; None: other messages
+        self.joins = Joins()
+        self.written_ns: int | None = None
         self.publisher = refusing_publisher("its publisher is not made yet")
         self.is_made = False
         self.native: NativePublisher | None = None
@@ -198,7 +233,7 @@ class TopicPublisher:
         """The middleware's publisher is there; what was held is sent first."""
         with self.lock:
             self.publisher, self.deadline_ns, self.is_made = publisher, deadline_ns, True
-            self.ready = ready and not self.held
+            self.ready = (ready and not self.held) or self.lifespan_ns is not None
 
     def refuse(self, cause: str) -> None:
         """There will be no publisher: the messages that are held, and all further ones, fail."""
@@ -308,7 +343,8 @@ class Topics:
 
     def subscriptions_at(self, in_graph: str) -> list[TopicSubscription]:
         """Return the subscriptions to a topic in the graph."""
-        return [each for each in self.subscriptions.values() if each.in_graph == in_graph]
+        # at once: others are made meanwhile
+        return [each for each in list(self.subscriptions.values()) if each.in_graph == in_graph]
 
     def echo(self, in_graph: str) -> EchoFilter:
         """Return what recognises our own messages on a topic in the graph."""

@@ -71,6 +71,11 @@ REFUSED_COMMANDS = {
     "command_joint_speed": "a joint would be too fast",
     "command_force": "force or torque is too large",
     "command_word": "the word is not one of state_command",
+    "command_behind": "the arm is too far behind the stream of set points",
+    "command_unheard": "no robot subscribes to the topic",
+    "command_newcomer": "a subscriber has joined: the stream begins again where the arm is",
+    "command_late": "the command was older than max_age_s when it was to be written",
+    "command_failed": "the middleware refused it",
 }
 
 #: Reason of an output that a peer does not get: this, and the name of its profile.

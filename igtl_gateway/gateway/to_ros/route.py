@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
 from igtl_gateway.base.errors import ConversionError, WireError
 from igtl_gateway.base.stamp import ticks_to_ns
-from igtl_gateway.config.configuration import Config
+from igtl_gateway.config.configuration import COMMAND_QOS, Config
 from igtl_gateway.convert.context import ToRosContext
 from igtl_gateway.gateway.command_guard import CommandGuard, Refused
 from igtl_gateway.gateway.guard import STALE, Guard, GuardedStream, check_stamp, translation_of
 from igtl_gateway.gateway.log.entry import Entry
-from igtl_gateway.gateway.log.fates import CONVERTED, REFUSED_DEVICE
+from igtl_gateway.gateway.log.fates import CONVERTED, REFUSED_DEVICE, UNSUBSCRIBED
 from igtl_gateway.gateway.log.note import Level
 from igtl_gateway.gateway.metadata import RestoredMetadata
 from igtl_gateway.gateway.naming import cut_name
+from igtl_gateway.gateway.orders import UNHEARD
 from igtl_gateway.gateway.outcome import Finding, Item, Outcome, conversion_failure
+from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peers
 from igtl_gateway.gateway.streams import Streams, ToRosStream
 from igtl_gateway.gateway.to_ros.convert import Converter
@@ -70,14 +73,27 @@ class Router:
         try:
             checked = self._robots.check(entry, message.content, device, stamp_ns, restored.frame_id, self._guard)
         except Refused as error:
-            facts = {REFUSED_DEVICE: device}
-            finding = Finding(Level.WARN, error.code, str(error), entry.channel, entry.links, data=facts)
-            return Outcome([finding], error.code)
+            return self._refused(entry, device, error)
         outcome = self._routed(entry, message, restored, checked.frame_id)
         if outcome.fate == CONVERTED:
+            outputs = [item for item in outcome.items if isinstance(item, Output)]
+            try:
+                self._robots.order(checked, outputs, self._streams.qos(f"/{device}") or COMMAND_QOS)
+            except Refused as error:
+                found = [item for item in outcome.items if isinstance(item, Finding)]
+                return self._refused(entry, device, error, found)
             self._robots.published(checked)
+        elif outcome.fate == UNSUBSCRIBED:
+            self._robots.refused(device, UNHEARD)
         outcome.origin = None  # each command passes the guard: no compiled stream has one
         return outcome
+
+    def _refused(self, entry: Entry, device: str, error: Refused, found: Sequence[Item] = ()) -> Outcome:
+        """Return the outcome of a command that is refused; ``found``: what else is to be said of it."""
+        self._robots.refused(device, error.code)
+        facts = {REFUSED_DEVICE: device}
+        finding = Finding(Level.WARN, error.code, str(error), entry.channel, entry.links, data=facts)
+        return Outcome([*found, finding], error.code)
 
     def _routed(
         self, entry: Entry, message: Message, restored: RestoredMetadata, frame_id: str | None = None
