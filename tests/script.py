@@ -48,7 +48,7 @@ class Script:
             self.now_ns, kind, payload, channel=channel, type_name=type_name, links=links, source_ns=source_ns
         )
         self.log += entries
-        self.last = entries[1:]
+        self.last = [entry for entry in entries if not entry.kind.is_input]
         lines = map(_line, self.last)
         return [line for line in lines if self._news or line not in _EVERYDAY]
 

@@ -218,6 +218,8 @@ if TYPE_CHECKING:
     from igtl_gateway.gateway.log.one_clock import OneClock as OneClock
     from igtl_gateway.gateway.log.one_clock import StreamTimes as StreamTimes
     from igtl_gateway.gateway.log.one_clock import one_clock as one_clock
+    from igtl_gateway.gateway.orders import ORDERS as ORDERS
+    from igtl_gateway.gateway.orders import UNWRITTEN as UNWRITTEN
     from igtl_gateway.record.sessionfile import layout as layout
     from igtl_gateway.record.sessionfile.added_marks import added_marks as added_marks
     from igtl_gateway.record.sessionfile.added_marks import marks_files as marks_files
@@ -299,6 +301,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     # Numbers of joints, by their names
     ("api.named_numbers", "NAME_FIELDS by_name completed"),
     ("gateway.log.marks", "Mark MarkNote ago_ns"),
+    ("gateway.orders", "ORDERS UNWRITTEN"),
     ("record.sessionfile.added_marks", "added_marks marks_files"),
     ("replay.stamp_places", "StampPlaces"),
     ("replay.recorded_marks", "carry_marks marked_moment marks_of"),

@@ -175,7 +175,7 @@ def check_pose_behind(
     command: RobotCommand, place: Sequence[float], rotation: Quaternion, measured: SetPoint, behind_s: float
 ) -> None:
     """Check the distance of a pose from the measured one, while its stream goes on.  Raises Refused."""
-    device, arms = command.device, command.arms
+    arms = command.arms
     assert measured.rotation is not None  # a measured pose
     way, most = math.dist(measured.values, place), arms.max_speed * behind_s
     if arms.max_speed and not way <= most:

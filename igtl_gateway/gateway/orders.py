@@ -17,12 +17,16 @@ from typing import Any
 
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
 
 #: Code of the input that has the orders of the next message which were not written.
 UNWRITTEN = "command_unwritten"
 #: In its data: number of the order in the message, from 0, as text → code and text of the refusal.
 ORDERS = "orders"
+_MARK = UNWRITTEN.encode()
+#: From the check of the age to the source stamp of the middleware: it takes less.
+_STAMP_NS = NS_PER_MS
 
 UNHEARD, NEWCOMER, LATE, FAILED = "command_unheard", "command_newcomer", "command_late", "command_failed"
 #: Refusals after which a stream begins again where the arm is: a robot has not got what was before.
@@ -97,7 +101,9 @@ def unwritten(order: Order, heard: Heard, now_ns: int, passed_ns: int | None) ->
         text = f"{device}: found a new subscriber of {order.topic}, expected a set point where the arm is"
         return Unwritten(NEWCOMER, text)
     age_ns = now_ns - order.stamp_ns
-    if order.max_age_ns and order.stamp_ns > 0 and age_ns > order.max_age_ns:
+    # the middleware stamps it a little later
+    most_ns = order.max_age_ns - min(_STAMP_NS, order.max_age_ns // 10)
+    if order.max_age_ns and order.stamp_ns > 0 and age_ns > most_ns:
         most = f"at most {order.max_age_ns / NS_PER_S:g} s (max_age_s)"
         return Unwritten(LATE, f"{device}: found {age_ns / NS_PER_S:.3f} s of age at the write, expected {most}")
     if passed_ns is not None and passed_ns < order.needs_ns:
@@ -111,6 +117,13 @@ def note_of(stream: str, orders: Mapping[int, Unwritten]) -> Note:
     """Return the note about the orders of a message of ``stream`` that were not written; keys: their numbers."""
     data = {ORDERS: {str(number): [one.code, one.text] for number, one in orders.items()}}
     return Note(Level.INFO, UNWRITTEN, "the next message has commands that were not written", stream, data)
+
+
+def is_unwritten(entry: Entry) -> bool:
+    """Return whether an entry is the note about the commands of the next message that were not written."""
+    if entry.kind is not Kind.EDGE_NOTE or _MARK not in (data := entry.data()):
+        return False
+    return Note.of(data).code == UNWRITTEN
 
 
 def orders_of(note: Note) -> dict[int, Unwritten]:

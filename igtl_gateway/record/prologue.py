@@ -7,7 +7,8 @@ last input of each other stream, which a query may ask for.  They are kept withi
 more, only all parts together give it.
 
 Whether a command to a robot was accepted may follow from more than these.  So the outputs that show it follow their
-input: refusals, and what reached the robot.
+input: refusals, and what reached the robot.  The last refusal after which a stream begins again is kept, too, and so is
+a note about commands that were not written whose message has not come yet.
 
 Of a disconnected peer only the inputs that taught the gateway something are kept; its link entries are dropped first.
 So a long session, in which peers come and go, does not forget the connected ones.
@@ -20,6 +21,9 @@ from collections.abc import Hashable
 from copy import copy
 
 from igtl_gateway.gateway.log.entry import Entry, Kind
+from igtl_gateway.gateway.log.fates import REFUSED_DEVICE
+from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.gateway.orders import BEGIN_AGAIN, is_unwritten
 from igtl_gateway.record.selection import StateInputRule
 from igtl_gateway.record.shared_queue import owned
 
@@ -51,7 +55,8 @@ class Prologue:
         self._gone: _Table = OrderedDict()  # by number: links of disconnected peers
         self._learned: _Table = OrderedDict()  # by number
         self._last: _Table = OrderedDict()  # by stream and link; the last that was sent, by topic
-        self._commands: _Table = OrderedDict()  # accepted, by topic
+        self._commands: _Table = OrderedDict()  # accepted, by topic; refused, so that a stream begins again, by device
+        self._unwritten: _Group = ()  # the last input, if it is about the next one
         self._mixed: _Table = OrderedDict()  # by number
         self._large: _Table = OrderedDict()  # by stream and link
         self._count = self._bytes = self._large_bytes = 0
@@ -97,12 +102,13 @@ class Prologue:
     def skip(self) -> None:
         """Entries follow that this does not see: an output after them need not be of the last input that it saw."""
         self._settle()
-        self._group = ()
+        self._group = self._unwritten = ()
 
     def entries(self) -> list[Entry]:
         """The inputs to be fed to a gateway first, in their order, each with what it needs of its outputs."""
         self._settle()
         found = {group[0].seq: group for kept in (*self._tables(), self._large) for group in kept.values()}
+        found |= {one.seq: (one,) for one in self._unwritten}
         return [entry for seq in sorted(found) for entry in found[seq]]
 
     def _settle(self) -> None:
@@ -110,12 +116,16 @@ class Prologue:
         if not self._group:
             return
         entry, *results = self._group
+        if is_unwritten(entry):
+            self._unwritten = self._group
         if self._size(self._group) > self._max_bytes // 8 or len(results) > self._max_entries // 8:
             self._keep_large(self._group)  # one picture must not push out everything else
             return
         for output in results:
             if output.kind is Kind.ROS_OUT:
                 self._add(self._commands, output.channel, self._group)
+            elif (note := Note.of(output.data())).code in BEGIN_AGAIN:
+                self._add(self._commands, note.data.get(REFUSED_DEVICE, ""), self._group)
         if self._sent and self._rule.aged and entry.kind is Kind.ROS_IN:
             self._add(self._last, entry.channel, self._group)
         if self._taught:

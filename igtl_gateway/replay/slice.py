@@ -21,6 +21,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from itertools import chain
 
 from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.config.configuration import Config
@@ -33,6 +34,7 @@ from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.groups import InputGroup, input_groups
 from igtl_gateway.gateway.log.marks import MARK, is_phase
 from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.gateway.orders import UNWRITTEN, is_unwritten
 from igtl_gateway.replay.source import matches_any
 from igtl_gateway.replay.verify import compare
 
@@ -234,7 +236,7 @@ def _wanted(group: InputGroup, window: SliceWindow) -> bool:
     """Return whether a group in the window is in the slice."""
     entry = group.input
     is_mark = entry.kind is Kind.EDGE_NOTE and _code(entry) == MARK
-    return not window.globs or is_mark or _carries_state(group) or _selected(group, window.globs)
+    return not window.globs or is_mark or is_unwritten(entry) or _carries_state(group) or _selected(group, window.globs)
 
 
 def _is_needed(group: InputGroup, window: SliceWindow) -> bool:
@@ -276,6 +278,7 @@ def _prologue(entries: Iterable[Entry], window: SliceWindow, depth: Depth) -> di
     first: dict[object, Entry] = {}
     last: dict[object, Entry] = {}
     links: dict[int, Entry] = {}  # open link → the entry of its opening
+    begins_again: dict[str, tuple[Entry, Entry]] = {}  # stream → its last command that was not written, with the note
     for group in input_groups(entries):
         entry = group.input
         if entry.stamp_ns >= window.start_ns:
@@ -286,12 +289,18 @@ def _prologue(entries: Iterable[Entry], window: SliceWindow, depth: Depth) -> di
             kept[entry.seq] = replace(entry, payload=())
         elif entry.kind is not Kind.LINK and _carries_state(group):
             kept[entry.seq] = entry
+        elif is_unwritten(entry):  # about the message after it
+            last[UNWRITTEN] = entry
         elif entry.channel and (not window.globs or _selected(group, window.globs)):
+            if UNWRITTEN in last:
+                begins_again[entry.channel] = last.pop(UNWRITTEN), entry
             for key in _keys(entry):
                 if entry.size <= SMALL_BYTES:
                     first.setdefault(key, entry)
                 last[key] = entry
-    return kept | {entry.seq: entry for found in (first, last, links) for entry in found.values()}
+    before = (entry for pair in begins_again.values() for entry in pair)
+    found = chain(before, first.values(), last.values(), links.values())
+    return kept | {entry.seq: entry for entry in found}
 
 
 def _follow(links: dict[int, Entry], entry: Entry) -> None:

@@ -307,6 +307,7 @@ def test_a_bad_command_is_refused_with_its_reason_and_nothing_is_published(
 
 def test_every_code_has_a_bad_case() -> None:
     elsewhere = {"command_not_allowed", "command_backwards", "command_frame", "command_unknown_state"}
+    elsewhere |= {"command_behind", "command_unheard", "command_newcomer", "command_late", "command_failed"}
     assert {code for *_, code in BAD} | elsewhere == set(REFUSED_COMMANDS)
 
 

@@ -34,8 +34,8 @@ _MOTION = {"command_speed", "command_joint_speed", "command_unknown_state"}
 class Robot(Script):
     """A gateway and an arm that follows, at times that are given."""
 
-    def __init__(self, **limits: Any) -> None:
-        super().__init__(Config(crtk=(ArmsRow("/PSM*", **limits),), allow_in=_COMMANDS))
+    def __init__(self, *, config: dict[str, Any] | None = None, **limits: Any) -> None:
+        super().__init__(Config(crtk=(ArmsRow("/PSM*", **limits),), allow_in=_COMMANDS, **config or {}))
         self.up(1)
         self.at: list[tuple[int, float]] = []
         self.place = 0.0
@@ -273,6 +273,65 @@ def test_a_command_that_no_robot_received_is_no_set_point() -> None:
     subscribed.add("/PSM1/servo_cp")
     assert robot.servo(0.0051, now_ns + 20 * NS_PER_MS, now_ns + 20 * NS_PER_MS) == "command_speed"
     assert robot.servo(0.0049, now_ns + 30 * NS_PER_MS, now_ns + 30 * NS_PER_MS) == ""
+
+
+# -- an arm that does not follow --------------------------------------------------------------------------------------
+
+
+@table("name", ["servo_cp", "servo_jp"])
+@table("own_s", [None, 0.1, 0.0])
+def test_a_stream_stays_near_its_arm(name: str, own_s: float | None) -> None:
+    """The arm stands still: set points end where it would be after 0.2 s at the limit, or after the time of its row."""
+    speed, behind_s = 0.25, 0.2 if own_s is None else own_s
+    robot = Robot(max_speed=speed, joint_speed=(speed,), max_behind_s=own_s, config={"max_behind_s": 0.2})
+    codes = []
+    for number in range(100):  # 190 mm
+        now_ns = robot.now_ns + 9 * NS_PER_MS
+        codes.append(robot.servo(0.0019 * number, now_ns, now_ns, name))
+        robot.measure(0.0)
+    passed = codes.count("")
+    assert passed == (100 if behind_s == 0.0 else int(speed * behind_s / 0.0019) + 1)
+    if behind_s:
+        assert codes[passed] == "command_behind"
+        robot.now_ns += 600 * NS_PER_MS
+        robot.measure(0.0)
+        now_ns = robot.now_ns + 9 * NS_PER_MS
+        assert robot.servo(0.0, now_ns, now_ns, name) == "", "it begins again where the arm is"
+
+
+def test_a_turn_stays_near_its_arm() -> None:
+    robot = Robot(max_turn_speed=1.0, config={"max_behind_s": 0.2})
+    codes = []
+    for number in range(40):
+        c, s = math.cos(0.009 * number), math.sin(0.009 * number)
+        content = Transform((c, s, 0.0, -s, c, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0))
+        robot.now_ns += 8 * NS_PER_MS
+        lines = robot.igtl(Message("TRANSFORM", "PSM1/servo_cp", content, ns_to_ticks(robot.now_ns)))
+        codes += [line.removeprefix("note ") for line in lines if "command" in line or "servo" in line]
+        robot.measure(0.0)
+    assert codes[:24] == ["ros /PSM1/servo_cp"] * 23 + ["command_behind"], "0.2 rad"
+    assert "ros /PSM1/servo_cp" not in codes[23:]
+
+
+def test_a_stream_does_not_go_on_without_a_state_of_its_arm() -> None:
+    robot = Robot(config={"max_behind_s": 0.2})
+    codes = []
+    for number in range(150):
+        now_ns = robot.now_ns + 10 * NS_PER_MS
+        codes.append(robot.servo(1e-5 * number, now_ns, now_ns))
+    assert codes[:90] == [""] * 90
+    assert set(codes[110:]) == {"command_unknown_state"}
+
+
+def test_a_recording_of_before_has_no_such_limit() -> None:
+    """Its configuration does not have the setting."""
+    config = Config.from_dict({"profile": "crtk", "crtk": [{"arms": "/PSM1"}]})
+    assert config.max_behind_s is None
+    assert Config().watched().max_behind_s == 0.2
+    robot = Robot()
+    for number in range(100):
+        now_ns = robot.now_ns + 10 * NS_PER_MS
+        assert robot.servo(0.002 * number, now_ns, now_ns) == ""
 
 
 # -- relative commands ------------------------------------------------------------------------------------------------

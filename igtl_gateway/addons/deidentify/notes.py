@@ -8,12 +8,14 @@ from typing import Any
 from igtl_gateway.addon import (
     CLOCK_STEP,
     LISTENED,
+    ORDERS,
     PARTNER,
     REFUSED_COMMANDS,
     REFUSED_DEVICE,
     SETTING,
     SETTINGS,
     TICK,
+    UNWRITTEN,
     Mark,
     MarkNote,
     Note,
@@ -38,7 +40,7 @@ CODES = frozenset({
     *"no_source trigger trigger_saved trigger_incomplete".split(),
     *"record_continued record_part_lost record_split_held".split(),
     *"retention_deleted retention_kept retention_clock retention_failed".split(),
-    *REFUSED_COMMANDS,
+    *REFUSED_COMMANDS, UNWRITTEN,
     *"upload_confirmed upload_waits upload_reached upload_differs stamps_corrected deidentified".split(),
 })  # fmt: skip
 OTHER = "other"
@@ -92,9 +94,18 @@ def _data(data: dict[str, Any], context: Context) -> dict[str, Any]:
             kept[key] = value
         elif key == "dropped" and type(value) is int:
             kept[key] = value
+        elif key == ORDERS and isinstance(value, dict):
+            kept[key] = {number: _clean_order(order) for number, order in value.items() if number.isdecimal()}
         elif key == SETTINGS and isinstance(value, dict):
             kept[key] = _settings(value, context)
     return kept
+
+
+def _clean_order(order: Any) -> list[str]:
+    """Return code and text of a command that was not written, without what the text says of it."""
+    first = order[0] if isinstance(order, list) and order else None
+    code = first if isinstance(first, str) and first in REFUSED_COMMANDS else OTHER
+    return [code, code.replace("_", " ")]
 
 
 def _settings(settings: dict[str, Any], context: Context) -> dict[str, Any]:
