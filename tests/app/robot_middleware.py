@@ -223,6 +223,9 @@ class _Graph:
     def has_foreign_subscription(self, topic: str) -> bool:
         return any(each.foreign for each in self._known(topic))
 
+    def readers_of(self, topic: str, _offered: Qos) -> set[int]:
+        return {id(each) for each in self._known(topic) if each.fits}
+
 
 class _DdsPublishing(dds_publishing.Publishing):
     """Makes its publishers at a manual time instead of in a thread."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import Any
 
-from igtl_gateway.base.qos import Endpoint, Qos
+from igtl_gateway.base.qos import Endpoint, Qos, incompatible
 from igtl_gateway.edges.interface import Publication
 from igtl_gateway.edges.ros.middleware import qos_of
 from igtl_gateway.edges.ros.node import RosNode
@@ -73,6 +73,12 @@ class Graph:
         """Whether a subscription is of another vendor's DDS than ours (DDSI-RTPS 2.5, 9.3.1.5: GUIDs begin with it)."""
         infos = self._node.host.node.get_subscriptions_info_by_topic(self._node.names.in_graph(topic))
         return any(tuple(info.endpoint_gid[:2]) != FAST_DDS for info in infos)
+
+    def readers_of(self, topic: str, offered: Qos) -> set[bytes]:
+        """The identifiers of the subscriptions that a publisher with this QoS can reach."""
+        infos = self._node.host.node.get_subscriptions_info_by_topic(self._node.names.in_graph(topic))
+        fits = (info for info in infos if not incompatible(offered, qos_of(self._node.rclpy, info.qos_profile)))
+        return {bytes(info.endpoint_gid) for info in fits}
 
     def matching_qos(self, topic: str, wanted: Qos) -> Qos:
         """The QoS that every present publisher satisfies, by the rule of foxglove_bridge and rosbag2."""

@@ -326,7 +326,8 @@ class Publishing(Publishers[TopicPublisher]):
         direct = direct_publisher(made)
         matched = partial(self._on_matched, topic)
         if publisher.lifespan_ns is not None:
-            publisher.joins.events = distributions.match_events(rclpy, made, self._group)
+            events = distributions.match_events(rclpy, made, self._group)
+            publisher.joins.events = events or self._newcomers(publisher)
         self._matches.append(distributions.CountedMatches(direct.get_subscription_count, matched))
         publisher.in_graph = self._node.names.in_graph(topic)
         subscriptions = self._topics.subscriptions_at(publisher.in_graph)
@@ -344,6 +345,20 @@ class Publishing(Publishers[TopicPublisher]):
             deadline_ns=now_ns + HOLD_NS if known else discovered_ns,
             ready=not known and now_ns >= discovered_ns,
         )
+
+    def _newcomers(self, publisher: TopicPublisher) -> Callable[[], int]:
+        """Return what counts the subscriptions in the graph that were not there at its last call.
+
+        For an rclpy without events of matches.
+        """
+        seen: set[bytes] = set()
+
+        def count() -> int:
+            nonlocal seen
+            before, seen = seen, self._graph.readers_of(publisher.topic, publisher.qos)
+            return len(seen - before)
+
+        return count
 
     def _on_matched(self, topic: str, event: distributions.Matched) -> None:
         if event.current_count_change > 0 and self._on_first_subscriber:

@@ -170,8 +170,8 @@ class Joins:
     """Whether a subscriber has joined a topic since it was `forget`-ten, even if another one has left meanwhile.
 
     Attributes:
-        events: returns how many more have ever been matched than at its last call; None: the middleware counts only
-            those that are matched now.
+        events: returns how many more have ever been there than at its last call; None: only those are known that are
+            matched now.
         since_ns: monotonic time at which it was seen; None: none has joined.
     """
 

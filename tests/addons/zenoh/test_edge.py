@@ -183,7 +183,7 @@ def test_a_late_joiner_gets_latched_messages_both_ways(port: int, sides: ExitSta
 
 
 def counts(**values: int) -> dict[str, int]:
-    names = ("received", "published", "held", "lost", "failed", "unheard", "over_budget", "forgotten")
+    names = ("received", "published", "held", "lost", "failed", "unheard", "over_budget", "unwritten", "forgotten")
     return dict.fromkeys(names, 0) | values
 
 
