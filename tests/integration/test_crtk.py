@@ -60,6 +60,51 @@ def test_one_arm_and_another_that_appears_later(tmp_path: Path) -> None:
     assert main(("verify", str(recording))) == 0
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("recorded", [True, False])
+def test_an_arm_that_subscribes_late_gets_no_stream_that_has_walked_away(tmp_path: Path, *, recorded: bool) -> None:
+    """Nor is anything held for another node, whose subscription never matches."""
+    limits, recording = tmp_path / "limits.toml", tmp_path / "arm.mcap"
+    limits.write_text('[[crtk]]\narms = "/PSM1"\nmax_age_s = 60.0\nmax_behind_s = 0.0\n', "utf-8")
+    how = ("--config", str(limits), "--profile", "crtk:/PSM*", "--allow-in", "PSM1/servo_cp")
+    topic = "/PSM1/servo_cp"
+    with RosClient("late_arm", advertise={"/PSM1/measured_cp": POSE_TYPE}) as arm, RosClient("looker") as looker:
+        looker.subscribe(topic, POSE_TYPE, latched=True)
+        bridge = Bridge(*how, *(("--record", str(recording)) if recorded else ()))
+        try:
+            with RawPeer(bridge.port) as peer:
+                bridge.wait_code("link_up", 1)
+                arm.wait_readers("/PSM1/measured_cp")
+                _measure(arm)
+                peer.receive("PSM1/measured_cp", "TRANSFORM")
+                for number in range(30):
+                    _send(peer, "TRANSFORM", "PSM1/servo_cp", _at(0.002 * number))
+                bridge.wait_code("command_unheard")
+                arm.subscribe(topic, POSE_TYPE)
+                begun = time.monotonic()
+                while not arm.waiting(topic) and time.monotonic() < begun + 30:
+                    _measure(arm)
+                    for x in (0.06, 0.0):  # where the stream would be, and where the arm is
+                        _send(peer, "TRANSFORM", "PSM1/servo_cp", _at(x))
+                    time.sleep(0.05)
+                got = arm.receive(topic)
+                assert got["pose"]["position"]["x"] == 0.0
+        finally:
+            told = bridge.end()
+            bridge.close()
+        assert looker.waiting(topic) == 0
+        xs = {each["pose"]["position"]["x"] for each in arm.received(topic)}
+    assert xs <= {0.0}
+    assert (told.code, told.err) == (0, "")
+    if recorded:
+        assert main(("verify", str(recording))) == 0
+
+
+def _measure(arm: RosClient) -> None:
+    place = {"position": {"x": 0.0, "y": 0.0, "z": 0.05}, "orientation": {"w": 1.0}}
+    arm.publish("/PSM1/measured_cp", {"header": {"stamp": _now(), "frame_id": "ECM"}, "pose": place})
+
+
 def _states(arm: RosClient, peer: RawPeer) -> None:
     place = {"position": {"x": 0.1, "y": 0.0, "z": 0.05}, "orientation": {"w": 1.0}}
     arm.publish(

@@ -14,12 +14,14 @@ from igtl_gateway.addons.zenoh import names
 from igtl_gateway.addons.zenoh.edge import ZenohEdge
 from igtl_gateway.addons.zenoh.names import Kind, Node
 from igtl_gateway.addons.zenoh.own_node import TypeHashes
+from igtl_gateway.addons.zenoh.traffic import Traffic
 from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.rosmsg import String
 from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.gateway.orders import Order
 from tests.addons.zenoh.routers import client, free_port, router
 from tests.processes import TIMEOUT_S
 
@@ -318,3 +320,32 @@ def test_a_wrong_environment_is_one_line(
     with pytest.raises(ConfigError, match=place) as error:
         Side(port).edge.start()
     assert "\n" not in str(error.value)
+
+
+def test_a_command_to_a_robot_is_sent_at_once_or_never(port: int, sides: ExitStack) -> None:
+    """Neither held, nor by the thread that waits for the line, whatever the classes of the site say."""
+    traffic = Traffic(("/PSM1/*=commands",), 1)
+    side = started(sides, port, (), site="here", traffic=traffic)
+
+    def code(word: str, *, begins: bool = True) -> str:
+        order = Order("PSM1/do", "/PSM1/do", String.TYPE, text(word), Qos(1), begins=begins)
+        refused = side.edge.write(order)
+        return refused.code if refused else ""
+
+    assert code("no router") == "command_unheard"
+    with router(port), client(port) as plain:
+        side.wait(lambda: "zenoh_connected" in side.codes())
+        assert code("no subscriber") == "command_unheard"
+        got: list[bytes] = []
+        held.append(plain.declare_subscriber(key("/PSM1/do"), lambda sample: got.append(sample.payload.to_bytes())))
+        until(lambda: side.edge.has_subscriber("/PSM1/do"))
+        until(lambda: code("goes on", begins=False) == "command_newcomer")
+        assert code("begins") == ""
+        token(plain, Kind.SUBSCRIPTION, "/PSM1/do")  # another one
+        until(lambda: code("goes on for a newcomer", begins=False) == "command_newcomer")
+        assert code("begins again") == ""
+        until(lambda: got[-1:] == [text("begins again")])
+        assert got[0] == text("begins")
+        assert text("no router") not in got and text("no subscriber") not in got
+    until(lambda: code("the router is gone") == "command_unheard")
+    assert side.edge.counters()["/PSM1/do"]["over_budget"] == 0
