@@ -98,7 +98,7 @@ NOTES: dict[str, dict[str, str]] = {
         "stream_started": "a peer started a stream (STT_)",
         "stream_refused": "a stream of a peer cannot be started",
         "command_refused": "a command cannot be passed on",
-        "command_unwritten": "an input: the commands of the next message that the edge did not write; each has its own note",
+        "command_unwritten": "an input: commands of the next message that were not written; each has its own note",
         "command_timeout": "a command has had no reply in time; the sender gets a negative one",
     },
     "Plausibility of streams": {
