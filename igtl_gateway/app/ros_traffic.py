@@ -217,7 +217,7 @@ class RosTraffic:
         return ros_type in _OWN_USE or self._is_command(topic) or self.side.has_subscriber(topic)
 
     def _is_command(self, topic: str) -> bool:
-        """Return whether a topic has commands to a robot: what is not written is refused, and said."""
+        """Return whether a topic has commands to a robot: what is not written is refused, with a note."""
         name = row_of(topic.removeprefix("/")) if self._gateway.write else None
         return name is not None and name.motion is not None
 

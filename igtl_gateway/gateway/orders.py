@@ -66,7 +66,7 @@ class Heard:
     Attributes:
         subscribers: those that a message reaches now, without our own.
         joined: whether one has joined since the last write.
-        unsettled: whether one might not hear yet, though it is matched.
+        unsettled: whether one might not receive yet, though it is matched.
     """
 
     subscribers: int
@@ -82,22 +82,22 @@ class Unwritten:
     text: str
 
 
-def unwritten(order: Order, heard: Heard, now_ns: int, passed_ns: int | None) -> Unwritten | None:
+def unwritten(order: Order, known: Heard, now_ns: int, passed_ns: int | None) -> Unwritten | None:
     """Return why an order must not be written now; None: it may be.
 
     Args:
         order: the order.
-        heard: the subscribers of its topic.
+        known: what is known of the subscribers of its topic.
         now_ns: time by the clock of the host, UTC ns.
         passed_ns: since the end of the last write to the topic, by a monotonic clock; None: there was none.
     """
     device = order.device
-    if heard.subscribers <= 0:
+    if known.subscribers <= 0:
         return Unwritten(UNHEARD, f"{device}: found no subscriber of {order.topic}, expected a robot")
-    if heard.unsettled:
+    if known.unsettled:
         text = f"{device}: found a subscriber of {order.topic} that is not ready yet, expected one that is"
         return Unwritten(UNHEARD, text)
-    if heard.joined and not order.begins:
+    if known.joined and not order.begins:
         text = f"{device}: found a new subscriber of {order.topic}, expected a set point where the arm is"
         return Unwritten(NEWCOMER, text)
     age_ns = now_ns - order.stamp_ns
@@ -127,7 +127,7 @@ def is_unwritten(entry: Entry) -> bool:
 
 
 def orders_of(note: Note) -> dict[int, Unwritten]:
-    """Return number → why for the orders that a note has; {} if it is none, or not as `note_of` makes it."""
+    """Return number → why for the orders that a note has; {} if it is not one, or not as `note_of` makes it."""
     found: Any = note.data.get(ORDERS)
     if note.code != UNWRITTEN or not isinstance(found, dict):
         return {}

@@ -114,7 +114,7 @@ class Wire:
         return [each for each in self.readers if each.topic == topic and each.is_matched(now_ns)]
 
     def stand_still(self) -> None:
-        """Now and then the process stands still before a write, or the writer waits after the stamp."""
+        """Now and then the process gets no time before a write, or the writer waits after the stamp."""
         if self._rng.random() < self._stalls:
             self.clock.advance(self._rng.randint(1, 700) * NS_PER_MS)
 
@@ -140,7 +140,7 @@ class Wire:
 
     @staticmethod
     def _repeat(reader: Reader, at_ns: int, history: deque[tuple[int, bytes]], lifespan_ns: int) -> None:
-        """A reader that hears again gets what the history of the writer has."""
+        """A reader that receives again gets what the history of the writer has."""
         last_ns = reader.got[-1].stamp_ns if reader.got else 0
         for stamp_ns, cdr in history:
             expired = lifespan_ns and at_ns > stamp_ns + lifespan_ns

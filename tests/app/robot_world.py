@@ -278,7 +278,7 @@ class RobotWorld:
             elif (way := self._way(where, self.place(one))) > self.speed * _BEHIND_S + _NOTHING:
                 yield f"behind: {1000 * way:.1f} mm from the arm, to reader {number}"
         if got and (where := self._seen(got[0].stamp_ns)) is not None:
-            # what it did not hear between the match of the writer and its own is its own loss
+            # what it did not get between the match of the writer and its own is its own loss
             deaf_ns = (
                 max(reader.reader_ns, reader.deaf[1] if reader.deaf[0] <= got[0].stamp_ns else 0) - reader.writer_ns
             )
@@ -296,7 +296,7 @@ class RobotWorld:
         return self.shown[index][1]
 
     def _of_recording(self) -> Iterator[str]:
-        """Yield what the log of the session does not say of what was written."""
+        """Yield what the log of the session does not have of what was written."""
         topics = {f"/{self.device}", "/PSM1/state_command"}
         said = [(one.channel, one.data()) for one in self.log if one.kind is Kind.ROS_OUT and one.channel in topics]
         written = [(topic, cdr) for topic, _, cdr in self.wire.written if topic in topics]

@@ -281,7 +281,7 @@ def test_a_command_that_no_robot_received_is_no_set_point() -> None:
 @table("name", ["servo_cp", "servo_jp"])
 @table("own_s", [None, 0.1, 0.0])
 def test_a_stream_stays_near_its_arm(name: str, own_s: float | None) -> None:
-    """The arm stands still: set points end where it would be after 0.2 s at the limit, or after the time of its row."""
+    """The arm does not move: set points end where it would be after 0.2 s at the limit, or after its own time."""
     speed, behind_s = 0.25, 0.2 if own_s is None else own_s
     robot = Robot(max_speed=speed, joint_speed=(speed,), max_behind_s=own_s, config={"max_behind_s": 0.2})
     codes = []

@@ -102,7 +102,7 @@ def _data(data: dict[str, Any], context: Context) -> dict[str, Any]:
 
 
 def _clean_order(order: Any) -> list[str]:
-    """Return code and text of a command that was not written, without what the text says of it."""
+    """Return code and text of a command that was not written, without the values in its text."""
     first = order[0] if isinstance(order, list) and order else None
     code = first if isinstance(first, str) and first in REFUSED_COMMANDS else OTHER
     return [code, code.replace("_", " ")]

@@ -48,7 +48,7 @@ CLASSES = {
     "data": TrafficClass("DATA", "DROP", False, _DATA_DEBT_S),
     "pictures": TrafficClass("BACKGROUND", "DROP", False, 0.0),
 }
-#: Commands to robots: nobody waits for the line, and no budget counts them.
+#: Commands to robots: they do not wait for the line, and no budget counts them.
 ROBOT = TrafficClass("REAL_TIME", "DROP", True, None)
 #: ROS type → class; other types are data.
 _TYPES = {

@@ -84,7 +84,7 @@ def interface_class(type_name: str) -> Any:
 
 
 def profile_of(rclpy: Any, qos: Qos, lifespan_ns: int | None = None) -> Any:
-    """Return the rclpy profile of ``qos``; ``lifespan_ns``: of each message, 0 and None: for ever."""
+    """Return the rclpy profile of ``qos``; ``lifespan_ns``: of each message, 0 and None: no limit."""
     policies = rclpy.qos
     limited = {"lifespan": rclpy.duration.Duration(nanoseconds=lifespan_ns)} if lifespan_ns else {}
     return policies.QoSProfile(

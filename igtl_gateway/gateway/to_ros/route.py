@@ -89,7 +89,7 @@ class Router:
         return outcome
 
     def _refused(self, entry: Entry, device: str, error: Refused, found: Sequence[Item] = ()) -> Outcome:
-        """Return the outcome of a command that is refused; ``found``: what else is to be said of it."""
+        """Return the outcome of a command that is refused; ``found``: further findings about it."""
         self._robots.refused(device, error.code)
         facts = {REFUSED_DEVICE: device}
         finding = Finding(Level.WARN, error.code, str(error), entry.channel, entry.links, data=facts)

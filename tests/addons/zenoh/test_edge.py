@@ -323,7 +323,7 @@ def test_a_wrong_environment_is_one_line(
 
 
 def test_a_command_to_a_robot_is_sent_at_once_or_never(port: int, sides: ExitStack) -> None:
-    """Neither held, nor by the thread that waits for the line, whatever the classes of the site say."""
+    """Neither held, nor by the thread that waits for the line, whatever the classes of the site are."""
     traffic = Traffic(("/PSM1/*=commands",), 1)
     side = started(sides, port, (), site="here", traffic=traffic)
 
