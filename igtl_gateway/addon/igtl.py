@@ -18,7 +18,16 @@ from igtl_gateway.wire.image import BIG_ENDIAN, LITTLE_ENDIAN, LPS, SCALARS, Ima
 from igtl_gateway.wire.message import ExtendedHeader, sorted_items
 from igtl_gateway.wire.ndarray import NDARRAY_SCALARS, NdArray
 from igtl_gateway.wire.polydata import CELL, NORMAL, Attribute, PolyData
-from igtl_gateway.wire.query import EmptyQuery, GetBind, QueryReply, StartBind, StartPolyData, StartTracking, StartVideo
+from igtl_gateway.wire.query import (
+    EmptyQuery,
+    GetBind,
+    QueryReply,
+    StartBind,
+    StartPolyData,
+    StartTracking,
+    StartVideo,
+    is_dialogue,
+)
 from igtl_gateway.wire.registry import BODIES, describe_content, read_content
 from igtl_gateway.wire.sensor import Sensor, parse_unit
 from igtl_gateway.wire.text import Status, String
@@ -77,6 +86,7 @@ __all__ = [
     "describe",
     "describe_content",
     "encode",
+    "is_dialogue",
     "ns_to_ticks",
     "parse_unit",
     "read_content",

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from igtl_gateway.api.cdr_columns import Column, NotColumns, ros_columns, unit_text
-from igtl_gateway.api.columns import HEAD, UNITS_OF_NAMES, name_igtl_fields, name_ros_fields
+from igtl_gateway.api.columns import HEAD, LINK, UNITS_OF_NAMES, name_igtl_fields, name_ros_fields
 from igtl_gateway.api.igtl_columns import POSE_TYPES, pose_columns, pose_rows
 from igtl_gateway.base.errors import ConversionError, GatewayError, Unavailable, failure_text
 from igtl_gateway.base.extras import missing
@@ -73,6 +73,7 @@ class TableMaker:
         self._is_igtl = kind in (Kind.IGTL_IN, Kind.IGTL_OUT)
         self._type, self._definitions, self._decoder, self._unit = type_name, definitions, decoder, unit
         self._acceptance = acceptance
+        self._links: set[int] = set()
         self._metadata = {"stream": _text(name), "type": _text(type_name), "direction": kind.value}
 
     def table(self, block: MessageBlock) -> tuple[pa.Table, list[str]]:
@@ -90,6 +91,10 @@ class TableMaker:
             ("source_ns", pa.array(block.source_times, mask=block.source_times == 0), "ns"),
         ]
         columns += _metadata_column(block) if self._is_igtl else []
+        if self._metadata["direction"] == Kind.IGTL_IN.value and block.links is not None:
+            self._links.update(np.unique(block.links).tolist())
+            if len(self._links) > 1:
+                columns.append((LINK, pa.array(block.links), ""))
         taken = [(f"{name}_" if name in HEAD else name, array, unit) for name, array, unit in columns]
         return _table([*head, *taken], self._metadata), reasons
 

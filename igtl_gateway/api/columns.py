@@ -27,6 +27,9 @@ Cells = dict[str, Any]
 
 #: First columns of every table; an underscore is appended to a field of such a name.
 HEAD = ("entry", "time_ns", "source_ns", "item")
+#: Column with the link of a message that was received, in tables of what several peers have sent; no type has a field
+#: of this name.  It is empty before the second one sent it.
+LINK = "link"
 #: Longest array of numbers that becomes columns.
 MAX_NUMBERS = 64
 #: Largest number of columns of a table.

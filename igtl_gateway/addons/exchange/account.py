@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from igtl_gateway.addon import Entry, Kind
+from igtl_gateway.addons.exchange.senders import Senders
 from igtl_gateway.addons.exchange.source import ImportedStream
 
 #: Different reasons that a row lists: an untrusted file could cause a different one for each message.
@@ -52,6 +53,7 @@ class ExportAccount:
         others: messages of the selected streams whose type does not fit the format: type → number.
         files: number of files written.
         notes: further facts for people.
+        senders: streams of OpenIGTLink that were received, written or not; see ``Senders``.
     """
 
     rows: list[ExportedStream] = field(default_factory=list)
@@ -59,6 +61,7 @@ class ExportAccount:
     others: dict[str, int] = field(default_factory=dict)
     files: int = 0
     notes: list[str] = field(default_factory=list)
+    senders: Senders = field(default_factory=Senders)
     _by_stream: dict[tuple[Kind, str, str], ExportedStream] = field(default_factory=dict)
     _by_part: dict[tuple[Kind, str, str, str], ExportedStream] = field(default_factory=dict)
 

@@ -26,6 +26,7 @@ from igtl_gateway.addons.exchange.folder import FileNames, Folder, new_folder
 from igtl_gateway.addons.exchange.selection import IGTL_KINDS, ROS_KINDS, Recording, chosen_entries
 from igtl_gateway.api.columns import (
     HEAD,
+    LINK,
     MAX_COLUMNS,
     Cells,
     TooLong,
@@ -49,7 +50,7 @@ _UNWRITABLE = re.compile(r"[\x00\ud800-\udfff]")
 
 def export_csv(recording: Recording, out: Path, globs: Sequence[str]) -> ExportAccount:
     """Write the directory ``out``.  Raises UnsupportedRecording if it is not empty; OSError."""
-    account, names = ExportAccount(), FileNames(recording.channels)
+    account, names, links = ExportAccount(), FileNames(recording.channels), _Links()
     tables: dict[str, _Table] = {}
     read = _RowReader(recording)
     with new_folder(out, account) as folder, ExitStack() as stack:
@@ -57,6 +58,8 @@ def export_csv(recording: Recording, out: Path, globs: Sequence[str]) -> ExportA
             row, name = account.row(entry), names.of(entry)
             try:
                 lines = list(read.rows(entry))
+                if links.differ(entry):
+                    lines = [{**line, LINK: entry.links[0]} for line in lines]
                 table = tables.get(name)
                 if table is None:
                     if len(tables) >= _MAX_FILES:
@@ -85,6 +88,22 @@ def export_csv(recording: Recording, out: Path, globs: Sequence[str]) -> ExportA
             "spreadsheet programs interpret them as formulas; import these columns as text"
         )
     return account
+
+
+class _Links:
+    """The links of the received streams."""
+
+    def __init__(self) -> None:
+        self._first: dict[str, int] = {}
+        self._several: set[str] = set()
+
+    def differ(self, entry: Entry) -> bool:
+        """Return whether a second peer has sent the stream of an entry."""
+        if entry.kind is not Kind.IGTL_IN or not entry.links:
+            return False
+        if self._first.setdefault(entry.channel, entry.links[0]) != entry.links[0]:
+            self._several.add(entry.channel)
+        return entry.channel in self._several
 
 
 class _Table:

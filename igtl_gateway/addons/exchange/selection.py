@@ -102,6 +102,8 @@ def chosen_entries(
         key = (entry.kind, entry.channel, entry.links if by_link else ())
         if key not in fitting:
             fitting[key] = matches_stream(entry.channel, entry.kind, globs, entry.links)
+        if account is not None and not by_link:
+            account.senders.see(entry, selected=fitting[key] and entry.kind in wanted)
         if not fitting[key]:
             continue
         if entry.kind not in wanted or (types is not None and entry.type not in types):

@@ -50,6 +50,7 @@ def export_to(name: str, recording: Recording, out: Path, globs: Sequence[str], 
     target = TARGETS[name]
     account = target.export(recording, out, globs, **({"gap_ns": gap_ns} if target.joins else {}))
     count_skipped(recording, globs, account)
+    account.notes += account.senders.notes()
     return account
 
 

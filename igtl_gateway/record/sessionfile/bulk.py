@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.base.errors import UnsupportedRecording
-from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.chunks import packed_chunk
 from igtl_gateway.record.sessionfile.contents import ChunkEntry, Index, check_work, work_of
 from igtl_gateway.record.sessionfile.records import (
@@ -39,6 +39,7 @@ _KEPT_BYTES = 64 << 20
 #: Entries of one block where a file is read entry by entry.
 _BATCH, _BATCH_BYTES = 10_000, 8 << 20
 _LAST = (1 << 63) - 1  #: of the times in a block
+_WIRE = frozenset({Kind.IGTL_IN, Kind.IGTL_OUT})
 
 _RECORD = np.dtype(
     [
@@ -62,6 +63,7 @@ class MessageBlock:
         numbers: entry numbers; 0 in files of other programs.
         times: gateway time, UTC ns.
         source_times: the sender's stamp, UTC ns; 0 = unset.
+        links: of OpenIGTLink number of the first link that a message came from or went to; 0 = none.  None for ROS.
     """
 
     data: Bytes
@@ -70,6 +72,7 @@ class MessageBlock:
     numbers: Numbers
     times: Numbers
     source_times: Numbers
+    links: Numbers | None = None
 
     def __len__(self) -> int:
         return len(self.times)
@@ -81,7 +84,9 @@ class MessageBlock:
     def where(self, rows: npt.NDArray[Any] | slice) -> MessageBlock:
         """The messages of a mask, of indices or of a slice."""
         arrays = (self.begins, self.ends, self.numbers, self.times, self.source_times)
-        return MessageBlock(self.data, *(array[rows] for array in arrays))
+        begins, ends, numbers, times, sources = (array[rows] for array in arrays)
+        links = None if self.links is None else self.links[rows]
+        return MessageBlock(self.data, begins, ends, numbers, times, sources, links)
 
 
 class Unfit(Exception):
@@ -273,7 +278,10 @@ def _unwrapped(block: MessageBlock) -> MessageBlock:
     stamped = _column(heads, _RAW_SOURCE_AT, "<u8") != 0
     # a stamp of the sender that equals the gateway time: the message itself has it
     source = np.where((block.source_times == 0) & stamped, block.times, block.source_times)
-    return MessageBlock(data, at, ends, block.numbers, block.times, source)
+    # behind the number of links is the first one, or the length of the type
+    links = numbers_at(data, begins + _RAW_LINKS_AT + 4, "<u4").astype(np.int64)
+    links[_column(heads, _RAW_LINKS_AT, "<u4") == 0] = 0
+    return MessageBlock(data, at, ends, block.numbers, block.times, source, links)
 
 
 def _payload_places(data: Bytes, begins: Numbers, ends: Numbers) -> Numbers:
@@ -315,4 +323,7 @@ def block_of(entries: Collection[Entry]) -> MessageBlock:
     numbers, times, source = (
         np.array([getattr(entry, name) for entry in entries], np.int64) for name in ("seq", "stamp_ns", "source_ns")
     )
-    return MessageBlock(np.frombuffer(b"".join(payloads), np.uint8), begins, ends, numbers, times, source)
+    links = None
+    if any(entry.kind in _WIRE for entry in entries):
+        links = np.array([entry.links[0] if entry.links else 0 for entry in entries], np.int64)
+    return MessageBlock(np.frombuffer(b"".join(payloads), np.uint8), begins, ends, numbers, times, source, links)

@@ -7,9 +7,10 @@ import json
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
-from pyarrow import parquet
+from pyarrow import ipc, parquet
 
 from igtl_gateway.addons.exchange.sequence_names import another_name, name_in_file
 from igtl_gateway.base.distinct import distinct_names
@@ -163,6 +164,39 @@ def test_two_peers_with_one_device_are_two_transforms(tmp_path: Path, capsys: py
     path.with_suffix(".igs.mha").unlink()
     _, found = exported(path, "TRANSFORM/Tool@2")
     assert places(found, "Tool") == {200.0} and len(found.frames) == 5
+
+
+@pytest.mark.parametrize("to", ["csv", "parquet", "arrow", "rosbag2"])
+def test_tables_of_two_peers_with_one_device_have_its_link(
+    to: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    script = Script()
+    for link in (1, 2):
+        script.up(link)
+    for number in range(10):
+        script.igtl(Message("TRANSFORM", "Tool", pose(100 * (number % 2 + 1)), ticks(script)), link=number % 2 + 1)
+        script.igtl(Message("TRANSFORM", "Other", pose(7), ticks(script)), link=1)
+    path, out = saved(script, tmp_path / "s.mcap"), tmp_path / "out"
+    assert main(["export", str(path), "--to", to, "-o", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "links 1 and 2 in turn" in said and "/igtl/in/Tool/transform" in said and "TRANSFORM/Other has" not in said
+    if to == "rosbag2":
+        return
+    rows = _rows(out / f"igtl_in.TRANSFORM_Tool.{to}")
+    places = {(row["link"] if row["link"] not in ("", None) else 1, float(row["x_mm"])) for row in rows}
+    assert {(int(link), x) for link, x in places} == {(1, 100.0), (2, 200.0)} and len(rows) == 10
+    assert "link" not in _rows(out / f"igtl_in.TRANSFORM_Other.{to}")[0]
+    one = tmp_path / "one"
+    assert main(["export", str(path), "--to", to, "-o", str(one), "--streams", "in:TRANSFORM/Tool@2"]) == 0
+    assert "in turn" not in capsys.readouterr().out
+    assert {float(row["x_mm"]) for row in _rows(one / f"igtl_in.TRANSFORM_Tool.{to}")} == {200.0}
+
+
+def _rows(file: Path) -> list[dict[str, Any]]:
+    if file.suffix == ".csv":
+        return list(csv.DictReader(file.read_text().splitlines()))
+    table = parquet.read_table(file) if file.suffix == ".parquet" else ipc.open_file(file).read_all()
+    return list(table.to_pylist())
 
 
 def test_pictures_of_two_peers_are_no_sequence(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

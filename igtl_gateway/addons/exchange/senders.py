@@ -1,0 +1,50 @@
+"""Who sent the streams that are exported: those that several peers send in turn are not one movement."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from igtl_gateway.addon import Entry, Interleaving, Kind
+from igtl_gateway.addon.igtl import is_dialogue
+
+#: Topics of a stream that are named.
+_MOST_TOPICS = 5
+
+
+class Senders:
+    """The links of the received streams, and the topics that were made of them."""
+
+    def __init__(self) -> None:
+        self._links: dict[str, Interleaving] = {}
+        self._selected: set[str] = set()
+        self._topics: dict[str, dict[str, None]] = {}
+        self._cause = ""
+
+    def see(self, entry: Entry, *, selected: bool) -> None:
+        """Take notice of an entry, in the order of the session; ``selected``: it is exported."""
+        if entry.kind.is_input:
+            self._cause = ""
+        if entry.kind is Kind.IGTL_IN and not is_dialogue(entry.type):
+            self._cause = entry.channel
+            one = self._links.get(entry.channel)
+            if one is None:
+                one = self._links[entry.channel] = Interleaving()
+            one.add(entry.links)
+            if selected:
+                self._selected.add(entry.channel)
+        elif selected and self._cause and entry.kind is Kind.ROS_OUT:
+            self._topics.setdefault(self._cause, {})[entry.channel] = None
+
+    def notes(self) -> Iterator[str]:
+        """Yield a sentence for each stream that several peers send in turn."""
+        for stream, one in self._links.items():
+            topics = list(self._topics.get(stream, ()))
+            if not one.is_mixed or not (topics or stream in self._selected):
+                continue
+            links = " and ".join(map(str, sorted(one.links)))
+            more = f", and {len(topics) - _MOST_TOPICS} more" if len(topics) > _MOST_TOPICS else ""
+            mixed = f"; so do {', '.join(topics[:_MOST_TOPICS])}{more}" if topics else ""
+            yield (
+                f"{stream} has the messages of links {links} in turn, which are not one movement{mixed}; "
+                f"--streams 'in:{stream}@{min(one.links)}' selects one of them"
+            )
