@@ -359,7 +359,7 @@ def test_marks_behind_the_end_that_is_left_are_named(tmp_path: Path, capsys: pyt
     record(path, session(), chunk_bytes=2000)
     for at, label in (("1", "early"), ("4.9", "late")):
         assert main(["mark", str(path), "--at", at, "--label", label]) == 0
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 3])
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     capsys.readouterr()
     facts = told(capsys, "recover", path, code=1)
     assert facts["notes"] == ["marks that were added behind the end are left out: late"]

@@ -92,13 +92,15 @@ class DrawnCounts:
     """Counts of what was drawn.
 
     Attributes:
-        messages: number of drawn messages by topic.
+        messages: number of messages by topic; those that are not drawn have a row, too.
+        drawn: number of messages that have a drawing.
         without_picture: number of messages without a drawing by ROS type.
         refused: number of messages that could not be drawn by topic.
         timeless: number of entries that are missing on a time line, by time line: their stamp is 0 or beyond 2116.
     """
 
     messages: Counter[str] = field(default_factory=Counter)
+    drawn: int = 0
     without_picture: Counter[str] = field(default_factory=Counter)
     refused: Counter[str] = field(default_factory=Counter)
     timeless: Counter[str] = field(default_factory=Counter)
@@ -217,6 +219,7 @@ class SessionView:
         else:
             try:
                 picture.draw(picture.message.unpack(entry.data()), canvas)
+                self.counts.drawn += 1
             except (ConversionError, ValueError) as error:
                 self.counts.refused[entry.channel] += 1
                 summary["error"] = self._pen.displayable(str(error))

@@ -172,7 +172,8 @@ def run(options: argparse.Namespace) -> int:
             _report_picture(options, shot)
         elif not options.save:
             _show(options, outs, stop.wait)
-    return int(any(facts["damage"] for facts in found) or bool(shot and shot.complaints))
+    nothing = any(facts["refused"] and not facts["drawn"] for facts in found)
+    return int(nothing or any(facts["damage"] for facts in found) or bool(shot and shot.complaints))
 
 
 def _drawn(
@@ -286,6 +287,7 @@ def _draw(
         "lag": measured,
         "seconds_of_session": view.seen.seconds,
         "messages": sum(facts.messages.values()),
+        "drawn": facts.drawn,
         "topics": [
             {"topic": shown.topic, "type": shown.ros_type, "picture": shown.what.value, "messages": shown.count}
             for shown in view.seen.shown.values()
@@ -396,8 +398,10 @@ def _print(options: argparse.Namespace, path: Path, view: SessionView, facts: di
     if facts["without_field"]:
         fields = ", ".join(sorted(view.seen.fields)) or "none"
         print_line(f"? --colour-by: found no cloud with a field {options.colour_by!r}, expected one of: {fields}")
+    all_of_them = count_text(facts["messages"], "message")
+    drawn = all_of_them if facts["drawn"] == facts["messages"] else f"{facts['drawn']:,} of {all_of_them}"
     print_line(
-        f"{path}: {count_text(facts['messages'], 'message')} drawn in {facts['seconds']:.1f} s, "
+        f"{path}: {drawn} drawn in {facts['seconds']:.1f} s, "
         f"blueprint {facts['blueprint']}" + (", suture plan reviewed" if facts["reviewed"] else "")
     )
     if lag := facts["lag"]:

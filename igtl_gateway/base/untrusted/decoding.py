@@ -20,6 +20,7 @@ from igtl_gateway.base.untrusted import definitions, limits
 from igtl_gateway.base.untrusted.definition_checks import Types, weight
 from igtl_gateway.base.untrusted.elements import ElementCounter
 
+_ZSTD = b"\x28\xb5\x2f\xfd"
 #: Bytes that are not of the type.
 BadBytes = SerdeError
 
@@ -112,6 +113,10 @@ class MessageDecoder:
     def decode(self, ros_type: str, data: bytes) -> Any:
         """Decode a message.  Raises DamagedRecording; SerdeError for bytes that are not of the type."""
         store, elements = self._find_store(ros_type)
+        if data[: len(_ZSTD)] == _ZSTD:  # no CDR begins so
+            raise SerdeError(
+                "found a message that is compressed with zstd, expected CDR; `igtl-gateway import` unpacks it"
+            )
         elements.check(data)
         return store.deserialize_cdr(data, ros_type)
 

@@ -242,6 +242,8 @@ def _deepest(text: str, opening: str) -> int:
 def _unread(error: Exception) -> str:
     """Return the text at which a parser failed: rosbags reports the whole text, the offset, and the rest."""
     words = str(error).split("\n")
+    if isinstance(error, ValueError):  # of msg_text: the line
+        return words[0][:60]
     text = words[3] if len(words) > 3 else f"{type(error).__name__} {words[0]}"
     return text[:60]
 

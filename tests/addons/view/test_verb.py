@@ -311,3 +311,22 @@ def test_a_picture_is_there_although_nobody_reads_what_was_drawn(
     monkeypatch.setattr("igtl_gateway.addons.view.verb.print_line", left)
     assert main(["view", str(irregular(tmp_path / "in.mcap", 0.0)), "-o", str(out)]) == 1
     assert out.read_bytes() == b"png"
+
+
+def test_messages_that_are_not_drawn_do_not_count_as_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A recording of which nothing can be drawn is exit code 1."""
+    for name, messages, drawn, code in (
+        ("a", [b"\x28\xb5\x2f\xfd...."] * 2, "0 of 2 messages drawn", 1),
+        ("b", [b"\0\1\0\0" + bytes(8), b"\0\1"], "1 of 2 messages drawn", 0),
+        ("c", [b"\0\1\0\0" + bytes(8)] * 2, "2 messages drawn", 0),
+    ):
+        with (tmp_path / f"{name}.mcap").open("wb") as stream:
+            writer = mcap.writer.Writer(stream)
+            writer.start("ros2")
+            schema = writer.register_schema("std_msgs/msg/Float64", "ros2msg", b"float64 data")
+            channel = writer.register_channel("/a", "cdr", schema)
+            for number, data in enumerate(messages, 1):
+                writer.add_message(channel, number, data, number)
+            writer.finish()  # type: ignore[no-untyped-call]
+        assert main(["view", str(tmp_path / f"{name}.mcap"), "-o", str(tmp_path / f"{name}.rrd")]) == code
+        assert drawn in capsys.readouterr().out
