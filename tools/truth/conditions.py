@@ -41,6 +41,7 @@ def ordinary(seed: int) -> Plan:
 
 
 def _order(plan: Plan, chance: random.Random) -> None:
+    """Messages of a moment come in a random order."""
     ranks = list(range(len(plan.streams)))
     chance.shuffle(ranks)
     for stream, rank in zip(plan.streams, ranks, strict=True):
@@ -48,28 +49,33 @@ def _order(plan: Plan, chance: random.Random) -> None:
 
 
 def _images_first(plan: Plan, _: random.Random) -> None:
+    """Pictures come before the poses of their moment."""
     for stream in plan.streams:
         stream.rank = 0 if "image" in stream.kind else 5
 
 
 def _delay(plan: Plan, chance: random.Random) -> None:
+    """Half of the streams are 20 to 300 ms late, with right stamps."""
     for stream in plan.streams:
         if stream.rate and chance.random() < 0.5:
             stream.extra_ns = chance.choice((20, 60, 120, 300)) * MS
 
 
 def _late_images(plan: Plan, chance: random.Random) -> None:
+    """All pictures are 60 to 250 ms late, with right stamps."""
     late_ns = chance.choice((60, 100, 250)) * MS
     for stream in plan.streams:
         stream.extra_ns = late_ns if "image" in stream.kind else 0
 
 
 def _jitter(plan: Plan, chance: random.Random) -> None:
+    """Receipt has up to 40 ms of jitter."""
     for sender in plan.senders:
         sender.jitter_ns = chance.choice((2, 10, 40)) * MS
 
 
 def _stamp_jitter(plan: Plan, _: random.Random) -> None:
+    """Stamps have 0.5 ms of jitter."""
     for sender in plan.senders:
         sender.stamp_jitter_ns = MS // 2
 
@@ -80,6 +86,7 @@ def _one_clock_apart(plan: Plan, chance: random.Random) -> None:
 
 
 def _clocks_apart(plan: Plan, chance: random.Random) -> None:
+    """Each sender has a clock of its own, up to 5 s off."""
     for sender in plan.senders:
         sender.offset_ns = chance.randint(-5000, 5000) * MS
 
@@ -92,10 +99,12 @@ def _common_clock_apart(plan: Plan, chance: random.Random) -> None:
 
 
 def _drift(plan: Plan, chance: random.Random) -> None:
+    """A clock drifts by 100 ppm."""
     chance.choice(plan.senders).drift_ppm = chance.choice((-100.0, 100.0))
 
 
 def _two_publishers(plan: Plan, _: random.Random) -> None:
+    """Two arms share one topic of joints."""
     robot = next(one for one in plan.senders if one.name == "robot")
     plan.streams.append(Stream("/joint_states", "joints", robot, (1,), rate=20, extra_ns=3 * MS))
 
@@ -108,6 +117,7 @@ def _two_peers(plan: Plan, _: random.Random) -> None:
 
 
 def _permuted(plan: Plan, _: random.Random) -> None:
+    """Names, points and fields come in another order in each message."""
     for stream in plan.streams:
         stream.permuted = True
 
@@ -147,26 +157,31 @@ def _version(version: int) -> Change:
         for sender in plan.senders:
             sender.version = version
 
+    change.__doc__ = f"All headers have version {version}."
     return change
 
 
 def _mixed_versions(plan: Plan, chance: random.Random) -> None:
+    """Senders have header version 1 or 2."""
     for sender in plan.senders:
         sender.version = chance.choice((1, 2))
 
 
 def _crc_off(plan: Plan, _: random.Random) -> None:
+    """No message has a CRC, and the gateway does not check it."""
     plan.config["check_crc"] = False
     for sender in plan.senders:
         sender.crc = False
 
 
 def _unstamped(plan: Plan, _: random.Random) -> None:
+    """No message has a stamp."""
     for sender in plan.senders:
         sender.stamped = False
 
 
 def _some_unstamped(plan: Plan, chance: random.Random) -> None:
+    """One of the peers sends no stamps."""
     chance.choice(plan.senders[:2]).stamped = False
 
 
@@ -177,6 +192,7 @@ def _unstamped_apart(plan: Plan, _: random.Random) -> None:
 
 
 def _gaps(plan: Plan, chance: random.Random) -> None:
+    """Half of the streams pause for 0.2 to 1.2 s."""
     for stream in plan.streams:
         if stream.rate and chance.random() < 0.5:
             start = chance.uniform(0.3, 1.5)
@@ -184,6 +200,7 @@ def _gaps(plan: Plan, chance: random.Random) -> None:
 
 
 def _unseen_tool(plan: Plan, chance: random.Random) -> None:
+    """A tool is not seen for 0.9 s."""
     start = chance.uniform(0.5, 1.0)
     plan.streams[0].gaps.append((start, start + 0.9))
 
@@ -212,10 +229,11 @@ def _merge_peers(plan: Plan, chance: random.Random) -> None:
     plan.files.append("merge")
 
 
-def _file(verb: str) -> Change:
+def _file(verb: str, meaning: str) -> Change:
     def change(plan: Plan, _: random.Random) -> None:
         plan.files.append(verb)
 
+    change.__doc__ = meaning
     return change
 
 
@@ -248,21 +266,23 @@ CONDITIONS: dict[str, Change] = {
     "gaps": _gaps,
     "unseen_tool": _unseen_tool,
     "starts": _starts,
-    "parts": _file("parts"),
-    "one_part": _file("one_part"),
-    "snapshot": _file("snapshot"),
-    "slice": _file("slice"),
+    "parts": _file("parts", "The recording is split."),
+    "one_part": _file("one_part", "Only the second part is there."),
+    "snapshot": _file("snapshot", "The last 1.1 s, by the black box."),
+    "foreign": _file("foreign", "A bag of another program; times of receipt are rounded to 40 ms."),
+    "slice": _file("slice", "1.1 s from the middle."),
     "merge": _merge,
     "merge_peers": _merge_peers,
-    "recover": _file("recover"),
-    "deidentify": _file("deidentify"),
-    "seal": _file("seal"),
+    "recover": _file("recover", "The file is cut at four fifths."),
+    "deidentify": _file("deidentify", "With names and text kept; times move by a day."),
+    "seal": _file("seal", "A sealed copy."),
 }
 
 #: Only one of each of these is in a world.
 _EXCLUSIVE: Sequence[frozenset[str]] = (
     frozenset({"parts", "one_part", "snapshot", "merge", "merge_peers"}),
-    frozenset({"merge", "merge_peers", "slice", "recover"}),
+    frozenset({"merge", "merge_peers", "slice", "recover", "foreign"}),
+    frozenset({"foreign", "parts", "one_part", "snapshot", "deidentify", "seal"}),
     frozenset({"version_2", "version_3", "mixed_versions"}),
     frozenset({"both_sides", "tracking_out", "only_ros_poses"}),
     frozenset({"unstamped", "some_unstamped", "unstamped_apart"}),

@@ -11,6 +11,9 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 
+from mcap.reader import make_reader
+from mcap.writer import Writer
+
 from igtl_gateway.app.recording import state_rule
 from igtl_gateway.base.clock import ManualClock
 from igtl_gateway.base.qos import Qos
@@ -29,6 +32,7 @@ from tools.truth.world import BEGIN_NS
 
 _TYPES = RosTypes()
 _DEADLINE_S = 60.0
+_ROUNDED_NS = 40 * 10**6
 #: Seconds of a part, of a snapshot, and of a slice.
 PART_S, SNAPSHOT_S, SLICE_S = 0.9, 1.1, (0.9, 2.0)
 _PROFILE = '[keep]\nnames = ["**", "*"]\n[[text]]\nstream = "**"\naction = "keep"\n'
@@ -52,6 +56,7 @@ class Recording:
         path: of it.
         stated: what the verbs that changed it printed.
         shift_ns: by which all of its times are moved.
+        rounded_ns: step of its times of receipt, which are then up to that early.
         whole: whether it has all messages.
         refused: the reason of a verb that refused it; the file is the one before.
     """
@@ -59,6 +64,7 @@ class Recording:
     path: Path
     stated: str = ""
     shift_ns: int = 0
+    rounded_ns: int = 0
     whole: bool = True
     refused: str = ""
 
@@ -199,4 +205,37 @@ def _seal(_: Plan, recording: Recording, folder: Path, new: Path, __: list[Sent]
     return product("seal", recording.path, "--key", key, "-o", new)
 
 
-_VERBS = {"slice": _slice, "merge": _merge, "recover": _recover, "deidentify": _deidentify, "seal": _seal}
+def _foreign(_: Plan, recording: Recording, folder: Path, new: Path, __: list[Sent]) -> Printed:
+    """The bag of another program, in which several messages of a topic have one time of receipt."""
+    bag = folder / "bag"
+    done = product("export", recording.path, "--to", "rosbag2", "-o", bag)
+    recording.whole, recording.rounded_ns = False, _ROUNDED_NS
+    with new.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start("ros2", "truth")
+        schemas: dict[str, int] = {}
+        channels: dict[str, int] = {}
+        for path in sorted(bag.glob("*.mcap")):
+            with path.open("rb") as source:
+                for schema, channel, message in make_reader(source).iter_messages():
+                    if schema is None:
+                        continue
+                    if schema.name not in schemas:
+                        schemas[schema.name] = writer.register_schema(schema.name, schema.encoding, schema.data)
+                    if channel.topic not in channels:
+                        channels[channel.topic] = writer.register_channel(channel.topic, "cdr", schemas[schema.name])
+                    rounded_ns = message.log_time // _ROUNDED_NS * _ROUNDED_NS
+                    number = channels[channel.topic]
+                    writer.add_message(number, rounded_ns, message.data, message.publish_time, message.sequence)
+        writer.finish()  # type: ignore[no-untyped-call]
+    return done
+
+
+_VERBS = {
+    "foreign": _foreign,
+    "slice": _slice,
+    "merge": _merge,
+    "recover": _recover,
+    "deidentify": _deidentify,
+    "seal": _seal,
+}

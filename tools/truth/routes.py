@@ -262,8 +262,9 @@ def _lookup(case: Case, recording: Any, result: Result) -> None:
     samples = [one for reference, others in frames for one in (reference, *others)]
     result.findings = case.truth.judge(samples, interpolated=True)
     # pictures without stamps are at their gateway times, which is what is asked for: later by their delay
-    sender = next(one.sender for one in case.plan.streams if one.key == on.key.rpartition(":")[2])
-    late_s = 0.0 if sender.stamped else 0.0025
+    stream = next(one for one in case.plan.streams if on.key.endswith(one.key))
+    sender = stream.sender
+    late_s = 0.0 if sender.stamped else (sender.delay_ns + sender.jitter_ns + stream.extra_ns) / 1e9 + 0.0005
     case.truth.judge_frames(frames, result.findings, _JITTER_S + late_s)
     if any(stream.kind == "tf_static" for stream in case.plan.streams):
         case.truth.lost(result.findings, ("tf_static",))

@@ -137,6 +137,20 @@ def table(counts: dict[str, Counter[str]]) -> str:
     return "\n".join(lines)
 
 
+def conditions_table(verdicts: Iterable[Verdict]) -> str:
+    """The verdicts of all worlds that have a condition, in Markdown."""
+    found: dict[str, Counter[str]] = {name: Counter() for name in CONDITIONS}
+    meaning = {name: (change.__doc__ or "").strip().rstrip(".") for name, change in CONDITIONS.items()}
+    for one in verdicts:
+        for name in one.conditions:
+            found[name][one.verdict] += 1
+    lines = ["| condition | | right | refused | stated | SILENT |", "|---|---|---|---|---|---|"]
+    for name, counts in found.items():
+        numbers = " | ".join(f"{counts[each]:,}" for each in VERDICTS)
+        lines.append(f"| `{name}` | {meaning[name]} | {numbers} |")
+    return "\n".join(lines)
+
+
 def write_page(text: str) -> None:
     """Put a run between the marks of the page."""
     begin, end = "<!-- measured by tools/truth -->\n", "<!-- end of tools/truth -->"
@@ -175,6 +189,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         commit = subprocess.check_output(["git", "rev-parse", "--short=8", "HEAD"], cwd=_ROOT, text=True)
         write_page(
             f"{options.worlds:,} worlds from seed {options.seed} on commit {commit.strip()}, "
-            f"{options.workers} at a time, {seconds:,.0f} s.\n\n{table(counts)}"
+            f"{options.workers} at a time, {seconds:,.0f} s.\n\n{table(counts)}\n\n{conditions_table(verdicts)}"
         )
     return int(any(one.verdict == SILENT for one in verdicts))

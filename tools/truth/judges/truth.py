@@ -226,10 +226,11 @@ class Truth:
             and not (not sender.stamped and _near(sample.source_ns, received, RECEIPT_NS))
         ):
             findings.fault(TIME, about, _time_text(sample.stream, "source", sample.source_ns, stamps or received))
-        if sample.stamp_ns and not _near(sample.stamp_ns, stamps, STAMP_NS):
+        if sample.stamp_ns and not _near(sample.stamp_ns, stamps, within_ns):
             if sent.stamp_ns or not _near(sample.stamp_ns, received, RECEIPT_NS):
                 findings.fault(TIME, about, _time_text(sample.stream, "stamp", sample.stamp_ns, stamps or received))
-        if sample.time_ns and not is_output and not _near(sample.time_ns, received, RECEIPT_NS):
+        late_ns = RECEIPT_NS + self.recording.rounded_ns
+        if sample.time_ns and not is_output and not _near(sample.time_ns, received, late_ns):
             findings.fault(TIME, about, _time_text(sample.stream, "receipt", sample.time_ns, received))
 
     def lost(self, findings: Findings, kinds: Sequence[str]) -> None:
