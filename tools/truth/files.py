@@ -8,7 +8,7 @@ from __future__ import annotations
 import contextlib
 import io
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from mcap.reader import make_reader
@@ -161,11 +161,15 @@ def make(plan: Plan, folder: Path) -> Recording:
     for number, verb in enumerate(plan.files):
         if verb in _VERBS:
             new = folder / f"{number}-{verb}.mcap"
+            before = replace(recording)
             done = _VERBS[verb](plan, recording, folder, new, messages)
             recording.stated += done.text
             if new.exists():
                 recording.path = new
-            else:
+            else:  # the world goes on with the file before
+                stated = recording.stated
+                recording = before
+                recording.stated = stated
                 recording.refused = f"{verb}: exit {done.code}: {done.text.strip()[-300:]}"
     return recording
 

@@ -223,7 +223,7 @@ class Truth:
         if (
             sample.source_ns
             and not _near(sample.source_ns, stamps, within_ns)
-            and not (not sender.stamped and _near(sample.source_ns, received, RECEIPT_NS))
+            and not (not sender.stamped and _near(sample.source_ns, [*received, received[0] + corrected], RECEIPT_NS))
         ):
             findings.fault(TIME, about, _time_text(sample.stream, "source", sample.source_ns, stamps or received))
         if sample.stamp_ns and not _near(sample.stamp_ns, stamps, within_ns):
@@ -275,7 +275,8 @@ class Truth:
             frames: a reference and the others.
             findings: gets the faults.
             within_s: largest distance in true time.
-            stated: clock that the result states, "gateway" or ""; values are together by receipt then.
+            stated: clock that the result states, "gateway" or ""; values are together by receipt then, and where
+                neither sender has stamps.
             nearest: half a period of the stream is allowed as well.
         """
         allowed_s = within_s
@@ -288,7 +289,9 @@ class Truth:
                 within_s = allowed_s + self._within_s(thing, nearest)
                 if then is None or abs(then - at) <= within_s:
                     continue
-                if stated == "gateway" and abs(self._receipt_s(thing, then) - self._receipt_s(mine, at)) <= within_s:
+                senders = [self.sent[each][0].stream.sender for each in (mine, thing) if self.sent.get(each)]
+                by_receipt = stated == "gateway" or not any(sender.stamped for sender in senders)
+                if by_receipt and abs(self._receipt_s(thing, then) - self._receipt_s(mine, at)) <= within_s:
                     continue
                 about = sorted(self.names_of(mine) | self.names_of(thing))
                 away = f"{(then - at) * 1000:.1f} ms, {abs(then - at) * SPEED:.1f} mm"
