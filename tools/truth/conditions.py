@@ -14,7 +14,7 @@ from tools.truth.senders import MS, Plan, Sender, Stream
 
 Change = Callable[[Plan, random.Random], None]
 
-_SECONDS = 2.6
+_SECONDS = 1.8
 
 
 def ordinary(seed: int) -> Plan:
@@ -192,24 +192,24 @@ def _unstamped_apart(plan: Plan, _: random.Random) -> None:
 
 
 def _gaps(plan: Plan, chance: random.Random) -> None:
-    """Half of the streams pause for 0.2 to 1.2 s."""
+    """Half of the streams pause for 0.2 to 0.9 s."""
     for stream in plan.streams:
         if stream.rate and chance.random() < 0.5:
-            start = chance.uniform(0.3, 1.5)
-            stream.gaps.append((start, start + chance.choice((0.2, 0.6, 1.2))))
+            start = chance.uniform(0.3, 1.0)
+            stream.gaps.append((start, start + chance.choice((0.2, 0.5, 0.9))))
 
 
 def _unseen_tool(plan: Plan, chance: random.Random) -> None:
-    """A tool is not seen for 0.9 s."""
-    start = chance.uniform(0.5, 1.0)
-    plan.streams[0].gaps.append((start, start + 0.9))
+    """A tool is not seen for 0.7 s."""
+    start = chance.uniform(0.3, 0.6)
+    plan.streams[0].gaps.append((start, start + 0.7))
 
 
 def _starts(plan: Plan, chance: random.Random) -> None:
     """Streams begin after others, and end before them."""
     for stream in plan.streams:
         if stream.rate and chance.random() < 0.6:
-            stream.start, stream.end = chance.choice((0.0, 0.6, 1.1)), chance.choice((1.5, 2.1, 9.0))
+            stream.start, stream.end = chance.choice((0.0, 0.4, 0.7)), chance.choice((1.1, 1.5, 9.0))
 
 
 def _merge(plan: Plan, chance: random.Random) -> None:
@@ -268,9 +268,9 @@ CONDITIONS: dict[str, Change] = {
     "starts": _starts,
     "parts": _file("parts", "The recording is split."),
     "one_part": _file("one_part", "Only the second part is there."),
-    "snapshot": _file("snapshot", "The last 1.1 s, by the black box."),
+    "snapshot": _file("snapshot", "The last 0.9 s, by the black box."),
     "foreign": _file("foreign", "A bag of another program; times of receipt are rounded to 40 ms."),
-    "slice": _file("slice", "1.1 s from the middle."),
+    "slice": _file("slice", "0.8 s from the middle."),
     "merge": _merge,
     "merge_peers": _merge_peers,
     "recover": _file("recover", "The file is cut at four fifths."),

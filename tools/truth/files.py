@@ -34,7 +34,7 @@ _TYPES = RosTypes()
 _DEADLINE_S = 60.0
 _ROUNDED_NS = 40 * 10**6
 #: Seconds of a part, of a snapshot, and of a slice.
-PART_S, SNAPSHOT_S, SLICE_S = 0.9, 1.1, (0.9, 2.0)
+PART_S, SNAPSHOT_S, SLICE_S = 0.7, 0.9, (0.6, 1.4)
 _PROFILE = '[keep]\nnames = ["**", "*"]\n[[text]]\nstream = "**"\naction = "keep"\n'
 #: ``deidentify`` moves all times by this number of seconds.
 SHIFT_S = -86400

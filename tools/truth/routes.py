@@ -365,20 +365,24 @@ ROUTES: dict[str, Route] = {
         3,
         2,
     ),
-    "rosbag2": Route(_bag, "rosbags; mcap with mcap-ros2-support", "as parquet", 2),
+    "rosbag2": Route(_bag, "rosbags; mcap with mcap-ros2-support", "as parquet", 3),
     "igs.mha": Route(
         _sequence, "SimpleITK", "poses half a period and 1.2 ms beside their picture; pixels and place exact"
     ),
-    "vtk": Route(_each_file("vtk", files.by_vtk, _CLOUDS), "VTK", "0.05 mm, RAS as 3D Slicer reads it"),
-    "ply": Route(_each_file("ply", files.by_meshio, _CLOUDS), "meshio, VTK", "0.05 mm, RAS as 3D Slicer reads it"),
-    "nrrd": Route(_each_file("nrrd", files.by_nrrd, _PICTURES), "pynrrd, SimpleITK", "pixels exact; place 0.01 mm"),
-    "view": Route(_rrd, "rerun", "as parquet, for each time line", 2, 1),
+    "vtk": Route(_each_file("vtk", files.by_vtk, _CLOUDS), "VTK", "0.05 mm, RAS as 3D Slicer reads it", 4),
+    "ply": Route(
+        _each_file("ply", files.by_meshio, _CLOUDS), "meshio, VTK", "0.05 mm, RAS as 3D Slicer reads it", 4, 1
+    ),
+    "nrrd": Route(
+        _each_file("nrrd", files.by_nrrd, _PICTURES), "pynrrd, SimpleITK", "pixels exact; place 0.01 mm", 4, 2
+    ),
+    "view": Route(_rrd, "rerun", "as parquet, for each time line", 3, 1),
     "lerobot": Route(
         _lerobot, "pyarrow, PyAV", "tolerance of the recipe: poses 61.2 ms, held values 122.4 ms beside the picture", 3
     ),
-    "python": Route(_in_python(_streams), "numpy", "as parquet"),
-    "align": Route(_in_python(_align), "numpy", "61.2 ms (the tolerance asked for) on the clock asked for"),
-    "lookup": Route(_in_python(_lookup), "numpy", "1.2 ms beside the picture"),
+    "python": Route(_in_python(_streams), "numpy", "as parquet", 2),
+    "align": Route(_in_python(_align), "numpy", "61.2 ms (the tolerance asked for) on the clock asked for", 2, 1),
+    "lookup": Route(_in_python(_lookup), "numpy", "1.2 ms beside the picture", 2),
     "cohort": Route(_cohort, "pyarrow", "counts exact; first time 1 ms", 10, 1),
     "to_igtl": Route(_to_igtl, "pyigtl", "0.05 mm; stamps 3 µs", 20, 2),
     "to_ros": Route(_to_ros, "rclpy", "0.05 mm; stamps 3 µs", 20, 3),

@@ -1,6 +1,7 @@
 """Export to PLY or legacy VTK: one binary file per message of POLYDATA, PointCloud2, Mesh, Marker, igtl_msgs/PolyData.
 
-Each message is first converted to the POLYDATA that the gateway would send: points in millimetres.  PLY
+Each message is first converted to the POLYDATA that the gateway would send: points in millimetres, with the signs that
+they have there, which is RAS for patients; the title and the comment state it for 3D Slicer.  PLY
 (little-endian) contains points, colours, normals and polygons.  VTK (big-endian, as its format requires) contains also
 lines, strips and all attributes of points and cells.  The account counts what a format cannot represent: points
 without finite coordinates, cells, and attributes whose number of values is not that of the points or, for attributes
@@ -37,7 +38,7 @@ from igtl_gateway.addon import (
     recorded_units,
     ros,
 )
-from igtl_gateway.addon.igtl import CELL, NORMAL, Attribute, PolyData
+from igtl_gateway.addon.igtl import CELL, NORMAL, Attribute, Cells, PolyData
 from igtl_gateway.addon.ros import Marker, Mesh, PointCloud2
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.folder import export_one_file_each
@@ -54,6 +55,9 @@ _TO_POLYDATA: dict[str, Callable[[bytes, ToIgtlContext], ConvertedMessage]] = {
 _READ = frozenset({"POLYDATA", PointCloud2.TYPE, *_TO_POLYDATA})
 _SECTIONS = ("vertex cells", "lines", "polygons", "triangle strips")
 _POLYGONS = 2
+#: 3D Slicer takes points for LPS, and turns them by 180°, where a file does not state their space.
+_TITLE = "igtl-gateway, millimetres, SPACE=RAS"
+_MOST_OF_A_BYTE = 255
 #: Number of notes on changes by conversions: an untrusted file could cause a different one for each message.
 _MAX_NOTES = 20
 
@@ -180,24 +184,36 @@ def ply(content: PolyData) -> WrittenFile:
     for name, (_, values) in columns.items():
         vertices[name] = values
     faces = content.polygons
+    indices = faces.data.astype("<u4")
+    # MeshLab refuses counts that are not of one byte
+    small = not faces.count or int(indices[faces.starts()].max()) <= _MOST_OF_A_BYTE
     head = [
         "ply",
         "format binary_little_endian 1.0",
-        "comment igtl-gateway, millimetres",
+        f"comment {_TITLE}",
         f"element vertex {count}",
         *(f"property {kind} {name}" for name, (kind, _) in columns.items()),
         f"element face {faces.count}",
-        "property list uint int vertex_indices",
+        f"property list {'uchar' if small else 'uint'} int vertex_indices",
         "end_header",
         "",
     ]
-    data = "\n".join(head).encode() + vertices.tobytes() + faces.data.astype("<u4").tobytes()
+    data = "\n".join(head).encode() + vertices.tobytes() + (_small_counts(faces) if small else indices.tobytes())
     return WrittenFile(data, tuple(parts))
+
+
+def _small_counts(faces: Cells) -> bytes:
+    """The counts of the faces as one byte each, and their indices as four bytes."""
+    data = faces.data.astype("<u4").view(np.uint8)
+    kept = np.ones(len(data), np.bool_)
+    for byte in (1, 2, 3):
+        kept[4 * faces.starts() + byte] = False
+    return data[kept].tobytes()
 
 
 def vtk(content: PolyData) -> WrittenFile:
     """Build a legacy VTK file, version 3.0, binary (big-endian)."""
-    head = "# vtk DataFile Version 3.0\nigtl-gateway, millimetres\nBINARY\nDATASET POLYDATA\n"
+    head = f"# vtk DataFile Version 3.0\n{_TITLE}\nBINARY\nDATASET POLYDATA\n"
     data = [f"{head}POINTS {len(content.points)} float\n".encode(), content.points.astype(">f4").tobytes(), b"\n"]
     for name, cells in zip(("VERTICES", "LINES", "POLYGONS", "TRIANGLE_STRIPS"), content.cells, strict=True):
         if cells.count:

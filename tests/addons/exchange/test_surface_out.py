@@ -126,3 +126,21 @@ def test_nothing_is_a_surface_too(tmp_path: Path, to: str) -> None:
     found = by_vtk(path)
     assert (len(found.points), found.cells, found.of_points) == (0, [], {})
     assert told(account, "attributes")[:3] == (1, 0, 1)
+
+
+@pytest.mark.parametrize("to", ["vtk", "ply"])
+def test_slicer_is_told_the_space(to: str, tmp_path: Path) -> None:
+    """3D Slicer takes points for LPS where neither title nor comment has ``SPACE=RAS``."""
+    path, _ = exported(tmp_path, to, ALL_CELLS)
+    assert by_vtk(path).title == "igtl-gateway, millimetres, SPACE=RAS"
+
+
+@pytest.mark.parametrize(("corners", "kind"), [(3, b"uchar"), (255, b"uchar"), (256, b"uint")])
+def test_counts_of_faces_have_one_byte_where_they_fit(corners: int, kind: bytes, tmp_path: Path) -> None:
+    points = np.arange(3 * 300, dtype=">f4").reshape(300, 3)
+    faces = [list(range(corners)), [7, 6, 5], [1, 2, 3, 4]]
+    path, _ = exported(tmp_path, "ply", PolyData(points, polygons=Cells.of(faces)))
+    assert b"property list " + kind + b" int vertex_indices" in path.read_bytes()
+    assert sorted(by_meshio(path).cells) == sorted(faces)
+    if corners <= 255:  # VTK's reader of PLY counts in one byte, and shows a larger face as an empty one
+        assert sorted(by_vtk(path).cells) == sorted(faces)

@@ -135,7 +135,7 @@ def test_surfaces_are_read_by_others(exported: Export, entries: Any, name: str, 
     files = sorted(folder.iterdir())
     assert len(files) == account.files == sum(row.taken for row in account.rows)
     found = [by_vtk(path) for path in files]
-    assert {shape.title for shape in found} == {"igtl-gateway, millimetres"}
+    assert {shape.title for shape in found} == {"igtl-gateway, millimetres, SPACE=RAS"}
     told = Counter[str]()
     for part in account.parts:
         told[part.unit] += part.taken
