@@ -162,12 +162,12 @@ def _rrd(case: Case) -> Result:
 def _recipe(case: Case) -> str:
     """A recipe with all that a frame can have; streams that the file does not have are left out."""
     with igtl_gateway.open(case.recording.path) as recording:
-        keys = set(recording)
+        keys = list(recording)
     lines = ["[dataset]", "fps = 10", 'task = "look"', f'format = "{"v3.0" if case.plan.seed % 2 else "v2.1"}"']
     lines += ["[episodes]", 'by = "whole"']
     rows = []
     for stream in case.plan.streams:
-        key = next((each for each in (stream.key, f"in:{stream.key}") if each in keys), "")
+        key = arrays.key_of(keys, stream.key)
         if not key or key in rows:
             continue
         rows.append(key)
@@ -229,10 +229,10 @@ def _streams(case: Case, recording: Any, result: Result) -> None:
 
 
 def _pictures(recording: Any) -> Any:
-    for key in ("IMAGE/Image", "/camera/image"):
-        for each in (key, f"in:{key}"):
-            if each in recording and len(recording[each].times):
-                return recording[each]
+    for stream in ("IMAGE/Image", "/camera/image"):
+        key = arrays.key_of(list(recording), stream)
+        if key and len(recording[key].times):
+            return recording[key]
     raise GatewayError("found no pictures to align with")
 
 
@@ -262,7 +262,8 @@ def _lookup(case: Case, recording: Any, result: Result) -> None:
     samples = [one for reference, others in frames for one in (reference, *others)]
     result.findings = case.truth.judge(samples, interpolated=True)
     # pictures without stamps are at their gateway times, which is what is asked for: later by their delay
-    stream = next(one for one in case.plan.streams if on.key.endswith(one.key))
+    shown = "/camera/image" if on.key.endswith("/camera/image") else "IMAGE/Image"
+    stream = next(one for one in case.plan.streams if one.key == shown)
     sender = stream.sender
     late_s = 0.0 if sender.stamped else (sender.delay_ns + sender.jitter_ns + stream.extra_ns) / 1e9 + 0.0005
     case.truth.judge_frames(frames, result.findings, _JITTER_S + late_s)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,19 @@ from tools.truth import world
 from tools.truth.judges.samples import Sample
 
 Frames = Iterator[tuple[Sample, list[Sample]]]
+_POSES = ("TRANSFORM", "PoseStamped", "TransformStamped")
 _TO_MM = {"mm": 1.0, "m": 1000.0}
+
+
+def key_of(keys: Sequence[str], stream: str) -> str:
+    """The key of a stream of a world in a recording, in a merged one or a bag that of its ROS form; or ""."""
+    device = re.escape(stream.partition("/")[2])
+    forms = [
+        rf"(in:)?{re.escape(stream)}",
+        rf"/[ab]{re.escape(stream)}",
+        rf"(/[ab])?/igtl/in/{device}/(transform|image)",
+    ]
+    return next((key for form in forms for key in keys if re.fullmatch(form, key)), "")
 
 
 def of_streams(recording: Any) -> Iterator[Sample]:
@@ -83,7 +96,13 @@ def aligned(recording: Any, on: Any, clock: Any, method: Any, tolerance_s: float
     streams = [
         stream
         for key, stream in recording.items()
-        if stream.type.rpartition("/")[2] in ("TRANSFORM", "PoseStamped") and not key.startswith("out:")
+        # the ROS form of a TRANSFORM is a second sample of it
+        if not (
+            stream.type.count("/") == 2
+            and "/igtl/in/" in key
+            and any(each.startswith("TRANSFORM/") for each in recording)
+        )
+        if stream.type.rpartition("/")[2] in _POSES and not key.startswith("out:")
     ]
     table = igtl_gateway.align([on, *streams], on=on, clock=clock, method=method, tolerance=tolerance_s)
     views = on.images()

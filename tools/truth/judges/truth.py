@@ -230,7 +230,10 @@ class Truth:
             if sent.stamp_ns or not _near(sample.stamp_ns, received, RECEIPT_NS):
                 findings.fault(TIME, about, _time_text(sample.stream, "stamp", sample.stamp_ns, stamps or received))
         late_ns = RECEIPT_NS + self.recording.rounded_ns
-        if sample.time_ns and not is_output and not _near(sample.time_ns, received, late_ns):
+        # what was latched before a part is shown at its beginning
+        is_latched = sent.stream.kind in ("point", "tf_static", "polydata") and not self.recording.whole
+        is_later = is_latched and sample.time_ns > received[0]
+        if sample.time_ns and not (is_output or is_later) and not _near(sample.time_ns, received, late_ns):
             findings.fault(TIME, about, _time_text(sample.stream, "receipt", sample.time_ns, received))
 
     def lost(self, findings: Findings, kinds: Sequence[str]) -> None:
@@ -243,7 +246,8 @@ class Truth:
                 found = findings.seen.get(thing if thing[0] != "point" else ("plan", "P1"), set())
                 latched = stream.kind in ("point", "tf_static") and "recover" not in self.plan.files
                 if (latched and wanted and not found) or (self.recording.whole and wanted - found):
-                    names = {stream.key, *stream.key.split("/", 1), *self.names_of(thing)}
+                    # a note about a type is about all streams of it, but not about those of a part of the recording
+                    names = {stream.key, *stream.key.split("/", 1)[latched:], *self.names_of(thing)}
                     about = sorted(names - {""})
                     findings.fault(LOST, about, f"{stream.key}: {len(wanted & found)} of {len(wanted)} are there")
 
