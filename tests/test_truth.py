@@ -21,17 +21,6 @@ CHEAP = ("igs.mha", "python", "align", "lookup")
 
 #: Conditions and routes that are not yet right.
 WAITING = {"clocks_apart", "two_peers", "tracking_out", "one_part", "snapshot"}
-    "clocks_apart",
-    "two_publishers",
-    "two_peers",
-    "permuted",
-    "tracking_out",
-    "late_images",
-    "one_part",
-    "snapshot",
-    "vtk",
-    "ply",
-}
 
 
 @table("route", [name for name in ROUTES if name != "to_ros"])
