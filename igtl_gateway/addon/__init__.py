@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from igtl_gateway.api.recording import Recording as Recording
     from igtl_gateway.api.recording import of_session as of_session
     from igtl_gateway.api.recording import open as open_recording
+    from igtl_gateway.api.stream import RecordedMessage as RecordedMessage
     from igtl_gateway.api.stream import Stream as Stream
     from igtl_gateway.app.verification import IMPORTED as IMPORTED
     from igtl_gateway.app.verification import verify_recording as verify_recording
@@ -161,6 +162,7 @@ if TYPE_CHECKING:
     from igtl_gateway.convert.context import ToRosContext as ToRosContext
     from igtl_gateway.convert.images import image_to_igtl as image_to_igtl
     from igtl_gateway.convert.images import pixel_layout as pixel_layout
+    from igtl_gateway.convert.names import frames_of as frames_of
     from igtl_gateway.convert.pictures import JPEG as JPEG
     from igtl_gateway.convert.pictures import PNG as PNG
     from igtl_gateway.convert.pictures import Coding as Coding
@@ -196,9 +198,13 @@ if TYPE_CHECKING:
     from igtl_gateway.gateway import make_core as make_core
     from igtl_gateway.gateway.acceptance import DEFAULT_ACCEPTANCE as DEFAULT_ACCEPTANCE
     from igtl_gateway.gateway.acceptance import Acceptance as Acceptance
+    from igtl_gateway.gateway.log import joining as joining
     from igtl_gateway.gateway.log.changes import SETTING as SETTING
     from igtl_gateway.gateway.log.changes import SETTINGS as SETTINGS
     from igtl_gateway.gateway.log.clocksteps import CLOCK_STEP as CLOCK_STEP
+    from igtl_gateway.gateway.log.corrections import CORRECTED as CORRECTED
+    from igtl_gateway.gateway.log.corrections import CORRECTIONS as CORRECTIONS
+    from igtl_gateway.gateway.log.corrections import StampCorrection as StampCorrection
     from igtl_gateway.gateway.log.entry import Entry as Entry
     from igtl_gateway.gateway.log.entry import Kind as Kind
     from igtl_gateway.gateway.log.fates import REFUSED_COMMANDS as REFUSED_COMMANDS
@@ -206,9 +212,9 @@ if TYPE_CHECKING:
     from igtl_gateway.gateway.log.groups import input_groups as input_groups
     from igtl_gateway.gateway.log.interleaving import Interleaving as Interleaving
     from igtl_gateway.gateway.log.interleaving import is_mixed as is_mixed
+    from igtl_gateway.gateway.log.joining import END_NS as END_NS
     from igtl_gateway.gateway.log.joining import GAP_NS as GAP_NS
     from igtl_gateway.gateway.log.joining import NEAR_NS as NEAR_NS
-    from igtl_gateway.gateway.log.joining import Picks as Picks
     from igtl_gateway.gateway.log.joining import pick as pick
     from igtl_gateway.gateway.log.marks import Mark as Mark
     from igtl_gateway.gateway.log.marks import MarkNote as MarkNote
@@ -252,6 +258,7 @@ if TYPE_CHECKING:
     from igtl_gateway.replay.recorded_marks import carry_marks as carry_marks
     from igtl_gateway.replay.recorded_marks import marked_moment as marked_moment
     from igtl_gateway.replay.recorded_marks import marks_of as marks_of
+    from igtl_gateway.replay.recorded_stamps import RecordedStamps as RecordedStamps
     from igtl_gateway.replay.source import check_recorded as check_recorded
     from igtl_gateway.replay.stamp_places import StampPlaces as StampPlaces
     from igtl_gateway.replay.state_before import latched_before as latched_before
@@ -271,7 +278,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     ),
     # Recordings, for a writer of add-ons who does not need entries: those of the Python API
     ("api.recording", "Recording open_recording of_session"),
-    ("api.stream", "Stream"),
+    ("api.stream", "RecordedMessage Stream"),
     # Sessions: entries as they are in the file, and their writing
     ("record.sessionfile.reader", "SessionFile"),
     ("record.sessionfile.writer", "SessionWriter"),
@@ -286,17 +293,20 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("config.configuration", "Config read_toml"),
     ("gateway.acceptance", "DEFAULT_ACCEPTANCE Acceptance"),
     ("replay.recorded_config", "config_to_run recorded_acceptance recorded_units"),
+    ("replay.recorded_stamps", "RecordedStamps"),
     ("app.verification", "IMPORTED verify_recording verify_session"),
     # The gateway: inputs of a session to its outputs; names in it, and codes of notes that it acts on
     ("gateway", "LINK_DOWN LINK_UP LISTENED PARTNER TICK Session header_names make_core"),
     ("gateway.log.changes", "SETTING SETTINGS"),
+    ("gateway.log.corrections", "CORRECTED CORRECTIONS StampCorrection"),
     ("gateway.log.clocksteps", "CLOCK_STEP"),
     ("gateway.log.fates", "REFUSED_COMMANDS REFUSED_DEVICE"),
     ("gateway.log.groups", "input_groups"),
     # Two streams: one clock for both, and the messages that belong to a moment
     ("gateway.log.one_clock", "OneClock StreamTimes one_clock"),
     ("gateway.log.interleaving", "Interleaving is_mixed"),
-    ("gateway.log.joining", "GAP_NS NEAR_NS Picks pick"),
+    ("gateway.log", "joining"),
+    ("gateway.log.joining", "END_NS GAP_NS NEAR_NS pick"),
     ("api.poses", "between_poses"),
     # Numbers of joints, by their names
     ("api.named_numbers", "NAME_FIELDS by_name completed"),
@@ -316,6 +326,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     # Units and rotations
     ("convert.scaling", "into_ros"),
     ("convert.units", "UNITS LengthUnits ieee_754 millimetres scale"),
+    ("convert.names", "frames_of"),
     ("convert.poses", "rotation_matrix unit_quaternion"),
     ("convert.structs", "Pose"),
     ("api.igtl_columns", "quaternions_of"),

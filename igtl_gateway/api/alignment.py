@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from datetime import timedelta
 from typing import TYPE_CHECKING, Any, Literal
+from warnings import warn
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +14,10 @@ import numpy.typing as npt
 from igtl_gateway.api.moments import tolerance_ns
 from igtl_gateway.api.poses import Poses, between_poses
 from igtl_gateway.api.stream import Stream, to_frame
-from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.errors import ClockWarning, ConfigError
+from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.gateway.log.joining import NEAR_NS, pick
+from igtl_gateway.gateway.log.one_clock import GATEWAY, one_clock
 
 if TYPE_CHECKING:
     import pandas
@@ -22,7 +26,10 @@ if TYPE_CHECKING:
 Array = npt.NDArray[Any]
 Times = npt.NDArray[np.int64]
 Method = Literal["nearest", "interpolate"]
-Clock = Literal["gateway", "source"]
+Clock = Literal["auto", "gateway", "source"]
+
+#: Default of ``tolerance``, s.
+NEAR_S = NEAR_NS / NS_PER_S
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,18 +63,23 @@ class Aligned:
         on: key of the stream whose times are used.
         times: (N,) int64, UTC ns on the clock that was chosen.
         matches: key → the messages of a stream; the stream ``on`` has offsets of 0.
+        clock: ``"source"``: stamps; ``"gateway"``: times of receipt.
+        notes: what was corrected or assumed to have one clock; a warning has it, too, unless it is a latency.
     """
 
     on: str
     times: Times
     matches: Mapping[str, Match]
+    clock: str = GATEWAY
+    notes: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(self.times)
 
     def __repr__(self) -> str:
         others = ", ".join(key for key in self.matches if key != self.on)
-        return f"<Aligned: {others} at {len(self):,} times of {self.on}>"
+        notes = "".join(f"; {note}" for note in self.notes)
+        return f"<Aligned: {others} at {len(self):,} times of {self.on}, clock: {self.clock}{notes}>"
 
     def __getitem__(self, key: str) -> Match:
         if key not in self.matches:
@@ -99,14 +111,11 @@ class Aligned:
         columns: dict[str, tuple[Any, str]] = {"time_ns": (self.times, "ns")}
         tables = {}
         for key, match in self.matches.items():
-            gone = match.rows < 0
-            columns[f"{key}.offset_ns"] = (np.ma.array(match.offsets, mask=gone), "ns")
+            columns[f"{key}.offset_ns"] = (np.ma.array(match.offsets, mask=match.rows < 0), "ns")
             if match.poses is not None and match.interpolated:
                 columns |= {f"{key}.{name}": cell for name, cell in _pose_cells(match.poses).items()}
             else:
-                wanted = np.zeros(len(gone), np.int64)
-                wanted[~gone] = match.stream.times[match.rows[~gone]]
-                tables[key] = (match.stream.to_arrow(), wanted, gone)
+                tables[key] = (*match.stream.arrow_and_rows(), match.rows)
         return arrow_tables.side_by_side(columns, tables)
 
     def to_pandas(self) -> pandas.DataFrame:
@@ -121,10 +130,10 @@ class Aligned:
 def align(
     streams: Iterable[Stream],
     on: Stream | str,
-    tolerance: float | timedelta | None = None,
+    tolerance: float | timedelta | None = NEAR_S,
     *,
     method: Method = "nearest",
-    clock: Clock = "gateway",
+    clock: Clock = "auto",
     missing: Literal["nan", "drop"] = "nan",
 ) -> Aligned:
     """Sample streams at the times of one of them.
@@ -136,14 +145,19 @@ def align(
         method: ``"nearest"``: the message that is nearest in time, the earlier one of two.  ``"interpolate"``: poses
             between the messages before and after, both within the tolerance; never extrapolated; messages that are not
             poses are the nearest ones.
-        clock: ``"gateway"``: time of receipt; ``"source"``: the sender's stamp, or gateway time where that is unset.
+        clock: ``"auto"``: the senders' stamps (``Stream.stamps``) if every message has one and the session shows one
+            clock; stamps of another clock than that of ``on`` are corrected by its offset, which is measured, and
+            ``Aligned.notes`` and a ``ClockWarning`` state it; otherwise times of receipt.
+            ``"gateway"``: times of receipt.  ``"source"``: stamps, corrected likewise.
+            ``docs/reference/which-moment.md`` has the rules.
         missing: ``"nan"`` keeps the times without a message; ``"drop"`` keeps the times that all streams have.
 
     Returns:
         The times, and for each stream its messages at them.
 
     Raises:
-        ConfigError: an argument has another value, or two streams have one key.
+        ConfigError: an argument has another value, two streams have one key, or ``clock="source"`` and a message has
+            no stamp.
 
     Examples:
         >>> tool, cloud = recording["TRANSFORM/ToolToBase"], recording["/star/cloud"]
@@ -153,7 +167,7 @@ def align(
     """
     for name, value, expected in (
         ("method", method, ("nearest", "interpolate")),
-        ("clock", clock, ("gateway", "source")),
+        ("clock", clock, ("auto", "gateway", "source")),
         ("missing", missing, ("nan", "drop")),
     ):
         if value not in expected:
@@ -166,8 +180,19 @@ def align(
     key = on if isinstance(on, str) else on.key
     if key not in by_key:
         raise ConfigError(f"on: found {key!r}, expected one of {', '.join(by_key)}")
-    times = _clock_times(by_key[key].times, by_key[key].source_times, clock)
-    matches = {name: _match(stream, times, most, method, clock) for name, stream in by_key.items() if name != key}
+    every = [each.stream_times for each in by_key.values()]
+    chosen = one_clock(every, clock)
+    if not chosen.is_sure:
+        warn("; ".join(chosen.notes), ClockWarning, stacklevel=2)
+    own = list(by_key).index(key)
+    # the times of ``on`` are those of its own clock, whatever that of the others is
+    joined = [chosen.times(each, number) - chosen.shifts[own] for number, each in enumerate(every)]
+    times = joined[own]
+    matches = {
+        name: _match(stream, at, times, most, method)
+        for (name, stream), at in zip(by_key.items(), joined, strict=True)
+        if name != key
+    }
     here = np.arange(len(times))
     matches[key] = Match(by_key[key], here, np.zeros(len(times), np.int64), _own_poses(by_key[key]))
     if missing == "drop":
@@ -182,11 +207,7 @@ def align(
             )
             for name, each in matches.items()
         }
-    return Aligned(key, times, {name: matches[name] for name in by_key})
-
-
-def _clock_times(times: Times, source_times: Times, clock: Clock) -> Times:
-    return np.where(source_times != 0, source_times, times) if clock == "source" else times
+    return Aligned(key, times, {name: matches[name] for name in by_key}, chosen.name, chosen.notes)
 
 
 def _poses(stream: Stream) -> Poses | None:
@@ -201,64 +222,52 @@ def _own_poses(stream: Stream) -> Poses | None:
     poses = _poses(stream)
     if poses is None or len(poses) == len(stream.times):
         return poses
-    places = np.searchsorted(stream.times, poses.times)
     matrices = np.full((len(stream.times), 4, 4), np.nan)
-    matrices[places] = poses.matrices
+    matrices[poses.rows] = poses.matrices
     stamps = np.zeros(len(stream.times), np.int64)
-    stamps[places] = poses.stamps
+    stamps[poses.rows] = poses.stamps
+    rows = np.arange(len(stream.times))
     return Poses(
-        matrices, poses.unit, stream.times, stream.source_times, stamps, poses.parent, poses.child, poses.left_out
+        matrices, poses.unit, stream.times, stream.source_times, stamps, poses.parent, poses.child, poses.left_out, rows
     )
 
 
-def _match(stream: Stream, wanted: Times, most: int | None, method: Method, clock: Clock) -> Match:
+def _match(stream: Stream, at: Times, wanted: Times, most: int | None, method: Method) -> Match:
+    """The messages of a stream, which are ``at`` (M,), at the wanted times (N,) of the same clock."""
     poses = _poses(stream)
-    own = stream if poses is None else poses
-    samples = _clock_times(own.times, own.source_times, clock)
-    order = np.argsort(samples, kind="stable")  # stamps of a sender may decrease
-    samples = samples[order]
-    count = len(samples)
-    nobody = np.full(len(wanted), -1, np.int64)
-    if not count:
-        return Match(stream, nobody, 0 * nobody, None if poses is None else _sampled(poses, wanted, None))
-    after = np.searchsorted(samples, wanted)
-    before, after = np.clip(after - 1, 0, count - 1), np.clip(after, 0, count - 1)
-    # as integers: float64 does not hold nanoseconds of today
-    back, ahead = np.abs(wanted - samples[before]), np.abs(samples[after] - wanted)
-    nearest = np.where(back <= ahead, before, after)
-    good = np.ones(len(wanted), np.bool_) if most is None else np.minimum(back, ahead) <= most
+    rows = np.arange(len(at)) if poses is None else poses.rows
+    order = np.argsort(at[rows], kind="stable")  # stamps of a sender may decrease
+    samples, rows = at[rows][order], rows[order]
+    if not len(samples):
+        nobody = np.full(len(wanted), -1, np.int64)
+        return Match(stream, nobody, 0 * nobody, None if poses is None else _sampled(poses, wanted, None, nobody))
+    nearest = pick(samples, wanted, "nearest", most_ns=most)
+    chosen, good = nearest.before, nearest.good
+    is_between = poses is not None and method == "interpolate"
     matrices = None
-    if poses is not None and method == "interpolate":
-        exact = samples[after] == wanted
-        inside = (wanted >= samples[0]) & (wanted <= samples[-1])
-        if most is not None:
-            inside &= exact | (np.maximum(back, ahead) <= most)
-        good = inside
-        start, end = np.where(exact, after, before), after
-        gap = samples[end] - samples[start]
-        share = np.where(gap > 0, (wanted - samples[start]) / np.maximum(gap, 1), 0.0)
-        found = poses.matrices[order]
+    if poses is not None and is_between:
+        found = pick(samples, wanted, "interpolate", most_ns=most)
+        good, own = found.good, poses.matrices[order]
         matrices = np.full((len(wanted), 4, 4), np.nan)
-        matrices[good] = between_poses(found[start[good]], found[end[good]], share[good])
-        nearest = np.where(exact, after, nearest)
+        matrices[good] = between_poses(own[found.before[good]], own[found.after[good]], found.share[good])
     elif poses is not None:
-        matrices = np.where(good[:, None, None], poses.matrices[order][nearest], np.nan)
-    rows = order[nearest] if poses is None else np.searchsorted(stream.times, poses.times[order[nearest]])
+        matrices = np.where(good[:, None, None], poses.matrices[order][chosen], np.nan)
+    own_rows = np.where(good, rows[chosen], -1)
     return Match(
         stream,
-        np.where(good, rows, -1),
-        np.where(good, samples[nearest] - wanted, 0),
-        None if poses is None else _sampled(poses, wanted, matrices),
-        poses is not None and method == "interpolate",
+        own_rows,
+        np.where(good, samples[chosen] - wanted, 0),
+        None if poses is None else _sampled(poses, wanted, matrices, own_rows),
+        is_between,
     )
 
 
-def _sampled(poses: Poses, times: Times, matrices: Array | None) -> Poses:
+def _sampled(poses: Poses, times: Times, matrices: Array | None, rows: Times) -> Poses:
     """Poses at other times; without matrices there is none."""
     nothing = np.zeros(len(times), np.int64)
     if matrices is None:
         matrices = np.full((len(times), 4, 4), np.nan)
-    return Poses(matrices, poses.unit, times, nothing, nothing, poses.parent, poses.child, poses.left_out)
+    return Poses(matrices, poses.unit, times, nothing, nothing, poses.parent, poses.child, poses.left_out, rows)
 
 
 def _pose_cells(poses: Poses) -> dict[str, tuple[Any, str]]:

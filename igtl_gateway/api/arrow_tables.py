@@ -78,12 +78,18 @@ class TableMaker:
 
     def table(self, block: MessageBlock) -> tuple[pa.Table, list[str]]:
         """Return the table of the messages, and for each message that is left out the reason."""
+        return self.table_and_rows(block)[:2]
+
+    def table_and_rows(self, block: MessageBlock) -> tuple[pa.Table, list[str], np.ndarray[Any, Any]]:
+        """Return as ``table``, and for each row of the table the index of the message, int64."""
         reasons: list[str] = []
+        kept = np.arange(len(block), dtype=np.int64)
         try:
             columns = [(each.name, _array(each), each.unit) for each in self._columns(block)]
         except (NotColumns, GatewayError):
             rows, fields, reasons = self._one_by_one(block)
-            block = block.where(np.array(rows, np.intp))
+            kept = np.array(rows, np.int64)
+            block = block.where(kept)
             columns = _columns_of(fields)
         head = [
             ("entry", pa.array(block.numbers), ""),
@@ -96,7 +102,7 @@ class TableMaker:
             if len(self._links) > 1:
                 columns.append((LINK, pa.array(block.links), ""))
         taken = [(f"{name}_" if name in HEAD else name, array, unit) for name, array, unit in columns]
-        return _table([*head, *taken], self._metadata), reasons
+        return _table([*head, *taken], self._metadata), reasons, kept
 
     def _columns(self, block: MessageBlock) -> list[Column]:
         """The columns of all messages at once.  Raises NotColumns, GatewayError."""
@@ -370,16 +376,16 @@ def side_by_side(
 
     Args:
         columns: name → values (N,), masked where there is none, and unit.
-        tables: prefix of its columns → a table; the ``time_ns`` of the wanted rows, (N,); which rows have none, (N,).
+        tables: prefix of its columns → a table; the message of each of its rows, ascending; the wanted messages, (N,),
+            -1 for none.
     """
     found = [
         (name, pa.array(np.ma.getdata(values), mask=_mask(values)), unit) for name, (values, unit) in columns.items()
     ]
-    for prefix, (table, times, gone) in tables.items():
-        own = table["time_ns"].to_numpy()
-        places = np.minimum(np.searchsorted(own, times), max(len(own) - 1, 0))
+    for prefix, (table, own, wanted) in tables.items():
+        places = np.minimum(np.searchsorted(own, wanted), max(len(own) - 1, 0))
         # a message that cannot be decoded has no row
-        none = gone | (own[places] != times) if len(own) else np.ones(len(times), np.bool_)
+        none = own[places] != wanted if len(own) else np.ones(len(wanted), np.bool_)
         taken = table.take(pa.array(places, mask=none))
         for field, array in zip(table.schema, taken.columns, strict=True):
             unit = (field.metadata or {}).get(b"unit", b"").decode()

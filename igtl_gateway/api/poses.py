@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, overload
 
 import numpy as np
@@ -34,6 +34,7 @@ class Poses:
         parent: name of the reference frame; ``""`` if the messages have none or several.
         child: name of the frame that moves; ``""`` likewise.
         left_out: number of damaged messages without a pose.
+        rows: (N,) int64, index of the message in its stream; -1 without one.
     """
 
     matrices: Array
@@ -44,6 +45,7 @@ class Poses:
     parent: str = ""
     child: str = ""
     left_out: int = 0
+    rows: Times = field(default_factory=lambda: np.zeros(0, np.int64))
 
     def __len__(self) -> int:
         return len(self.times)
@@ -75,7 +77,7 @@ class Poses:
         if isinstance(rows, int | np.integer):
             matrix: Array = self.matrices[rows]
             return matrix
-        arrays = ("matrices", "times", "source_times", "stamps")
+        arrays = ("matrices", "times", "source_times", "stamps", "rows")
         return replace(self, **{name: getattr(self, name)[rows] for name in arrays})
 
     @property

@@ -28,23 +28,27 @@ Array = npt.NDArray[Any]
 #: Endings of the columns of a position → those of the rotation beside it.
 _PAIRS = {"translation": "rotation", "position": "orientation"}
 
-#: Times, source times, stamps, matrices; parent and child; messages without a pose.
-_Part = tuple[Array, Array, Array, Array, set[tuple[str, str]], int]
+#: Times, source times, stamps, matrices, indices in the block; parent and child; messages without a pose.
+_Part = tuple[Array, Array, Array, Array, Array, set[tuple[str, str]], int]
 
 
 def read_poses(source: Source, channel: ChannelSummary, unit: str, blocks: Iterable[MessageBlock], frame: str) -> Poses:
     """Return the poses in blocks of messages; see ``Stream.poses``.  Raises ConfigError."""
     part = _reader(source, channel, frame)
-    parts = [part(block) for block in blocks]
+    parts, rows, count = [], [np.zeros(0, np.int64)], 0
+    for block in blocks:
+        parts.append(part(block))
+        rows.append(parts[-1][4] + count)
+        count += len(block)
     matrices = np.concatenate([np.zeros((0, 4, 4)), *(each[3] for each in parts)])
     times, source_times, stamps = (
         np.concatenate([np.zeros(0, np.int64), *(each[column] for each in parts)]) for column in range(3)
     )
-    names = {pair for each in parts for pair in each[4]}
+    names = {pair for each in parts for pair in each[5]}
     parents, children = {parent for parent, _ in names}, {child for _, child in names}
     if frame and not len(times):
         raise ConfigError(f"{channel.stream}: found no pose of frame {frame!r}")
-    left_out = sum(each[5] for each in parts)
+    left_out = sum(each[6] for each in parts)
     if left_out and not len(times):
         raise ConfigError(
             f"{channel.stream}: found {channel.entry_type} without a pose in any of {left_out:,} messages"
@@ -58,6 +62,7 @@ def read_poses(source: Source, channel: ChannelSummary, unit: str, blocks: Itera
         parents.pop() if len(parents) == 1 else "",
         children.pop() if len(children) == 1 else "",
         left_out,
+        np.concatenate(rows),
     )
 
 
@@ -88,6 +93,7 @@ def _of_igtl(source: Source, block: MessageBlock, igtl_type: str, frames: tuple[
         source_times,
         source_times,
         found.matrices,
+        rows,
         {frames} if len(rows) else set(),
         len(block) - len(rows),
     )
@@ -97,13 +103,13 @@ def _of_ros(source: Source, block: MessageBlock, ros_type: str) -> _Part:
     rows, fields = _fields_of(source, block, ros_type)
     kept = block.where(rows)
     if not len(rows):
-        return kept.times, kept.times, kept.times, np.zeros((0, 4, 4)), set(), len(block)
+        return kept.times, kept.times, kept.times, np.zeros((0, 4, 4)), kept.times, set(), len(block)
     names = _pose_names(fields, ros_type)
     position, rotation = (np.stack([np.asarray(fields[name]) for name in each], axis=1) for each in names)
     stamps = np.asarray(fields.get("header.stamp_ns", np.zeros(len(rows), np.int64)))
     frames = [fields.get(name, [""] * len(rows)) for name in ("header.frame_id", "child_frame_id")]
     pairs = set(zip(*frames, strict=True))
-    return kept.times, kept.source_times, stamps, matrices_of(position, rotation), pairs, len(block) - len(rows)
+    return kept.times, kept.source_times, stamps, matrices_of(position, rotation), rows, pairs, len(block) - len(rows)
 
 
 def _fields_of(source: Source, block: MessageBlock, ros_type: str) -> tuple[Array, dict[str, Any]]:
@@ -174,7 +180,8 @@ def _of_several(source: Source, block: MessageBlock, is_igtl: bool, frame: str) 
                 names.add((parent, child))
     places = np.array(rows, np.intp)
     matrices = np.array(poses).reshape(-1, 4, 4)
-    return block.times[places], block.source_times[places], np.array(stamps, np.int64), matrices, names, bad
+    moments = block.times[places], block.source_times[places], np.array(stamps, np.int64)
+    return *moments, matrices, places, names, bad
 
 
 def tools_of(content: Body) -> Iterator[tuple[str, str, int, Array]]:

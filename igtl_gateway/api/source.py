@@ -7,6 +7,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, TypeVar
 
+import numpy as np
+import numpy.typing as npt
+
 from igtl_gateway.base.errors import ClosedRecording, ConfigError, DamagedRecording
 from igtl_gateway.base.untrusted import definitions
 from igtl_gateway.base.untrusted.decoding import MessageDecoder
@@ -18,14 +21,17 @@ from igtl_gateway.gateway.stream_units import StreamUnits
 from igtl_gateway.record.sessionfile import facts
 from igtl_gateway.record.sessionfile.bulk import MessageBlock
 from igtl_gateway.record.sessionfile.channels import ChannelSummary
+from igtl_gateway.record.sessionfile.header_stamps import StampPlace, stamp_place
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.replay.recorded_config import units_of
 from igtl_gateway.replay.recorded_marks import marks_of
+from igtl_gateway.replay.recorded_stamps import RecordedStamps
 
 if TYPE_CHECKING:
     import pyarrow
 
 Item = TypeVar("Item")
+Times = npt.NDArray[np.int64]
 
 
 @dataclass(slots=True)
@@ -85,6 +91,19 @@ class Source:
         return self._marks
 
     @cached_property
+    def stamps(self) -> RecordedStamps:
+        """The corrections of stamps that the recording states."""
+        self.check_open()
+        with limits_in_force(self.limits):
+            return RecordedStamps(self.file)
+
+    def blocks(self, channel: ChannelSummary, window: tuple[int, int]) -> Iterator[MessageBlock]:
+        """Yield the messages of a stream in a window (UTC ns), with the corrections of their stamps."""
+        stamps = self.stamps
+        found = self.limited(lambda: self.file.blocks(channel, *window))
+        return (stamps.block(channel, block) for block in found) if stamps else found
+
+    @cached_property
     def decoder(self) -> MessageDecoder:
         """Decodes messages of the ROS types that the file defines."""
         return MessageDecoder(lambda ros_type: self.file.definitions.get(ros_type, ""))
@@ -125,8 +144,18 @@ class Source:
             self._types[ros_type] = definitions.parse_definition(text, ros_type)
         return self._types[ros_type]
 
-    def table(self, channel: ChannelSummary, blocks: Iterable[MessageBlock]) -> pyarrow.Table:
-        """Return the messages of a stream as an Arrow table.  Raises Unavailable without pyarrow."""
+    def stamp_place(self, ros_type: str) -> StampPlace | None:
+        """Return where the messages of a ROS type have their stamp; None without one, or without a definition."""
+        try:
+            return stamp_place(self.types(ros_type), ros_type)
+        except DamagedRecording:
+            return None
+
+    def table(self, channel: ChannelSummary, blocks: Iterable[MessageBlock]) -> tuple[pyarrow.Table, Times]:
+        """Return the messages of a stream as an Arrow table, and the index of the message of each row.
+
+        Raises Unavailable without pyarrow.
+        """
         from igtl_gateway.api import arrow_tables  # pyarrow is an extra
 
         name = channel.stream or channel.topic
@@ -135,7 +164,13 @@ class Source:
             channel.kind, channel.entry_type, name, definitions, self.decoder, unit, self.acceptance
         )
         with limits_in_force(self.limits):
-            return arrow_tables.joined([maker.table(block) for block in blocks])
+            found, rows, count = [], [np.zeros(0, np.int64)], 0
+            for block in blocks:
+                table, reasons, own = maker.table_and_rows(block)
+                found.append((table, reasons))
+                rows.append(own + count)
+                count += len(block)
+            return arrow_tables.joined(found), np.concatenate(rows)
 
     def unit(self, channel: ChannelSummary) -> str:
         """Return the unit of lengths in the messages of a stream."""

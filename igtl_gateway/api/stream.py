@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -20,8 +20,10 @@ from igtl_gateway.api.source import Source
 from igtl_gateway.base.errors import ConfigError, Unavailable
 from igtl_gateway.base.extras import missing
 from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.base.untrusted.limits import limits_in_force
 from igtl_gateway.gateway.acceptance import Acceptance
 from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.log.one_clock import StreamTimes
 from igtl_gateway.record.sessionfile.bulk import MessageBlock
 from igtl_gateway.record.sessionfile.channels import ChannelSummary
 
@@ -33,6 +35,8 @@ Times = npt.NDArray[np.int64]
 
 #: Head of the tables of streams in notebooks.
 STREAM_HEAD = ("stream", "type", "direction", "messages", "first, s", "last, s")
+#: The window of a whole stream.
+_ALWAYS = (0, (1 << 63) - 1)
 #: Characters of a content that ``repr`` shows.
 _SHOWN = 120
 
@@ -139,11 +143,11 @@ class Stream:
 
     def blocks_until_end(self) -> Iterator[MessageBlock]:
         """The messages before the end of the part and those before its start, too: for messages that stay valid."""
-        return self._source.limited(lambda: self._source.file.blocks(self._channel, 0, self._window[1]))
+        return self._source.blocks(self._channel, (0, self._window[1]))
 
     def blocks(self) -> Iterator[MessageBlock]:
         """Yield the messages in blocks of arrays, undecoded: for programs that decode themselves."""
-        return self._source.limited(lambda: self._source.file.blocks(self._channel, *self._window))
+        return self._source.blocks(self._channel, self._window)
 
     @cached_property
     def _heads(self) -> tuple[Times, Times, Times]:
@@ -158,7 +162,7 @@ class Stream:
 
     @property
     def times(self) -> Times:
-        """(N,) int64: gateway time of each message, UTC ns; strictly increasing."""
+        """(N,) int64: gateway time of each message, UTC ns; strictly increasing, of other programs ascending."""
         return self._heads[0]
 
     @property
@@ -170,6 +174,42 @@ class Stream:
     def source_times(self) -> Times:
         """(N,) int64: the sender's stamp of each message, UTC ns; 0 = unset."""
         return self._heads[1]
+
+    @cached_property
+    def stamps(self) -> Times:
+        """(N,) int64: the time of each measurement, UTC ns; 0 = unset.
+
+        It is ``header.stamp`` of ROS messages that begin with a header (of the first element of a list such as
+        TFMessage), otherwise, or if none is set, ``source_times``.
+        """
+        place = None if self._is_igtl else self._source.stamp_place(self.type)
+        if place is None:
+            return self.source_times
+        found = np.concatenate([np.zeros(0, np.int64), *(place.of(block) for block in self.blocks())])
+        found.flags.writeable = False
+        return found if np.any(found) else self.source_times
+
+    @cached_property
+    def stream_times(self) -> StreamTimes:
+        """Its times, as ``one_clock`` joins them with those of other streams; a peer is one sender."""
+        found = self._own_times
+        correction = self._source.stamps.of(self._channel.stream, self.type)
+        if correction is None or self.direction.endswith("_out"):
+            return found
+        # its clock is that of the stream that its lag was measured against
+        for channel in self._source.file.channels:
+            types = {correction.behind_type, channel.entry_type if not correction.behind_type else ""}
+            if channel.kind.is_input and channel.stream == correction.behind_channel and channel.entry_type in types:
+                behind = Stream(self._source, channel, correction.behind, _ALWAYS)
+                return replace(found, behind=behind._own_times)
+        return found
+
+    @property
+    def _own_times(self) -> StreamTimes:
+        self._source.check_open()
+        with limits_in_force(self._source.limits):
+            links = self._source.file.first_links(self._channel)
+        return StreamTimes(self.key, self.times, self.stamps, f"link {links}" if links else "")
 
     @property
     def numbers(self) -> Times:
@@ -274,6 +314,14 @@ class Stream:
         with the names that ``export --to csv`` has.  The metadata of header version 2 is the column ``metadata``, a
         map, if any message has some.  The metadata of a field has its ``unit``.  Messages that cannot be
         decoded have no row; ``schema.metadata[b"left_out"]`` has their number by reason, as JSON.
+
+        Raises:
+            Unavailable: pyarrow is not installed; the extra ``arrow`` installs it.
+        """
+        return self.arrow_and_rows()[0]
+
+    def arrow_and_rows(self) -> tuple[pyarrow.Table, Times]:
+        """Return the table of :meth:`to_arrow`, and for each of its rows the index of the message (N,), int64.
 
         Raises:
             Unavailable: pyarrow is not installed; the extra ``arrow`` installs it.

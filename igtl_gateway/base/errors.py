@@ -40,6 +40,10 @@ class GatewayError(Exception):
     """Base class of all errors that this package raises."""
 
 
+class ClockWarning(UserWarning):
+    """Streams are joined whose clocks are not one: what was corrected, or why their times of receipt are used."""
+
+
 class ConfigError(GatewayError):
     """A setting is missing, unknown or out of range."""
 

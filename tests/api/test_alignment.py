@@ -8,13 +8,15 @@ import struct
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 import pytest
+from mcap.writer import Writer
 
 import igtl_gateway
 from igtl_gateway.api.recording import Recording
-from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.errors import ClockWarning, ConfigError
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.wire.message import Message, encode
@@ -37,9 +39,8 @@ def session(path: Path, rows: list[tuple[int, str, bytes, int]]) -> Recording:
     for number, (time, name, data, source) in enumerate(sorted(rows), 1):
         kind = (Kind.IGTL_IN, "TRANSFORM") if name == POSE else (Kind.ROS_IN, "std_msgs/msg/Float64")
         stamp = 10**18 + time * MS + number
-        writer.write(
-            Entry(number, stamp, kind[0], name, kind[1], (data,), (1,) if name == POSE else (), 10**18 + source * MS)
-        )
+        source_ns = max(10**18 + source * MS, 0)
+        writer.write(Entry(number, stamp, kind[0], name, kind[1], (data,), (1,) if name == POSE else (), source_ns))
     writer.close({})
     return igtl_gateway.open(path)
 
@@ -88,7 +89,7 @@ def test_poses_are_interpolated_and_not_extrapolated(tmp_path: Path) -> None:
     rows += [(time, NUMBER, number(time), time) for time in (-10, 0, 50, 100, 300, 500, 510)]
     with session(tmp_path / "a.mcap", rows) as recording:
         arguments: dict[str, Any] = {"method": "interpolate", "clock": "source"}
-        found = igtl_gateway.align([recording[POSE]], recording[NUMBER], **arguments)
+        found = igtl_gateway.align([recording[POSE]], recording[NUMBER], None, **arguments)
         poses = found.poses(POSE)
         assert np.allclose(poses.positions[1:6, 0], [0, 5, 10, 30, 50], atol=1e-6)
         assert np.allclose(poses.quaternions[1:6, 2], np.sin(np.array([0, 0.5, 1.0, 1.5, 2.0]) / 2), atol=1e-6)
@@ -155,3 +156,65 @@ def test_wrong_arguments_are_errors_in_one_line() -> None:
         for streams, on, more, text in wrong:
             with pytest.raises(ConfigError, match=text):
                 igtl_gateway.align(streams, on, **more)
+
+
+def test_messages_of_one_time_are_told_apart(tmp_path: Path) -> None:
+    """A file of another program may have several messages of a topic at one time; here two, and some are damaged."""
+    path = tmp_path / "bag.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2", "other")
+        schema = writer.register_schema("std_msgs/msg/Float64", "ros2msg", b"float64 data")
+        channels = {topic: writer.register_channel(topic, "cdr", schema) for topic in ("/a", "/b")}
+        for row in range(60):
+            for topic, channel in channels.items():
+                data = number(row)[:7] if topic == "/b" and row % 7 == 3 else number(row)
+                log, publish = 10**18 + row // 2 * 40 * MS, 10**18 + row * 20 * MS + 1000
+                writer.add_message(channel, log, data, publish, row)
+        writer.finish()  # type: ignore[no-untyped-call]
+    with igtl_gateway.open(path) as recording:
+        one, two = recording["/a"], recording["/b"]
+        found = igtl_gateway.align([one, two], on=one)
+        assert (found.clock, found["/b"].rows.tolist()) == ("source", list(range(60)))
+        table = found.to_arrow()
+        expected = [None if row % 7 == 3 else row for row in range(60)]
+        assert (table["/a.data"].to_pylist(), table["/b.data"].to_pylist()) == (list(range(60)), expected)
+        assert two.arrow_and_rows()[1].tolist() == [row for row in range(60) if row % 7 != 3]
+
+
+TRUE_MM_S = 150.0
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_each_pose_is_that_of_its_moment_or_none_or_it_is_reported(tmp_path: Path, seed: int) -> None:
+    """A tool of a peer and numbers of ROS, each with latency, jitter, an offset of its clock, and a gap."""
+    turn = random.Random(seed)
+    late, ahead = (turn.uniform(0, 20), turn.choice([1, 100, 300])), (turn.choice([0, 0, 3000, -3000]), 0)
+    stamped, jitter, gap = turn.random() < 0.8, turn.choice([0, 20]), turn.uniform(500, 2000)
+    rows: list[tuple[float, str, bytes, float]] = []
+    for each in range(151):
+        at = 20.0 * each
+        if not gap < at < gap + 500:
+            rows.append((at, POSE, transform(0.0, TRUE_MM_S * at / 1000), at + ahead[0]))
+    rows += [(50.0 * each, NUMBER, number(50 * each), 50.0 * each) for each in range(60)]
+    sent = []
+    for at, name, data, stamp in rows:
+        arrival = int(10 + at + late[name == NUMBER] + turn.uniform(0, jitter))
+        sent.append((arrival, name, data, int(stamp) if stamped or name == POSE else -(10**12)))
+    with session(tmp_path / "a.mcap", sent) as recording, catch_warnings(record=True) as warned:
+        simplefilter("always")
+        for method in ("nearest", "interpolate"):
+            found = igtl_gateway.align([recording[POSE]], on=recording[NUMBER], method=method)
+            values = [message.content.data for message in recording[NUMBER].messages()]
+            away = np.abs(found.poses(POSE).positions[:, 0] - TRUE_MM_S * np.array(values) / 1000)
+            good = np.isfinite(away)
+            assert good.sum() > 30
+            # a nearest pose is as far away as is stated
+            exact = 0.0 if method == "interpolate" else TRUE_MM_S * np.abs(found[POSE].offsets[good]) / 1e9
+            said = [str(each.message) for each in warned if issubclass(each.category, ClockWarning)]
+            if found.clock == "gateway":
+                assert any("times of receipt" in each for each in said)
+            else:
+                latency = TRUE_MM_S * 0.031 if ahead[0] else 0.0
+                assert (not ahead[0]) or any("corrected by" in each for each in said)
+                assert (away[good] <= exact + latency + 1e-4).all()

@@ -13,7 +13,7 @@ import pytest
 import igtl_gateway
 from igtl_gateway.api.poses import between_poses
 from igtl_gateway.api.transforms import Edge, TransformTree
-from igtl_gateway.base.errors import ConfigError
+from igtl_gateway.base.errors import ClockWarning, ConfigError
 from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -21,6 +21,9 @@ from igtl_gateway.record.sessionfile.writer import SessionWriter
 from tests.places import FIXTURES
 
 Rows = list[list[float]]
+
+MS = 1_000_000
+START = 1_700_000_000 * 10**9
 
 
 def turned(axis: tuple[float, float, float], angle: float, place: tuple[float, float, float]) -> Rows:
@@ -140,3 +143,80 @@ def test_the_tool_of_star_is_found_in_the_camera() -> None:
         expected = np.linalg.inv(camera.matrices[0]) @ tool.matrices[rows]
         assert np.allclose(found, expected, atol=1e-9)  # the camera does not move
         assert {edge.stream for edge in recording.tf.edges} >= {"/star/tool", "TRANSFORM/ToolToBase"}
+
+
+def written(path: Path, rows: list[tuple[int, list[tuple[str, str, float, int]]]]) -> Path:
+    """Messages on /tf: gateway time in ms, and their transforms: parent, child, x in m, stamp in ms (-1: unset)."""
+    writer = SessionWriter(path, {})
+    for number, (at, each) in enumerate(sorted(rows), 1):
+        transforms = tuple(
+            FrameTransform(Header(START + stamp * MS if stamp >= 0 else 0, parent), child, (x, 0, 0, 0, 0, 0, 1))
+            for parent, child, x, stamp in each
+        )
+        data = TFMessage(transforms).pack()
+        writer.write(Entry(number, START + at * MS + number, Kind.ROS_IN, "/tf", TFMessage.TYPE, (data,)))
+    writer.close({})
+    return path
+
+
+def test_nothing_is_interpolated_across_a_change_of_the_parent(tmp_path: Path) -> None:
+    """The tool hangs on the base, is on the arm from 1 s to 2 s, and hangs on the base again; it moves 100 mm/s."""
+    rows = []
+    for at in range(0, 3001, 20):
+        parent, x = ("arm", 0.1 * at / 1000 - 0.5) if 1000 <= at < 2000 else ("base", 0.1 * at / 1000)
+        rows.append((at, [("base", "arm", 0.5, at), (parent, "tool", x, at)]))
+    with igtl_gateway.open(written(tmp_path / "a.mcap", rows)) as recording:
+        times = START + np.arange(0, 3001, 7) * MS
+        found = recording.tf.lookup("base", "tool", times, out_of_range="nan", clock="source")[:, 0, 3]
+        good = np.isfinite(found)
+        assert np.allclose(found[good], 0.1 * (times[good] - START) / 1e9, atol=1e-9)
+        # on the arm the way leads over the arm; between its last pose there and the next one nothing is known
+        missing = (times[~good] - START) // MS
+        assert len(missing) < 8 and all(980 < at < 1000 or 1980 < at < 2000 for at in missing.tolist())
+        with pytest.raises(ConfigError, match="nor with another parent"):
+            recording.tf.lookup("base", "tool", START + 990 * MS, clock="source", max_gap=None)
+
+
+def test_a_gap_has_no_poses_unless_they_are_equal(tmp_path: Path) -> None:
+    rows = [(at, [("base", "tool", 0.001 * at, at), ("base", "table", 4.0, at)]) for at in (0, 100, 200, 700, 800)]
+    with igtl_gateway.open(written(tmp_path / "a.mcap", rows)) as recording:
+        times = START + np.array([50, 300, 650, 750]) * MS
+        found = recording.tf.lookup("base", "tool", times, out_of_range="nan", clock="source")[:, 0, 3]
+        assert np.allclose(found[[0, 3]], [0.05, 0.75]) and np.isnan(found[[1, 2]]).all()
+        found = recording.tf.lookup("base", "tool", times, clock="source", max_gap=0.5)[:, 0, 3]
+        assert np.allclose(found, 0.001 * (times - START) / MS)
+        assert (recording.tf.lookup("base", "table", times, clock="source")[:, 0, 3] == 4.0).all()
+        with pytest.raises(ConfigError, match=r"in no gap above 0\.15 s"):
+            recording.tf.lookup("base", "tool", int(times[1]), clock="source")
+
+
+@pytest.mark.parametrize("ahead_ms", [3000, -3000])
+def test_stamps_of_another_clock_are_corrected_and_it_is_reported(tmp_path: Path, ahead_ms: int) -> None:
+    rows = [(5000 + at, [("base", "tool", 0.0001 * at, 4999 + at + ahead_ms)]) for at in range(0, 3000, 20)]
+    with igtl_gateway.open(written(tmp_path / "a.mcap", rows)) as recording:
+        stream = recording["/tf"]
+        with pytest.warns(ClockWarning, match="corrected by"):
+            found = recording.tf.lookup("base", "tool", stream.times, out_of_range="nan")[:, 0, 3]
+        assert np.allclose(found[:-1], 0.0001 * np.arange(0, 2980, 20), atol=1e-6)
+        # the stream itself has that clock, and so have its stamps
+        for found in (
+            recording.tf.lookup("base", "tool", stream),
+            recording.tf.lookup("base", "tool", stream.stamps, clock="source"),
+        ):
+            assert np.array_equal(found[:, 0, 3], 0.0001 * np.arange(0, 3000, 20))
+
+
+def test_frames_of_two_clocks_have_no_source_clock(tmp_path: Path) -> None:
+    rows = [(at, [("base", "arm", 0.0, at), ("arm", "tool", 0.0, at + 5000)]) for at in range(0, 1000, 20)]
+    with igtl_gateway.open(written(tmp_path / "a.mcap", rows)) as recording:
+        with pytest.raises(ConfigError, match="expected one clock"):
+            recording.tf.lookup("base", "tool", START + 500 * MS, clock="source")
+
+
+def test_frames_without_a_stamp_have_gateway_times(tmp_path: Path) -> None:
+    rows = [(at, [("base", "tool", 0.001 * at, -1 if at == 100 else at + 9000)]) for at in range(0, 500, 20)]
+    with igtl_gateway.open(written(tmp_path / "a.mcap", rows)) as recording:
+        found = recording.tf.lookup("base", "tool", START + 250 * MS)[0, 3]
+        assert found == pytest.approx(0.25, abs=1e-6)
+        with pytest.raises(ConfigError, match="without a stamp"):
+            recording.tf.lookup("base", "tool", START + 250 * MS, clock="source")

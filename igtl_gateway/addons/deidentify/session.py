@@ -20,6 +20,7 @@ from igtl_gateway.addon import (
     Level,
     Note,
     Qos,
+    RecordedStamps,
     Session,
     SessionFile,
     SessionWriter,
@@ -171,7 +172,9 @@ class _Run:
         return last.seq, last.stamp_ns
 
     def _inputs(self) -> Iterator[Entry]:
-        return (entry for entry in self._file.entries() if entry.kind.is_input)
+        # the new session states no corrections: its messages have them
+        stamps = RecordedStamps(self._file)
+        return (stamps.entry(entry) for entry in self._file.entries() if entry.kind.is_input)
 
     def _prologue(self) -> Iterator[Entry]:
         return (entry for entry in self._file.prologue() if entry.kind.is_input)

@@ -1,6 +1,7 @@
 """Export to rosbag2: a directory with one MCAP file and its ``metadata.yaml``, with the ROS topics of a session.
 
-Messages are copied byte for byte with both times.  OpenIGTLink messages and notes are not exported.
+Messages are copied byte for byte with both times; ``header.stamp`` has the corrections that the recording states.
+OpenIGTLink messages and notes are not exported.
 """
 
 from __future__ import annotations

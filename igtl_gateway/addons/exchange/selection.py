@@ -9,7 +9,7 @@ from typing import Protocol
 
 from mcap.records import Attachment, Metadata
 
-from igtl_gateway.addon import Definition, Entry, Kind, Qos, WireError, matches
+from igtl_gateway.addon import Definition, Entry, Kind, Qos, RecordedStamps, WireError, matches
 from igtl_gateway.addon.igtl import HEADER_SIZE, ExtendedHeader, Header
 from igtl_gateway.addons.exchange.account import ExportAccount, ExportedStream
 
@@ -77,8 +77,8 @@ def chosen_entries(
 ) -> Iterator[Entry]:
     """Yield the entries of some kinds whose stream matches a glob; see ``matches_stream``.
 
-    Of a message that was sent in both header versions only the first form is yielded; ``account`` counts the second
-    form as left out.
+    Messages have the stamps that the recording states (``RecordedStamps``).  Of a message that was sent in both header
+    versions only the first form is yielded; ``account`` counts the second form as left out.
 
     Args:
         recording: the session.
@@ -91,7 +91,7 @@ def chosen_entries(
     """
     wanted, fitting = frozenset(kinds), dict[tuple[Kind, str, tuple[int, ...]], bool]()
     by_link = any(_PEER.search(glob) for glob in globs)
-    forms = _VersionFilter()
+    forms, stamps = _VersionFilter(), RecordedStamps(recording)
     for entry in recording.entries():
         if entry.kind.is_input:
             forms = _VersionFilter()
@@ -114,7 +114,7 @@ def chosen_entries(
             if account is not None:
                 account.row(entry).leave_out(REPEATED)
             continue
-        yield entry
+        yield stamps.entry(entry)
 
 
 def count_skipped(recording: Recording, globs: Sequence[str], account: ExportAccount) -> None:

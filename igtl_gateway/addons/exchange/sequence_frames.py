@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from igtl_gateway.addon import (
+    END_NS,
     GAP_NS,
     NS_PER_S,
     Buffer,
@@ -27,6 +28,7 @@ from igtl_gateway.addon import (
     Kind,
     Note,
     OneClock,
+    RecordedStamps,
     StreamTimes,
     UnsupportedRecording,
     between_poses,
@@ -113,7 +115,7 @@ class _Samples:
     def add(self, entry: Entry, row: ExportedStream) -> None:
         self.times.append(entry.stamp_ns)
         self.stamps.append(entry.source_ns)
-        self.sender, self.row = f"link {entry.links}" if entry.links else "", row
+        self.sender, self.row = f"link {entry.links}" if entry.kind is Kind.IGTL_IN else "", row
 
     def stream(self, name: str) -> StreamTimes:
         return StreamTimes(name, np.array(self.times, np.int64), np.array(self.stamps, np.int64), self.sender)
@@ -225,8 +227,17 @@ class SequenceFrames:
         self, images: _Samples, tracked: dict[StreamSource, _Samples], matrices: set[tuple[int, tuple[float, ...]]]
     ) -> SequenceSurvey:
         """Where each transform is at the time of each image, or of each transform without images."""
-        streams = [each.stream(str(source)) for source, each in tracked.items()]
-        own = [images.stream(str(self.images[0]))] if self.images else []
+        known = {**tracked, **dict.fromkeys(self.images, images)}
+        stamps = RecordedStamps(self._recording)
+
+        def stream_of(source: StreamSource) -> StreamTimes:
+            found = known[source].stream(str(source))
+            lag = stamps.of(source.stream, source.stream.partition("/")[0]) if source.kind is Kind.IGTL_IN else None
+            behind = StreamSource(Kind.IGTL_IN, lag.behind_channel, source.link) if lag else None
+            return replace(found, behind=known[behind].stream(str(behind))) if behind in known else found
+
+        streams = [stream_of(source) for source in tracked]
+        own = [stream_of(self.images[0])] if self.images else []
         clock = one_clock([*own, *streams])
         moments = [clock.times(each, number) for number, each in enumerate([*own, *streams])]
         wanted = moments[0] if own else np.unique(np.concatenate(moments))
@@ -307,7 +318,7 @@ def _poses(samples: _Samples, at: Times, wanted: Times, gap_ns: int, what: str) 
     order, at = order[last], at[last]
     matrices = np.array(samples.rows, np.float64).reshape(-1, 4, 4)[order]
     segments = np.array(samples.segments, np.int64)[order]
-    picks = pick(at, wanted, "interpolate", gap_ns=gap_ns, segments=segments)
+    picks = pick(at, wanted, "interpolate", gap_ns=gap_ns, segments=segments, end_ns=END_NS)
     found = np.broadcast_to(np.eye(4), (len(wanted), 4, 4)).copy()
     good = picks.good
     before, after, share = picks.before[good], picks.after[good], picks.share[good]

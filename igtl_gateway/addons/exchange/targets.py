@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from igtl_gateway.addon import GAP_NS
+from igtl_gateway.addon import GAP_NS, RecordedStamps
 from igtl_gateway.addons.exchange.account import ExportAccount
 from igtl_gateway.addons.exchange.csv_out import export_csv
 from igtl_gateway.addons.exchange.rosbag2_out import export_rosbag2
@@ -50,7 +50,7 @@ def export_to(name: str, recording: Recording, out: Path, globs: Sequence[str], 
     target = TARGETS[name]
     account = target.export(recording, out, globs, **({"gap_ns": gap_ns} if target.joins else {}))
     count_skipped(recording, globs, account)
-    account.notes += account.senders.notes()
+    account.notes += [*account.senders.notes(), *RecordedStamps(recording).notes]
     return account
 
 

@@ -122,7 +122,7 @@ def _representation(plan: Plan, name: str) -> str:
 
 def _approach(plan: Plan) -> Iterator[str]:
     clock = {
-        "source": "the stamps of the senders (every message has one)",
+        "source": "the stamps of the senders (`header.stamp` of ROS; every message has one)",
         "gateway": "the times at which the gateway received the messages, so delays of transport are part of them",
     }[plan.clock]
     yield f"Frames are {plan.recipe.fps} per second, on {clock}. A frame is the state of all streams at one moment:"
@@ -134,6 +134,8 @@ def _approach(plan: Plan) -> Iterator[str]:
     yield ""
     yield "An episode ends where a stream has a gap above its tolerance, unless the recipe holds the last sample."
     yield ""
+    for note in plan.joined.notes:
+        yield from (_cell(f"Note: {note}."), "")
 
 
 def _synchronization(plan: Plan, streams: list[Facts]) -> Iterator[str]:

@@ -10,7 +10,7 @@ import numpy as np
 from igtl_gateway.addon import NS_PER_MS, NS_PER_S, GatewayError, Recording
 from igtl_gateway.addons.lerobot.frames import Plan
 from igtl_gateway.addons.lerobot.resampling import coverage
-from igtl_gateway.addons.lerobot.samples import Samples, signal_of
+from igtl_gateway.addons.lerobot.samples import Samples, signal_of, stamps_of
 from igtl_gateway.addons.sync.lag import Lag, measure_lag
 from igtl_gateway.addons.sync.signal import Signal
 
@@ -110,4 +110,5 @@ def _lags(recording: Recording, plan: Plan, rows: list[tuple[int, Samples]]) -> 
 
 
 def _signal(recording: Recording, plan: Plan, samples: Samples) -> Signal:
-    return signal_of(recording[samples.row.stream], plan.clock, samples.row.frame, samples.pictures)
+    stream = recording[samples.row.stream]
+    return signal_of(stream, stamps_of(stream, samples.row, plan.joined), samples.row.frame, samples.pictures)

@@ -14,7 +14,7 @@ from igtl_gateway.addons.lerobot.pictures import Pictures, first_pixels, has_pic
 from igtl_gateway.addons.lerobot.recipe import ACTION, IMAGES, STATE, Feature, Recipe
 from igtl_gateway.addons.lerobot.recipe_file import toml_value
 from igtl_gateway.addons.lerobot.resampling import common, coverage, frame_count
-from igtl_gateway.addons.lerobot.samples import Samples, clock_of, read_samples
+from igtl_gateway.addons.lerobot.samples import JoinedStreams, Samples, read_samples
 
 #: Words in the names of streams that carry commands (CRTK, and usual names).
 _COMMANDS = re.compile(r"(^|[/_])(servo|move|setpoint|goal|cmd|command|target)(_|/|$)", re.IGNORECASE)
@@ -43,12 +43,12 @@ def draft(recording: Recording) -> str:
     streams = [each for each in recording.streams.values() if each.direction.endswith("_in")]
     streams = streams or list(recording.streams.values())
     good = [each for each in streams if len(each)]
-    clock = clock_of(good, "auto") if good else "gateway"
+    joined = JoinedStreams(good, "auto")
     chosen, left_out = list[_Candidate](), list[str]()
     covered: list[tuple[int, int]] = []
     taken: set[str] = set()
     # the state first: without it there is no data set
-    candidates = list(_candidates(recording, good, clock, left_out))
+    candidates = list(_candidates(recording, good, joined, left_out))
     for candidate in sorted(candidates, key=lambda each: (_order(each), -_length(coverage(each.samples)))):
         has = coverage(candidate.samples)
         both = common(covered, has) if chosen else has
@@ -84,15 +84,17 @@ def _frames(intervals: list[tuple[int, int]], fps: int) -> bool:
     return any(frame_count(start, min(end, 1 << 62), fps) > Recipe(fps, "").min_frames for start, end in intervals)
 
 
-def _candidates(recording: Recording, streams: list[Stream], clock: str, left_out: list[str]) -> Iterator[_Candidate]:
+def _candidates(
+    recording: Recording, streams: list[Stream], joined: JoinedStreams, left_out: list[str]
+) -> Iterator[_Candidate]:
     for stream in streams:
         try:
             stream.key.encode()
             feature = _feature(stream)
             if feature is None:
                 continue
-            usual = _with_tolerance(feature, read_samples(recording, feature, clock, stream.key), stream)
-            yield _Candidate(usual, read_samples(recording, usual, clock, stream.key))
+            usual = _with_tolerance(feature, read_samples(recording, feature, joined, stream.key), stream)
+            yield _Candidate(usual, read_samples(recording, usual, joined, stream.key))
         except (GatewayError, UnicodeEncodeError) as error:
             text = str(error)
             left_out.append(text if stream.key in text else f"{stream.key}: {text}")

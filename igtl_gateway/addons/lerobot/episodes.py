@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from igtl_gateway.addon import NS_PER_S, ConfigError, Recording, matches
 from igtl_gateway.addons.lerobot.recipe import Cuts, Recipe
-from igtl_gateway.addons.lerobot.samples import columns_of, stream_of, times_of
+from igtl_gateway.addons.lerobot.samples import JoinedStreams, columns_of, stream_of
 
 Times = npt.NDArray[np.int64]
 
@@ -37,19 +37,18 @@ class Event:
     text: str
 
 
-def spans_of(recording: Recording, recipe: Recipe, clock: str, offset_ns: int) -> list[Span]:
+def spans_of(recording: Recording, recipe: Recipe, joined: JoinedStreams) -> list[Span]:
     """Return the parts that may become episodes, in the order of time; ranges in that of the recipe.
 
     Args:
         recording: the recording.
         recipe: the recipe.
-        clock: of the data set.
-        offset_ns: gateway time minus the clock of the data set, for events that have gateway times only.
+        joined: its streams on the clock of the data set.
 
     Raises:
         ConfigError: the recording has not what the recipe names.
     """
-    cuts = recipe.episodes
+    cuts, offset_ns = recipe.episodes, joined.offset_ns
     match cuts.by:
         case "whole":
             return [Span(*_ALWAYS, recipe.task)]
@@ -61,14 +60,14 @@ def spans_of(recording: Recording, recipe: Recipe, clock: str, offset_ns: int) -
                 for each in cuts.range
             ]  # fmt: skip
         case "markers":
-            return _between(_markers(recording, cuts, clock, offset_ns), recipe, f"strings of {cuts.stream}")
+            return _between(_markers(recording, cuts, joined), recipe, f"strings of {cuts.stream}")
         case "notes":
             notes = [Event(each.time - offset_ns, each.text) for each in recording.notes]
             return _between(notes, recipe, "notes")
         case "marks":
             return _phases(recording, recipe, offset_ns)
     stream = stream_of(recording, cuts.stream, "episodes.stream")
-    times = np.sort(times_of(stream, clock))
+    times = np.sort(joined.times(stream))
     if cuts.by == "gap":
         ends = np.flatnonzero(np.diff(times) > round(cuts.pause_s * NS_PER_S))
         firsts, lasts = np.concatenate([[0], ends + 1]), np.concatenate([ends, [len(times) - 1]])
@@ -77,7 +76,7 @@ def spans_of(recording: Recording, recipe: Recipe, clock: str, offset_ns: int) -
         poses = stream.poses().in_unit("m")
     except ConfigError as error:
         raise ConfigError(f"episodes.stream: {error}") from None
-    own = poses.source_times if clock == "source" else poses.times
+    own = joined.times(stream)[poses.rows]
     return [Span(*each, recipe.task) for each in moving(own, poses.positions, cuts.pause_s, cuts.still_mm / 1e3)]
 
 
@@ -103,15 +102,13 @@ def moving(times: Times, positions: npt.NDArray[Any], pause_s: float, still_m: f
     return found
 
 
-def _markers(recording: Recording, cuts: Cuts, clock: str, offset_ns: int) -> list[Event]:
+def _markers(recording: Recording, cuts: Cuts, joined: JoinedStreams) -> list[Event]:
     stream = stream_of(recording, cuts.stream, "episodes.stream")
-    table = stream.to_arrow()
+    table, rows = stream.arrow_and_rows()
     texts = [name for name in ("string", "data") if name in columns_of(stream)]
     if not texts:
         raise ConfigError(f"episodes.stream: found {stream.type} in {stream.key}, expected STRING or std_msgs/String")
-    rows = np.searchsorted(stream.times, table["time_ns"].to_numpy())
-    sources, gateway = stream.source_times[rows], stream.times[rows] - offset_ns
-    times = np.where(sources > 0, sources, gateway) if clock == "source" else gateway
+    times = joined.times(stream)[rows]
     found = [Event(int(at), text) for at, text in zip(times, table[texts[0]].to_pylist(), strict=True) if text]
     return sorted(found, key=lambda each: each.time_ns)
 

@@ -12,7 +12,7 @@ from igtl_gateway.addon import ConfigError, GatewayError, Recording, check_limit
 from igtl_gateway.addons.lerobot.episodes import Span, longest, parts_of, spans_of
 from igtl_gateway.addons.lerobot.recipe import Feature, Recipe
 from igtl_gateway.addons.lerobot.resampling import Picks, common, coverage, frame_count, moments, pick
-from igtl_gateway.addons.lerobot.samples import Samples, clock_of, read_samples, stream_of
+from igtl_gateway.addons.lerobot.samples import JoinedStreams, Samples, read_samples, stream_of
 from igtl_gateway.addons.lerobot.splits import splits_of
 
 Array = npt.NDArray[Any]
@@ -50,8 +50,7 @@ class Plan:
 
     Attributes:
         recipe: the recipe.
-        clock: ``source`` or ``gateway``.
-        offset_ns: gateway time minus that clock, median.
+        joined: the streams on one clock.
         samples: for each row of the recipe; None for the next value of another feature.
         episodes: the episodes.
         left_out: reason → frames that are in no episode.
@@ -60,13 +59,17 @@ class Plan:
     """
 
     recipe: Recipe
-    clock: str
-    offset_ns: int
+    joined: JoinedStreams
     samples: list[Samples | None]
     episodes: list[Episode] = field(default_factory=list)
     left_out: dict[str, int] = field(default_factory=dict)
     demonstrations: int = 0
     splits: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def clock(self) -> str:
+        """``source`` or ``gateway``."""
+        return self.joined.clock
 
     @property
     def frame_count(self) -> int:
@@ -159,13 +162,13 @@ def build(recording: Recording, recipe: Recipe) -> Plan:
     """
     rows = [(number, row) for number, row in enumerate(recipe.features) if not row.next_of]
     streams = [stream_of(recording, row.stream, f"feature[{number}].stream") for number, row in rows]
-    clock = clock_of(streams, recipe.clock)
-    stamped = [each.times - each.source_times for each in streams if clock == "source"]
-    offset_ns = int(np.median(np.concatenate(stamped))) if stamped else 0
+    events = {recipe.episodes.stream, *(row.against for _, row in rows)} - {""}
+    others = [recording[name] for name in sorted(events) if name in recording]
+    joined = JoinedStreams(streams, recipe.clock, others)
     samples: list[Samples | None] = [None] * len(recipe.features)
     for number, row in rows:
-        samples[number] = read_samples(recording, row, clock, f"feature[{number}]")
-    plan = Plan(recipe, clock, offset_ns, samples)
+        samples[number] = read_samples(recording, row, joined, f"feature[{number}]")
+    plan = Plan(recipe, joined, samples)
     _check_kinds(plan)
     found = [each for each in samples if each is not None]
     covered = coverage(found[0])
@@ -174,7 +177,7 @@ def build(recording: Recording, recipe: Recipe) -> Plan:
     # a sample that is valid forever ends with the last sample of any stream
     last = max(int(each.times[-1]) for each in found)
     covered = [(start, min(end, last)) for start, end in covered if start <= last]
-    for span in spans_of(recording, recipe, clock, offset_ns):
+    for span in spans_of(recording, recipe, joined):
         _add(plan, span, covered)
         plan.demonstrations += 1
     if not plan.episodes:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import NS_PER_S
+from igtl_gateway.addon import NS_PER_S, joining
 from igtl_gateway.addons.lerobot.samples import Samples
 
 Array = npt.NDArray[Any]
@@ -91,23 +91,16 @@ def common(one: list[tuple[int, int]], two: list[tuple[int, int]]) -> list[tuple
 
 def pick(samples: Samples, wanted: Times) -> Picks:
     """Return the samples for moments inside of the coverage."""
-    times, rule, most = samples.times, samples.row.rule, tolerance_ns(samples)
-    count = len(times)
-    at = np.clip(np.searchsorted(times, wanted, side="right") - 1, 0, count - 1)
-    following = np.clip(at + 1, 0, count - 1)
-    back, ahead = wanted - times[at], times[following] - wanted
-    nobody = np.zeros(len(wanted), np.bool_)
-    none = np.zeros(len(wanted))
+    rule, most = samples.row.rule, tolerance_ns(samples)
+    last = joining.pick(samples.times, wanted, "hold").before
     if rule == "hold":
-        return Picks(at, at, none, back > most)
-    if rule == "nearest":
-        # the earlier one of two; past the end there is no later one
-        chosen = np.where((ahead < back) & (following > at), following, at)
-        held = (np.minimum(back, np.where(following > at, ahead, back)) > most) if most < _NEVER else nobody
-        chosen = np.where(held, at, chosen)
-        return Picks(chosen, chosen, none, held)
-    gap = times[following] - times[at]
-    held = (gap > most) & (back > 0)
-    share = np.where((gap > 0) & ~held, back / np.maximum(gap, 1), 0.0)
-    after = np.where(share > 0, following, at)
-    return Picks(at, after, share, held)
+        found = joining.pick(samples.times, wanted, "hold", most_ns=most)
+    elif rule == "nearest":
+        found = joining.pick(samples.times, wanted, "nearest", most_ns=most)
+    else:
+        found = joining.pick(samples.times, wanted, "interpolate", gap_ns=most)
+    # beyond the tolerance the last sample is held, which only ``fill = "hold"`` allows
+    good, held = found.good, ~found.good
+    share = np.where(good, found.share, 0.0)
+    before = np.where(good, found.before, last)
+    return Picks(before, np.where(share > 0, found.after, before), share, held)

@@ -15,18 +15,19 @@ from igtl_gateway.addon import (
     ConfigError,
     GatewayError,
     Recording,
+    StampCorrection,
     Stream,
+    between_poses,
     by_name,
     completed,
+    one_clock,
     quaternions_of,
 )
 from igtl_gateway.addons.lerobot.pictures import Pictures, has_pictures
 from igtl_gateway.addons.lerobot.recipe import Feature
-from igtl_gateway.addons.sync.correction import StampCorrection
 from igtl_gateway.addons.sync.lag import Lag, Verdict, measure_lag
 from igtl_gateway.addons.sync.lags import POSES_BY_NAME, movement, picture_components
 from igtl_gateway.addons.sync.signal import Signal
-from igtl_gateway.api.poses import between_poses
 
 Array = npt.NDArray[Any]
 Times = npt.NDArray[np.int64]
@@ -121,24 +122,54 @@ def stream_of(recording: Recording, key: str, place: str) -> Stream:
     return stream
 
 
-def clock_of(streams: Sequence[Stream], wanted: str) -> str:
-    """Return the clock of the data set, ``source`` or ``gateway``.  Raises ConfigError."""
-    without = [each.key for each in streams if not np.all(each.source_times > 0)]
-    if wanted == "source" and without:
-        raise ConfigError(f"dataset.clock: found messages without a source stamp in {without[0]}, expected none")
-    return "gateway" if wanted == "gateway" or without else "source"
+class JoinedStreams:
+    """Streams on the one clock of a data set.
+
+    Args:
+        streams: those of the features.
+        wanted: ``auto``, ``source`` or ``gateway``.
+        others: streams of events; where they fit, they have this clock, otherwise their gateway times are moved to it.
+
+    Attributes:
+        clock: ``source`` or ``gateway``.
+        notes: what was corrected, or is assumed.
+        offset_ns: gateway time minus the clock: the least age of the streams.
+
+    Raises ConfigError: ``source``, and a message of a feature has no stamp.
+    """
+
+    def __init__(self, streams: Sequence[Stream], wanted: str, others: Sequence[Stream] = ()) -> None:
+        every = list({each.key: each for each in streams}.values())
+        try:
+            one = one_clock([each.stream_times for each in every], wanted)
+        except ConfigError as error:
+            raise ConfigError(f"dataset.{error}") from None
+        for other in others:
+            if other.key not in {each.key for each in every} and one.name == "source":
+                more = one_clock([*(each.stream_times for each in every), other.stream_times])
+                if more.name == "source":
+                    one, every = more, [*every, other]
+        self._one, self._places = one, {each.key: number for number, each in enumerate(every)}
+        self.clock, self.notes = one.name, one.notes
+        ages = [int((each.times - self.times(each)).min()) for each in every if len(each.times)]
+        self.offset_ns = min(ages, default=0) if self.clock == "source" else 0
+
+    def times(self, stream: Stream, stamps: Times | None = None) -> Times:
+        """Return the times of the messages of a stream (N,) int64, ns; ``stamps``: others than those of the stream."""
+        place = self._places.get(stream.key)
+        if place is None:
+            return stream.times - self.offset_ns
+        if stamps is not None and self.clock == "source":
+            return stamps + self._one.shifts[place]
+        return self._one.times(stream.stream_times, place)
 
 
-def times_of(stream: Stream, clock: str) -> Times:
-    """Return the times of the messages on a clock, (N,) int64, ns."""
-    return stream.source_times if clock == "source" else stream.times
-
-
-def read_samples(recording: Recording, row: Feature, clock: str, place: str) -> Samples:
+def read_samples(recording: Recording, row: Feature, joined: JoinedStreams, place: str) -> Samples:
     """Return the samples of a row of the recipe.  Raises ConfigError with ``place``."""
     stream = stream_of(recording, row.stream, place)
     try:
         kind, rows, values, names, pictures = _values(stream, row)
+        stamps = stamps_of(stream, row, joined)
     except ConfigError as error:
         raise ConfigError(f"{place}: {error}") from None
     rule = row.rule or {"pose": "interpolate", "picture": "nearest"}.get(kind, "hold")
@@ -149,9 +180,8 @@ def read_samples(recording: Recording, row: Feature, clock: str, place: str) -> 
     if not len(rows):
         raise ConfigError(f"{place}: found no usable value in {len(stream):,} messages of {row.stream}, expected one")
     names = _named(names, row, place)
-    stamps = times_of(stream, clock)
-    lag, correction = _correction(recording, stream, row, clock, place, pictures)
-    every = stamps if correction is None else np.array([correction.corrected_ns(int(at)) for at in stamps], np.int64)
+    lag, correction = _correction(recording, stream, row, joined, place, pictures)
+    every = stamps if correction is None else correction.corrected(stamps)
     disordered = int(np.sum(stamps[1:] < stamps[:-1]))
     order = np.argsort(every[rows], kind="stable")
     times = every[rows][order]
@@ -164,6 +194,17 @@ def read_samples(recording: Recording, row: Feature, clock: str, place: str) -> 
         np.array(chosen, object) if kind == "text" else chosen, names, len(stream), len(stream) - len(rows),
         len(rows) - len(kept), disordered, pictures, correction, lag,
     )  # fmt: skip
+
+
+def stamps_of(stream: Stream, row: Feature, joined: JoinedStreams) -> Times:
+    """Return the times of messages (N,), ns; of a topic with poses of several frames, those in the header of one."""
+    if not row.frame:
+        return joined.times(stream)
+    poses = stream.poses(row.frame)
+    stamps = stream.stamps.copy()
+    if np.all(poses.stamps > 0):
+        stamps[poses.rows] = poses.stamps
+    return joined.times(stream, stamps)
 
 
 def _named(names: tuple[str, ...], row: Feature, place: str) -> tuple[str, ...]:
@@ -199,8 +240,7 @@ def _poses(stream: Stream, row: Feature) -> tuple[str, Array, Any, tuple[str, ..
         raise ConfigError(f"{error}; or fields = […] of {', '.join(columns_of(stream)) or 'no column'}") from None
     numbers = np.concatenate([poses.matrices.reshape(-1, 16), poses.quaternions], axis=1)
     good = _finite_float32(numbers)
-    rows = np.searchsorted(stream.times, poses.times)[good]
-    return "pose", rows, poses.matrices[good], _AXES + _ORIENTATION_NAMES[row.orientation], None
+    return "pose", poses.rows[good], poses.matrices[good], _AXES + _ORIENTATION_NAMES[row.orientation], None
 
 
 def columns_of(stream: Stream) -> list[str]:
@@ -239,13 +279,12 @@ def _columns(stream: Stream, fields: Sequence[str], row: Feature) -> tuple[str, 
     """The numbers in columns of the table of the stream, or the text in one."""
     import pyarrow as pa
 
-    table = stream.to_arrow()
+    table, rows = stream.arrow_and_rows()
     known = _value_columns(table)
     for name in fields:
         if name not in known:
             raise ConfigError(f"fields: found {name!r}, expected columns of {stream.key}: {', '.join(known)}")
     _check_lengths(table, fields)
-    rows = np.searchsorted(stream.times, table["time_ns"].to_numpy())
     if any(pa.types.is_string(table[name].type) for name in fields):
         if len(fields) > 1:
             raise ConfigError(f"fields: found {len(fields)} columns with a string, expected one")
@@ -304,19 +343,19 @@ def _by_name(
         return None
     if len(found.names) > MAX_NUMBERS:
         raise ConfigError(f"fields: found {len(found.names):,} names, expected at most {MAX_NUMBERS:,}")
-    sources = stream.source_times[rows]
+    sources = stream.stamps[rows]
     times = sources if np.all(sources > 0) else stream.times[rows]
     most_ns = (1 << 62) - 1 if row.tolerance_ms is None else round(row.tolerance_ms * 1e6)
     names = tuple(each if each.isprintable() else repr(each) for each in found.names)
     return names, completed(found, times, row.rule or "hold", most_ns)
 
 
-def signal_of(stream: Stream, clock: str, frame: str = "", pictures: Pictures | None = None) -> Signal:
-    """Return what moves in a stream, on a clock, with the recorded stamps.
+def signal_of(stream: Stream, at: Times, frame: str = "", pictures: Pictures | None = None) -> Signal:
+    """Return what moves in a stream.
 
     Args:
         stream: the stream.
-        clock: ``source`` or ``gateway``.
+        at: (N,) int64, times of its messages, ns.
         frame: of streams with several poses.
         pictures: the pictures of the stream, if they are read already.
 
@@ -326,16 +365,12 @@ def signal_of(stream: Stream, clock: str, frame: str = "", pictures: Pictures | 
     if has_pictures(stream):
         pictures = pictures or Pictures(stream)
         grey = (pictures.rgb(int(index)).mean(axis=2) for index in pictures.usable)
-        return Signal.of(times_of(stream, clock)[pictures.usable], picture_components(grey), stream.key)
-    found = movement(stream, frame=frame)
-    # of the stream's own choice of clock: back to the messages, and to the times on the wanted clock
-    own = stream.source_times if bool(np.all(stream.source_times)) else stream.times
-    by_time = dict(zip(own.tolist(), times_of(stream, clock).tolist(), strict=True))
-    return Signal.of([by_time[at] for at in found.times_ns.tolist()], found.values, found.name, found.unit)
+        return Signal.of(at[pictures.usable], picture_components(grey), stream.key)
+    return movement(stream, frame=frame, at=at)
 
 
 def _correction(
-    recording: Recording, stream: Stream, row: Feature, clock: str, place: str, pictures: Pictures | None
+    recording: Recording, stream: Stream, row: Feature, joined: JoinedStreams, place: str, pictures: Pictures | None
 ) -> tuple[Lag | None, StampCorrection | None]:
     if row.lag_ms:
         lag_ns = round(row.lag_ms * 1e6)
@@ -344,7 +379,8 @@ def _correction(
         return None, None
     other = stream_of(recording, row.against, f"{place}.against")
     try:
-        lag = measure_lag(signal_of(other, clock), signal_of(stream, clock, row.frame, pictures))
+        own = stamps_of(stream, row, joined)
+        lag = measure_lag(signal_of(other, joined.times(other)), signal_of(stream, own, row.frame, pictures))
     except GatewayError as error:
         raise ConfigError(f"{place}.lag: {error}") from None
     if lag.verdict is not Verdict.MEASURED:

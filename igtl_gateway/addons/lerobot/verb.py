@@ -131,6 +131,7 @@ def _export(options: argparse.Namespace) -> int:
             {
                 "file": str(options.file), "to": LEROBOT, "out": str(options.output), "format": plan.recipe.format,
                 "clock": plan.clock, "episodes": len(plan.episodes), "frames": plan.frame_count, "files": done.files,
+                "notes": plan.joined.notes,
                 "demonstrations": plan.demonstrations, "empty": plan.empty, "cuts": plan.cuts, "splits": plan.splits,
                 "left_out": plan.left_out, "streams": facts,
             }
@@ -139,6 +140,8 @@ def _export(options: argparse.Namespace) -> int:
     names = ("feature", "stream", "rule", "messages", "unusable", "used", "interpolated", "held")
     rows = [names, *(tuple(_cell(each[name]) for name in names) for each in facts)]
     print_line(*aligned(rows, left=3))
+    for note in plan.joined.notes:
+        print_line(f"note: {note}")
     for why, number in plan.left_out.items():
         print_line(f"note: {count_text(number, 'frame')} left out: {why}")
     if plan.empty:

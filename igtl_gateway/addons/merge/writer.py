@@ -107,7 +107,8 @@ def _write(mcap: McapStream, parts: Sequence[MergedPart]) -> int:
             time_ns,
             b"",
             memoryview(data)[start:end],
-            time_ns if publish_ns == log_ns else publish_ns,
+            # the age of a message stays: a sender has the clock of its recorder, or one of its own
+            time_ns if publish_ns == log_ns else _moved(publish_ns, time_ns - log_ns),
             count % SEQUENCES,
         )
         if len(part.numbers) == merged.NUMBERS:
@@ -117,6 +118,12 @@ def _write(mcap: McapStream, parts: Sequence[MergedPart]) -> int:
         if part.numbers:
             _put_numbers(mcap, part)
     return count
+
+
+def _moved(stamp_ns: int, by_ns: int) -> int:
+    """A source stamp on the clock of the reference; one that leaves all calendars stays where it is."""
+    moved_ns = stamp_ns + by_ns
+    return moved_ns if 0 < moved_ns < _MOST_NS else stamp_ns
 
 
 def _timed(part: MergedPart, index: int) -> Iterator[tuple[int, int, Schema | None, Channel, Row]]:

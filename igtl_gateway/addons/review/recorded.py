@@ -7,7 +7,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from igtl_gateway.addon import ConfigError, GatewayError, Mark, SessionFile, config_to_run, marks_of, scale, with_state
+from igtl_gateway.addon import (
+    ConfigError,
+    GatewayError,
+    Mark,
+    RecordedStamps,
+    SessionFile,
+    config_to_run,
+    marks_of,
+    scale,
+    with_state,
+)
 from igtl_gateway.addons.review import Material, Review, StitchReview, Thresholds, review_of
 from igtl_gateway.addons.review.material import CLOUDS
 from igtl_gateway.addons.review.model import option
@@ -36,8 +46,9 @@ def review_session(file: SessionFile, selection: ReviewSelection, thresholds: Th
     """Return the review of an open recording; see `review_recording`."""
     unit_m = scale(config_to_run(file.session).ros_unit, "m")
     material = Material(selection.plan, selection.cloud, selection.tool, selection.clouds, unit_m)
+    stamps = RecordedStamps(file)
     for entry in with_state(file).entries():
-        material.take(entry)
+        material.take(stamps.entry(entry))
     try:
         return named_by_marks(review_of(material, thresholds), marks_of(file))
     except ConfigError:

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from igtl_gateway.addon import (
+    CORRECTIONS,
     IMPORTED,
     GatewayError,
     Qos,
+    RecordedStamps,
     SessionFile,
     SessionWriter,
+    StampCorrection,
     UnsupportedRecording,
     __version__,
     layout,
     verify_recording,
     written,
 )
-from igtl_gateway.addons.sync.correction import StampCorrection, corrected
+from igtl_gateway.addons.sync.correction import corrected
 
 
 def write_corrected(
@@ -50,7 +55,9 @@ def write_corrected(
             def qos_of(topic: str, ros_type: str) -> Qos | None:
                 return qos.get((topic, ros_type))
 
-            facts = {**file.session, "corrected_by": __version__}
+            known = together(RecordedStamps(file).corrections, corrections)
+            stated = json.dumps([each.facts() for each in known.values()], sort_keys=True)
+            facts = {**file.session, "corrected_by": __version__, CORRECTIONS: stated}
             writer = SessionWriter(place, facts, qos_of=qos_of, definition_of=file.definition_of, compression="zstd")
             for each in file.beside():
                 writer.add_beside(each)
@@ -63,3 +70,27 @@ def write_corrected(
             raise GatewayError(f"{names}: found outputs that depend on the source stamps, expected none")
         check(place)
         return has_outputs
+
+
+def together(
+    before: Mapping[tuple[str, str], StampCorrection], new: Mapping[tuple[str, str], StampCorrection]
+) -> dict[tuple[str, str], StampCorrection]:
+    """Return the corrections of a session with new ones: of a stream that has one, the sum.
+
+    Raises:
+        GatewayError: there is no sum: one has a skew, or is of another frame.
+    """
+    found = dict(before)
+    for (channel, type_name), each in new.items():
+        old = found.pop((channel, type_name), None) or found.pop((channel, ""), None)
+        if old is not None and (old.frame != each.frame or ((old.skew_ppm or each.skew_ppm) and old.is_stamped)):
+            raise GatewayError(
+                f"{each.stream}: found it corrected already ({old.text()}), expected the recording before that"
+            )
+        found[channel, type_name] = each if old is None else _sum(old, each)
+    return found
+
+
+def _sum(old: StampCorrection, new: StampCorrection) -> StampCorrection:
+    lags = {name: getattr(new, name) + old.lag_ns for name in ("lag_ns", "low_ns", "high_ns")}
+    return replace(new, **lags, is_stamped=old.is_stamped)

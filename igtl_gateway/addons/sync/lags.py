@@ -9,7 +9,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import NAME_FIELDS, NS_PER_S, ConfigError, GatewayError, Kind, Stream, by_name, completed
+from igtl_gateway.addon import (
+    NAME_FIELDS,
+    NS_PER_S,
+    ConfigError,
+    GatewayError,
+    Kind,
+    RecordedMessage,
+    Stream,
+    by_name,
+    completed,
+    frames_of,
+)
 from igtl_gateway.addon.ros import Image as RosImage
 from igtl_gateway.addon.ros import Marker, PointCloud2, PointList, PointStamped, TFMessage, Volume
 from igtl_gateway.addons.sync.defaults import CUT_OFF_HZ
@@ -21,7 +32,8 @@ from igtl_gateway.addons.sync.signal import LARGEST, Signal, moves
 Array = npt.NDArray[Any]
 
 #: Types with several poses, of which ``frame`` chooses one.
-POSES_BY_NAME = frozenset({"TDATA", "QTDATA", TFMessage.TYPE})
+TRACKING = frozenset({"TDATA", "QTDATA"})
+POSES_BY_NAME = TRACKING | {TFMessage.TYPE}
 
 #: Rows and columns of the picture that the movement in images is found in.
 _THUMBNAIL = 32
@@ -49,7 +61,7 @@ def lag(
 ) -> Lag:
     """Return how late the stamps of ``moving`` are relative to those of ``fixed``, from what moves in both.
 
-    The stamps are those of the senders, or gateway times for a stream in which a message has no stamp.
+    The stamps are those of the senders (``Stream.stamps``), or gateway times for a stream in which a message has none.
 
     Several pairs of streams of the same two clocks have one lag: ``lag([jaw, insertion], [seen_jaw, seen_insertion])``.
     A periodic movement offers lags a period apart, one that is not periodic chooses, and both refine.
@@ -86,8 +98,10 @@ def lag(
     return measure_together(pairs, max_lag_s=max_lag_s, cut_off_hz=cut_off_hz)
 
 
-def movement(stream: Stream, *, frame: str = "", line: bool = False, arrival: bool = False) -> Signal:
-    """Return what moves in a stream, at the stamps of its sender, or at gateway times if a message has no stamp.
+def movement(
+    stream: Stream, *, frame: str = "", line: bool = False, arrival: bool = False, at: Array | None = None
+) -> Signal:
+    """Return what moves in a stream, at its stamps (``Stream.stamps``), or at gateway times if a message has none.
 
     Of poses it is the translation (and the rotation, times 0.1 m); of images their first principal components, or the
     height of a bright line; of point clouds the centroid; of joint states, sensors and arrays the numbers.
@@ -97,6 +111,7 @@ def movement(stream: Stream, *, frame: str = "", line: bool = False, arrival: bo
         frame: as of ``Stream.poses``.
         line: follow the bright line in images.
         arrival: at gateway times instead of the sender's stamps.
+        at: (N,) int64, times of the messages, UTC ns, instead of both.
 
     Raises:
         ConfigError: it has nothing that could move.
@@ -104,11 +119,14 @@ def movement(stream: Stream, *, frame: str = "", line: bool = False, arrival: bo
     for types, read in _READERS:
         if types & {stream.type}:
             values, unit = read(stream, line)
+            rows, stamps = np.arange(len(stream.times)), stream.stamps
             break
     else:
-        values, unit = _of_poses(stream, frame)
-    is_stamped = not arrival and len(stream) > 0 and bool(np.all(stream.source_times))
-    times = stream.source_times if is_stamped else stream.times
+        rows, stamps, values, unit = _of_poses(stream, frame)
+    if at is not None:
+        return Signal.of(at[rows], values, stream.key, unit)
+    is_stamped = not arrival and len(stream) > 0 and bool(np.all(stamps))
+    times = stamps if is_stamped else stream.times[rows]
     return Signal.of(times, values, stream.key, unit, is_stamped=is_stamped)
 
 
@@ -142,17 +160,24 @@ def movements(
     return sorted(found, key=lambda signal: (not moves(signal), -len(signal.times_ns)))
 
 
-def _of_poses(stream: Stream, frame: str) -> tuple[Array, str]:
+def _of_poses(stream: Stream, frame: str) -> tuple[Array, Array, Array, str]:
+    """Indices of the messages, their stamps, and the poses or the numbers in them."""
     try:
         poses = stream.poses(frame).in_unit("m")
     except ConfigError:
         if frame or stream.type in POSES_BY_NAME:
             raise
-        return _of_numbers(stream), ""
+        return np.arange(len(stream.times)), stream.stamps, _of_numbers(stream), ""
     turned = _rotation_vectors(poses.matrices[:, :3, :3]) * _TOOL_M
-    values = np.full((len(stream), 6), np.nan)
-    values[np.isin(stream.times, poses.times)] = np.concatenate([poses.positions, turned], axis=1)
-    return values, "m"
+    # of several frames, each has the stamp of its own header
+    stamps = poses.stamps if frame and np.any(poses.stamps) else stream.stamps[poses.rows]
+    return poses.rows, stamps, np.concatenate([poses.positions, turned], axis=1), "m"
+
+
+def tools(message: RecordedMessage) -> list[str]:
+    """Return the names of the tools in tracking data."""
+    names = [bytes(element["name"]).partition(b"\0")[0] for element in message.content.elements]
+    return [frames_of(name.decode("utf-8", "surrogateescape"), "")[1] for name in names]
 
 
 def _rotation_vectors(rotations: Array) -> Array:
@@ -246,7 +271,7 @@ def _of_names(messages: Sequence[Any], field: str, stream: Stream) -> Array | No
     found = by_name(lists, [getattr(content, field, None) for content in messages])
     if found is None:
         return None
-    times = stream.source_times if np.all(stream.source_times > 0) else stream.times
+    times = stream.stamps if np.all(stream.stamps > 0) else stream.times
     return completed(found, times, "interpolate", _LONGEST_NS)[:, :_MOST_NUMBERS]
 
 

@@ -17,6 +17,7 @@ from igtl_gateway.addon import (
     GatewayError,
     Kind,
     Recording,
+    StampCorrection,
     Stream,
     add_file,
     add_json,
@@ -34,11 +35,11 @@ from igtl_gateway.addon import (
 )
 from igtl_gateway.addons.sync import plot
 from igtl_gateway.addons.sync.correcting import write_corrected
-from igtl_gateway.addons.sync.correction import StampCorrection, is_corrected
+from igtl_gateway.addons.sync.correction import is_corrected
 from igtl_gateway.addons.sync.curves import lag_text
 from igtl_gateway.addons.sync.defaults import CUT_OFF_HZ, MAX_LAG_S
 from igtl_gateway.addons.sync.lag import Lag, Pair, Verdict, measure_lag, measure_together
-from igtl_gateway.addons.sync.lags import movement, movements
+from igtl_gateway.addons.sync.lags import POSES_BY_NAME, TRACKING, movement, movements, tools
 from igtl_gateway.addons.sync.signal import Signal
 from igtl_gateway.api import recording as recordings
 
@@ -189,7 +190,8 @@ def _measure(fixed: Signal, moving: Signal, pairs: Sequence[tuple[Signal, Signal
 
 
 def _movement(stream: Stream, options: argparse.Namespace) -> Signal:
-    return movement(stream, frame=options.frame, line=options.line)
+    frame = options.frame if stream.type in POSES_BY_NAME else ""
+    return movement(stream, frame=frame, line=options.line)
 
 
 def lag_facts(signal: Signal, lag: Lag) -> dict[str, Any]:
@@ -301,7 +303,28 @@ class _Applied:
         stamps = f"the stamps of {names}" if is_stamped else f"the gateway times of {names}, as its stamps,"
         proof = "the session verifies" if self.is_verified else "an import has no outputs to verify"
         measured = f"measured again, the lag is {self.again.lag_s * 1e3:+.1f} ms"
-        return f"{self.out}: {stamps} are corrected; {measured}; {proof}"
+        where = "header.stamp is corrected where it is read or exported, the recorded bytes stay"
+        return f"{self.out}: {stamps} are corrected; {measured}; {proof}; {where}"
+
+
+def _frame_of(stream: Stream, signal: Signal, options: argparse.Namespace) -> str:
+    """The frame whose stamps are corrected, of a topic with poses of several frames; ``""`` for all messages.
+
+    Raises GatewayError where the stamps of one frame cannot be corrected alone.
+    """
+    if not options.frame or stream.type not in POSES_BY_NAME:
+        return ""
+    if stream.type in TRACKING:
+        others = {tool for message in stream.messages() for tool in tools(message)} - {options.frame}
+        if others:
+            raise GatewayError(
+                f"{stream.key}: found {', '.join(sorted(others)[:5])} in the messages with {options.frame}, "
+                "whose stamp they share, expected one tool"
+            )
+        return ""
+    if not signal.is_stamped:
+        raise GatewayError(f"{stream.key}: found transforms of {options.frame} without a stamp, expected header.stamp")
+    return str(options.frame)
 
 
 def _apply(
@@ -328,8 +351,11 @@ def _apply(
             stream = recording[other.name]
             if not Kind(stream.direction).is_input:
                 raise GatewayError(f"{stream.key}: found an output of the gateway, expected a stream that it received")
+            behind = recording[one.name]
+            frame = _frame_of(stream, other, options)
             corrections[stream.name, stream.type] = StampCorrection(
-                other.name, one.name, lag_ns, low_ns, high_ns, skew_ppm, lag.middle_ns, other.is_stamped
-            )
+                other.name, one.name, lag_ns, low_ns, high_ns, skew_ppm, lag.middle_ns, other.is_stamped,
+                stream.name, stream.type, behind.name, behind.type, frame,
+            )  # fmt: skip
     verified = write_corrected(options.file, options.output, corrections, check=check, overwrite=options.overwrite)
     return _Applied(options.output, tuple(each for _, each in ((fixed, moving), *pairs)), found[0], verified)

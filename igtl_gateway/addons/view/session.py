@@ -13,9 +13,22 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import rerun as rr
 
-from igtl_gateway.addon import NS_PER_S, ConversionError, Entry, Kind, Level, Mark, MarkNote, Note, read_bytes
+from igtl_gateway.addon import (
+    NS_PER_S,
+    ConversionError,
+    Entry,
+    Kind,
+    Level,
+    Mark,
+    MarkNote,
+    Note,
+    StreamTimes,
+    one_clock,
+    read_bytes,
+)
 from igtl_gateway.addons.view.blueprints import is_camera, target_frame
 from igtl_gateway.addons.view.canvas import Canvas, Options
 from igtl_gateway.addons.view.colours import ERROR, INFO, WARN
@@ -75,6 +88,8 @@ class _StreamRate:
     last_ns: int = 0
     messages: int = 0
     this_second: int = 0
+    stamped: int = 0
+    least_ns: int = 0
 
 
 @dataclass(slots=True)
@@ -164,6 +179,22 @@ class SessionView:
             if ruler := eye and ruler_of(eye, number):
                 draw_ruler(ruler, frame, self._pen)
 
+    def clocks(self) -> tuple[str, ...]:
+        """Return sentences on streams whose stamps are of another clock than those of the others."""
+        stamped = [(channel, rhythm) for (_, channel), rhythm in self._rhythms.items() if rhythm.stamped]
+        streams = []
+        for channel, rhythm in stamped:
+            # as many messages as make its least age count, each with this age
+            stamps = np.full(min(rhythm.stamped, 3), LAST_NS // 2, np.int64)
+            streams.append(StreamTimes(channel, stamps + rhythm.least_ns, stamps))
+        found = one_clock(streams)
+        return tuple(
+            f"on the time line {SENDER_TIME}, {stream.name} is {abs(shift_ns) / _NS_PER_MS:,.0f} ms "
+            f"{'before' if shift_ns > 0 else 'after'} the others: its stamps are of another clock"
+            for stream, shift_ns in zip(streams, found.shifts, strict=True)
+            if shift_ns
+        )
+
     def end(self, why: str) -> None:
         """Log that the session ends here because the rest of it cannot be read."""
         self._pen.text(LOG, f"the session ends here: {why}", "ERROR", ERROR)
@@ -218,7 +249,11 @@ class SessionView:
             self.counts.without_picture[entry.type] += 1
         else:
             try:
-                picture.draw(picture.message.unpack(entry.data()), canvas)
+                message = picture.message.unpack(entry.data())
+                stamp_ns = _stamp_ns(message)
+                if stamp_ns and not timeless(stamp_ns):
+                    self._pen.source_ns = stamp_ns
+                picture.draw(message, canvas)
                 self.counts.drawn += 1
             except (ConversionError, ValueError) as error:
                 self.counts.refused[entry.channel] += 1
@@ -316,6 +351,9 @@ class SessionView:
             self._rates(second)
         if entry.kind.is_input:
             if source_ns:
+                age_ns = now_ns - source_ns
+                rhythm.least_ns = min(rhythm.least_ns, age_ns) if rhythm.stamped else age_ns
+                rhythm.stamped += 1
                 self._pen.numbers(f"{LATENCIES}/{rhythm.path}", [(now_ns - source_ns) / _NS_PER_MS])
             pause = now_ns - rhythm.last_ns
             if rhythm.messages >= _RHYTHM and pause > NS_PER_S:
@@ -343,3 +381,9 @@ class SessionView:
             rhythm.this_second = 0
         self._pen.number, self._pen.stamp_ns, self._pen.source_ns = now
         self._second = second
+
+
+def _stamp_ns(message: Any) -> int:
+    """The stamp in the header of a message, or of its first transform, UTC ns; 0 = unset."""
+    first = next(iter(getattr(message, "transforms", ())), message)
+    return int(getattr(getattr(first, "header", None), "stamp_ns", 0))

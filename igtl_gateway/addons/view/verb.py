@@ -23,6 +23,7 @@ from igtl_gateway.addon import (
     Entry,
     GatewayError,
     Kind,
+    RecordedStamps,
     SessionFile,
     SystemClock,
     ViewerError,
@@ -296,6 +297,7 @@ def _draw(
         "refused": dict(sorted(facts.refused.items())),
         "damage": damage,
         "without_time": dict(sorted(facts.timeless.items())),
+        "clocks": view.clocks(),
         "without_field": bool(options.colour_by) and options.colour_by not in view.seen.fields,
     }
 
@@ -312,8 +314,8 @@ def _lag(options: argparse.Namespace, path: Path, view: SessionView) -> dict[str
     with recordings.open(path) as recording:
         fixed, moving = (stream_named([recording], name) for name in options.sync)
         signals = movement(fixed), movement(moving)
-        is_stamped = len(fixed) and bool(np.all(fixed.source_times))
-        shift_ns = int(np.median(fixed.times - fixed.source_times)) if is_stamped else 0
+        is_stamped = len(fixed) and bool(np.all(fixed.stamps))
+        shift_ns = int(np.median(fixed.times - fixed.stamps)) if is_stamped else 0
     lag = measure_lag(*signals)
     view.lag(*signals, lag, shift_ns)
     return lag_facts(signals[1], lag) | {"fixed": signals[0].name, "text": lag_text(lag)}
@@ -347,8 +349,9 @@ def _entries(file: SessionFile, config: Config) -> Iterator[Entry]:
     for entry in latched_before(file, config):
         yield replace(entry, stamp_ns=file.start_ns)
     kinds = {channel.kind for channel in file.channels if channel.count}
+    stamps = RecordedStamps(file)
     if Kind.IGTL_IN not in kinds or Kind.ROS_OUT in kinds:
-        yield from file.entries()
+        yield from (stamps.entry(entry) for entry in file.entries())
         return
     converted = through_gateway(file.entries(), replace(config, relay=False), has_links=Kind.LINK in kinds)
     for number, entry in enumerate(converted, 1):
@@ -395,6 +398,8 @@ def _print(options: argparse.Namespace, path: Path, view: SessionView, facts: di
         print_line(
             f"? {count_text(number, 'entry', 'entries')} not on the time line {line}: stamps before 1970 or after 2116"
         )
+    for text in facts["clocks"]:
+        print_line(f"? {text}")
     if facts["without_field"]:
         fields = ", ".join(sorted(view.seen.fields)) or "none"
         print_line(f"? --colour-by: found no cloud with a field {options.colour_by!r}, expected one of: {fields}")

@@ -24,6 +24,8 @@ NEAR_NS = 100_000_000
 #: Samples that are further apart have nothing between them, unless the user states another gap: a tracker of 10 Hz has
 #: less, and the movement of a hand bends by at most a few millimetres.
 GAP_NS = 150_000_000
+#: So near, a sample stands for a moment without another one on the other side: stamps that were rounded differ by less.
+END_NS = 1_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +52,7 @@ def pick(
     most_ns: int | None = None,
     gap_ns: int | None = None,
     segments: Array | None = None,
+    end_ns: int = 0,
 ) -> Picks:
     """Return the samples that belong to moments.
 
@@ -61,6 +64,7 @@ def pick(
         most_ns: largest distance between a moment and each of its samples; None: any.
         gap_ns: for ``interpolate``: largest time between the two samples; None: any.
         segments: (M,) for ``interpolate``: there is nothing between samples with different values.
+        end_ns: for ``interpolate``: the first and the last sample also stand for moments this near outside of them.
     """
     count = len(times)
     if not count:
@@ -89,6 +93,9 @@ def pick(
     if segments is not None:
         between &= segments[before] == segments[inside]
     good &= exact | between
+    if end_ns:
+        # both are the sample at the end
+        good |= (np.minimum(back, ahead) <= end_ns) & ((wanted < times[0]) | (wanted > times[-1]))
     share = np.where(gap > 0, (wanted - times[before]) / np.maximum(gap, 1), 0.0)
     return Picks(before, inside, share, good)
 

@@ -51,12 +51,26 @@ class StreamTimes:
         times: (N,) int64, gateway time, UTC ns.
         stamps: (N,) int64, the sender's stamps, UTC ns; 0 = unset.
         sender: streams of one sender have one clock; ``""``: it is not known.
+        behind: the stream whose lag was subtracted from the stamps: they have its clock, or that of the gateway if it
+            has a message without a stamp.
     """
 
     name: str
     times: Times
     stamps: Times
     sender: str = ""
+    behind: StreamTimes | None = None
+
+    @property
+    def is_stamped(self) -> bool:
+        """Whether every message has a stamp."""
+        return bool(np.all(self.stamps > 0))
+
+    def ages(self) -> Times:
+        """Return the ages on arrival of the clock of the stamps, ns; of the gateway's clock 0."""
+        if self.behind is None:
+            return self.times - self.stamps
+        return self.behind.ages() if self.behind.is_stamped else np.zeros(1, np.int64)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,16 +82,23 @@ class OneClock:
         shifts: of each stream what is added to its stamps, ns.
         notes: sentences for the user: what was corrected, and what is not known.
         is_sure: whether the notes report nothing but latencies.
+        is_chosen: whether the user has chosen times of receipt.
     """
 
     name: str
     shifts: tuple[int, ...]
     notes: tuple[str, ...] = ()
     is_sure: bool = True
+    is_chosen: bool = False
 
     def times(self, stream: StreamTimes, index: int) -> Times:
         """Return the times (N,) of the stream ``index`` on this clock, UTC ns."""
-        return stream.stamps + self.shifts[index] if self.name == SOURCE else stream.times
+        if self.name == SOURCE:
+            return stream.stamps + self.shifts[index]
+        if self.is_chosen or stream.behind is None or not stream.is_stamped or not len(stream.behind.times):
+            return stream.times
+        # of a stream whose lag is known, gateway times are those of its stamps
+        return stream.stamps + int(stream.ages().min())
 
 
 def one_clock(streams: Sequence[StreamTimes], wanted: str = AUTO) -> OneClock:
@@ -92,29 +113,36 @@ def one_clock(streams: Sequence[StreamTimes], wanted: str = AUTO) -> OneClock:
     """
     nothing = (0,) * len(streams)
     if wanted == GATEWAY:
-        return OneClock(GATEWAY, nothing)
-    without = next((each for each in streams if len(each.times) and not np.all(each.stamps > 0)), None)
+        return OneClock(GATEWAY, nothing, is_chosen=True)
+    without = next((each for each in streams if not each.is_stamped), None)
     if without is not None:
         number = int(np.sum(without.stamps <= 0))
         found = f"{number:,} of {len(without.times):,} messages of {without.name} without a stamp"
         if wanted == SOURCE:
             raise ConfigError(f"clock: found {found}, expected none for the clock source")
-        is_mixed = any(np.any(each.stamps > 0) for each in streams)
+        is_mixed = any(np.any(each.stamps > 0) and not _is_behind(each, without) for each in streams)
         notes = [f"clock: gateway: found {found}, so all streams have their times of receipt"] if is_mixed else []
         return OneClock(GATEWAY, nothing, tuple(notes), is_sure=not notes)
-    ages = [each.times - each.stamps for each in streams]
-    wandering = [name for each, age in zip(streams, ages, strict=True) if (name := _wandering(each, age))]
+    wandering = [name for each in streams if (name := _wandering(each))]
     if wandering:
         said = f"the ages of {'; '.join(wandering)}: the clock was set, or the stamps do not run with it"
         if wanted == SOURCE:
             return OneClock(SOURCE, nothing, (f"clock: source: {said}",), is_sure=False)
         return OneClock(GATEWAY, nothing, (f"clock: gateway: {said}; all streams have their times of receipt",), False)
-    least = [int(age.min()) if len(age) else 0 for age in ages]
+    least = [int(each.ages().min()) if len(each.times) and len(each.ages()) else 0 for each in streams]
     return _joined(streams, least)
 
 
-def _wandering(stream: StreamTimes, ages: Times) -> str:
+def _is_behind(stream: StreamTimes, other: StreamTimes) -> bool:
+    """Whether the stamps of a stream are on the clock of another one, which has no stamps: on gateway time."""
+    return stream.behind is not None and (stream.behind.name == other.name or not stream.behind.is_stamped)
+
+
+def _wandering(stream: StreamTimes) -> str:
     """Return the stream and its least ages if they differ from part to part of the session, else ``""``."""
+    if stream.behind is not None:
+        return _wandering(stream.behind) if stream.behind.is_stamped else ""
+    ages = stream.times - stream.stamps
     if len(ages) < 2 * _ENOUGH:
         return ""
     span_ns = int(stream.times[-1] - stream.times[0])

@@ -98,6 +98,7 @@ _SESSION: Mapping[str, Shape] = {
     "slice_end_ns": digits,
     "slice_streams": _json(list_of(text)),
     "sequence_epoch_ns": digits,
+    "stamps_corrected": _json(list_of(anything)),
     "sequence_header": _json(map_of(anything)),
 }
 _SLICE = ("slice_start_ns", "slice_end_ns")

@@ -18,9 +18,11 @@ from enum import Enum
 from typing import IO, Any
 
 import numpy as np
+import numpy.typing as npt
 from mcap.records import Attachment, Channel, Schema
 
 from igtl_gateway.base.errors import DamagedRecording, UnsupportedRecording
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.shape import fields, list_of, map_of, number, text, wrong
 from igtl_gateway.base.untrusted.text import parse_json
 from igtl_gateway.base.untrusted.unpack import unpack_zstd_of_any_size
@@ -42,9 +44,14 @@ PART_NAME_KEY, PART_TOPIC_KEY, PART_KIND_KEY = (
 )
 #: Beginning of the names of attachments of a part, and of those with the numbers and times of its messages.
 ATTACHMENT_OF, NUMBERS_OF = "parts/{}/", "numbers/{}/"
+#: Steps to the time of a part for one of the reference.
+_ROUNDS = 3
+#: Bounds of a line of an offset, ns and ns per s: beyond are no clocks.
+_MOST_NS, _MOST_SLOPE = 1 << 62, 1e9
 #: Messages of one attachment of numbers.
 NUMBERS = 1 << 16
 
+Times = npt.NDArray[np.int64]
 MessageIn = tuple[Schema | None, Channel, Row]
 
 _NAME = re.compile(r"\w+", re.ASCII)
@@ -134,6 +141,44 @@ def parse_merge(items: Mapping[str, str], place: str) -> Merge:
     facts = parse_json(items.get(MERGE_KEY, ""), f"{place}: {MERGE_METADATA}")
     _MERGE(facts, f"{place}: {MERGE_METADATA}")
     return Merge(facts)
+
+
+def offset_of_part(part: Mapping[str, Any]) -> Callable[[Times], Times] | None:
+    """Return how far the clock of a part is ahead, ns, at times (N,) of the reference clock; None: it is the reference.
+
+    ``part``: as the metadata record has it.  Raises DamagedRecording.
+    """
+    try:
+        chain = [
+            [(int(at), int(ns), float(slope)) for at, ns, slope in pieces] for pieces in part["clock"].get("chain", ())
+        ]
+    except (TypeError, ValueError, OverflowError) as error:
+        raise DamagedRecording(f"part {part['name']}: clock: chain: {error}") from None
+    if not all(abs(at) < _MOST_NS > abs(ns) and abs(slope) < _MOST_SLOPE for each in chain for at, ns, slope in each):
+        raise DamagedRecording(f"part {part['name']}: clock: chain: found numbers out of range, expected lines")
+    if not any(ns or slope for pieces in chain for _, ns, slope in pieces):
+        return None
+
+    def offset(times: Times) -> Times:
+        own = times
+        for _ in range(_ROUNDS):  # the lines are those of the part's own time, and nearly level
+            reference = own
+            for pieces in chain:
+                reference = reference - _on_lines(pieces, reference)
+            own = own + (times - reference)
+        return np.asarray(own - times)
+
+    return offset
+
+
+def _on_lines(pieces: list[tuple[int, int, float]], times: Times) -> Times:
+    """Offsets at times (N,) by lines: start, offset there, ns for each second since then."""
+    number = np.searchsorted([start for start, _, _ in pieces[1:]], times, side="right")
+    found = np.zeros(len(times), np.int64)
+    for index, (start, ns, slope) in enumerate(pieces):
+        here = number == index
+        found[here] = ns + np.rint(slope * ((times[here] - start) / NS_PER_S)).astype(np.int64)
+    return found
 
 
 class ChannelNumbers:

@@ -271,6 +271,14 @@ class SessionFile:
                     channel = channels[row[0]]
                     yield schemas.get(channel.schema_id), channel, row
 
+    def first_links(self, channel: ChannelSummary) -> tuple[int, ...]:
+        """The links of the first message of one of ``channels``; () for ROS, or without any.  Raises as `entries`."""
+        if channel.kind not in layout.WIRE_TOPICS:
+            return ()
+        found = next(self.messages(lambda each: each.topic == channel.topic), None)
+        with self._damage_in(f"entries of {channel.stream or channel.topic}"):
+            return decoder(channel.kind, channel.topic, channel.type)(found[2], 0).links if found else ()
+
     def attachments(self) -> Iterator[Attachment]:
         """All attachments, as they are.  Raises DamagedRecording."""
         for place in self._index.attachments:

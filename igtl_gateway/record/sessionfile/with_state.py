@@ -92,6 +92,10 @@ class SessionWithState(SessionFile):
         """Those of the file itself; as SessionFile.messages."""
         return self.itself.messages(wanted)
 
+    def first_links(self, channel: ChannelSummary) -> tuple[int, ...]:
+        """As SessionFile.first_links."""
+        return (self._before if _key(channel) in self._latched else self.itself).first_links(channel)
+
     def attachments(self) -> Iterator[Attachment]:
         """As SessionFile.attachments."""
         return self.itself.attachments()

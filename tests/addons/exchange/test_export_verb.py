@@ -186,11 +186,11 @@ def test_a_transform_is_valid_between_poses_of_the_stated_gap(
     path = written(
         tmp_path / "some.mcap",
         (0, Kind.IGTL_IN, "IMAGE/Scan", "IMAGE", scan),
-        (1 * ms, Kind.IGTL_IN, "TRANSFORM/AToB", "TRANSFORM", pose),
+        (2 * ms, Kind.IGTL_IN, "TRANSFORM/AToB", "TRANSFORM", pose),
         (80 * ms, Kind.IGTL_IN, "IMAGE/Scan", "IMAGE", scan),
-        (151 * ms, Kind.IGTL_IN, "TRANSFORM/AToB", "TRANSFORM", pose),
+        (152 * ms, Kind.IGTL_IN, "TRANSFORM/AToB", "TRANSFORM", pose),
         (200 * ms, Kind.IGTL_IN, "IMAGE/Scan", "IMAGE", scan),
-        (302 * ms, Kind.IGTL_IN, "TRANSFORM/AToB", "TRANSFORM", pose),
+        (303 * ms, Kind.IGTL_IN, "TRANSFORM/AToB", "TRANSFORM", pose),
     )
     for more, expected in (((), [False, True, False]), (("--max-gap", "0.151"), [False, True, True])):
         out = tmp_path / f"{len(more)}.mha"

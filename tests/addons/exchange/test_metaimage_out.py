@@ -43,7 +43,7 @@ def exported(path: Path, images: list[Image], session: dict[str, str] | None = N
     for number, one in enumerate(images):
         items += [
             sent(100 * number, "ProbeToTracker", "TRANSFORM", POSE),
-            sent(100 * number + 10, "Scan", "IMAGE", one),
+            sent(100 * number, "Scan", "IMAGE", one),
         ]
     path.unlink(missing_ok=True)
     account = export_sequence(InMemory(items, session or {}), path, ())

@@ -144,8 +144,8 @@ def test_each_pose_is_that_of_its_picture_or_not_valid_or_it_is_reported(tmp_pat
         if fields["ToolTransformStatus"] == "OK":
             valid += 1
             away = abs(float(fields["ToolTransform"].split()[3]) - truth(50.0 * number))
-            # an offset is known except for the least latency, 30 ms at 200 mm/s; without stamps a note reports it
-            assert away < 0.01 or ("corrected by" in said and away < 7) or "have their times of receipt" in said
+            # 1 ms at the ends; an offset is known except for the least latency, 30 ms at 200 mm/s
+            assert away < 0.21 or ("corrected by" in said and away < 7) or "have their times of receipt" in said
     assert valid >= 20
 
 

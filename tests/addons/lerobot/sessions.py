@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,13 +36,16 @@ Array = npt.NDArray[Any]
 Sent = tuple[float, str, Any]
 
 
-def write_session(path: Path, messages: Sequence[Sent], *, stamped: bool = True) -> Path:
+def write_session(
+    path: Path, messages: Sequence[Sent], *, stamped: bool = True, ahead_s: Mapping[str, float] | None = None
+) -> Path:
     """Write a session with these messages at their times after ``BEGIN_NS``; the gateway gets each 3 ms later.
 
     Args:
         path: new file.
         messages: in the order in which they arrive.
         stamped: whether messages have a stamp.
+        ahead_s: stream → how far the clock of its stamps is ahead.
     """
     config = Config()
     session = Session(Gateway(config))
@@ -52,6 +55,7 @@ def write_session(path: Path, messages: Sequence[Sent], *, stamped: bool = True)
     for at, stream, content in messages:
         stamp_ns = BEGIN_NS + round(at * NS_PER_S)
         now_ns = max(stamp_ns + TRANSPORT_NS, now_ns + 1)
+        stamp_ns += round((ahead_s or {}).get(stream, 0.0) * NS_PER_S)
         if stream.startswith("/"):
             message, source_ns = content(stamp_ns), stamp_ns if stamped else 0
             entries = session.input(

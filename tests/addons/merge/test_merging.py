@@ -7,15 +7,22 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from mcap.reader import make_reader
 from rosbags.highlevel import AnyReader
 
+import igtl_gateway
 from igtl_gateway.addons.merge.merging import Source, merge
 from igtl_gateway.addons.merge.offsets import ClockOffset, Piece
 from igtl_gateway.app.verification import verify_parts
 from igtl_gateway.base.errors import ConfigError, DamagedRecording, GatewayError, UnsupportedRecording
+from igtl_gateway.convert.common_msgs import FrameTransform, PoseStamped, TFMessage
+from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.merged import Digest, Method
 from igtl_gateway.record.sessionfile.reader import SessionFile
+from igtl_gateway.record.sessionfile.writer import SessionWriter
 from tests.places import FIXTURES
 from tests.tables import table
 from tools.merge_worlds import World, judge, record
@@ -162,3 +169,52 @@ def test_a_changed_part_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     merge(recordings.sources, out, given={}, overwrite=True)
     with pytest.raises(UnsupportedRecording, match="found no part 'other', expected one of r0, r1"):
         SessionFile.open(out / "other")
+
+
+SECOND, MOVING_M_S = 10**9, 0.1
+
+
+def moving(path: Path, ahead_ns: int, *, drift: float = 0.0) -> Path:
+    """A pose and a frame that move 100 mm/s, recorded by a host whose clock, like those of its senders, is ahead."""
+    writer, seq = SessionWriter(path, {}), 0
+    for number in range(300):
+        true_ns = 1_700_000_000 * SECOND + number * SECOND // 50
+        stamp_ns = true_ns + ahead_ns + round(drift * number * SECOND / 50)
+        x = MOVING_M_S * number / 50
+        header, pose = Header(stamp_ns, "base"), (x, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+        for topic, name, data in (
+            ("/pose", PoseStamped.TYPE, PoseStamped(header, pose).pack()),
+            ("/tf", TFMessage.TYPE, TFMessage((FrameTransform(header, path.stem, pose),)).pack()),
+        ):
+            seq += 1
+            writer.write(Entry(seq, stamp_ns + 10**6 + (seq % 2 == 0), Kind.ROS_IN, topic, name, (data,), (), stamp_ns))
+    writer.close({})
+    return path
+
+
+@pytest.mark.parametrize(("ahead_ns", "drift"), [(3 * SECOND, 0.0), (-3 * SECOND, 0.0), (3 * SECOND, 1e-4)])
+def test_all_stamps_have_the_clock_of_the_reference(tmp_path: Path, ahead_ns: int, drift: float) -> None:
+    """Poses of two recorders at the time of each are one pose: by stamps of any reader."""
+    one, two = moving(tmp_path / "one.mcap", 0), moving(tmp_path / "two.mcap", ahead_ns, drift=drift)
+    begin_ns = 1_700_000_000 * SECOND + ahead_ns
+    given = {"two": ClockOffset(Method.GIVEN, (Piece(begin_ns, ahead_ns, drift * SECOND),))}
+    out = tmp_path / "both.mcap"
+    merge([Source("", one), Source("", two)], out, given=given)
+    off_m = 2e-4 if drift else 1e-6
+    with out.open("rb") as file:
+        for _, channel, message in make_reader(file).iter_messages(topics=["/one/pose", "/two/pose"]):
+            x = PoseStamped.unpack(message.data).pose[0]
+            assert abs(x - MOVING_M_S * (message.publish_time / SECOND - 1_700_000_000)) < off_m + 1e-6, channel.topic
+    with igtl_gateway.open(out) as recording:
+        first, second = recording["/one/pose"], recording["/two/pose"]
+        for stamps in (second.stamps, second.poses().stamps, second.source_times):
+            assert np.abs(stamps - first.stamps).max() < SECOND // 1000
+        aligned = igtl_gateway.align([second], on=first, method="interpolate")
+        assert aligned.notes == ()
+        off = aligned.poses("/two/pose").positions[:, 0] - aligned.poses("/one/pose").positions[:, 0]
+        assert np.nanmax(np.abs(off)) < off_m and np.isfinite(off).sum() > 290
+        between = recording.tf.lookup("one", "two", first, out_of_range="nan")[:, 0, 3]
+        assert np.nanmax(np.abs(between)) < off_m and np.isfinite(between).sum() > 290
+        assert first.to_arrow()["header.stamp_ns"].to_pylist() == first.stamps.tolist()
+    with SessionFile.open(out / "two") as part, SessionFile.open(two) as file:  # as it was recorded
+        assert list(part.entries()) == list(file.entries())

@@ -6,23 +6,31 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer
+from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 import igtl_gateway
+from igtl_gateway.addons.sync.correcting import together
 from igtl_gateway.addons.sync.lag import Verdict
-from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.base.buffers import join
+from igtl_gateway.base.errors import GatewayError
+from igtl_gateway.base.stamp import NS_PER_S, ns_to_ticks
 from igtl_gateway.cli import main
-from igtl_gateway.convert.common_msgs import JointState
+from igtl_gateway.convert.common_msgs import FrameTransform, JointState, PoseStamped, TFMessage
 from igtl_gateway.convert.rosmsg import Header
+from igtl_gateway.gateway.log.corrections import StampCorrection
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
+from igtl_gateway.wire import Message, encode
+from igtl_gateway.wire.transform import Transform
 
 BEGIN_NS = 1_700_000_000 * NS_PER_S
 SECONDS, LATE_S = 12, 0.0473
@@ -99,7 +107,7 @@ def test_a_bag_of_ros_1(tmp_path: Path, streams: tuple[str, str], capsys: pytest
         assert moved_ms == pytest.approx(-sign * LATE_S * 1e3, abs=1)
         assert not new[streams[0]].source_times.any()
         assert new.notes[-1].text.startswith(f"gateway times, now the source stamps, of {streams[1]}")
-        table = igtl_gateway.align([new[name] for name in streams], on=streams[0], tolerance=0.5, clock="source")
+        table = igtl_gateway.align([new[name] for name in streams], on=streams[0], tolerance=0.5)
         picked = table[streams[1]].rows
         assert np.all(np.abs(new[streams[1]].source_times[picked[picked >= 0]] - table.times[picked >= 0]) < 2e7)
 
@@ -174,3 +182,88 @@ def test_stamps_that_would_be_before_1970(tmp_path: Path, capsys: pytest.Capture
     assert main(["sync", str(counted), "/on_time", "/late", "--apply", "-o", str(out)]) == 1
     assert "expected a stamp after 1970" in capsys.readouterr().err
     assert not out.exists()
+
+
+def posed(path: Path, late_s: float = LATE_S) -> Path:
+    """Poses of a peer, and the same poses of ROS, late in both stamps; a frame of /tf beside one that is not late."""
+    writer = SessionWriter(path, IMPORT)
+    entries = []
+    for number in range(SECONDS * 40):
+        at = number / 40
+        now_ns = BEGIN_NS + round(at * NS_PER_S)
+        late_ns = now_ns + round(late_s * NS_PER_S)
+        x = height(at)
+        content = Transform((1, 0, 0, 0, 1, 0, 0, 0, 1, 1000 * x, 0, 0))
+        entries.append((now_ns + 10**6, Kind.IGTL_IN, "TRANSFORM/Probe", "TRANSFORM",
+                        join(encode(Message("TRANSFORM", "Probe", content, ns_to_ticks(now_ns)))), now_ns))  # fmt: skip
+        pose = PoseStamped(Header(late_ns, "base"), (x, 0, 0, 0, 0, 0, 1)).pack()
+        entries.append((late_ns + 10**6, Kind.ROS_IN, "/pose", PoseStamped.TYPE, pose, late_ns))
+        frames = [FrameTransform(Header(late_ns, "base"), "tip", (x, 0, 0, 0, 0, 0, 1))]
+        frames.append(FrameTransform(Header(late_ns, "base"), "exact", (height(at + late_s), 0, 0, 0, 0, 0, 1)))
+        entries.append(
+            (late_ns + 2 * 10**6, Kind.ROS_IN, "/tf", TFMessage.TYPE, TFMessage(tuple(frames)).pack(), late_ns)
+        )
+    for seq, (at_ns, kind, channel, name, data, source_ns) in enumerate(sorted(entries, key=lambda each: each[0]), 1):
+        links = (1,) if kind is Kind.IGTL_IN else ()
+        writer.write(Entry(seq, at_ns + seq, kind, channel, name, (data,), links, source_ns))
+    writer.close({})
+    return path
+
+
+def test_what_readers_read_is_corrected_and_the_bytes_stay(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """header.stamp in an export, ``Poses.stamps``, ``align`` and ``tf.lookup``, each judged by the movement itself."""
+    before, out, bag = posed(tmp_path / "a.mcap"), tmp_path / "b.mcap", tmp_path / "bag"
+    assert main(["sync", str(before), "TRANSFORM/Probe", "/pose", "--apply", "-o", str(out)]) == 0
+    assert "header.stamp is corrected where it is read" in capsys.readouterr().out
+    with SessionFile.open(before) as one, SessionFile.open(out) as two:
+        assert [e.data() for e in one.entries()] == [e.data() for e in two.entries() if e.kind is not Kind.EDGE_NOTE]
+    assert main(["export", str(out), "--to", "rosbag2", "-o", str(bag), "--streams", "/pose"]) == 0
+    assert "source stamps of /pose are corrected by a lag" in capsys.readouterr().out
+    store = get_typestore(Stores.ROS2_JAZZY)
+
+    def away(x: float, stamp_ns: int) -> float:
+        return abs(x - height((stamp_ns - BEGIN_NS) / NS_PER_S))
+
+    with Reader(bag) as reader:
+        for connection, _, data in reader.messages():
+            message: Any = store.deserialize_cdr(data, connection.msgtype)
+            stamp = message.header.stamp
+            assert away(message.pose.position.x, stamp.sec * NS_PER_S + stamp.nanosec) < 1e-3
+    with igtl_gateway.open(out) as recording:
+        poses = recording["/pose"].poses()
+        for stamps in (poses.stamps, poses.source_times, recording["/pose"].stamps):
+            assert max(map(away, poses.positions[:, 0].tolist(), stamps.tolist())) < 1e-3
+        table = recording["/pose"].to_arrow()
+        assert table["header.stamp_ns"].to_pylist() == poses.stamps.tolist()
+        found = igtl_gateway.align([recording["TRANSFORM/Probe"]], on=recording["/pose"], method="interpolate")
+        off = found.poses("TRANSFORM/Probe").positions[:, 0] / 1000 - poses.positions[:, 0]
+        assert np.nanmax(np.abs(off)) < 1e-3
+
+
+def test_of_a_topic_with_several_frames_one_is_corrected(tmp_path: Path) -> None:
+    before, out = posed(tmp_path / "a.mcap"), tmp_path / "b.mcap"
+    words = ["sync", str(before), "TRANSFORM/Probe", "in:/tf", "--frame", "tip", "--apply", "-o", str(out)]
+    assert main(words) == 0
+    with igtl_gateway.open(before) as old, igtl_gateway.open(out) as new:
+        late = old["/tf"].poses("tip").stamps - new["/tf"].poses("tip").stamps
+        assert late / 1e6 == pytest.approx(LATE_S * 1e3, abs=1)
+        assert np.array_equal(old["/tf"].poses("exact").stamps, new["/tf"].poses("exact").stamps)
+        assert np.array_equal(old["/tf"].source_times, new["/tf"].source_times)
+        times = BEGIN_NS + np.arange(2, 30) * NS_PER_S // 3
+        for frame in ("tip", "exact"):
+            x = new.tf.lookup("base", frame, times, clock="source")[:, 0, 3]
+            assert np.abs(x - [height((at - BEGIN_NS) / NS_PER_S) for at in times.tolist()]).max() < 2e-3
+
+
+def test_a_second_correction_adds_to_the_first(tmp_path: Path) -> None:
+    paths = [posed(tmp_path / "a.mcap"), tmp_path / "b.mcap", tmp_path / "c.mcap"]
+    for one, two in pairwise(paths):
+        assert main(["sync", str(one), "TRANSFORM/Probe", "/pose", "--apply", "-o", str(two)]) == 0
+    stamps = []
+    for path in paths:
+        with igtl_gateway.open(path) as recording:
+            stamps.append(recording["/pose"].poses().stamps)
+    assert (stamps[0] - stamps[2]) / 1e6 == pytest.approx(LATE_S * 1e3, abs=1)
+    skewed = StampCorrection("/pose", "x", 1, 1, 1, 5.0, 0, True, "/pose", "t")
+    with pytest.raises(GatewayError, match="corrected already"):
+        together({("/pose", "t"): skewed}, {("/pose", "t"): skewed})

@@ -6,10 +6,11 @@ from dataclasses import replace
 
 import pytest
 
-from igtl_gateway.addons.sync.correction import CORRECTED, StampCorrection, corrected, is_corrected
+from igtl_gateway.addons.sync.correction import corrected, is_corrected
 from igtl_gateway.addons.sync.lag import Lag, Verdict
 from igtl_gateway.base.errors import GatewayError
 from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.gateway.log.corrections import CORRECTED, StampCorrection
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Note
 

@@ -54,6 +54,13 @@ def test_no_sample_is_further_than_stated_and_none_is_nearer(
                 assert times[one] + share * (times[two] - times[one]) == pytest.approx(moment)
 
 
+def test_the_ends_stand_for_moments_that_are_near() -> None:
+    times, wanted = arrays([100, 200], [97, 98, 150, 202, 203])
+    found = pick(times, wanted, "interpolate", end_ns=2)
+    assert found.good.tolist() == [False, True, True, True, False]
+    assert (found.before[[1, 3]].tolist(), found.share[[1, 3]].tolist()) == ([0, 1], [0.0, 0.0])
+
+
 def test_a_stream_without_samples_has_nothing() -> None:
     times, wanted = arrays([], [1, 2])
     rules: tuple[Rule, ...] = ("nearest", "hold", "interpolate")
