@@ -262,7 +262,8 @@ class _Run:
         facts = {key: given[key] for key in _KEPT if _NUMBERS.fullmatch(given.get(key, ""))}
         if self._is_import:
             facts[IMPORTED] = "removed"
-        self.report.add("session", len(self._file.session.keys() - facts.keys() - {layout.CONFIGURATION_KEY}))
+        beside = sum(1 for _ in self._file.beside())  # attachments and metadata of an imported file, which are left out
+        self.report.add("session", beside + len(self._file.session.keys() - facts.keys() - {layout.CONFIGURATION_KEY}))
         if self._seal and self._seal.good:
             facts[DERIVED_FROM] = f"sealed recording, SHA-256 of its last seal: {self._seal.parts[-1].last_seal}"
         options = ", ".join(self.report.options)

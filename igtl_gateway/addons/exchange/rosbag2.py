@@ -62,6 +62,8 @@ _ROS_TYPE = re.compile(r"\w+/msg/\w+", re.ASCII)
 #: First bytes of a zstd frame; bytes of a CDR message before its fields, of which the first is 0.
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _ENCAPSULATION = 4
+#: Units of rows.
+ATTACHMENTS, METADATA_RECORDS = "attachments", "metadata records"
 
 
 class _StorageFile(Protocol):
@@ -73,7 +75,7 @@ class _StorageFile(Protocol):
         qos: QoS profiles as in the file, by topic and type.
         formats: serialization format by topic and type.
         undecodable: number of messages, by topic and type, with another definition of their type.
-        beside: the attachments and metadata records of MCAP that are not rosbag2's own.
+        beside_counts: number of attachments, and of metadata records that are not rosbag2's own.
         serialized: ``metadata.yaml`` in the file.
     """
 
@@ -82,8 +84,10 @@ class _StorageFile(Protocol):
     qos: dict[Key, str]
     formats: dict[Key, str]
     undecodable: Counter[Key]
-    beside: list[Attachment | Metadata]
+    beside_counts: Counter[str]
     serialized: str
+
+    def beside(self) -> Iterator[Attachment | Metadata]: ...
 
     def messages(self) -> Iterator[Message]: ...
 
@@ -163,10 +167,9 @@ class Rosbag2(NonRosSource):
             if undecodable:  # they are missing
                 row.why = f"{undecodable} have {another_definition(key[1])}"
         self.rows = list(self._rows.values())
-        for unit, kind in (("attachments", Attachment), ("metadata records", Metadata)):
-            count = sum(isinstance(each, kind) for part in self._parts for each in part.beside)
-            if count:
-                self.rows.append(ImportedStream(unit, count, taken=count, unit=unit))
+        for unit in (ATTACHMENTS, METADATA_RECORDS):
+            if count := sum(part.beside_counts[unit] for part in self._parts):
+                self.rows.append(ImportedStream(unit, count, unit=unit))
         texts = [part.serialized for part in self._parts if part.serialized]
         custom = metadata.custom if metadata.found else custom_data(texts[0], str(self._path)) if texts else {}
         if custom:
@@ -174,8 +177,11 @@ class Rosbag2(NonRosSource):
             self.rows.append(ImportedStream("custom_data", len(custom), taken=len(custom), unit="keys"))
 
     def beside(self) -> Iterator[Attachment | Metadata]:
+        rows = {row.unit: row for row in self.rows}
         for part in self._parts:
-            yield from part.beside
+            for each in part.beside():
+                rows[ATTACHMENTS if isinstance(each, Attachment) else METADATA_RECORDS].taken += 1
+                yield each
 
     def items(self) -> Iterator[ImportedItem]:
         packed = unpacked = 0
@@ -249,7 +255,7 @@ class _Mcap:
         self.qos: dict[Key, str] = {}
         self.formats: dict[Key, str] = {}
         self.undecodable: Counter[Key] = Counter()
-        self.beside: list[Attachment | Metadata] = []
+        self.beside_counts: Counter[str] = Counter()
         self.serialized = ""
         self._keys: dict[int, Key] = {}
         try:
@@ -281,29 +287,35 @@ class _Mcap:
                 continue
             self._keys[channel.id] = key
             self.qos.setdefault(key, channel.metadata.get(layout.QOS_KEY, ""))
-        self._read_beside()
+        found = [place.name for place in index.metadata]
+        self.beside_counts = Counter(
+            {ATTACHMENTS: len(index.attachments), METADATA_RECORDS: len(found) - found.count(layout.ROSBAG2_METADATA)}
+        )
+        for number, place in enumerate(index.metadata):  # the last one has all messages
+            if place.name == layout.ROSBAG2_METADATA:
+                self.serialized = self._metadata(number).metadata.get("serialized_metadata", "")
 
-    def _read_beside(self) -> None:
-        """Read the attachments and the metadata records; those with the name of one of a session get another one."""
-        place, size = str(self._path), 0
-        for each in (*self._index.attachments, *self._index.metadata):
-            size += each.length
-            limits.check_limit("free", size, f"{place}: attachments and metadata records")
-        for each in self._index.attachments:
-            found = records.parse_attachment(
-                read_record(self._stream, self._index, records.ATTACHMENT, each, f"{place}: attachment {each.name}")
-            )
-            is_ours = found.name in layout.ATTACHMENTS
-            self.beside.append(replace(found, name=f"imported/{found.name}") if is_ours else found)
-        for each in self._index.metadata:
-            record = records.parse_metadata(
-                read_record(self._stream, self._index, records.METADATA, each, f"{place}: metadata {each.name}")
-            )
-            if record.name == layout.ROSBAG2_METADATA:
-                self.serialized = record.metadata.get("serialized_metadata", "")
-                continue
-            is_ours = record.name.startswith(layout.OWN_METADATA)
-            self.beside.append(replace(record, name=f"imported.{record.name}") if is_ours else record)
+    def beside(self) -> Iterator[Attachment | Metadata]:
+        """Yield the attachments and the metadata records; those with the name of one of a session get another one."""
+        with library_errors_as_damage(self._path):
+            for place in self._index.attachments:
+                content = read_record(
+                    self._stream, self._index, records.ATTACHMENT, place, f"{self._path}: attachment {place.name}"
+                )
+                found = records.parse_attachment(content)
+                is_ours = found.name in layout.ATTACHMENTS
+                yield replace(found, name=f"imported/{found.name}") if is_ours else found
+            for number, place in enumerate(self._index.metadata):
+                if place.name != layout.ROSBAG2_METADATA:
+                    record = self._metadata(number)
+                    is_ours = record.name.startswith(layout.OWN_METADATA)
+                    yield replace(record, name=f"imported.{record.name}") if is_ours else record
+
+    def _metadata(self, number: int) -> Metadata:
+        place = self._index.metadata[number]
+        what = f"{self._path}: metadata {place.name}"
+        limits.check_limit("free", place.length, what)
+        return records.parse_metadata(read_record(self._stream, self._index, records.METADATA, place, what))
 
     def messages(self) -> Iterator[Message]:
         try:

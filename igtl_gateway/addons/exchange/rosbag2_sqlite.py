@@ -61,7 +61,7 @@ class SqliteStorage:
         self.qos: dict[Key, str] = {}
         self.formats: dict[Key, str] = {}
         self.undecodable: Counter[Key] = Counter()
-        self.beside: list[Any] = []
+        self.beside_counts: Counter[str] = Counter()
         self.serialized = ""
         self._keys: dict[int, Key] = {}
         self._stored = 0
@@ -103,6 +103,10 @@ class SqliteStorage:
 
     def _large(self, row: int) -> bytes:
         return read_blob(self._base, "messages", "data", row)
+
+    def beside(self) -> Iterator[Any]:
+        """Yield nothing: only MCAP has attachments and metadata records."""
+        return iter(())
 
     def close(self) -> None:
         """Close the file."""
