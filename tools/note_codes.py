@@ -130,6 +130,7 @@ NOTES: dict[str, dict[str, str]] = {
         "zenoh_left": "one of several connections of Zenoh has ended",
         "zenoh_not_closed": "at the end, the router did not read; the session ends with the process",
         "ros_lost": "the middleware lost messages before the gateway took them",
+        "ros_held_old": "messages were older than `max_age_s` before their subscribers were matched; they are not sent",
         "ros_hold_overflow": "a topic had many messages before its subscribers were matched",
         "latched_forgotten": "latched messages exceed `latched_mib`: those of the largest topic are forgotten",
         "ros_unknown_type": "the type of a topic is not installed",

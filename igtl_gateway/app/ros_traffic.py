@@ -174,7 +174,7 @@ class RosTraffic:
             self._written.popleft()
         elif not (self._builds_all and self.side.count_if_unsubscribed(entry.channel)):
             qos = self._gateway.qos(entry.channel) or RECORDED
-            self.side.publish(entry.channel, entry.type, entry.data(), qos)
+            self.side.publish(entry.channel, entry.type, entry.data(), qos, self._gateway.until_ns(entry))
         self.commands.on_entry(entry)
         if self.video:
             self.video.decode(entry)

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from functools import lru_cache
 
 from igtl_gateway.base.qos import Qos
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.igtl_msgs import RawMessage
@@ -254,6 +255,11 @@ class Gateway:
     def qos(self, topic: str) -> Qos | None:
         """Return the QoS of a topic that the gateway publishes."""
         return self._streams.qos(topic)
+
+    def until_ns(self, entry: Entry) -> int:
+        """Return until when an output to ROS may be sent by its ``max_age_s``, UTC ns of its sender; 0: no limit."""
+        age_s = self._streams.max_age_s(entry.channel)
+        return entry.source_ns + round(age_s * NS_PER_S) if age_s and entry.source_ns else 0
 
     def keep(self, entry: Entry) -> bool:
         """Return whether a full send queue must not drop this OpenIGTLink message."""

@@ -122,6 +122,10 @@ class RelayGateway:
         """Return no frames: a relay has no ROS side."""
         return set()
 
+    def until_ns(self, entry: Entry) -> int:
+        """Return 0: a relay publishes no topic."""
+        return 0
+
     def keep(self, entry: Entry) -> bool:
         """Return True: a relay drops no message."""
         return True

@@ -92,6 +92,7 @@ class Streams:
         self._news: list[Finding] = []
         self._devices: dict[str, str] = {}  # short device name → its full name
         self._qos: dict[str, Qos] = {}
+        self._ages_s: dict[str, float] = {}  # topic of one device → maximum age of its messages
         self.opened: list[tuple[str, str]] = []  # (stream, destination) of new streams that are not reported yet
         if config.naming:
             for frames in config.tf_out:
@@ -116,6 +117,10 @@ class Streams:
         """Return the QoS of a topic that the gateway publishes."""
         return self._qos.get(topic)
 
+    def max_age_s(self, topic: str) -> float:
+        """Return the maximum age of the messages on a topic that the gateway publishes, s; 0: no limit."""
+        return self._ages_s.get(topic, 0.0)
+
     def advertise(self, topic: str, qos: Qos) -> None:
         """Set the QoS of a published topic that belongs to no stream."""
         self._qos[topic] = qos
@@ -129,6 +134,11 @@ class Streams:
         for (igtl_type, device), shown in self._to_ros.items():
             if config.kinds_of(shown.row) == shown.kinds:
                 self._to_ros[igtl_type, device] = replace(shown, max_age_s=config.max_age_of(shown.row))
+                self._ages_s.update(
+                    dict.fromkeys(
+                        self._ages_s.keys() & {topic for _, topic in shown.outputs}, config.max_age_of(shown.row)
+                    )
+                )
             else:
                 self._to_ros[igtl_type, device] = self._resolve_device(igtl_type, device)
 
@@ -165,6 +175,8 @@ class Streams:
             outputs.append((conversion, topic))
             if keep:
                 self._qos.setdefault(topic, row.qos or conversion.qos)
+            if not conversion.topic:  # /tf has frames of many devices
+                self._ages_s[topic] = config.max_age_of(row)
             if keep and not conversion.topic:
                 self._share_topic(topic, igtl_type, device)
         poses = any(conversion.kind == "transform" for conversion in rows_to_ros(igtl_type))

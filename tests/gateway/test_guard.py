@@ -351,3 +351,27 @@ def verified(seed: int) -> set[str]:
     assert [(e.seq, e.kind, e.channel, e.data()) for e in told] == [(e.seq, e.kind, e.channel, e.data()) for e in log]
     assert again.ledger.to_dict() == gateway.ledger.to_dict()
     return {Note.unpack(entry.data()).code for entry in log if entry.kind is Kind.NOTE}
+
+
+def test_an_output_has_the_time_until_which_it_may_be_sent() -> None:
+    """The edge may hold it for its subscribers; /tf has frames of many devices."""
+    rows = (ToRosRow(device="Aged", max_age_s=0.5), ToRosRow(device="Tool", max_age_s=0.0))
+    script = Script(Config(to_ros=rows, max_age_s=3.0), news=True)
+    script.up(1)
+    until: dict[str, float] = {}
+    for device in ("Aged", "Tool", "Other"):
+        script.igtl(
+            Message(
+                "TRANSFORM",
+                device,
+                Transform((1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)),
+                ns_to_ticks(script.now_ns),
+            )
+        )
+        outputs = (entry for entry in script.last if entry.kind is Kind.ROS_OUT)
+        until |= {entry.channel: (script.gateway.until_ns(entry) - entry.source_ns) / NS_PER_S for entry in outputs}
+    assert until.pop("/igtl/links", 0) <= 0
+    assert until["/igtl/in/Aged/transform"] == 0.5
+    assert until["/igtl/in/Other/transform"] == 3.0
+    assert until["/igtl/in/Tool/transform"] < 0, "no limit"
+    assert until["/tf"] < 0

@@ -30,7 +30,7 @@ CODES = frozenset({
     *"stalled unreachable rate_limited truncated too_large out_of_memory internal_error queue_drop queue_full".split(),
     *"no_conversion no_interfaces callback_failed ros_subscribed ros_incompatible_qos ros_lost ros_slow".split(),
     *"ros_hold_overflow ros_unknown_type ros_refused ros_publish_failed ros_receive_failed ros_callback_failed".split(),
-    *"ros_type_hash ros_bad_attachment ros_bad_token ros_call_refused".split(),
+    *"ros_held_old ros_type_hash ros_bad_attachment ros_bad_token ros_call_refused".split(),
     *"site_clock site_latency site_lost site_over_budget zenoh_connected zenoh_lost zenoh_left zenoh_no_router".split(),
     *"site_command_late zenoh_not_closed".split(),
     *"video_drop video_changed video_refused video_failed".split(),

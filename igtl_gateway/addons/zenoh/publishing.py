@@ -134,8 +134,9 @@ class TopicPublisher:
         """Whether a message might reach a subscriber."""
         return self.matched or (self._publisher is not None and self._clock.monotonic_ns() < self._made_ns + _SETTLE_NS)
 
-    def send(self, cdr: bytes) -> str:
-        """Send a message; return why that failed, or ``""``."""
+    def send(self, cdr: bytes, until_ns: int = 0) -> str:
+        """Send a message, if it waits for the line until ``until_ns`` (UTC; 0: no limit); return why that failed, or
+        ``""``."""
         if (
             self._traffic
             and self._class
@@ -155,7 +156,7 @@ class TopicPublisher:
                 else:
                     self.counts.unheard += 1
                 return ""
-            return self._pass_on(cdr)
+            return self._pass_on(cdr, until_ns)
 
     def write(self, cdr: bytes) -> str:
         """Send a command to a robot at once; return why that failed, or ``""``."""
@@ -172,12 +173,18 @@ class TopicPublisher:
             if self._publisher is not None and self._declare_latched:
                 _before, self._publisher = self._publisher, self._declare_latched()
 
-    def _pass_on(self, cdr: bytes) -> str:
+    def _pass_on(self, cdr: bytes, until_ns: int = 0) -> str:
         """To Zenoh, or to the thread that may wait for it."""
         if self._commands is None:
             return self._put(cdr)
-        self._commands.put(self.topic, self.counts, lambda: self._put(cdr))
+        self._commands.put(self.topic, self.counts, lambda: self._put_in_time(cdr, until_ns))
         return ""
+
+    def _put_in_time(self, cdr: bytes, until_ns: int) -> str:
+        if until_ns and self._clock.utc_ns() > until_ns:
+            self.counts.unwritten += 1
+            return ""
+        return self._put(cdr)
 
     def _put(self, cdr: bytes) -> str:
         publisher = self._publisher
@@ -225,11 +232,11 @@ class Publishing(Publishers[TopicPublisher]):
         self._commands = Commands(reports, clock)
         self._closed = False
 
-    def _send(self, publisher: TopicPublisher, cdr: bytes) -> str:
+    def _send(self, publisher: TopicPublisher, cdr: bytes, until_ns: int) -> str:
         if self._closed:
             publisher.counts.failed += 1
             return "the node has stopped"
-        return publisher.send(cdr)
+        return publisher.send(cdr, until_ns)
 
     def _heard(self, publisher: TopicPublisher) -> Heard:
         reached = publisher.matched and not self._closed and self._node.connection.is_open

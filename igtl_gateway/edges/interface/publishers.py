@@ -90,8 +90,8 @@ class Publishers(ABC, Generic[P]):
         """Return a new publisher, by its full name; the caller has the lock.  May raise anything."""
 
     @abstractmethod
-    def _send(self, publisher: P, cdr: bytes) -> str:
-        """Send a message, and count it; return why that failed, or ``""``."""
+    def _send(self, publisher: P, cdr: bytes, until_ns: int) -> str:
+        """Send a message, perhaps later, but not after ``until_ns``; return why that failed, or ``""``.  Counts it."""
 
     @abstractmethod
     def _forget(self, publisher: P) -> bool:
@@ -113,11 +113,15 @@ class Publishers(ABC, Generic[P]):
         """Return the publisher for the first message of a topic, as ``advertise``."""
         return self.advertise(topic, type_name, qos)
 
-    def publish(self, topic: str, type_name: str, cdr: bytes, qos: Qos) -> str:
+    def publish(self, topic: str, type_name: str, cdr: bytes, qos: Qos, until_ns: int = 0) -> str:
         """Send CDR bytes (with encapsulation); from any thread.
 
         The publisher is created after the first use, and ``qos`` counts then.  Never raises for a bad topic or type,
         nor before start or after stop: a note reports that once, and the message counts as failed.
+
+        Args:
+            topic, type_name, cdr, qos: of the message.
+            until_ns: later, it is too old to be sent (UTC ns); 0: no limit.  Latched messages have none.
 
         Returns:
             Why the message is not published, or ``""``.  One that is held for its publisher or its subscribers might
@@ -135,7 +139,7 @@ class Publishers(ABC, Generic[P]):
                 publisher.counts.failed += 1
             failure = f"{len(cdr)} bytes, expected CDR with {_CDR_HEADER} bytes of encapsulation"
         else:
-            failure = self._send(publisher, cdr)
+            failure = self._send(publisher, cdr, 0 if qos.latched else until_ns)
         if failure:
             self._reports.publish_failed(publisher.topic, failure)
         return failure

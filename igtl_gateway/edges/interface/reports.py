@@ -27,7 +27,8 @@ class TopicCounts:
         failed: refused by the middleware, or by a defect of our own.
         ``unheard``: not passed to the middleware, because there was no subscriber, and a later one would not get them.
         over_budget: dropped, because the budget of the site is exceeded.
-        unwritten: commands to a robot that passed the guard and were not written: no subscriber, too late, too fast.
+        unwritten: passed by the guard and not written: commands to a robot (no subscriber, too late, too fast), and
+            what was held until it was older than ``max_age_s``.
         forgotten: published, and no longer kept for late joiners, because latched messages exceed ``latched_mib``.
     """
 

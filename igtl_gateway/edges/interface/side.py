@@ -21,6 +21,12 @@ Wants = Callable[[str, str], Qos | None]
 Change = Callable[[Mapping[str, object]], object]
 
 
+class Publish(Protocol):
+    """Sends a message; see ``Publishers.publish``."""
+
+    def __call__(self, topic: str, type_name: str, cdr: bytes, qos: Qos, until_ns: int = 0, /) -> str: ...
+
+
 @dataclass(frozen=True, slots=True)
 class Publication:
     """A topic that other nodes publish.
@@ -40,7 +46,7 @@ class RosSide(Protocol):
     """The interface of ``edges.ros.edge.RosEdge``, which describes it, and of a side over another middleware."""
 
     @property
-    def publish(self) -> Callable[[str, str, bytes, Qos], str]: ...
+    def publish(self) -> Publish: ...
 
     @property
     def count_if_unsubscribed(self) -> Callable[[str], bool]: ...

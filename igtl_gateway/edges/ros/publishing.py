@@ -73,7 +73,7 @@ class Publishing(Publishers[TopicPublisher]):
 
     # ── for any thread ────────────────────────────────────────────────────────────────────────────────────────
 
-    def _send(self, publisher: TopicPublisher, cdr: bytes) -> str:
+    def _send(self, publisher: TopicPublisher, cdr: bytes, until_ns: int) -> str:
         failure = ""
         if publisher.qos.latched and len(cdr) >= _LARGE_BYTES:
             self._node.graph.wake()  # the keeper bounds what is kept
@@ -83,7 +83,7 @@ class Publishing(Publishers[TopicPublisher]):
             if publisher.lifespan_ns is not None:  # a topic of a robot: what waits is late
                 publisher.counts.unheard += 1
                 return ""
-            publisher.hold(cdr)
+            publisher.hold(cdr, until_ns)
             overflown = publisher.overflows
             # not dropped: the subscribers that are matched by now get it
             while publisher.overflows:
@@ -97,6 +97,12 @@ class Publishing(Publishers[TopicPublisher]):
         limit = f"{HOLD_MESSAGES} messages or {HOLD_BYTES >> 20} MiB, or {HOLD_ALL_BYTES >> 20} MiB of all topics,"
         text = f"more than {limit} before all subscribers were matched; the matched ones got the oldest"
         self._reports.note_once(Level.INFO, "ros_hold_overflow", f"{publisher.topic}: {text}", publisher.topic)
+
+    def _note_old(self, publisher: TopicPublisher) -> None:
+        old, publisher.old = publisher.old, 0
+        if old:
+            text = f"{publisher.topic}: {old} messages not sent, too old (max_age_s) before all subscribers matched"
+            self._reports.note(Level.WARN, "ros_held_old", text, publisher.topic, {"dropped": old})
 
     def native(self, topic: str, type_name: str) -> NativePublisher | None:
         """Return a publisher for the native passage; None: Python publishes, such as while messages are held."""
@@ -240,6 +246,7 @@ class Publishing(Publishers[TopicPublisher]):
                 self._note_overflow(publisher)
             publisher.burst_ns = now_ns + _BURST_NS
             self._reports.publish_failed(publisher.topic, publisher.release_burst(self._clock))
+            self._note_old(publisher)
 
     def bound_latched(self) -> None:
         for publisher in self.all():
@@ -291,6 +298,7 @@ class Publishing(Publishers[TopicPublisher]):
         publishers = self.all()
         for publisher in publishers:
             self._reports.publish_failed(publisher.topic, publisher.release(self._clock, HOLD_MESSAGES + 1))
+            self._note_old(publisher)
         for publisher in publishers:
             left_ns = deadline_ns - self._clock.monotonic_ns()
             if left_ns > 0 and publisher.qos.reliable and publisher.is_made:

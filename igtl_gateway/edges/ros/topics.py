@@ -220,7 +220,8 @@ class TopicPublisher:
         self.echo: EchoFilter | None = None
         self.comes_back = False  # to a subscription of our own node
         self.lock = threading.Lock()
-        self.held: deque[bytes] = deque()
+        self.held: deque[tuple[bytes, int]] = deque()  # with the time after which it is too old, UTC ns; 0: none
+        self.old = 0  # held too long, and not noted yet
         self.held_bytes = 0
         self.deadline_ns = _NEVER_NS
         self.matched_ns = 0  # when all known subscriptions were matched; 0: not yet
@@ -283,9 +284,12 @@ class TopicPublisher:
         with self.lock:
             self.publisher = refusing_publisher("the node has stopped")
 
-    def hold(self, cdr: bytes) -> None:
-        """Keep a message for later (with ``lock`` held).  If it then `overflows`, the oldest must be sent."""
-        self.held.append(cdr)
+    def hold(self, cdr: bytes, until_ns: int = 0) -> None:
+        """Keep a message for later, but not to send it after ``until_ns`` (UTC; 0: no limit); with ``lock`` held.
+
+        If it then `overflows`, the oldest must be sent.
+        """
+        self.held.append((cdr, until_ns))
         self.held_bytes += len(cdr)
         self.counts.held = len(self.held)
 
@@ -296,9 +300,13 @@ class TopicPublisher:
 
     def send_oldest(self, clock: Clock) -> str:
         """Send the oldest held message (with ``lock`` held); returns the cause of a failure, or ``""``."""
-        cdr = self.held.popleft()
+        cdr, until_ns = self.held.popleft()
         self.held_bytes -= len(cdr)
         self.counts.held = len(self.held)
+        if until_ns and clock.utc_ns() > until_ns:
+            self.counts.unwritten += 1
+            self.old += 1
+            return ""
         return self.send(cdr, clock)
 
     def release_burst(self, clock: Clock) -> str:

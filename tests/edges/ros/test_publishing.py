@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -12,7 +13,7 @@ from igtl_gateway.base.qos import Qos
 from igtl_gateway.edges.ros import graph, publishing
 from igtl_gateway.edges.ros.edge import RosEdge
 from igtl_gateway.gateway.orders import Order
-from tests.edges.ros.test_edge import STRING, TIMEOUT_S, Heard, Peer, carried, string_cdr
+from tests.edges.ros.test_edge import STRING, TIMEOUT_S, Heard, Peer, carried, string_cdr, wait_known
 
 pytest.importorskip("rclpy", reason='needs ROS 2: pip install "igtl-gateway[ros]", or source an installation')
 
@@ -174,3 +175,25 @@ def test_a_type_that_is_not_there_refuses_each_command(edge: RosEdge) -> None:
     one = replace(order(topic, "x"), type="no_package/msg/None")
     assert code(edge, one) == "command_unheard", "its publisher is being made"
     until(lambda: code(edge, one) == "command_failed")
+
+
+def test_what_is_held_is_not_sent_when_it_is_too_old(
+    peer: Peer, edge: RosEdge, heard: Heard, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A stream with a maximum age, whose publisher waits for its subscribers."""
+    released = threading.Event()
+    monkeypatch.setattr(publishing.Publishing, "_can_send", lambda *_: released.is_set())
+    topic = "/aged/held"
+    peer.subscribe(topic, STRING, {"depth": 20})
+    wait_known(edge, topic)
+    now_ns = time.time_ns()
+    for text, until_ns in (("old", now_ns + 1), ("in time", now_ns + 3_600_000_000_000), ("without", 0)):
+        edge.publish(topic, STRING, string_cdr(text), Qos(), until_ns)
+    edge.publish(topic, STRING, string_cdr("old, too"), Qos(), now_ns + 1)
+    assert edge.wait_for_subscribers(topic, 1, TIMEOUT_S)
+    released.set()
+    assert [fields["data"] for _, fields in peer.take(topic, 2)] == ["in time", "without"]
+    assert edge.wait_ready(TIMEOUT_S)
+    counts = edge.counters()[topic]
+    assert (counts["published"], counts["unwritten"], counts["held"], counts["failed"]) == (2, 2, 0, 0)
+    assert heard.until(lambda: "ros_held_old" in heard.codes(topic))
