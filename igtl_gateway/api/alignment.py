@@ -177,6 +177,7 @@ def align(
     for stream in (*streams, *(() if isinstance(on, str) else (on,))):
         if by_key.setdefault(stream.key, stream) is not stream:
             raise ConfigError(f"streams: found two streams {stream.key!r}, expected different keys")
+        stream.check_sender()
     key = on if isinstance(on, str) else on.key
     if key not in by_key:
         raise ConfigError(f"on: found {key!r}, expected one of {', '.join(by_key)}")

@@ -173,6 +173,9 @@ class Recording(Mapping[str, Stream]):
         both = [each for each in streams if streams[each].name == key]
         if both:
             raise KeyError(f"{self.path}: found stream {key!r} {len(both)} times, expected one of {both}")
+        name, at, link = key.rpartition("@")
+        if at and link.isdecimal() and len(link) < 10:
+            return self[name].of_link(int(link))
         near = near_names(key, streams, 0.5) or [each for each in streams if key.lower() in each.lower()][:3]
         expected = did_you_mean(near) or "recording.streams has the names"
         raise KeyError(f"{self.path}: found no stream {key!r}; {expected}")

@@ -16,7 +16,10 @@ from igtl_gateway.base.untrusted.decoding import MessageDecoder
 from igtl_gateway.base.untrusted.limits import FileLimits, limits_in_force
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.acceptance import Acceptance
+from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.marks import Mark
+from igtl_gateway.gateway.log.note import Note
+from igtl_gateway.gateway.naming import NAME_SHARED
 from igtl_gateway.gateway.stream_units import StreamUnits
 from igtl_gateway.record.sessionfile import facts
 from igtl_gateway.record.sessionfile.bulk import MessageBlock
@@ -120,6 +123,20 @@ class Source:
             if item is None:
                 return
             yield item
+
+    def shared_topics(self) -> Mapping[str, str]:
+        """Return topic → stream of the topics that the gateway made of a stream that several peers sent at one time."""
+        return self._shared_topics
+
+    @cached_property
+    def _shared_topics(self) -> dict[str, str]:
+        found: dict[str, str] = {}
+        for entry in self.limited(lambda: self.file.entries_of_kinds({Kind.NOTE})):
+            if entry.kind is Kind.NOTE and NAME_SHARED.encode() in bytes(entry.data()):
+                note = Note.of(entry.data())
+                topics = note.data.get("topics", ()) if note.code == NAME_SHARED else ()
+                found |= {topic: note.stream for topic in topics if isinstance(topic, str)}
+        return found
 
     def decode(self, ros_type: str, data: bytes) -> Any:
         """Decode a ROS message.  Raises DamagedRecording."""

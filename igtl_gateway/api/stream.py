@@ -23,6 +23,7 @@ from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.base.untrusted.limits import limits_in_force
 from igtl_gateway.gateway.acceptance import Acceptance
 from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.gateway.log.interleaving import is_mixed
 from igtl_gateway.gateway.log.one_clock import StreamTimes
 from igtl_gateway.record.sessionfile.bulk import MessageBlock
 from igtl_gateway.record.sessionfile.channels import ChannelSummary
@@ -68,6 +69,10 @@ class RecordedMessage:
         return f"<RecordedMessage {self.number:,}: {self.type}, {content}>"
 
 
+class SeveralSenders(ConfigError):
+    """Several peers sent a stream in turn: its messages are not one movement."""
+
+
 class Stream:
     """One stream of a recording; get it from ``Recording``.  Its items are the decoded messages.
 
@@ -82,8 +87,10 @@ class Stream:
         unit: unit of lengths in its messages.
     """
 
-    def __init__(self, source: Source, channel: ChannelSummary, key: str, window: tuple[int, int]) -> None:
-        self._source, self._channel, self._window = source, channel, window
+    def __init__(
+        self, source: Source, channel: ChannelSummary, key: str, window: tuple[int, int], link: int = 0
+    ) -> None:
+        self._source, self._channel, self._window, self._link = source, channel, window, link
         self.key = key
         self.name = channel.stream or channel.topic
         self.type = channel.entry_type
@@ -117,7 +124,7 @@ class Stream:
     @property
     def _is_whole(self) -> bool:
         start_ns, end_ns = self._window
-        return start_ns <= self._source.start_ns and end_ns > self._source.end_ns
+        return not self._link and start_ns <= self._source.start_ns and end_ns > self._source.end_ns
 
     @property
     def count(self) -> int:
@@ -143,22 +150,25 @@ class Stream:
 
     def blocks_until_end(self) -> Iterator[MessageBlock]:
         """The messages before the end of the part and those before its start, too: for messages that stay valid."""
-        return self._source.blocks(self._channel, (0, self._window[1]))
+        return self._of_link(self._source.blocks(self._channel, (0, self._window[1])))
 
     def blocks(self) -> Iterator[MessageBlock]:
         """Yield the messages in blocks of arrays, undecoded: for programs that decode themselves."""
-        return self._source.blocks(self._channel, self._window)
+        return self._of_link(self._source.blocks(self._channel, self._window))
+
+    def _of_link(self, blocks: Iterator[MessageBlock]) -> Iterator[MessageBlock]:
+        return blocks if not self._link else (block.where(_links_of(block) == self._link) for block in blocks)
 
     @cached_property
-    def _heads(self) -> tuple[Times, Times, Times]:
-        blocks = [(block.times, block.source_times, block.numbers) for block in self.blocks()]
+    def _heads(self) -> tuple[Times, Times, Times, Times]:
+        blocks = [(block.times, block.source_times, block.numbers, _links_of(block)) for block in self.blocks()]
         nothing = np.zeros(0, np.int64)
-        times, sources, numbers = (
-            np.concatenate([nothing, *(block[column] for block in blocks)]) for column in range(3)
+        times, sources, numbers, links = (
+            np.concatenate([nothing, *(block[column] for block in blocks)]) for column in range(4)
         )
-        for array in (times, sources, numbers):
+        for array in (times, sources, numbers, links):
             array.flags.writeable = False
-        return times, sources, numbers
+        return times, sources, numbers, links
 
     @property
     def times(self) -> Times:
@@ -216,6 +226,11 @@ class Stream:
         """(N,) int64: entry number of each message; 0 in files of other programs."""
         return self._heads[2]
 
+    @property
+    def links(self) -> Times:
+        """(N,) int64: number of the first link that each message came from or went to; 0 for ROS."""
+        return self._heads[3]
+
     def between(self, start: Moment | None = None, end: Moment | None = None) -> Stream:
         """Return the part of the stream from ``start`` on and before ``end``.
 
@@ -229,7 +244,25 @@ class Stream:
         Examples:
             >>> last_second = recording["TRANSFORM/ToolToBase"].between(-1.0)
         """
-        return Stream(self._source, self._channel, self.key, narrowed(self._source, self._window, start, end))
+        window = narrowed(self._source, self._window, start, end)
+        return Stream(self._source, self._channel, self.key, window, self._link)
+
+    def of_link(self, link: int) -> Stream:
+        """Return the messages that came from one link, or went to it first; ``recording["NAME@LINK"]`` is the same."""
+        return Stream(self._source, self._channel, f"{self.key}@{link}", self._window, link)
+
+    def check_sender(self) -> None:
+        """Raise SeveralSenders if several peers sent the messages in turn: together they are not one movement."""
+        if self.direction == "ros_out" and (stream := self._source.shared_topics().get(self.name)):
+            raise SeveralSenders(
+                f"{self.key}: found messages of several peers, expected those of one, as in recording['{stream}@LINK']"
+            )
+        if self.direction == "igtl_in" and is_mixed(self.links):
+            links = " and ".join(map(str, np.unique(self.links)))
+            raise SeveralSenders(
+                f"{self.key}: found messages of links {links} in turn, expected those of one, as in "
+                f"recording['{self.key}@{int(self.links.min())}']"
+            )
 
     def messages(self) -> Iterator[RecordedMessage]:
         """Yield the decoded messages in order.
@@ -265,13 +298,15 @@ class Stream:
             The poses in the unit of the messages; ``Poses.in_unit`` converts them.
 
         Raises:
-            ConfigError: the type has no pose, no message has one, or ``frame`` is missing or unknown.
+            ConfigError: the type has no pose, no message has one, ``frame`` is missing or unknown, or several peers
+                sent the stream in turn (``of_link``).
 
         Examples:
             >>> poses = recording["TRANSFORM/ToolToBase"].poses()
             >>> poses.matrices.shape, poses.unit, poses.parent, poses.child
             ((1200, 4, 4), 'mm', 'Base', 'Tool')
         """
+        self.check_sender()
         return read_poses(self._source, self._channel, self.unit, self.blocks(), frame)
 
     def positions(self, unit: str = "", frame: str = "") -> npt.NDArray[Any]:
@@ -295,6 +330,7 @@ class Stream:
         Raises:
             ConfigError: the type has no images.
         """
+        self.check_sender()
         return Images(self._source, self._channel, self.unit, list(self.blocks()))
 
     def points(self) -> Clouds:
@@ -305,6 +341,7 @@ class Stream:
         Raises:
             ConfigError: the type has no points.
         """
+        self.check_sender()
         return Clouds(self._source, self._channel, self.unit, list(self.blocks()))
 
     def to_arrow(self) -> pyarrow.Table:
@@ -337,6 +374,10 @@ class Stream:
             Unavailable: pandas is not installed; the extra ``pandas`` installs it.
         """
         return to_frame(self.to_arrow())
+
+
+def _links_of(block: MessageBlock) -> Times:
+    return np.zeros(len(block), np.int64) if block.links is None else block.links
 
 
 def to_frame(table: pyarrow.Table) -> pandas.DataFrame:

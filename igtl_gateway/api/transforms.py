@@ -16,7 +16,7 @@ from igtl_gateway.api.moments import tolerance_ns
 from igtl_gateway.api.poses import between_poses, inverse, ratio
 from igtl_gateway.api.posing import transforms_of
 from igtl_gateway.api.source import Source
-from igtl_gateway.api.stream import Stream
+from igtl_gateway.api.stream import SeveralSenders, Stream
 from igtl_gateway.base.errors import ClockWarning, ConfigError, GatewayError
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.common_msgs import TFMessage
@@ -407,7 +407,10 @@ def _poses_of(stream: Stream) -> list[_PairPoses]:
     """The poses of a stream in metres by parent and child."""
     if stream.type == TFMessage.TYPE:
         return _one_by_one(stream)
-    poses = stream.poses().in_unit("m")
+    try:
+        poses = stream.poses().in_unit("m")
+    except SeveralSenders:  # of one name: nothing states whose pose is wanted
+        return []
     if poses.parent and poses.child:
         pair = (frame_id(poses.parent), frame_id(poses.child))
         return [(pair, *_finite(poses.times, poses.stamps, poses.matrices), False)]

@@ -66,7 +66,7 @@ class SharedNames:
         self._streams = _Senders()
         self._frames = _Senders()
 
-    def stream(self, stream: str, link: int) -> list[Finding]:
+    def stream(self, stream: str, link: int, topics: tuple[str, ...] = ()) -> list[Finding]:
         """Return the finding for the first message of a stream from a link while another link sends it, too."""
         others = self._streams.before(stream, link, "")
         if not others:
@@ -74,7 +74,8 @@ class SharedNames:
         links = [*(one for one, _ in others), link]
         senders = " and ".join(map(self._sender, links))
         text = f"{stream} comes from {senders}: their messages share one topic and one frame"
-        return [Finding(Level.WARN, NAME_SHARED, text, stream, tuple(links), data={"links": links})]
+        data = {"links": links, "topics": list(topics)}
+        return [Finding(Level.WARN, NAME_SHARED, text, stream, tuple(links), data=data)]
 
     def frames(self, message: TFMessage, stream: str, link: int) -> Iterator[Finding]:
         """Yield a finding for each frame that has another parent, or another sender, than before."""

@@ -24,13 +24,17 @@ from rosbags.typesys import Stores, get_typestore
 import igtl_gateway
 from igtl_gateway.base.errors import ClosedRecording, ConfigError, DamagedRecording, LimitExceeded, UnsupportedRecording
 from igtl_gateway.cli import main
+from igtl_gateway.config.configuration import Config
 from igtl_gateway.convert.rosmsg import Header, Image
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.writer import SessionWriter
+from igtl_gateway.wire import Message
+from igtl_gateway.wire.transform import Transform
 from tests.files import BytesRead
 from tests.places import FIXTURES
+from tests.script import Script
 
 STAR = FIXTURES / "star.mcap"
 TOOL = "TRANSFORM/ToolToBase"
@@ -579,3 +583,38 @@ def test_the_verbs_take_an_open_recording(tmp_path: Path) -> None:
         for verb in (igtl_gateway.review, igtl_gateway.verify):
             with pytest.raises(ConfigError, match="found a part of a recording, expected the whole one"):
                 verb(recording.between(1, 2))
+
+
+def test_messages_of_two_peers_with_one_device_are_told_apart(tmp_path: Path) -> None:
+    script = Script()
+    for link in (1, 2):
+        script.up(link)
+    for number in range(10):
+        matrix = (1, 0, 0, 0, 1, 0, 0, 0, 1, 100 * (number % 2 + 1), 0, 0)
+        script.igtl(Message("TRANSFORM", "Tool", Transform(matrix), number + 1 << 32), link=number % 2 + 1)
+    path = tmp_path / "s.mcap"
+    writer = SessionWriter(path, {"config": json.dumps(Config().to_dict())})
+    for entry in script.log:
+        writer.write(entry)
+    writer.close({})
+    with igtl_gateway.open(path) as recording:
+        stream = recording["TRANSFORM/Tool"]
+        assert stream.links.tolist() == [1, 2] * 5
+        with pytest.raises(
+            ConfigError, match=r"found messages of links 1 and 2 in turn.*recording\['TRANSFORM/Tool@1'\]"
+        ):
+            stream.poses()
+        for link in (1, 2):
+            one = recording[f"TRANSFORM/Tool@{link}"]
+            assert one.positions().tolist() == [[100.0 * link, 0, 0]] * 5 and len(one) == one.count == 5
+            assert one.links.tolist() == [link] * 5 and len(one.between(0.0, one.times[2])) == 2
+            assert one.to_arrow()["x_mm"].to_pylist() == [100.0 * link] * 5
+        assert stream.to_arrow()["link"].to_pylist() == [1, 2] * 5
+        with pytest.raises(ConfigError, match="found messages of several peers"):
+            recording["/igtl/in/Tool/transform"].poses()
+        for mixed in ("TRANSFORM/Tool", "/igtl/in/Tool/transform"):
+            with pytest.raises(ConfigError, match="found messages of"):
+                igtl_gateway.align([recording[mixed]], on=recording["TRANSFORM/Tool@1"])
+        assert len(igtl_gateway.align([recording["TRANSFORM/Tool@2"]], on=recording["TRANSFORM/Tool@1"]).times) == 5
+        with pytest.raises(KeyError, match="Toool"):
+            recording["TRANSFORM/Toool@1"]

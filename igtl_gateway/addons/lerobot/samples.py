@@ -217,6 +217,7 @@ def _named(names: tuple[str, ...], row: Feature, place: str) -> tuple[str, ...]:
 
 def _values(stream: Stream, row: Feature) -> tuple[str, Array, Any, tuple[str, ...], Pictures | None]:
     """Kind, indices of the usable messages, their values, names of the numbers, pictures."""
+    stream.check_sender()
     if row.is_picture:
         pictures = Pictures(stream, row.window)
         rows = pictures.usable

@@ -119,7 +119,7 @@ class Router:
                 return Outcome(found, STALE)
         try:
             outcome = self._converted(entry, message, restored, stream, to)
-            outcome.items += self._names(entry, message, restored, name, link)
+            outcome.items += self._names(entry, message, restored, name, stream)
         except (ConversionError, WireError) as error:
             fate = error.code if isinstance(error, ConversionError) else ConversionError.code
             outcome = Outcome([conversion_failure(error, "not published", entry)], fate)
@@ -135,15 +135,16 @@ class Router:
         return peer.profile.frame_of_picture(visible(message.device_name)) if peer else ""
 
     def _names(
-        self, entry: Entry, message: Message, restored: RestoredMetadata, stream: str, link: int
+        self, entry: Entry, message: Message, restored: RestoredMetadata, name: str, stream: ToRosStream
     ) -> list[Finding]:
         """Return the findings about the name of a stream: another peer sends it, or it may be cut."""
         shared = self._converter.shared
         if shared is None or is_dialogue(visible(message.type)):
             return []
         known = restored.is_of_gateway or restored.device_name != visible(message.device_name)
-        cut = cut_name(stream, message.device_name, known=known) if entry.payload else []
-        return [*cut, *shared.stream(stream, link)]
+        cut = cut_name(name, message.device_name, known=known) if entry.payload else []
+        topics = tuple(dict.fromkeys(topic for row, topic in stream.outputs if not row.topic))
+        return [*cut, *shared.stream(name, entry.links[0], topics)]
 
     def _converted(
         self, entry: Entry, message: Message, restored: RestoredMetadata, stream: ToRosStream, to: ToRosContext

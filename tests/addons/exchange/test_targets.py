@@ -35,7 +35,7 @@ from tests.tables import table
 from tests.test_fixtures import NAMES
 
 #: Recordings with several IMAGE streams: of which one a sequence is made.
-SEQUENCES = {"every-type": ("Slice", "TRANSFORM/*"), "paper-types": ("Grey", "TRANSFORM/*")}
+SEQUENCES = {"every-type": ("Slice@1", "TRANSFORM/*"), "paper-types": ("Grey", "TRANSFORM/*")}
 Export = Callable[[str, str], tuple[Path, ExportAccount]]
 
 
