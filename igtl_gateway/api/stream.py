@@ -218,7 +218,7 @@ class Stream:
     def _own_times(self) -> StreamTimes:
         self._source.check_open()
         with limits_in_force(self._source.limits):
-            links = self._source.file.first_links(self._channel)
+            links = (self._link,) if self._link else self._source.file.first_links(self._channel)
         return StreamTimes(self.key, self.times, self.stamps, f"link {links}" if links else "")
 
     @property
