@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 from igtl_gateway.base.errors import ConversionError
 from igtl_gateway.base.qos import Qos
@@ -27,6 +27,9 @@ TF_TOPICS = {"/tf": False, "/tf_static": True}
 TF_QOS = {"/tf": Qos(depth=1000), "/tf_static": Qos(depth=100, latched=True)}
 
 
+#: Poses whose stamps differ by less are of one moment: 0.5 mm at 100 mm/s.
+MOMENT_NS = 5_000_000
+
 #: (row, frame, stamp of its pose) → whether the pose is too old to be sent.
 IsStale = Callable[[TfOutRow, str, int], bool]
 
@@ -41,7 +44,7 @@ class _FramesSent:
     versions: tuple[int, ...] = ()
     last: OutboundMessage | None = None
     oldest_ns: int = 0
-    sent: tuple[tuple[int, Pose], ...] = ()
+    sent: dict[str, tuple[int, Pose]] = field(default_factory=dict)
 
 
 class TfOut:
@@ -71,38 +74,49 @@ class TfOut:
     ) -> tuple[list[tuple[OutboundMessage, LengthUnits]], list[str]]:
         """Apply a message of /tf or /tf_static; return the changed messages with their units, and the problems.
 
-        Frames that are too old are left out.
+        Frames that are too old are left out.  A message has one stamp, so frames of several moments are several
+        messages, each with the poses of its moment.
         """
         self.tree.update(message, static)
         changed: list[tuple[OutboundMessage, LengthUnits]] = []
         refused: list[str] = []
         for one in self._requests:
             try:
-                out = self._changed(one, now_ns, is_stale)
+                outs = self._changed(one, now_ns, is_stale)
             except ConversionError as error:
                 refused.append(str(error))
                 continue
-            if out is not None:
-                changed.append((out, self._config.lengths(one.row)))
+            changed += [(out, self._config.lengths(one.row)) for out in outs]
         return changed, refused
 
-    def _changed(self, one: _FramesSent, now_ns: int, is_stale: IsStale) -> OutboundMessage | None:
+    def _changed(self, one: _FramesSent, now_ns: int, is_stale: IsStale) -> list[OutboundMessage]:
         request = one.request
         versions = tuple(self.tree.version(frame, request.base) for frame in request.frames)
         if versions == one.versions:
-            return None
+            return []
         one.versions = versions
         found = [(frame, self.tree.latest(frame, request.base)) for frame in request.frames]
         known = [(frame, place) for frame, place in found if place is not None]
         if self.max_age_of(one.row):
             known = [(frame, place) for frame, place in known if not (place[0] and is_stale(one.row, frame, place[0]))]
-        sent = tuple(place for _, place in known)
-        if not known or sent == one.sent:
-            return None
-        one.sent = sent
-        one.oldest_ns = min((ns for ns, _ in sent if ns), default=0)
-        one.last = self._outbound(one, {frame: pose for frame, (_, pose) in known}, max(ns for ns, _ in sent), now_ns)
-        return one.last
+        places = dict(known)
+        if not places or places == one.sent:
+            return []
+        changed = [stamp_ns for frame, (stamp_ns, _) in known if one.sent.get(frame) != places[frame]]
+        one.sent = places
+        # recordings without rules of names are older than this one, too
+        moments = _moments(changed) if self._config.naming else [max(ns for ns, _ in places.values())]
+        outs = []
+        for stamp_ns in moments:
+            least_ns = stamp_ns - MOMENT_NS if self._config.naming else 0
+            poses = {frame: pose for frame, (ns, pose) in known if not ns or (least_ns < ns <= stamp_ns and stamp_ns)}
+            if not poses:
+                continue
+            outs.append(self._outbound(one, poses, stamp_ns, now_ns))
+            if one.last is None or stamp_ns >= one.last.ros_stamp_ns or not self._config.naming:
+                one.oldest_ns = min((places[frame][0] for frame in poses if places[frame][0]), default=0)
+                one.last = outs[-1]
+        return outs
 
     def _outbound(self, one: _FramesSent, poses: dict[str, Pose], stamp_ns: int, now_ns: int) -> OutboundMessage:
         request = one.request
@@ -143,3 +157,16 @@ class TfOut:
     def static(self) -> list[OutboundMessage]:
         """Return the last messages of static frames, which are sent only once."""
         return [one.last for one in self._requests if one.last and not one.last.ros_stamp_ns]
+
+
+def _moments(stamps: Sequence[int]) -> list[int]:
+    """The moments of stamps in their order: each is the last of those that are near; 0, of static frames, if alone."""
+    found: list[int] = []
+    first_ns = 0
+    for stamp_ns in sorted(stamp_ns for stamp_ns in stamps if stamp_ns):
+        if found and stamp_ns - first_ns < MOMENT_NS:
+            found[-1] = stamp_ns
+        else:
+            found.append(stamp_ns)
+            first_ns = stamp_ns
+    return found or [0][: len(stamps)]

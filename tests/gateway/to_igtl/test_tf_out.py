@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from igtl_gateway.base.stamp import ns_to_ticks
+from igtl_gateway.base.stamp import ns_to_ticks, ticks_to_ns
 from igtl_gateway.config.configuration import Config, TfOutRow
 from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
 from igtl_gateway.convert.rosmsg import Header
@@ -129,3 +129,60 @@ def test_single_frames_are_put_together_for_who_asks_for_tracking_data() -> None
     ]
     elements = script.sent()[-1].content.describe()["elements"]
     assert [(one["name"], one["matrix"][0][3]) for one in elements] == [("aTobase", 100.0), ("bTobase", 200.0)]
+
+
+def poses_at(script: Script) -> list[tuple[int, dict[str, float]]]:
+    """Of the last messages of tracking data: stamp in ms, and the position of each tool, mm."""
+    return [
+        (
+            round((ticks_to_ns(message.ticks) - T0_NS) / 1e6),
+            {one["name"]: one["matrix"][0][3] for one in message.content.describe()["elements"]},
+        )
+        for message in script.sent()
+        if message.type == "TDATA"
+    ]
+
+
+def test_a_pose_in_tracking_data_is_that_of_its_stamp() -> None:
+    """The needle comes 300 ms late with right stamps, the probe at once; both move 100 mm/s."""
+    script = Script(Config(tf_out=(TfOutRow(frames=("probe", "needle"), base="base", device="Tracker"),)))
+    script.up(1)
+    seen: dict[str, int] = {}
+    for number in range(100):
+        updates = [("probe", number * 20)]
+        if number % 5 == 0 and number >= 15:
+            updates.append(("needle", number * 20 - 300))
+        for frame, at in updates:
+            script.ros("/tf", tf(("base", frame, at / 10_000), stamp_ns=T0_NS + at * 10**6))
+            for stamp_ms, tools in poses_at(script):
+                for name, x in tools.items():
+                    seen[name] = seen.get(name, 0) + 1
+                    assert x == pytest.approx(stamp_ms / 10, abs=0.5)
+    assert (seen["probe"], seen["needle"]) == (100, 17)
+
+
+def test_poses_of_several_moments_in_one_update_are_several_messages() -> None:
+    script = Script(Config(tf_out=(TfOutRow(frames=("a", "b", "c", "still"), base="base", device="Tracker"),)))
+    script.up(1)
+    script.ros("/tf_static", tf(("base", "still", 4.0), stamp_ns=0))
+    edges = tuple(
+        FrameTransform(Header(T0_NS + ms * 10**6, "base"), child, (ms / 1000, 0.0, 0.0, *UNIT))
+        for child, ms in (("a", 10), ("b", 12), ("c", 300))
+    )
+    script.ros("/tf", TFMessage(edges))
+    assert poses_at(script) == [
+        (12, {"a": 10.0, "b": 12.0, "still": 4000.0}),
+        (300, {"c": 300.0, "still": 4000.0}),
+    ]
+    # with one stamp, frames that come one after the other are together again
+    script.ros("/tf", tf(("base", "a", 0.4), stamp_ns=T0_NS + 400 * 10**6))
+    script.ros("/tf", tf(("base", "b", 0.5), stamp_ns=T0_NS + 400 * 10**6))
+    assert poses_at(script) == [(400, {"a": 400.0, "b": 500.0, "still": 4000.0})]
+
+
+def test_recordings_without_rules_of_names_have_all_poses_in_each_message() -> None:
+    script = Script(Config(naming=0, tf_out=(TfOutRow(frames=("a", "b"), base="base", device="Tracker"),)))
+    script.up(1)
+    script.ros("/tf", tf(("base", "a", 0.1)))
+    script.ros("/tf", tf(("base", "b", 0.2), stamp_ns=T0_NS + 300 * 10**6))
+    assert poses_at(script) == [(300, {"a": 100.0, "b": 200.0})]
