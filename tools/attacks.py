@@ -17,12 +17,16 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from itertools import count, cycle
+from pathlib import Path
 
 from fastcrc import crc64
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from igtl_gateway.wire import Message, encode
 from igtl_gateway.wire.body import Body
 from igtl_gateway_lab.simulate.every_igtl import command_content, contents, query
+from tests.costly import TABLE
 
 _CHUNK_BYTES = 64 << 10
 _TICK_S = 0.002
@@ -88,13 +92,21 @@ def _attacks() -> dict[str, list[bytes]]:
 #: What a program sends that has a connection for each message.
 _STRING = message("STRING", struct.pack(">HH", 3, 5) + b"Hello")
 
+#: The most expensive valid messages of each type.
+_COSTLY = {f"most: {row.name}": row for row in TABLE}
+
 #: Attacks that are made of connections.
 _MANNERS = ("connect and leave", "half a header", "a message and reset", "a message and leave")
 
 
 def names() -> list[str]:
-    """The names of all attacks."""
+    """The names of all attacks but those of ``costly``."""
     return [*_attacks(), *_MANNERS]
+
+
+def costly() -> list[str]:
+    """The names of the attacks with the most expensive valid message of a type."""
+    return list(_COSTLY)
 
 
 class _Flooder:
@@ -197,7 +209,10 @@ def _reset(sock: socket.socket) -> None:
 def main() -> None:
     name, port, links, rate, seconds = sys.argv[1:]
     where = (int(port), int(links), float(rate), float(seconds))
-    sent = churn(name, *where) if name in _MANNERS else flood(_attacks()[name], *where)
+    if name in _MANNERS:
+        sent = churn(name, *where)
+    else:
+        sent = flood([_COSTLY[name].data()] if name in _COSTLY else _attacks()[name], *where)
     print(sent, flush=True)
 
 

@@ -324,7 +324,7 @@ def measure(options: argparse.Namespace, folder: Path) -> bool:
     words += options.bridge
     log, held = folder / "bridge.log", []
     print(*(_TABLE_TITLES if options.table else [_titles(options.ros, options.control)]), sep="\n", flush=True)
-    for name in options.attack or attacks.names():
+    for name in options.attack or (attacks.costly() if options.costly else attacks.names()):
         of_links: list[list[Figures]] = []
         for links in options.links:
             with _bridge(words, log) as (port, _), ExitStack() as stack:
@@ -359,6 +359,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--role", nargs="+", help=argparse.SUPPRESS)
     parser.add_argument("--attack", action="append", help="one of: " + ", ".join(attacks.names()))
+    parser.add_argument("--costly", action="store_true", help="the most expensive valid message of each type")
     parser.add_argument("--links", type=int, action="append", help="number of attackers (default: 1 and 20)")
     parser.add_argument("--rate", type=float, default=0, help="messages per second of all; 0: as fast as they can")
     parser.add_argument("--each", action="store_true", help="the rate is that of each attacker")

@@ -3,16 +3,34 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from io import BytesIO
 
 #: Anything with the buffer protocol; numpy views are passed as memoryviews of bytes.
 Buffer = bytes | bytearray | memoryview
+
+#: From this size on bytes are joined in steps of this size.
+MANY_BYTES, _STEP = 4 << 20, 512 << 10
 
 
 def join(buffers: Sequence[Buffer]) -> bytes:
     """Return the buffers as one ``bytes`` object; a single ``bytes`` object is not copied."""
     if len(buffers) == 1 and isinstance(buffers[0], bytes):
         return buffers[0]
-    return b"".join(buffers)
+    return join_in_steps(buffers) if total_size(buffers) >= MANY_BYTES else b"".join(buffers)
+
+
+def join_in_steps(buffers: Sequence[Buffer]) -> bytes:
+    """Return many bytes as one object, as ``join``; other threads get their turn meanwhile.
+
+    One call that copies a hundred megabytes holds the interpreter for a twentieth of a second.
+    """
+    joined = BytesIO()
+    for buffer in buffers:
+        view = memoryview(buffer)
+        view = view.cast("B") if view.nbytes else memoryview(b"")
+        for begin in range(0, view.nbytes, _STEP):
+            joined.write(view[begin : begin + _STEP])
+    return joined.getvalue()  # its own object, not a copy
 
 
 def total_size(buffers: Sequence[Buffer]) -> int:

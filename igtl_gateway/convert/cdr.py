@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.buffers import MANY_BYTES, Buffer, join_in_steps
 from igtl_gateway.base.errors import ConversionError
 
 _ENCAPSULATION = b"\x00\x01\x00\x00"  # CDR_LE, no options
@@ -94,7 +94,7 @@ class CdrWriter:
 
     def finish(self) -> bytes:
         """Return the message, joined once, as ``bytes``: rclpy publishes no other type."""
-        return b"".join(self._parts)
+        return b"".join(self._parts) if self._size < MANY_BYTES else join_in_steps(self._parts)
 
 
 _U32 = struct.Struct("<I")

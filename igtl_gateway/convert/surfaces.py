@@ -26,7 +26,7 @@ DRAWN_WIDTH = 0.001
 _MIN_LINE, _MIN_FACE = 2, 3
 #: Maximum number of triangles or line segments of one message: 4 bytes per point of a strip become 72 in a marker.
 #: The largest surfaces in use have some hundred thousand; more separate triangles do not fit the longest message.
-MAX_PIECES = 12_000_000
+MAX_PIECES = 4_000_000
 
 
 def has_faces(content: PolyData) -> bool:

@@ -39,22 +39,30 @@ class Output:
 
 @value(frozen=True, slots=True)
 class Packed:
-    """A ROS message as CDR, with its type."""
+    """A ROS message as CDR, with its type.
+
+    Attributes:
+        cdr: without the bytes that ``head`` replaces at its beginning.
+        head: of a large message, whose bytes are not copied for its stamp.
+    """
 
     TYPE: str
     cdr: bytes
+    head: bytes = b""
 
     @classmethod
     def of(cls, message: RosMessage) -> Packed:
         return cls(message.TYPE, message.pack())
 
-    def pack(self) -> bytes:
-        return self.cdr
+    def payload(self) -> tuple[Buffer, ...]:
+        """Return the bytes, as one buffer or as two."""
+        return (self.head, memoryview(self.cdr)[len(self.head) :]) if self.head else (self.cdr,)
 
 
 def ros_output(topic: str, message: RosMessage | Packed, stamp_ns: int) -> Output:
     """Return the output of a ROS message on a topic; ``stamp_ns`` is the stamp of its header, UTC ns."""
-    return Output(Kind.ROS_OUT, topic, message.TYPE, (message.pack(),), (), stamp_ns)
+    payload = message.payload() if isinstance(message, Packed) else (message.pack(),)
+    return Output(Kind.ROS_OUT, topic, message.TYPE, payload, (), stamp_ns)
 
 
 def note_output(

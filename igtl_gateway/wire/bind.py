@@ -24,7 +24,7 @@ MAX_DEPTH = 4
 
 #: Children on all levels together.  Real messages have tens; each costs conversions and outputs of its own, for which
 #: all others wait: what a message causes stands together in the log.
-MAX_CHILDREN = 128
+MAX_CHILDREN = 64
 
 
 #: A BIND without children: their number, and the size of their names.
@@ -57,7 +57,7 @@ class Bind:
     Children have no header, time stamp, id or metadata of their own.
 
     Accepted: a table of names of odd size (the contents follow after ``names_size`` bytes: the C++ library does not
-    always pad the table), names without the last NUL, a missing last pad byte, nested BIND up to four levels, 128
+    always pad the table), names without the last NUL, a missing last pad byte, nested BIND up to four levels, 64
     children on all levels together.  Any 4 bytes, which have no child: the C++ library reserves them for the two sizes
     of a BIND without children, and leaves them uninitialised.
 

@@ -90,7 +90,11 @@ class Cells:
         if not self.count or len(self.data) % self.count:
             return None
         width = len(self.data) // self.count
-        return width - 1 if width and bool((self.data.reshape(self.count, width)[:, 0] == width - 1).all()) else None
+        if not width:
+            return None
+        # equal is equal in any byte order, and in the machine's own it is found several times as fast
+        words, wanted = np.asarray(self.data, U4).view(np.uint32), np.array(width - 1, U4).view(np.uint32)
+        return width - 1 if bool((words.reshape(self.count, width)[:, 0] == wanted).all()) else None
 
     def starts(self, place: str = "cells") -> npt.NDArray[np.int64]:
         """Where each cell's count stands in ``data``.  Raises MalformedBody if the cells do not fill the data."""

@@ -13,6 +13,7 @@ from igtl_gateway.base.globs import matches
 from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.edges.reserved import ReservedPorts
 from igtl_gateway.edges.tcp.addresses import Addresses
+from igtl_gateway.edges.tcp.aside import Aside
 from igtl_gateway.edges.tcp.link import FLUSH_S
 from igtl_gateway.edges.tcp.link_info import LinkCounters, LinkInfo, PeerLimits
 from igtl_gateway.edges.tcp.link_parts import Admission, LinkContext, OpenAdmission, Refusals
@@ -102,7 +103,9 @@ class TcpEdge:
             passage,
             native_reader.wait_large if native_reader else _ignore,
             admission,
+            aside := Aside(self._loop),
         )
+        self._aside = aside
         self._on_frame = on_frame
         self._limits = limits
         self._native_reader = native_reader
@@ -313,6 +316,7 @@ class TcpEdge:
             self._loop.run(link.close, link.failed)
         if self._native_reader:
             self._native_reader.stop()
+        self._aside.stop()
         self._loop.close()
         self._finished = True
 

@@ -186,9 +186,16 @@ class Link:
         self.close(code)
 
     def close(self, reason: str = "") -> None:
-        """Close for this reason, or for the one that is already known, and report it."""
+        """Close for this reason, or for the one that is already known, and report it.
+
+        A message that is handled aside comes first.
+        """
         sender = self.sender
         reason = reason or sender.reason
+        if self.receiver.is_aside and not self._loop.stopping:
+            sender.mute(reason)
+            self.receiver.then = partial(self.close, reason)
+            return
         self.is_open = False
         self._loop.run(partial(self.receiver.take_over, at_end=True))
         self._loop.run(self.receiver.handle_all)

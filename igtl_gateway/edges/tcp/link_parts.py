@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
 from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.edges.tcp.aside import Aside
 from igtl_gateway.edges.tcp.link_info import PeerLimits
 from igtl_gateway.edges.tcp.loop import Loop
 from igtl_gateway.edges.tcp.reporter import Reporter
@@ -94,6 +95,7 @@ class LinkContext:
         passage: the native passage, which reads and sends natively where it can; None: there is none.
         wait_large: waits until large messages of a link, which the passage has read, are handled.
         admission: when large messages pass.
+        aside: handles messages that take long.
         invalid: the time of large messages without valid content.
     """
 
@@ -108,6 +110,7 @@ class LinkContext:
     passage: Passage | None
     wait_large: Callable[[NativeLink], None]
     admission: Admission
+    aside: Aside
     invalid: InvalidTime = field(default_factory=InvalidTime)
 
 

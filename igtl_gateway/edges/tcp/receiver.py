@@ -15,6 +15,7 @@ from typing import Any
 
 from igtl_gateway.base.errors import MessageTooLarge
 from igtl_gateway.base.stamp import NS_PER_S
+from igtl_gateway.edges.tcp.aside import Job
 from igtl_gateway.edges.tcp.link_parts import LinkContext, LinkLife, NativeEnds
 from igtl_gateway.edges.tcp.outbox import Part
 from igtl_gateway.edges.tcp.reporter import NOTE_EVERY_S
@@ -91,6 +92,7 @@ class Receiver:
         is_foreign: the first bytes were not a header of OpenIGTLink.
         is_inside_message: bytes are between socket and framer: an error here loses the place in the stream.
         after_read: called after each reading, None for nothing; the link of a relay sets it.
+        then: called when the message that is handled aside is done; None for nothing.
     """
 
     def __init__(
@@ -110,6 +112,8 @@ class Receiver:
         self.is_foreign = False
         self.is_inside_message = False
         self.after_read: Callable[[], None] | None = None
+        self.then: Callable[[], None] | None = None
+        self._aside: Job | None = None
         self._sock = sock
         self._link = link
         self._context = context
@@ -141,12 +145,18 @@ class Receiver:
     @property
     def has_waiting(self) -> bool:
         """Whether messages, or something else that was received, wait for a turn."""
-        return bool(self._waiting) and not (self._is_stopped or self._is_held)
+        return bool(self._waiting) and not (self._is_stopped or self._is_held or self._aside)
+
+    @property
+    def is_aside(self) -> bool:
+        """Whether a message of the link is handled aside; the link is not read meanwhile."""
+        return self._aside is not None
 
     @property
     def is_reading(self) -> bool:
         """Whether the I/O thread reads the link now."""
-        return not (self._is_stopped or self._is_held or self._rate.is_pausing or self._is_native)
+        held = self._is_stopped or self._is_held or self._aside is not None
+        return not (held or self._rate.is_pausing or self._is_native)
 
     @property
     def is_read(self) -> bool:
@@ -219,6 +229,8 @@ class Receiver:
 
     def handle_all(self) -> None:
         """The link closes: handle all messages that were received whole."""
+        if self._aside:
+            self._aside.wait()
         self._handle(0)
 
     def _frame(self, received: Callable[[], Sequence[Part]]) -> None:
@@ -244,6 +256,9 @@ class Receiver:
             if size >= LARGE_BYTES and not self._admit(size, bool(until_ns)):
                 return
             self._messages += 1
+            if until_ns and self.after_read is None and self._context.aside.takes(waiting[0]):
+                self._put_aside(partial(call, "on_frame", self._on_frame, number, waiting.popleft()), size)
+                return
             if call("on_frame", self._on_frame, number, waiting.popleft()) is True:
                 self._rest_after_invalid(size)
             if size >= LARGE_BYTES:
@@ -256,6 +271,27 @@ class Receiver:
             self._loop.ask(self._link.turn)
         elif self._prepare():
             self._let_passage_read()
+
+    def _put_aside(self, work: Callable[[], object], size: int) -> None:
+        """Have a message handled aside; the link is read on when that is done."""
+        self._aside = Job(work, partial(self._end_aside, size))
+        self._link.watch()
+        self._context.aside.put(self._aside, self._link.failed)
+
+    def _end_aside(self, size: int, result: object, used_ns: int) -> None:
+        self._aside = None
+        self._link.turn.charge(used_ns)
+        if size >= LARGE_BYTES:
+            self._context.admission.leave(size)
+        if result is True:
+            self._rest_after_invalid(size)
+        then, self.then = self.then, None
+        if then:
+            then()
+        elif self._link.is_open:
+            if not self._waiting and self._prepare():
+                self._let_passage_read()
+            self._read_on()
 
     def _admit(self, size: int, waits: bool) -> bool:
         """Whether a large message passes now; else the link is not read until the next look."""

@@ -69,6 +69,10 @@ class Turn:
         self._at_ns = 0
         self._serial = 0
 
+    def charge(self, time_ns: int) -> None:
+        """Pay for CPU time that was used for this taker elsewhere."""
+        self._at_ns += time_ns
+
     def give_up(self) -> None:
         """Ask for a turn no longer."""
         self.waits = False

@@ -224,7 +224,8 @@ class FastPath:
         if plain and self._comes_again(key):
             assembler, peer = self._volumes.get(origin.to.device_name), self._peers.get(entry.links[0])
             frames = peer.frames if peer else None
-            self._store(self.to_ros, key, compile_to_ros.compile_to_ros(entry, origin, self._common, assembler, frames))
+            compiled = compile_to_ros.compile_to_ros(entry, origin, self._common, assembler, frames, self._beforehand)
+            self._store(self.to_ros, key, compiled)
 
     def _learn_to_igtl(self, entry: Entry, origin: IgtlOrigin) -> None:
         key = (entry.channel, entry.type)

@@ -7,6 +7,7 @@ functions of `igtl_gateway.convert.express` fill.
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -38,6 +39,7 @@ from igtl_gateway.gateway.fastpath.common import NAMES_AT, STAMP_AT, CompileCont
 from igtl_gateway.gateway.fastpath.compiled_to_ros import CompiledToRos, Defer, Volume
 from igtl_gateway.gateway.fastpath.tools import tools_form
 from igtl_gateway.gateway.log.entry import Entry
+from igtl_gateway.gateway.to_ros.beforehand import Beforehand
 from igtl_gateway.gateway.to_ros.route import RosOrigin
 from igtl_gateway.gateway.to_ros.subscribers import Waiting
 from igtl_gateway.wire.header import HEADER_SIZE
@@ -84,6 +86,7 @@ _NEVER: frozenset[Callable[..., bool]] = frozenset(
 _TRIANGLE = PolyData(np.zeros((3, 3), ">f4"), polygons=Cells.of(np.arange(3).reshape(1, 3)))
 #: Types whose streams can be compiled.
 TYPES = frozenset({*_POSES, "STRING", "POINT", "POLYDATA", "IMAGE", "TDATA", "QTDATA"})
+_U32 = struct.Struct("<I")
 #: Offset of the translation in the content.
 _PLACE_AT = {MATRIX: 36, QUATERNION: 0}
 
@@ -94,6 +97,7 @@ def compile_to_ros(
     common: CompileContext,
     assembler: VolumeAssembler | None,
     frames: TrackedFrames | None,
+    beforehand: Beforehand,
 ) -> CompiledToRos | None:
     """Compile from a message that was converted without a finding; None if its stream cannot be compiled.
 
@@ -123,7 +127,7 @@ def compile_to_ros(
             return None
         if not size and row.applies in _NEVER and not row.applies(message.content):
             continue
-        form = _pose_form(row, message.content, to) if size else _bulk_form(row, message.content, to)
+        form = _pose_form(row, message.content, to) if size else _bulk_form(row, message.content, to, beforehand)
         if form is None:
             return None
         forms.append((topic, row.message.TYPE, form))
@@ -174,7 +178,7 @@ def _pose_form(row: ConversionToRos, content: Any, to: ToRosContext) -> tuple[by
     return made.pack(), stamp_at
 
 
-def _bulk_form(row: ConversionToRos, content: Any, to: ToRosContext) -> tuple[Any, ...] | None:
+def _bulk_form(row: ConversionToRos, content: Any, to: ToRosContext, beforehand: Beforehand) -> tuple[Any, ...] | None:
     """Return the form as ``bulk_to_ros`` needs it: itself, its template, and offsets in it."""
     form = _BULK_TO_ROS.get(row.convert)
     if form == TEXT:
@@ -190,13 +194,13 @@ def _bulk_form(row: ConversionToRos, content: Any, to: ToRosContext) -> tuple[An
         return MESH, b"", 0, 0, 0
     if form == TRIANGLES:
         return TRIANGLES, *_marker_template(row.convert(_TRIANGLE, to))
-    made: Any = row.convert(content, to)
-    cdr = made.pack()
-    end = len(cdr) - memoryview(made.data).nbytes
+    made: Any = beforehand.message(content, row.convert) or row.convert(content, to)
+    # without its data, which may be a hundred megabytes; their size is the last of the template
+    cdr, size = replace(made, data=b"").pack(), _U32.pack(memoryview(made.data).nbytes)
     if form == PICTURE:
-        return form, cdr[:end], STAMP_AT, 0, 0
+        return form, cdr[: -_U32.size] + size, STAMP_AT, 0, 0
     frame_end = end_of_name(cdr, NAMES_AT)
-    return form, cdr[: end - 1], STAMP_AT, frame_end + -frame_end % 4 + 4, 0
+    return form, cdr[: -1 - _U32.size] + size, STAMP_AT, frame_end + -frame_end % 4 + 4, 0
 
 
 def _marker_template(made: Any) -> tuple[bytes, int, int, int]:

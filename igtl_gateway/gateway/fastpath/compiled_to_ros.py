@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 
 from igtl_gateway.base.buffers import Buffer
+from igtl_gateway.base.stamp import NS_PER_S
 from igtl_gateway.convert.assembly import Form, VolumeAssembler
 from igtl_gateway.convert.express import FillTemplate
+from igtl_gateway.convert.rosmsg import Image, PointCloud2
 from igtl_gateway.gateway.fastpath.tools import has_tools
 from igtl_gateway.gateway.guarded_stream import GuardedStream
 from igtl_gateway.gateway.log.entry import Entry, Kind
@@ -31,6 +33,9 @@ Prepared = tuple[Outputs, tuple[Any, ...]]
 
 #: Gateway time (UTC ns) that no message has, in place of one that is not known yet.
 _NO_TIME = 0
+#: ROS types that begin with their only stamp, and its place in CDR.
+_HEADED = frozenset({Image.TYPE, PointCloud2.TYPE})
+_STAMP, _STAMP_AT = struct.Struct("<iI"), 4
 #: The translation in OpenIGTLink.
 _PLACE = struct.Struct(">3f")
 
@@ -93,6 +98,7 @@ class CompiledToRos:
         self._defer = defer
         self._passed_over = passed_over
         self.keeps = volume is not None
+        self._is_patched = all(ros_type in _HEADED for _, ros_type, _ in forms)
 
     @property
     def depends(self) -> bool:
@@ -122,14 +128,17 @@ class CompiledToRos:
             self._passed_over(messages)
 
     def prepare(self, payload: Sequence[Buffer], ask: HasSubscriber | None) -> Prepared | None:
-        """Convert a message before it has a number; None if the result depends on its gateway time, or on others."""
+        """Convert a message before it has a number; None if the result depends on others.
+
+        Where its stamp is gateway time, it gets that later: ``_stamped``.
+        """
         if not self.own or self._latched:
             return None
         outputs = self._wanted(ask)
         if not outputs:
             return None
         made = self._convert(payload, outputs, _NO_TIME)
-        return (outputs, made) if made and made[1] != _NO_TIME else None
+        return (outputs, made) if made and (made[1] != _NO_TIME or self._is_patched) else None
 
     def _wanted(self, ask: HasSubscriber | None) -> Outputs:
         """Return the outputs that have a subscriber."""
@@ -169,6 +178,8 @@ class CompiledToRos:
         if made is None:
             at, tail = self.places
             return [] if has_tools(self._forms, payload[0][at : len(payload[0]) - tail]) else None
+        if prepared and made[1] == _NO_TIME:
+            made = _stamped(made, stamp_ns)
         source_ns, shown_ns = made[0], made[1]
         watched = self.watched
         if watched is not None and not watched.passes_quickly(
@@ -182,7 +193,8 @@ class CompiledToRos:
                 continue
             step += 1
             published["published"] = published.get("published", 0) + 1
-            entries.append(Entry(seq + step, stamp_ns + step, Kind.ROS_OUT, topic, ros_type, (cdr,), (), shown_ns))
+            parts = cdr if type(cdr) is tuple else (cdr,)
+            entries.append(Entry(seq + step, stamp_ns + step, Kind.ROS_OUT, topic, ros_type, parts, (), shown_ns))
         for topic in self._latched:
             self._waiting.pop(topic, None)
         if self._defer is not None:
@@ -194,3 +206,16 @@ class CompiledToRos:
         fate = CONVERTED if step or ask is None else UNSUBSCRIBED
         count[fate] = count.get(fate, 0) + 1
         return entries
+
+
+def _stamped(made: tuple[Any, ...], stamp_ns: int) -> tuple[Any, ...]:
+    """Return what was made without a time, with gateway time: each message as two buffers, so that none is copied."""
+    stamp, end = _STAMP.pack(*_seconds(stamp_ns)), _STAMP_AT + _STAMP.size
+    parts = (None if cdr is None else (bytes(cdr[:_STAMP_AT]) + stamp, memoryview(cdr)[end:]) for cdr in made[2:])
+    return made[0], stamp_ns, *parts
+
+
+def _seconds(stamp_ns: int) -> tuple[int, int]:
+    """Return seconds and nanoseconds, as ROS has them: the seconds wrap."""
+    seconds, rest_ns = divmod(stamp_ns, NS_PER_S)
+    return (seconds + (1 << 31)) % (1 << 32) - (1 << 31), rest_ns

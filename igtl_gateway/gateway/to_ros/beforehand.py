@@ -22,6 +22,7 @@ from igtl_gateway.convert.common_msgs import TFMessage
 from igtl_gateway.convert.context import ToRosContext
 from igtl_gateway.convert.igtl_msgs import Metadata
 from igtl_gateway.convert.multi_arrays import MULTI_ARRAYS
+from igtl_gateway.convert.raw import raw_message
 from igtl_gateway.convert.rosmsg import DiagnosticStatus, Header, Mesh, RosMessage, String
 from igtl_gateway.convert.table import ConversionToRos
 from igtl_gateway.gateway.acceptance import Acceptance
@@ -31,12 +32,11 @@ from igtl_gateway.gateway.output import Packed
 from igtl_gateway.gateway.streams import Streams
 from igtl_gateway.gateway.to_ros.routed import child_message, context_of
 from igtl_gateway.gateway.to_ros.subscribers import Subscribers
-from igtl_gateway.wire import Message
+from igtl_gateway.wire import Message, Raw
 from igtl_gateway.wire.bind import Bind
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.cost import AT_ONCE_NS, cost_ns
 from igtl_gateway.wire.fields import visible
-from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.registry import read_child
 
 #: Conversions that take long for a message of any size.
@@ -55,6 +55,7 @@ _WITHOUT_STAMP = frozenset(
 )
 
 _STAMP_END = 12  # of CDR that begins with a header
+_LARGE_BYTES = 64 << 10
 
 
 _Made = tuple[Sequence[Packed] | ConversionError, list[tuple[str, str]]]
@@ -69,7 +70,9 @@ class Piece:
         to: context of the conversions, without a stamp; None: nothing was converted.
         made: conversion function → ROS messages or why there are none, and warnings.
         shared: what the rows share; see ``ToRosContext.made``.
+        messages: conversion function → ROS message, for what is compiled from it.
         metadata: the message of the sender's metadata.
+        raw: the message as a RawMessage, where there is no conversion.
         children: pieces of the children of a BIND.
     """
 
@@ -77,7 +80,9 @@ class Piece:
     to: ToRosContext | None = None
     made: dict[object, _Made] = field(default_factory=dict)
     shared: dict[str, Any] = field(default_factory=dict)
+    messages: dict[object, RosMessage] = field(default_factory=dict)
     metadata: Packed | None = None
+    raw: Packed | None = None
     children: tuple[Piece, ...] = ()
 
 
@@ -127,7 +132,11 @@ class Beforehand:
             return Results(payload, error)
         restored = restore_metadata(message, self._config.naming)
         results = Results(payload, message, restored)
-        self._piece(results, message, restored, link, takes_long=cost_ns(payload) >= AT_ONCE_NS)
+        piece = self._piece(
+            results, message, restored, link, takes_long=cost_ns(payload) >= AT_ONCE_NS or len(payload) >= _LARGE_BYTES
+        )
+        if piece.to and not piece.made and isinstance(message.content, Raw):
+            piece.raw = Packed.of(raw_message(payload, 0, link))
         return results
 
     def _piece(
@@ -135,7 +144,7 @@ class Beforehand:
     ) -> Piece:
         content = message.content
         piece = Piece(content)
-        if isinstance(content, Image) or not (takes_long or visible(message.type) == "POLYDATA"):
+        if not (takes_long or visible(message.type) == "POLYDATA"):
             return piece
         results.pieces[id(content)] = piece
         stream = self._streams.foreseen(visible(message.type), restored.device_name)
@@ -172,6 +181,7 @@ class Beforehand:
             piece.made[row.convert] = error, one.warnings
             return
         messages = converted if isinstance(converted, list) else [converted]
+        piece.messages[row.convert] = messages[0]
         if all(_is_patched(message) for message in messages):
             piece.made[row.convert] = [Packed.of(message) for message in messages], one.warnings
 
@@ -213,14 +223,26 @@ class Beforehand:
         to.warnings.extend(warnings)
         if isinstance(messages, ConversionError):
             raise messages
-        return [_stamped(message, to) for message in messages]
+        return [_stamped(message, to.stamp_ns) for message in messages]
 
     def metadata(self, content: object, to: ToRosContext) -> Packed | None:
         """Return the message of the sender's metadata; None: it was not made with this content and context."""
         piece = self._piece_of(content)
         if piece is None or piece.metadata is None or _alone(to) != piece.to:
             return None
-        return _stamped(piece.metadata, to)
+        return _stamped(piece.metadata, to.stamp_ns)
+
+    def raw(self, entry: Entry, content: object) -> Packed | None:
+        """Return the message as a RawMessage, with gateway time; None: it was not made."""
+        piece = self._piece_of(content)
+        if piece is None or piece.raw is None or not self._of(entry):
+            return None
+        return _stamped(piece.raw, entry.stamp_ns)
+
+    def message(self, content: object, convert: object) -> RosMessage | None:
+        """Return the ROS message of a conversion, without its stamp; None: it was not made."""
+        piece = self._piece_of(content)
+        return piece.messages.get(convert) if piece else None
 
     def _of(self, entry: Entry) -> Results | None:
         results = self.results
@@ -244,13 +266,16 @@ def _is_patched(message: Any) -> bool:
     return message.TYPE != TFMessage.TYPE and bool(fields(message)[0].name == "header")
 
 
-def _stamped(message: Packed, to: ToRosContext) -> Packed:
+def _stamped(message: Packed, stamp_ns: int) -> Packed:
     """Return a message with its stamp."""
     if message.TYPE in _WITHOUT_STAMP:
         return message
     head = CdrWriter()
-    Header(to.stamp_ns).write(head)
-    return Packed(message.TYPE, head.finish()[:_STAMP_END] + message.cdr[_STAMP_END:])
+    Header(stamp_ns).write(head)
+    stamp = head.finish()[:_STAMP_END]
+    if len(message.cdr) >= _LARGE_BYTES:
+        return replace(message, head=stamp)
+    return Packed(message.TYPE, stamp + message.cdr[_STAMP_END:])
 
 
 def _alone(to: ToRosContext) -> ToRosContext:

@@ -156,8 +156,10 @@ class Converter:
             return Outcome(fate="not_chosen")
         self._streams.advertise(stream.raw_topic, RAW_QOS)
         # a child of a BIND has no bytes of its own, and thousands of copies of the BIND would fill the memory
-        data = entry.payload[0] if entry.payload else join(encode(message))
-        raw = raw_message(data, entry.stamp_ns, to.link)
+        raw: RosMessage | Packed | None = self._beforehand.raw(entry, message.content)
+        if raw is None:
+            data = entry.payload[0] if entry.payload else join(encode(message))
+            raw = raw_message(data, entry.stamp_ns, to.link)
         text = f"{to.igtl_type} has no conversion to ROS and is published unchanged"
         found = _first(entry, "no_conversion", text, message, to)
         return Outcome([ros_output(stream.raw_topic, raw, to.stamp_ns), found], CONVERTED)

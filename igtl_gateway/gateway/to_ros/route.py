@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from igtl_gateway.base.errors import ConversionError, WireError
+from igtl_gateway.base.errors import ConversionError, MalformedBody, WireError
 from igtl_gateway.base.stamp import ticks_to_ns
 from igtl_gateway.config.configuration import COMMAND_QOS, Config
 from igtl_gateway.convert.context import ToRosContext
+from igtl_gateway.convert.tracking import MAX_TOOLS
 from igtl_gateway.gateway.command_guard import CommandGuard, Refused
 from igtl_gateway.gateway.guard import STALE, Guard, GuardedStream, check_stamp, translation_of
 from igtl_gateway.gateway.log.entry import Entry
@@ -31,6 +32,7 @@ from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.query import is_dialogue
 from igtl_gateway.wire.registry import read_child
+from igtl_gateway.wire.tracking import QuaternionTrackingData, TrackingData
 from igtl_gateway.wire.video import Video
 
 
@@ -171,12 +173,16 @@ class Router:
     ) -> list[Item]:
         """Route a BIND as a whole, then each child as a separate message."""
         items = self._converter.publish(entry, bind, to, stream, stream.outputs) if stream.outputs else []
-        alone = replace(entry, payload=())
+        alone, tools = replace(entry, payload=()), 0
         for child, known in zip(bind.children, self._converter.children(bind), strict=True):
             try:
                 if isinstance(known, WireError):
                     raise known
                 inner, its = child_message(child, known or read_child(child), message, restored)
+                if isinstance(inner.content, TrackingData | QuaternionTrackingData):
+                    tools += len(inner.content.elements)
+                if tools > MAX_TOOLS:  # each has a frame, with the sequence lock
+                    raise MalformedBody("BIND content", f"{tools} tools", f"at most {MAX_TOOLS} in all children")
             except WireError as error:
                 items.append(
                     conversion_failure(
