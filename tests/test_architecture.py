@@ -253,6 +253,7 @@ UNMIRRORED = (
     "replay/test_versions.py",  # recordings of all versions
     "record/test_ring_model.py",  # shared_queue.py against a model
     "record/test_node_reader.py",  # our files in a reader of another language
+    "test_costs.py",  # all stages of a message
     "integration",
     "peers",
     "native/test_turns.py",  # turns of links in _passage.c

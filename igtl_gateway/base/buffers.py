@@ -10,6 +10,8 @@ Buffer = bytes | bytearray | memoryview
 
 #: From this size on bytes are joined in steps of this size.
 MANY_BYTES, _STEP = 4 << 20, 512 << 10
+#: Small buffers, which are joined many at once.
+_SMALL, _MANY_SMALL = 1 << 10, 1 << 10
 
 
 def join(buffers: Sequence[Buffer]) -> bytes:
@@ -25,11 +27,21 @@ def join_in_steps(buffers: Sequence[Buffer]) -> bytes:
     One call that copies a hundred megabytes holds the interpreter for a twentieth of a second.
     """
     joined = BytesIO()
+    small: list[Buffer] = []
     for buffer in buffers:
-        view = memoryview(buffer)
-        view = view.cast("B") if view.nbytes else memoryview(b"")
-        for begin in range(0, view.nbytes, _STEP):
-            joined.write(view[begin : begin + _STEP])
+        if type(buffer) is bytes and len(buffer) <= _SMALL:
+            small.append(buffer)
+            if len(small) < _MANY_SMALL:
+                continue
+        if small:
+            joined.write(b"".join(small))
+            small.clear()
+        if type(buffer) is not bytes or len(buffer) > _SMALL:
+            view = memoryview(buffer)
+            view = view.cast("B") if view.nbytes else memoryview(b"")
+            for begin in range(0, view.nbytes, _STEP):
+                joined.write(view[begin : begin + _STEP])
+    joined.write(b"".join(small))
     return joined.getvalue()  # its own object, not a copy
 
 

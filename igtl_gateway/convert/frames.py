@@ -41,6 +41,9 @@ MAX_FRAMES = 10_000
 
 #: Reasons for which a transform is rejected: keys of ``FrameTree.refused``.
 NO_NAME, NO_POSE, CYCLE, TOO_MANY_FRAMES = "no_frame_name", "not_a_pose", "cycle", "too_many_frames"
+TOO_DEEP = "too_deep"
+#: Frames from a frame up to the root, at most, where another one is added: each would cost a walk along all of them.
+MAX_DEPTH = 256
 
 #: Child frames of the edges from the target, and from the base, up to their first common ancestor.
 Chain = tuple[tuple[str, ...], tuple[str, ...]]
@@ -112,8 +115,8 @@ class FrameTree:
         if edge is None or edge.parent != parent:
             if edge is None and len(self._edges) >= self._max_frames:
                 return TOO_MANY_FRAMES
-            if self._is_below(parent, child):
-                return CYCLE
+            if obstacle := self._obstacle(parent, child):
+                return obstacle
             self._chains.clear()
         if edge is None or edge.parent != parent or edge.static != static:
             self._samples -= len(edge.stamps) if edge else 0
@@ -142,14 +145,17 @@ class FrameTree:
             del stamps[:surplus], poses[:surplus]
             self._samples -= surplus
 
-    def _is_below(self, frame: str, ancestor: str) -> bool:
-        """Return whether ``frame`` is ``ancestor`` or a descendant of it."""
-        while frame != ancestor:
+    def _obstacle(self, parent: str, child: str) -> str:
+        """Return why ``child`` cannot be below ``parent``; "" if it can."""
+        frame = parent
+        for _ in range(MAX_DEPTH):
+            if frame == child:
+                return CYCLE
             edge = self._edges.get(frame)
             if edge is None:
-                return False
+                return ""
             frame = edge.parent
-        return True
+        return TOO_DEEP
 
     def knows(self, frame: str) -> bool:
         """Return whether a frame has a parent or a child."""

@@ -26,7 +26,7 @@ Array = npt.NDArray[Any]
 _ADD, _DELETE = 0, 2
 
 #: Maximum number of points of a list: digitised surfaces have thousands; 65,535 take a second.
-MAX_POINTS = 65_535
+MAX_POINTS = 20_000
 
 _LABELS = ("name", "group", "owner")
 #: Offsets of the labels of a point; if the bytes at these offsets are 0, all labels are empty.

@@ -36,6 +36,7 @@ from igtl_gateway.gateway.orders import UNWRITTEN
 from igtl_gateway.gateway.outcome import Bookkeeper, Finding, Item, Outcome, Tally
 from igtl_gateway.gateway.peers import Peers
 from igtl_gateway.gateway.streams import Streams
+from igtl_gateway.gateway.to_igtl.beforehand import RosBeforehand
 from igtl_gateway.gateway.to_igtl.composer import Composer
 from igtl_gateway.gateway.to_igtl.delivery import Delivery
 from igtl_gateway.gateway.to_igtl.latest import Latest
@@ -136,12 +137,14 @@ class Gateway:
             activity=activity,
             marking=Marking(config, self.phases, guard, self._mark),
         )
+        ros_beforehand = RosBeforehand(config, streams, peers)
         ros_receiver = RosReceiver(
             config,
             peers,
             streams,
             guard,
             denied_out,
+            ros_beforehand,
             latest=latest,
             composer=composer,
             delivery=delivery,
@@ -165,6 +168,7 @@ class Gateway:
             volumes,
             latest.entries,
             beforehand,
+            ros_beforehand,
             enabled=fast_path,
         )
         self.fast: FastHandler = self.fast_path.take

@@ -18,6 +18,7 @@ from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.ledger import Ledger
 from igtl_gateway.gateway.outcome import Outcome
 from igtl_gateway.gateway.peers import Peers
+from igtl_gateway.gateway.to_igtl.beforehand import RosBeforehand, RosResults
 from igtl_gateway.gateway.to_igtl.origin import IgtlOrigin
 from igtl_gateway.gateway.to_ros.beforehand import Beforehand, Results
 from igtl_gateway.gateway.to_ros.route import RosOrigin
@@ -45,7 +46,7 @@ _MOST_LEARNED = 32
 LARGE_BYTES = 64 << 10
 
 #: A compiled stream, and what it has converted a message to; or what is done beforehand for the full path.
-Prepared = tuple[CompiledToIgtl | CompiledToRos, Any] | Results
+Prepared = tuple[CompiledToIgtl | CompiledToRos, Any] | Results | RosResults
 
 #: See ``FastPath.prepare``.
 PrepareMessage = Callable[[Kind, Buffer, str, str, tuple[int, ...], int], Prepared | None]
@@ -78,6 +79,7 @@ class FastPath:
         volumes: Volumes,
         latest: dict[str, Entry],
         beforehand: Beforehand,
+        ros_beforehand: RosBeforehand,
         *,
         enabled: bool,
     ) -> None:
@@ -94,6 +96,7 @@ class FastPath:
         self._volumes = volumes
         self._latest = latest
         self._beforehand = beforehand
+        self._ros_beforehand = ros_beforehand
         self._frames_go_out = bool(config.tf_out)
         self._enabled = enabled
         peers.changed = self._peer_changed
@@ -114,6 +117,7 @@ class FastPath:
         entries: list[Entry] | None = None
         native = self.native
         self._beforehand.results = prepared if isinstance(prepared, Results) else None
+        self._ros_beforehand.results = prepared if isinstance(prepared, RosResults) else None
         stream, made = prepared if isinstance(prepared, tuple) else (None, None)
         if kind is Kind.ROS_IN:
             topic_key = (channel, type_name)
@@ -156,8 +160,11 @@ class FastPath:
         """
         is_large = len(payload) >= LARGE_BYTES or (kind is Kind.IGTL_IN and cost_ns(payload) >= AT_ONCE_NS)
         if kind is Kind.ROS_IN:
-            to_igtl = self.to_igtl.get((channel, type_name)) if is_large else None
-            if to_igtl and (for_igtl := to_igtl.prepare((payload,), source_ns)):
+            to_igtl = self.to_igtl.get((channel, type_name))
+            if to_igtl is None:
+                with suppress(Exception):  # the full path meets it as well, and notes it
+                    return self._ros_beforehand.work(channel, type_name, payload)
+            elif is_large and (for_igtl := to_igtl.prepare((payload,), source_ns)):
                 return to_igtl, for_igtl
         elif kind is Kind.IGTL_IN and len(payload) >= HEADER_SIZE:
             to_ros = self.to_ros.get((links[0], bytes(payload[NAMES])))
@@ -186,6 +193,7 @@ class FastPath:
     def end_full_path(self) -> None:
         """Compile again what the input has made outdated, and inform the native passage of it."""
         self._beforehand.results = None
+        self._ros_beforehand.results = None
         for key in self._outdated:
             self._compile_again(key)
         self._outdated.clear()

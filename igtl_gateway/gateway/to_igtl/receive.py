@@ -20,6 +20,7 @@ from igtl_gateway.gateway.outcome import Finding, Item, Outcome, conversion_fail
 from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peer, Peers
 from igtl_gateway.gateway.streams import Streams, ToIgtlStream
+from igtl_gateway.gateway.to_igtl.beforehand import RosBeforehand
 from igtl_gateway.gateway.to_igtl.composer import Composer
 from igtl_gateway.gateway.to_igtl.delivery import Delivery
 from igtl_gateway.gateway.to_igtl.latest import Latest
@@ -42,6 +43,7 @@ class RosReceiver:
         streams: Streams,
         guard: Guard,
         denied: Denials,
+        beforehand: RosBeforehand,
         *,
         latest: Latest,
         composer: Composer,
@@ -56,6 +58,7 @@ class RosReceiver:
         self._streams = streams
         self._guard = guard
         self._denied = denied
+        self._beforehand = beforehand
         self._latest = latest
         self._composer = composer
         self._delivery = delivery
@@ -85,8 +88,7 @@ class RosReceiver:
         to = ToIgtlContext(stream.lengths)
         found: list[Item] = []
         try:
-            message = stream.conversion.message.unpack(entry.payload[0])
-            outgoing = stream.conversion.convert(message, to)
+            message, outgoing = self._beforehand.converted(entry, stream, to)
             if refusal := self._refusal(entry, stream, message, outgoing):
                 return refusal
             watched = self._guard.of(0, topic, stream.max_age_s)
