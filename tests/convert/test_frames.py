@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from igtl_gateway.base.errors import ConfigError
 from igtl_gateway.convert import frames as module
 from igtl_gateway.convert.common_msgs import FrameTransform, TFMessage
-from igtl_gateway.convert.frames import HISTORY_NS, FrameTree, TfRequest
+from igtl_gateway.convert.frames import CYCLE, HISTORY_NS, MAX_DEPTH, TOO_DEEP, FrameTree, TfRequest
 from igtl_gateway.convert.rosmsg import Header
 from igtl_gateway.convert.structs import Pose
 from tests.tables import table
@@ -412,3 +412,13 @@ def test_requests_that_are_none(text: str, found: str) -> None:
     with pytest.raises(ConfigError, match=r"--tf-out: found .*, expected ") as error:
         TfRequest.parse(text)
     assert f"found {found}" in str(error.value)
+
+
+def test_a_chain_of_frames_has_a_bound() -> None:
+    """Else each frame of a message of thousands would walk along all above it; and a cycle is found up to there."""
+    tree, links = FrameTree(), [("f0", "f1"), *((f"f{number}", f"f{number + 1}") for number in range(1, 400))]
+    tree.update(TFMessage(tuple(FrameTransform(Header(1, parent), child, at(0.0)) for parent, child in links)), False)
+    assert tree.refused == {TOO_DEEP: 1}  # what follows it is a tree of its own
+    assert len(tree.names()) > 400 > MAX_DEPTH
+    tree.update(TFMessage((FrameTransform(Header(2, "f200"), "f0", at(0.0)),)), False)
+    assert tree.refused[CYCLE] == 1

@@ -23,9 +23,8 @@ MAX_BODIES: tuple[tuple[str, int], ...] = (
     # Lists: 123,000 points of 136 bytes, 239,000 tools of 70; long strings, and scripts in commands
     *((name, 16 * _MIB) for name in ("POINT", "TRAJ", "TDATA", "QTDATA", "IMGMETA", "LBMETA", "VIDEOMETA")),
     *((name, 16 * _MIB) for name in ("COMMAND", "RTS_*")),
-    # One picture, encoded or not: 8K in YUV 4:2:0 is 50 MB; a surface of a million points and two million triangles;
-    # tens of messages, of which one may be a picture
-    *((name, 64 * _MIB) for name in ("VIDEO", "POLYDATA", "BIND")),
+    # One picture, encoded or not: 8K in YUV 4:2:0 is 50 MB
+    ("VIDEO", 64 * _MIB),
 )
 
 

@@ -1,4 +1,4 @@
-"""A message that takes long is handled beside the I/O thread: others pass meanwhile, and its own link keeps its order."""
+"""A message that takes long is handled beside the I/O thread: others pass, and its own link keeps its order."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is done before a ROS message has its number: the same outputs, and conversions that the lock does not wait for."""
+"""What is done before a ROS message has its number: the same outputs, and the lock does not wait for it."""
 
 from __future__ import annotations
 
