@@ -97,7 +97,7 @@ def test_four_times_the_parts_cost_four_times_as_much(row: Costly) -> None:
 
 @table("row", TABLE, ids=lambda row: row.name)
 def test_little_is_left_for_the_lock(row: Costly) -> None:
-    """What the lock is held for does not grow with the parts, but for children and tools, which have bounds."""
+    """What the lock is held for does not grow with the parts, except for children and tools, which have bounds."""
     data = row.data(min(row.most, 4_000))
     few = stages(data)["with the lock, second"][0]
     assert few < _WITH_LOCK, f"{few} calls with the sequence lock"

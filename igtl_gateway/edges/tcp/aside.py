@@ -50,7 +50,7 @@ class Job:
         self.end()
 
     def end(self) -> None:
-        """Tell that it is done; in the I/O thread."""
+        """Report that it is done; in the I/O thread."""
         done, self._done = self._done, None
         if done:
             done(self._result, self._used_ns)

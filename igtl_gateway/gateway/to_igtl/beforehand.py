@@ -54,7 +54,7 @@ class RosBeforehand:
         self._peers = peers
 
     def work(self, topic: str, ros_type: str, payload: Buffer) -> RosResults | None:
-        """Decode and convert a message that takes long, if anybody gets it; from any thread."""
+        """Decode and convert a message that takes long, if there is a peer; from any thread."""
         if len(payload) < _LEAST_BYTES or not self._peers:
             return None
         row, conversion = self._streams.rows(topic, ros_type)

@@ -45,7 +45,7 @@ def test_outputs_are_those_of_the_full_path(peers: int, monkeypatch: pytest.Monk
                 )
         logs.append(log)
     assert logs[0] == logs[1]
-    assert bool(used) is bool(peers)  # nothing is converted for nobody
+    assert bool(used) is bool(peers)  # without a peer nothing is converted
 
 
 def test_results_with_another_unit_are_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
