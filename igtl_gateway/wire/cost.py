@@ -31,12 +31,16 @@ _NS_PER_BYTE = {
 #: Pictures take the same way whatever their size: they are views, and copied without the lock.
 _PICTURES = frozenset({b"IMAGE", b"VIDEO"})
 _NS_PER_OTHER_BYTE = 5
+#: What is shorter is never expensive.
+_LEAST_BYTES = 512
 _NS_PER_ITEM, _NS_PER_METADATA_BYTE = 6_000, 20
 _ITEM_SIZE = 8
 
 
 def cost_ns(message: Buffer) -> int:
     """Return an estimate of the CPU time of a whole message, ns."""
+    if len(message) < _LEAST_BYTES:
+        return 0
     head = bytes(message[: HEADER_SIZE + 8])
     size = int.from_bytes(head[BODY_SIZE], "big")
     igtl_type = head[2:14].partition(b"\0")[0]
