@@ -59,7 +59,7 @@
 #include "_resim_time.h"
 
 #define IDENTIFIER "rmw_fastrtps_cpp"
-#define ABI_VERSION 2
+#define ABI_VERSION 3
 
 enum { CLASS_MESSAGE = 1, CLASS_ALL = 9 }; /* inputs and deadlines are the classes 0 and 2; the welcome states which */
 enum { SUBSCRIPTION = 's', PUBLISHER = 'p', SERVICE = 'v', CLIENT = 'c' };
@@ -539,9 +539,21 @@ static void exchange(void)
     int64_t next_ns = NEVER;
     int next_class = S.deadline_class;
     int64_t now = atomic_load(&T.now_ns);
-    for (struct waiter *w = T.waiters; w; w = w->next)
+    bool spins = false, has_unread = false;
+    for (struct waiter *w = T.waiters; w; w = w->next) {
         if (w->deadline_ns < next_ns)
             next_ns = w->deadline_ns > now ? w->deadline_ns : now;
+        spins |= w->kind == WAIT_ROS;
+    }
+    for (struct entity *entity = S.entities; entity; entity = entity->next)
+        has_unread |= entity->kind == SUBSCRIPTION && entity->first;
+    /* until when a callback sleeps that nothing goes on beside, or whose messages wait; and any other thread but the main one */
+    int64_t callback_ns = 0, thread_ns = 0;
+    for (struct waiter *w = T.waiters; w; w = w->next) {
+        int64_t *latest = w->in_callback && (!spins || has_unread) ? &callback_ns : &thread_ns;
+        if (w->kind != WAIT_ROS && (w->in_callback || w->tid != getpid()) && w->deadline_ns > *latest)
+            *latest = w->deadline_ns;
+    }
     if (S.own && S.own->t_ns <= next_ns) {
         next_ns = S.own->t_ns;
         next_class = CLASS_MESSAGE;
@@ -554,6 +566,8 @@ static void exchange(void)
     PUT(next_ns);
     PUT((uint8_t)next_class);
     PUT(S.number);
+    PUT(callback_ns);
+    PUT(thread_ns);
     end_frame(idle);
     flush();
     S.stop = false;

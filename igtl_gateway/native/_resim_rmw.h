@@ -634,6 +634,7 @@ ret rmw_wait(struct abi_array *subscriptions, struct abi_array *guards, struct a
     waiter.order = ((struct wait_set *)set->data)->number;
     bool is_poll = !timeout_ns && own_wait.in_wait && !own_wait.timeout_ns;
     own_wait.has_waited = true;
+    own_in_callback = false;
     if (!atomic_load(&T.active)) {
         waiter.timed_out = !wait_really(&waiter, timeout_ns);
     } else if (is_poll && ++own_wait.polls < POLLS) {
@@ -659,6 +660,7 @@ ret rmw_wait(struct abi_array *subscriptions, struct abi_array *guards, struct a
     for (int i = 0; i < 5; i++)
         keep_ready(lists[i], waiter.ready, i == 1, !waiter.timed_out && (is_poll || !waiter.ready));
     own_wait.has_given = waiter.ready || (!waiter.timed_out && !is_poll);
+    own_in_callback = true;
     return waiter.timed_out ? ABI_TIMEOUT : ABI_OK;
 }
 

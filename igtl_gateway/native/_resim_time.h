@@ -36,6 +36,7 @@ struct waiter {
     pid_t tid;
     _Atomic int word;    /* futex of WAIT_ROS and WAIT_SLEEP: 1 = go on */
     bool fired;          /* it was chosen, and is about to go on */
+    bool in_callback;    /* its thread has come out of rmw_wait, and is not back in it */
     int64_t deadline_ns; /* session time; NEVER */
     uint64_t order;      /* among equal deadlines: wait sets by their creation, then threads by theirs */
     pthread_cond_t *condition;
@@ -82,6 +83,7 @@ static __thread pid_t own_tid;
 static __thread uint64_t own_number;    /* by creation, from 1; 0: of the main thread */
 static __thread bool own_is_other;      /* this thread is no part of the program */
 static __thread int64_t own_polled_ns;  /* session time that the steady clock of this thread has reached by polls */
+static __thread bool own_in_callback;   /* this thread has come out of rmw_wait: it calls callbacks, or loops */
 static __thread bool own_starts_others; /* nor are those that it starts now */
 
 static void step(void);
@@ -473,6 +475,7 @@ static uint64_t order_of_thread(void)
 static void add_waiter(struct waiter *waiter)
 {
     waiter->tid = tid_of_this();
+    waiter->in_callback = own_in_callback && waiter->kind != WAIT_ROS;
     waiter->next = T.waiters;
     T.waiters = waiter;
 }

@@ -1,25 +1,27 @@
-"""Why runs differ: the programs run again, three times for each thing that may differ between runs and is now the same.
+"""Why runs differ: the programs run again for each thing that may differ between runs and is now the same.
 
-The runs end at the first difference.  If they are equal now, and once more in as many runs as a rare difference needs,
-that thing is the likely cause.  After `MOST_S` no run begins: the cause is not worth more.
+First they run as they did, until two more runs differ from the first one: how often they do decides how many equal runs
+are no chance.  If that many are equal with one thing the same, that thing is the likely cause.  A difference that is
+too rare for this has no likely cause, and after `MOST_S` no run begins: the cause is not worth more.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from math import ceil
 from pathlib import Path
 
 from igtl_gateway.addon import NS_PER_S, GatewayError, SystemClock
-from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, Run, run
+from igtl_gateway.addons.resim.engine import Clocks, Program, ResimOptions, Run, RunResult, run
 from igtl_gateway.addons.resim.verdict import Verdict, compare
 
 #: Real seconds after which no run begins.
 MOST_S = 60
-#: Of each try: two may be equal by chance.
-_RUNS = 3
-#: At most this number of runs has to be equal once more.
-_MOST_AGAIN = 12
+#: Runs that have to differ once more, and at most this number of runs to see that.
+_DIFFERING, _CONTROLS = 2, 24
+#: This number of equal runs, over the part of runs that differ, is a chance of 1 %.
+_EQUAL = 4.6
 #: Session time behind the first difference: the message has to be there.
 _BEHIND_NS = 1_000_000
 
@@ -49,6 +51,7 @@ _CAUSES = (
 )
 _TIES = "which of two events of one time is first"
 _SEVERAL = "several: the wall clock, hashes, random numbers or addresses"
+_RARE = "not found, as it is too rare"
 _OTHER = "threads that race, or something outside of the session"
 
 
@@ -65,9 +68,13 @@ def likely_cause(
     first = verdict.first
     if not verdict.unequal_run or first is None:
         return ""
-    shorter = replace(options, runs=_RUNS, until_ns=first.time_ns + _BEHIND_NS)
-    tries = _Tries(recording, folder, again=min(_MOST_AGAIN, _RUNS * (verdict.unequal_run - 1)))
+    shorter = replace(options, until_ns=first.time_ns + _BEHIND_NS)
+    tries = _Tries(recording, folder)
     try:
+        runs, differing = tries.differing(programs, shorter)
+        if differing < _DIFFERING:
+            return f"{_RARE}: {differing} of {runs} more runs differ"
+        tries.enough = ceil(_EQUAL * runs / differing)
         if options.swap_ties:
             shorter = replace(shorter, swap_ties=False)
             if tries.is_equal(programs, shorter):
@@ -93,23 +100,48 @@ def _with(programs: Sequence[Program], cause: _Cause) -> list[Program]:
     ]
 
 
-class _Tries:
-    """Runs the programs again; raises _Late after a run that ends too late.
+class _Seen(Exception):
+    """Enough runs differ."""
 
-    ``again``: runs that have to be equal after the first ones, which may be so by chance.
+
+class _Tries:
+    """Runs the programs again, and compares each run with the first one; raises _Late after a run that ends too late.
+
+    Attributes:
+        enough: equal runs that are no chance.
     """
 
-    def __init__(self, recording: Path, folder: Path, *, again: int) -> None:
+    def __init__(self, recording: Path, folder: Path) -> None:
         self._recording, self._folder, self._clock = recording, folder, SystemClock()
-        self._again = again
         self._end_ns = self._clock.monotonic_ns() + MOST_S * NS_PER_S
+        self.enough = 0
 
     def is_equal(self, programs: Sequence[Program], options: ResimOptions) -> bool:
-        return all(
-            compare(run(self._recording, programs, each, self._folder, on_run=self._look)).is_deterministic
-            for each in (options, replace(options, runs=self._again))
-        )
+        """Return whether enough runs are equal to the first one."""
+        return not self._run(programs, options, self.enough, most_differing=1)[1]
 
-    def _look(self, _one: Run) -> None:
-        if self._clock.monotonic_ns() > self._end_ns:
-            raise _Late
+    def differing(self, programs: Sequence[Program], options: ResimOptions) -> tuple[int, int]:
+        """Return how many runs were compared with the first one, and how many of them differ."""
+        return self._run(programs, options, _CONTROLS, most_differing=_DIFFERING)
+
+    def _run(
+        self, programs: Sequence[Program], options: ResimOptions, count: int, *, most_differing: int
+    ) -> tuple[int, int]:
+        done: list[Run] = []
+        differing = 0
+
+        def look(one: Run) -> None:
+            nonlocal differing
+            done.append(one)
+            pair = RunResult(self._recording, runs=[done[0], one])
+            differing += len(done) > 1 and not compare(pair, outputs=options.outputs).is_deterministic
+            if differing == most_differing:
+                raise _Seen
+            if self._clock.monotonic_ns() > self._end_ns:
+                raise _Late
+
+        try:
+            run(self._recording, programs, replace(options, runs=count + 1), self._folder, on_run=look)
+        except _Seen:
+            pass
+        return len(done) - 1, differing

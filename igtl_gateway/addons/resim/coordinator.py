@@ -28,6 +28,9 @@ from igtl_gateway.base.qos import incompatible
 
 #: Messages and bytes that are sent to a program at once.
 _BATCH, _BATCH_BYTES = 512, 1 << 20
+#: At the end of the session, a callback may sleep for this time: it returns then.  Longer is for ever.
+_LONGEST_SLEEP_NS = 60_000_000_000
+_YEAR_NS = 365 * 86_400_000_000_000
 #: Messages of the programs at one session time; more are a flood.
 _MOST_AT_ONCE = 100_000
 
@@ -231,6 +234,7 @@ class Coordinator:
                     self._deliver_to_all(self._inputs.pop(), receivers)
             elif following == (self._end_ns, ALL):
                 self.reached_ns = self._end_ns
+                self._look_for_sleepers()
                 return
             elif self._messages and following == (self._messages[0][0], MESSAGE):
                 time_ns, _, index, frame = heapq.heappop(self._messages)
@@ -241,6 +245,18 @@ class Coordinator:
                 self.now_ns = max(self.now_ns, peer.idle.next_ns)
                 self.events += 1
                 self._advance(peer)
+
+    def _look_for_sleepers(self) -> None:
+        """Raise ProgramFault for a callback that sleeps long beyond the end of the session; remark another thread."""
+        for peer in self._peers:
+            if (left_ns := peer.idle.callback_ns - self._end_ns) > _LONGEST_SLEEP_NS:
+                raise ProgramFault(
+                    f"{peer.name}: a callback did not return: it sleeps at the end of the session, for "
+                    f"{_long_time(left_ns)} more"
+                )
+            if (left_ns := peer.idle.thread_ns - self._end_ns) > _LONGEST_SLEEP_NS:
+                text = f"a thread sleeps at the end of the session, for {_long_time(left_ns)} more"
+                self._on_remark(peer.name, frames.Remark("l", text))
 
     def _bound(self, peer: Peer) -> tuple[int, int]:
         """Up to which time and class a program may go on by itself and with its inputs: before the events of others."""
@@ -558,7 +574,11 @@ class Coordinator:
             sorted(wanted & given),
             sorted(name for name in wanted - given if name not in self._topics),
             sorted(name for name in self._topics if name not in wanted | given and name != CLOCK),
-            sorted(name for name in self._topics if name in given and self._topics[name].from_others),
+            sorted(
+                name
+                for name in self._topics
+                if name in given and self._topics[name].from_others and not self._is_input(name)
+            ),
             dict(self.refused),
             {name: self._services[name].count for name in sorted(called - served) if name in self._services},
             sorted(called - served - self._services.keys()),
@@ -569,6 +589,10 @@ class Coordinator:
         for peer in self._peers:
             with suppress(Gone):
                 peer.link.send(frames.end())
+
+
+def _long_time(ns: int) -> str:
+    return "a year and" if ns > _YEAR_NS else f"{ns / 1e9:,.0f} s"
 
 
 def _before(time_ns: int, class_: int) -> tuple[int, int]:

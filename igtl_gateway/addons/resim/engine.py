@@ -401,7 +401,7 @@ def _run_once(
         except (ProgramFault, Gone) as fault:
             one.fault = str(fault)
             if isinstance(fault, Gone) or fault.is_end:
-                one.fault = watch.ended(wait=True) or one.fault or "a program closed its connection"
+                one.fault = watch.ended(wait=True) or watch.replaced() or one.fault or "a program closed its connection"
             if not one.start_s and one.fault.endswith(ENDED_WELL):
                 one.fault += " before the session began: does it spin?"
         finally:
@@ -489,6 +489,8 @@ class _Watch:
             self._wait_for(name, int(remark.text), is_asleep=remark.code == "z")
         elif remark.code == "s":
             self.remarks.add(f"{name}: {_OWN_SOCKET}")
+        elif remark.code == "l":
+            self.remarks.add(f"{name}: {remark.text}")
         elif remark.code == "t":
             self.remarks.add(f"{name}: sets a timer by {remark.text}, which runs in real time")
         elif remark.code == "h":
@@ -612,6 +614,13 @@ class _Watch:
             limit = "the wall limit" if is_idle else f"{_MOST_LIMITS} wall limits, as it computes"
             seconds = options.wall_s if is_idle else _MOST_LIMITS * options.wall_s
             raise ProgramFault(f"{name}: {what} within {seconds:g} s ({limit})")
+
+    def replaced(self) -> str:
+        """Which process runs another program now; ``""`` for none."""
+        for each in self._processes:
+            if each.is_running and each.is_replaced:
+                return f"{each.name}: replaced itself by another program (exec): {command_of(each.pid)}; {_APART}"
+        return ""
 
     def ended(self, *, wait: bool = False) -> str:
         """Which process has ended, and how; ``""`` for none.  ``wait``: one of them is about to end."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 #: Of the interface between both sides; the library states it in its hello.
-ABI_VERSION = 2
+ABI_VERSION = 3
 #: Later than everything.
 NEVER: Final = (1 << 63) - 1
 #: Classes of events of one time, in their order: recorded inputs, messages of programs, timers and timeouts.  With
@@ -21,7 +21,7 @@ INPUT, MESSAGE, DEADLINE, ALL = 0, 1, 2, 9
 
 _HEAD = struct.Struct("=IB")
 _ENTITY = struct.Struct("=cBIBBBI")
-_IDLE = struct.Struct("=qqBQ")
+_IDLE = struct.Struct("=qqBQqq")
 _WELCOME = struct.Struct("=qqqIBB")
 _MESSAGE = struct.Struct("=QqqIBH")
 _OUTPUT = struct.Struct("=Iq")
@@ -95,7 +95,8 @@ class Remark:
     """Something that the coordinator has to know.
 
     ``s``: the program has a socket of its own; ``t``: it sets a timer of the system; ``w``: a thread, ``h``: another
-    process waits in real time; ``c``: another process computes, ``z``: sleeps, for which the program waits.
+    process waits in real time; ``c``: another process computes, ``z``: sleeps, for which the program waits; ``l``: a
+    thread sleeps at the end of the session, and for long.
     """
 
     code: str
@@ -126,12 +127,16 @@ class Idle:
         time_ns: its session time.
         next_ns, next_class: its next event of its own; ``NEVER`` without one.
         number: of the last recorded input that was delivered.
+        callback_ns: until when a callback sleeps that no thread spins beside, or that messages wait for; 0 for none.
+        thread_ns: until when another thread sleeps, of all but the main one; 0 for none.
     """
 
     time_ns: int
     next_ns: int
     next_class: int
     number: int
+    callback_ns: int = 0
+    thread_ns: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -65,6 +65,7 @@ class Process:
     def __init__(self, name: str, command: Sequence[str], env: Mapping[str, str], folder: Path | None) -> None:
         self.name = name
         self._ros_pid = 0
+        self._image = b""
         program = str(folder / command[0]) if folder and "/" in command[0] else command[0]
         if folder and not shutil.which(
             program, path=env.get("PATH")
@@ -84,6 +85,13 @@ class Process:
     def joined(self, pid: int) -> None:
         """Remember the process that takes part in the session: a child, if the program is a launcher."""
         self._ros_pid = pid
+        self._image = _image_of(pid)
+
+    @property
+    def is_replaced(self) -> bool:
+        """Whether the process runs another program than when it joined, by exec."""
+        now = _image_of(self.pid)
+        return bool(self._image and now) and now != self._image
 
     @property
     def _root(self) -> int:
@@ -155,6 +163,13 @@ class Process:
     def close(self) -> None:
         """Wait for its last line."""
         self._child.kill()
+
+
+def _image_of(pid: int) -> bytes:
+    """What the kernel told the program of a process at its start: another one at each exec; nothing if it has ended."""
+    with suppress(OSError):
+        return Path(f"/proc/{pid}/auxv").read_bytes()
+    return b""
 
 
 def _libraries(pid: int) -> set[str]:

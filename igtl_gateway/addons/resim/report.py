@@ -69,6 +69,7 @@ def junit_xml(result: RunResult, verdict: Verdict, outputs: tuple[str, ...] = ()
     facts = [("lost", lost.text(verdict.start_ns)) for one in result.runs[:1] for lost in one.lost]
     if verdict.race and not verdict.is_racing:
         facts.append(("race", verdict.race.text(verdict.start_ns)))
+    facts += [("not published", name) for name in verdict.unpublished]
     if facts:
         properties = ElementTree.SubElement(suite, "properties")
         for name, value in facts:

@@ -40,7 +40,7 @@ from igtl_gateway.addons.resim.igtl_peer import IgtlRole, check_role
 from igtl_gateway.addons.resim.judge import judge
 from igtl_gateway.addons.resim.recipe import read_recipe
 from igtl_gateway.addons.resim.report import junit_xml
-from igtl_gateway.addons.resim.verdict import Verdict, is_judged
+from igtl_gateway.addons.resim.verdict import StreamVerdict, Verdict, is_judged
 from igtl_gateway.replay.compare import Tolerance
 
 EXAMPLES = """\
@@ -381,6 +381,12 @@ def _print_verdict(result: RunResult, verdict: Verdict) -> None:
     print_line(verdict.line())
 
 
+def _stream_facts(stream: StreamVerdict) -> dict[str, object]:
+    counts = ("messages", "other_messages", "different", "missing", "extra", "late", "within")
+    facts: dict[str, object] = {name: getattr(stream, name) for name in counts}
+    return {"stream": stream.stream, "equal": stream.is_equal, "qos": not stream.requalified} | facts
+
+
 def facts_of(result: RunResult, verdict: Verdict) -> dict[str, object]:
     """The result as JSON."""
     return {
@@ -389,6 +395,10 @@ def facts_of(result: RunResult, verdict: Verdict) -> dict[str, object]:
         "exit_code": verdict.exit_code,
         "fault": verdict.fault,
         "deterministic": verdict.is_deterministic,
+        "first": {"stream": verdict.first.stream, "what": verdict.first.what} if verdict.first else None,
+        "streams": [_stream_facts(each) for each in verdict.between_runs or verdict.streams],
+        "not_compared": verdict.uncompared,
+        "not_published": verdict.unpublished,
         "race": verdict.race.text(verdict.start_ns) if verdict.race else "",
         "roles": asdict(result.roles) if result.roles else None,
         "runs": [

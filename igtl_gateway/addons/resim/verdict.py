@@ -11,13 +11,14 @@ from __future__ import annotations
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence, Set
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from math import inf, isfinite, isnan
 from pathlib import Path
 from typing import Any
 
-from igtl_gateway.addon import Entry, Kind, SessionFile, matches, recorded_units
+from igtl_gateway.addon import Entry, Kind, Qos, SessionFile, matches, recorded_units
+from igtl_gateway.addons.resim.coordinator import Roles
 from igtl_gateway.addons.resim.engine import Run, RunResult
 from igtl_gateway.addons.resim.goals import numbering
 from igtl_gateway.addons.resim.outputs import OF_EVERY_NODE
@@ -36,6 +37,8 @@ _PHASE = "a timer that races the topic, or the time since the start"
 _STAMP = "stamp", "0 ns"
 #: Messages that are looked at for a late one.
 _AHEAD = 16
+#: Topics that a line names.
+_NAMED = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +49,9 @@ class Difference:
         stream: the topic.
         number: of the message in the stream of the first one, from 1.
         time_ns: session time of the first one, UTC ns.
-        what: "differs", "missing" (the other one does not have it), "extra" (only it has it), "late", "early", or
-            "unread" (a message of the stream differs, from the first one on, whose type is not read).
+        what: "differs", "missing" (the other one does not have it), "extra" (only it has it), "late", "early",
+            "unread" (a message of the stream differs, from the first one on, whose type is not read), "silent" (the
+            other one has no message of the stream), or "qos" (its publisher offers another QoS).
         late_ns: how much later the other one is.
         delta: the difference of values.
     """
@@ -67,6 +71,10 @@ class Difference:
                 return f"{place}: missing"
             case "extra":
                 return f"{place}: one more"
+            case "silent":
+                return f"{self.stream}: no program published a message of it"
+            case "qos":
+                return f"{self.stream}: its QoS is {self.delta.one} and {self.delta.other}"
             case "unread":
                 return f"{self.stream}: bytes of its messages differ, and their type cannot be read"
             case "late" | "early":
@@ -90,6 +98,7 @@ class StreamVerdict:
         within: that differ within the tolerance.
         mm, deg: largest distance in millimetres and largest rotation in degrees.
         restamped: against a live recording: whose stamps deviate from the most frequent offset; they do not count.
+        requalified: whether the QoS of its publisher is another one.
         first: the first difference that counts.
     """
 
@@ -104,11 +113,12 @@ class StreamVerdict:
     mm: float = 0.0
     deg: float = 0.0
     restamped: int = 0
+    requalified: bool = False
     first: Difference | None = None
 
     @property
     def is_equal(self) -> bool:
-        return not (self.different or self.missing or self.extra or self.late)
+        return not (self.different or self.missing or self.extra or self.late or self.requalified)
 
     def note(self, found: Difference) -> None:
         self.first = self.first or found
@@ -163,6 +173,7 @@ class Verdict:
         reference: what the outputs were compared with; None = nothing.
         streams: the streams in the reference and in the first run.
         uncompared: streams of both that are not compared, as their type is not read and the reference has no digest.
+        unpublished: recorded topics of others that no program publishes or asks for: outputs that these had, perhaps.
     """
 
     runs: int
@@ -177,6 +188,7 @@ class Verdict:
     reference: Path | None = None
     streams: list[StreamVerdict] = field(default_factory=list)
     uncompared: list[str] = field(default_factory=list)
+    unpublished: list[str] = field(default_factory=list)
 
     @property
     def is_racing(self) -> bool:
@@ -228,6 +240,9 @@ class Verdict:
         if not self.reference:
             return same
         left = f"; not compared, as their type cannot be read: {', '.join(self.uncompared)}" if self.uncompared else ""
+        if self.unpublished:
+            names = ", ".join(self.unpublished[:_NAMED]) + (" …" if len(self.unpublished) > _NAMED else "")
+            left += f"; recorded, but published by no program: {names}"
         if not self.streams:
             return f"{same}; {self.reference.name} has none of the outputs to compare with{left}"
         within = sum(each.within for each in self.streams)
@@ -260,19 +275,32 @@ def compare(
         verdicts = _strictly(first.outputs, other.outputs, names, EXACT)
         for each in verdicts:
             _note_unread(each, first)
+        same = [name for name in first.streams if name in other.streams and name not in names]
+        verdicts += _requalified(first, other, [name for name in sorted(same) if is_judged(name, outputs)])
         found = [each for each in verdicts if not each.is_equal]
         if found:
             verdict.unequal_run, verdict.between_runs = other.number, found
             return verdict
+    is_resim = False
     if reference is not None:
         with SessionFile.open(reference) as file:
             is_resim = _RESIM_KEY in file.session
             recorded = {_name(each.kind, each.topic, each.stream) for each in file.channels if each.count} - {""}
             unread = unread_streams(file)
+            offered = _offered(file)
+            from_links = _names_from_links(file, result.links) if not is_resim else set()
         with SessionFile.open(first.outputs) as file:
             ours = unread_streams(file).keys()
         driven = result.roles.inputs.keys() if result.roles and reference == result.recording else ()
-        expected = recorded - {*driven} if is_resim else ()
+        if is_resim:
+            expected = recorded - {*driven}
+        else:
+            roles = result.roles
+            published = {*(roles.expected if reference == result.recording else roles.outputs)} if roles else set()
+            expected = (published & recorded) | from_links
+        if result.roles and reference == result.recording:
+            verdict.unpublished = [name for name in _unpublished(result.roles) if name in recorded]
+            verdict.unpublished = [name for name in verdict.unpublished if is_judged(name, outputs)]
         names = [name for name in sorted({*first.streams, *expected}) if is_judged(name, outputs)]
         names = [name for name in names if (is_resim or name in recorded) and name not in {*unread, *ours}]
         verdict.streams = (
@@ -280,6 +308,9 @@ def compare(
             if is_resim
             else _loosely(reference, first.outputs, names, tolerance, result.links)
         )
+        for compared in verdict.streams:
+            _note_silence(compared, first)
+            _note_qos(compared, offered.get(compared.stream), first, is_whole=is_resim)
         for name in sorted(name for name in {*unread, *ours} - {*driven} if is_judged(name, outputs)):
             stream = first.streams[name].summary if name in first.streams else None
             is_known = name not in recorded and (name not in unread or unread[name].digest)
@@ -289,7 +320,7 @@ def compare(
                 verdict.streams.append(_of_unread(name, unread.get(name), stream))
         if not verdict.streams and not verdict.uncompared and reference != result.recording:
             verdict.fault = f"{reference.name} has none of the outputs to compare with"
-    if not verdict.streams and not any(is_judged(name, outputs) for name in first.streams):
+    if (not verdict.streams or not is_resim) and not any(is_judged(name, outputs) for name in first.streams):
         verdict.fault = "no program published a message"
     return verdict
 
@@ -297,6 +328,63 @@ def compare(
 def is_judged(topic: str, outputs: Sequence[str] = ()) -> bool:
     """Return whether a topic is part of the verdict: all are but those of every node, unless they are named."""
     return topic not in OF_EVERY_NODE or any(matches(glob, topic) for glob in outputs)
+
+
+def _unpublished(roles: Roles) -> list[str]:
+    """The ROS topics that no program publishes or asks for; none of programs that have nothing of ROS."""
+    has_ros = any(name.startswith("/") for name in (*roles.inputs, *roles.outputs))
+    return [name for name in roles.unused if name.startswith("/")] if has_ros else []
+
+
+def _offered(file: SessionFile) -> dict[str, Qos]:
+    """The QoS of the publishers of topics, as far as the file has it."""
+    return {
+        each.topic: each.qos
+        for each in file.channels
+        if each.kind is Kind.ROS_IN and each.count and each.qos is not None
+    }
+
+
+def _names_from_links(file: SessionFile, links: Set[int]) -> set[str]:
+    """The OpenIGTLink streams that came by one of these links."""
+    if not links:
+        return set()
+    names = {each.stream for each in file.channels if each.kind is Kind.IGTL_IN and each.count}
+    return {name for name in names if next(_messages(file, name, links), None)}
+
+
+def _requalified(one: Run, other: Run, names: Sequence[str]) -> list[StreamVerdict]:
+    """Compare the QoS of the publishers of streams of two runs."""
+    found = []
+    for name in names:
+        verdict = StreamVerdict(name, one.streams[name].messages, other.streams[name].messages)
+        _note_qos(verdict, one.streams[name].qos, other, is_whole=True)
+        found.append(verdict)
+    return found
+
+
+def _note_silence(verdict: StreamVerdict, run: Run) -> None:
+    """Have a stream without a message in the run state this: it has no first message that differs."""
+    if verdict.first and not verdict.other_messages and verdict.stream not in run.streams:
+        verdict.first = replace(verdict.first, what="silent")
+
+
+def _note_qos(verdict: StreamVerdict, expected: Qos | None, run: Run, *, is_whole: bool) -> None:
+    """Note another QoS of the publisher of a stream; of a live recording, which has that of a subscription, in part."""
+    stream = run.streams.get(verdict.stream)
+    if expected is None or stream is None or stream.kind is not Kind.ROS_IN:
+        return
+    one, other = (_qos_text(each, is_whole) for each in (expected, stream.qos))
+    if one != other:
+        verdict.requalified = True
+        delta = Delta()
+        delta.differ("qos", one, other)
+        verdict.note(Difference(verdict.stream, 1, stream.first_ns, "qos", 0, delta))
+
+
+def _qos_text(qos: Qos, is_whole: bool) -> str:
+    parts = ["reliable" if qos.reliable else "best effort", "transient local" if qos.latched else "volatile"]
+    return ", ".join(parts + [f"depth {qos.depth}"] * is_whole)
 
 
 def _note_unread(verdict: StreamVerdict, one: Run) -> None:

@@ -36,10 +36,17 @@ def cdr(type_: str, content: Any) -> bytes:
 
 def write(path: Path, rows: Iterable[Row], *, qos: Mapping[str, Qos] = {}, kind: Kind = Kind.ROS_OUT) -> Path:
     """Write a session with ROS messages."""
+    rows = list(rows)
+    return write_both(path, *([], rows) if kind is Kind.ROS_IN else (rows, []), qos=qos)
+
+
+def write_both(path: Path, sent: Iterable[Row], received: Iterable[Row], *, qos: Mapping[str, Qos] = {}) -> Path:
+    """Write a session with ROS messages that the gateway ``sent``, and that it ``received`` from others."""
     facts = {"config": json.dumps(Config().to_dict()), "igtl_gateway_version": __version__}
     writer = SessionWriter(path, facts, qos_of=lambda topic, _type: qos.get(topic), overwrite=True)
+    rows = [*((Kind.ROS_OUT, row) for row in sent), *((Kind.ROS_IN, row) for row in received)]
     last_ns = 0
-    for number, (ns, topic, type_, content) in enumerate(sorted(rows, key=lambda row: row[0]), 1):
+    for number, (kind, (ns, topic, type_, content)) in enumerate(sorted(rows, key=lambda each: each[1][0]), 1):
         last_ns = max(last_ns + 1, START_NS + ns)
         writer.write(Entry(number, last_ns, kind, topic, type_, (cdr(type_, content),)))
     writer.close({})

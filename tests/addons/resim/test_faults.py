@@ -65,6 +65,11 @@ def processes_with(mark: str) -> list[str]:
         ("stops", "faulty: did not come to rest within 1 s (the wall limit)"),
         ("exits", "faulty: ended with exit code 4"),
         ("becomes", "faulty: ended with exit code 5"),
+        (
+            "becomes_a_sleeper",
+            "faulty: replaced itself by another program (exec): sleep 1000; run each as a program of its",
+        ),
+        ("becomes_itself", "faulty: replaced itself by another program (exec): "),
         ("daemonizes", "faulty: started another process, which still runs: mark-"),
         ("crashes", "faulty: was ended by signal 11"),
         ("hangs", "faulty: did not come to rest within 1 s (the wall limit)"),

@@ -119,6 +119,24 @@ def test_what_differs_from_the_recording_is_measured(tmp_path: Path) -> None:
 
 
 @needs_pyigtl
+def test_a_client_that_is_silent_on_a_stream(tmp_path: Path) -> None:
+    """The peer of the recording sent a second tool, and a peer of another link a third."""
+    rows: list[tuple[int, Kind, str, Any, int]] = [
+        (7 * MS, Kind.IGTL_IN, "Second", pose(1.0), 1),
+        (8 * MS, Kind.IGTL_IN, "Third", pose(1.0), 2),
+    ]
+    for number in range(COUNT):
+        rows.append((number * PERIOD_NS, Kind.IGTL_OUT, "Tool", pose(10.0 + number / 4, angle=number / 8), 1))
+        answer = pose(11.0 + number / 4, 0.0, number / 8)
+        rows.append((number * PERIOD_NS + 5 * MS, Kind.IGTL_IN, "Answer", answer, 1))
+    path = write(tmp_path / "in.mcap", rows)
+    _, verdict = judged(path, tmp_path, python("igtl_answer", role=IgtlRole(link=1)), runs=1)
+    assert verdict.exit_code == 1
+    silent = "TRANSFORM/Second: no program published a message of it"
+    assert verdict.line() == f"DIFFERENT from in.mcap in 1 of 2 streams (1 run): {silent}"
+
+
+@needs_pyigtl
 def test_a_random_answer_is_not_deterministic(tmp_path: Path) -> None:
     path = recording(tmp_path / "in.mcap")
     _, verdict = judged(path, tmp_path, python("igtl_answer", "random"), runs=2)

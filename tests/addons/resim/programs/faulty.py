@@ -68,6 +68,12 @@ class Faulty(Node):  # type: ignore[misc]
     def becomes(self) -> None:
         os.execlp("sh", "sh", "-c", "exit 5")
 
+    def becomes_a_sleeper(self) -> None:
+        os.execlp("sleep", "sleep", "1000")
+
+    def becomes_itself(self) -> None:
+        os.execv(sys.executable, [sys.executable, __file__, "asks_git"])
+
     def forks(self) -> None:
         """Both go on."""
         os.fork()
