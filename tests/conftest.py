@@ -64,6 +64,7 @@ SLOW = (
     "integration/test_live_faults.py",
     "addons/resim/test_faults.py",
     "addons/resim/test_queues.py",
+    "addons/resim/test_quiet.py",
     "addons/resim/test_igtl_peer.py",
     "addons/resim/test_bisect.py",
     "addons/resim/test_api.py",

@@ -262,6 +262,7 @@ UNMIRRORED = (
     "addons/resim/test_programs.py",  # programs of every kind, 5 runs each
     "addons/resim/test_page.py",  # docs/how-to/resim.md
     "addons/resim/test_regressions.py",  # planted in a planner
+    "addons/resim/test_quiet.py",  # programs that do less than they did
     "addons/resim/test_queues.py",  # programs that are slower than their input
     "addons/resim/test_faults.py",  # programs that do what they should not
     "addons/exchange/test_import_memory.py",  # any importer

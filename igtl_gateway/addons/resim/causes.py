@@ -108,7 +108,7 @@ class _Tries:
     """Runs the programs again, and compares each run with the first one; raises _Late after a run that ends too late.
 
     Attributes:
-        enough: equal runs that are no chance.
+        enough: equal runs that are not by chance.
     """
 
     def __init__(self, recording: Path, folder: Path) -> None:

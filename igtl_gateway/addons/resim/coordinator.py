@@ -28,7 +28,7 @@ from igtl_gateway.base.qos import incompatible
 
 #: Messages and bytes that are sent to a program at once.
 _BATCH, _BATCH_BYTES = 512, 1 << 20
-#: At the end of the session, a callback may sleep for this time: it returns then.  Longer is for ever.
+#: At the end of the session, a callback may sleep for this time: it returns then.  Longer is forever.
 _LONGEST_SLEEP_NS = 60_000_000_000
 _YEAR_NS = 365 * 86_400_000_000_000
 #: Messages of the programs at one session time; more are a flood.

@@ -166,7 +166,7 @@ class Process:
 
 
 def _image_of(pid: int) -> bytes:
-    """What the kernel told the program of a process at its start: another one at each exec; nothing if it has ended."""
+    """What a process got from the kernel when its program started: another one at each exec; nothing if it ended."""
     with suppress(OSError):
         return Path(f"/proc/{pid}/auxv").read_bytes()
     return b""
