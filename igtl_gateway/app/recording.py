@@ -185,6 +185,8 @@ def stop(recorder: Recorder) -> tuple[bool, str]:
     if recorder.options.snapshot_s:
         return False, "nothing is written to a file"
     if recorder.rests:
+        if recorder.failure:
+            recorder.stop()  # the disk is not tried again
         return False, recorder.failure or _RESTS
     return _outcome(recorder.stop(), "the recording is closed: ", _FILE_S)
 

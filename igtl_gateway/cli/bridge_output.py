@@ -41,7 +41,17 @@ _MAX_CAUSES = (
 
 
 #: Codes of notes that are each printed: they name a file that is missing.
-_OF_DISK = frozenset({"record_failed", "record_continued", "record_part_lost", "record_stalled", "trigger_incomplete"})
+_OF_DISK = frozenset(
+    {
+        "record_failed",
+        "record_continued",
+        "record_part_lost",
+        "record_stalled",
+        "record_again",
+        "record_space_low",
+        "trigger_incomplete",
+    }
+)
 
 
 class BridgeOutput(Protocol):

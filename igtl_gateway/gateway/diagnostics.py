@@ -33,6 +33,10 @@ HARMLESS = frozenset({"no_peer", "not_chosen", "not_wanted", "not_for_peer", "pa
 _SIDES = {"igtl_in": "OpenIGTLink", "ros_in": "ROS"}
 
 
+#: A disk that lasts for a shorter time, s, is a warning: the first of ``record.space.LOW_S``.
+DISK_LOW_S = 1800.0
+
+
 @dataclass(frozen=True, slots=True)
 class PeerFacts:
     """Facts of the TCP edge about a peer: link, address, and the sent, queued and dropped messages."""
@@ -185,8 +189,10 @@ class Diagnostics:
             level, text = ERROR, str(counters["failure"])
         elif counters.get("taken_away"):
             level, text = max(level, WARN), str(counters["taken_away"])
-        keys = ("written_entries", "queued_entries", "dropped_entries", "left_out_entries")
-        values = tuple((key, f"{counters[key]}") for key in keys if key in counters)
+        elif level == OK:
+            level, text = _disk(counters.get("disk_left_s"), counters.get("behind_s", 0.0))
+        keys = ("written_entries", "queued_entries", "dropped_entries", "left_out_entries", "behind_s", "disk_left_s")
+        values = tuple((key, f"{counters[key]}") for key in keys if counters.get(key) is not None)
         return DiagnosticStatus(level, name, text, self._hardware_id, values)
 
     def _upload(self, counters: Mapping[str, Any]) -> DiagnosticStatus:
@@ -205,3 +211,12 @@ class Diagnostics:
         """Return the increase of a count since the previous call."""
         before, self._dropped[name] = self._dropped.get(name, 0), number
         return number - before
+
+
+def _disk(left_s: float | None, behind_s: float) -> tuple[int, str]:
+    """Level and text of a recorder that loses nothing: whether its disk becomes full, and its file is behind."""
+    if behind_s:
+        return WARN, f"the file is {behind_s:.1f} s behind"
+    if left_s is not None and left_s < DISK_LOW_S:
+        return WARN, f"the disk is full in {left_s / 60:,.0f} min at the present rate"
+    return OK, "recording"

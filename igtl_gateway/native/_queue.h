@@ -49,6 +49,7 @@
 #define QUEUE_DONE_ENTRIES 9  /* entries that it is done with */
 #define QUEUE_DONE_BYTES 10   /* what they counted */
 #define QUEUE_AWAITS 11       /* 1: it waits for a payload that is being copied; of Python only */
+#define QUEUE_FLUSHED 12      /* entries that are in the file for good; of Python only */
 /* Written by both: */
 #define QUEUE_BELL 16 /* 1: the reader's attention was asked for, and it did not look since */
 /* Of the writers only, under their lock: */

@@ -30,10 +30,11 @@ from igtl_gateway.record.pace import Times
 from igtl_gateway.record.shared_queue import QueueReader, QueueWriter, memory, shared_memory
 from igtl_gateway.record.worker import WorkerPipe, WorkerSettings, run_worker
 
-#: The bridge goes first where there is not processor time enough for both; the queue bridges that.
-_NICENESS = 5
+#: Of the process: that of the bridge.  A lower priority cannot be raised again without privileges, and a recorder that
+#: gets no processor breaks the promise of the flush interval.
+_NICENESS = 0
 
-#: Niceness of the session: as long as the recorder keeps up it goes behind all others.
+#: Niceness of the session, where the system has sessions: as long as the recorder keeps up it goes behind all others.
 _BEHIND, _LEVEL = 10, 0
 
 

@@ -136,6 +136,11 @@ class PartsWriter:
         return closed + (0 if self._ended else self._part.entries)
 
     @property
+    def size(self) -> int:
+        """Bytes of the part that is being written; 0 in a rest."""
+        return 0 if self._rests or self._ended else self._part.size
+
+    @property
     def undefined(self) -> list[str]:
         return [] if self._rests else self._part.undefined
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import json
 import threading
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import AbstractContextManager
@@ -40,8 +40,14 @@ from igtl_gateway.record.worker import FAILED, THREAD, RecordingSummary, WorkerS
 _ENDED = "the recording has ended"
 #: Codes of the notes about a worker that does not come on with what waits, and that does again.
 STALLED, MOVES = "record_stalled", "record_moves"
+#: And about a file that is behind what came by more than the flush interval, and that is not any more.
+LATE, ON_TIME = "record_late", "record_on_time"
 #: The listening thread looks at this interval, s; a worker that took nothing for the second time, ns, is stalled.
-_LOOK_S, _STILL_NS = 0.5, 3_000_000_000
+_LOOK_S, _STILL_NS = 0.1, 3_000_000_000
+#: A file that is behind by the flush interval and this time is late, ns; it is on time after the second one without.
+_LATE_NS, _CALM_NS = 150_000_000, 10_000_000_000
+#: It is late if it was at this number of looks in a row.
+_LATE_LOOKS = 6
 
 
 class Recorder:
@@ -90,6 +96,10 @@ class Recorder:
         self._clock = clock
         self._done, self._done_ns = 0, clock.monotonic_ns()  # what the worker had taken, and since when
         self._stalled = self._is_blocked = False
+        self._put: deque[tuple[int, int]] = deque()  # when which number of entries had come, as far as not flushed
+        self._behind_ns = self._most_behind_ns = 0  # how old the oldest entry is that a kill would lose, if it is late
+        self._late_ns: int | None = None  # when it was late last
+        self._late_looks = 0  # in a row
         self._summary: RecordingSummary | None = None
         self._sending = threading.Lock()  # of the pipe
         settings = WorkerSettings(path, dict(session), self.options, rule or StateInputRule())
@@ -159,7 +169,9 @@ class Recorder:
         with self._lock:
             state, dropped = self._state, Counter(self._dropped)
             entries, waiting = self._queue.waiting
-        return state.counters(dropped) | {"queued_entries": entries, "queued_bytes": waiting}
+        behind_s = round(self._behind_ns / NS_PER_S, 1)
+        more = {"behind_s": behind_s, "queued_entries": entries, "queued_bytes": waiting, "disk_left_s": state.left_s}
+        return state.counters(dropped) | more
 
     def facts(self) -> dict[str, Any]:
         """The counters, whether and to which file it records, and the entries since the last start."""
@@ -168,6 +180,7 @@ class Recorder:
             "paused": self.paused,
             "rests": self.rests,
             "file": self.file,
+            "disk_free_bytes": self._state.free_bytes,
             "saved_files": self._state.saved[0],
             "saved_bytes": self._state.saved[1],
             "stalled_s": (self._clock.monotonic_ns() - self._done_ns) / NS_PER_S if self._stalled else 0.0,
@@ -291,6 +304,7 @@ class Recorder:
         while not self._ended:
             try:
                 self._watch_progress()
+                self._watch_flushes()
                 if not self._pipe.poll(_LOOK_S):
                     continue
                 topic, *values = self._pipe.recv()
@@ -347,6 +361,35 @@ class Recorder:
                 f"({size:,} bytes) wait in memory, and what it has no room for is dropped"
             )
             self._on_message("note", [Note(Level.WARN, STALLED, text)])
+
+    def _watch_flushes(self) -> None:
+        """Report that a kill of both processes would lose more than the flush interval, once until it does not."""
+        now_ns, put, flushed = self._clock.monotonic_ns(), self._queue.entries_put, self._queue.entries_flushed
+        if self.rests or self._state.failure or self.options.snapshot_s:
+            self._put.clear()
+            self._behind_ns = 0
+            return
+        if not self._put or put > self._put[-1][1]:
+            self._put.append((now_ns, put))
+        while self._put and self._put[0][1] <= flushed:
+            self._put.popleft()
+        behind_ns = now_ns - self._put[0][0] if self._put else 0  # at least
+        self._late_looks = self._late_looks + 1 if behind_ns > self.options.flush_s * NS_PER_S + _LATE_NS else 0
+        is_late = self._late_looks >= _LATE_LOOKS
+        self._behind_ns = behind_ns if is_late else 0
+        self._most_behind_ns = max(self._most_behind_ns, self._behind_ns)
+        if is_late:
+            begins, self._late_ns = self._late_ns is None, now_ns
+            if begins:
+                text = (
+                    f"the file is {behind_ns / NS_PER_S:.1f} s behind: a kill of both processes would lose that now "
+                    f"(--flush-interval {self.options.flush_s:g}); {put - flushed:,} entries wait"
+                )
+                self._on_message("note", [Note(Level.WARN, LATE, text, data={"behind_s": behind_ns / NS_PER_S})])
+        elif self._late_ns is not None and now_ns - self._late_ns > _CALM_NS:
+            text = f"the file is on time again; it was {self._most_behind_ns / NS_PER_S:.1f} s behind"
+            self._late_ns, self._most_behind_ns = None, 0
+            self._on_message("note", [Note(Level.INFO, ON_TIME, text)])
 
     def _qos(self, topic: str, ros_type: str) -> Any:
         """The QoS, or the words of a defect."""

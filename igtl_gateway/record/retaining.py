@@ -46,6 +46,9 @@ class RetentionThread:
         self._retention = Retention(
             folder, options.retention, clock, self._hindrance, is_live=self._is_live, is_running=self._is_running
         )
+        self._size = options.retention.size
+        #: Bytes that may still come before recordings are deleted; None: none are, or some are kept.
+        self.until_deleted: int | None = None
         self._notes: deque[Note] = deque()
         self._last: dict[str, str] = {}  # code → text of the last note
         self._deleted_parts = False
@@ -103,6 +106,8 @@ class RetentionThread:
         return self._is_live(recording.parent) or recording.path in self._files
 
     def _report(self, report: RetentionReport) -> None:
+        is_able = self._size and not (report.kept or report.is_above or report.problem)
+        self.until_deleted = max(0, self._size - report.bytes_left) if is_able else None
         if report.deleted:
             if any(self._is_live(each.recording.parent) for each in report.deleted):
                 with self._lock:

@@ -57,7 +57,7 @@ _NUMBERS = {kind: number for number, kind in enumerate(_KINDS)}
 
 #: Slots of the page of counters, as ``_queue.h`` has them: of the writers, of the reader, and of both.
 _HEAD, _REFUSED, _RESTART = 0, 1, 2
-_TAIL, _DONE_ENTRIES, _DONE_BYTES, _AWAITS = 8, 9, 10, 11
+_TAIL, _DONE_ENTRIES, _DONE_BYTES, _AWAITS, _FLUSHED = 8, 9, 10, 11, 12
 _BELL = 16
 #: What only the writers know; it is in the page because the native writer shares it.
 _PLACE, _LIMIT, _ENTRIES, _TAKEN = 32, 33, 34, 35
@@ -266,6 +266,11 @@ class QueueWriter(_QueueEnd):
     def is_awaited(self) -> bool:
         """Whether the getter waits for a payload that is being copied."""
         return bool(self._counters[_AWAITS])
+
+    @property
+    def entries_flushed(self) -> int:
+        """Of the entries that were put, how many the getter is done with for good: a kill does not lose them."""
+        return self._counters[_FLUSHED]
 
     @property
     def entries_put(self) -> int:
@@ -538,6 +543,10 @@ class QueueReader(_QueueEnd):
         self.row_streams: list[RowStream | None] = []
         #: The number of the stream of the last entry that :meth:`get` returned; -1 if it has none.
         self.stream = -1
+
+    def flushed(self) -> None:
+        """State that the file has what was taken so far."""
+        self._counters[_FLUSHED] = self._counters[_DONE_ENTRIES]
 
     @property
     def refused(self) -> int:

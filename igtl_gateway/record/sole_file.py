@@ -57,6 +57,11 @@ class SoleFile:
         return self._closed_entries + (self.file.entries if self.file else 0)
 
     @property
+    def size(self) -> int:
+        """Bytes of the present file; 0 in a rest."""
+        return self.file.size if self.file else 0
+
+    @property
     def forgotten(self) -> Mapping[str, int]:
         """Stream → size of its last input, which a file that begins now lacks."""
         return self._prologue.forgotten

@@ -41,6 +41,7 @@ from igtl_gateway.record.sessionfile.sealing import SealSeries
 from igtl_gateway.record.sessionfile.writer import SessionWriter
 from igtl_gateway.record.shared_queue import LARGE_BYTES, QueueReader
 from igtl_gateway.record.sole_file import SoleFile
+from igtl_gateway.record.space import LOOK_NS, SpaceWatch, free_bytes
 
 if TYPE_CHECKING:
     from igtl_gateway.gateway.acceptance import Acceptance
@@ -53,6 +54,8 @@ THREAD = "record_thread"
 CONTINUED, LOST_PART, HELD = "record_continued", "record_part_lost", "record_split_held"
 PAUSED, RESUMED, SNAPSHOT = "record_paused", "record_resumed", "record_snapshot"
 STARTED, STOPPED = "record_started", "record_stopped"
+#: After a failure, the recording goes on in a new file.
+AGAIN = "record_again"
 #: A file begins without large inputs that its outputs may depend on.
 INCOMPLETE_BEGIN = "prologue_incomplete"
 
@@ -69,14 +72,18 @@ _LOOK_NS = 50_000_000
 #: Closed parts that it looks at with each flush.
 _PARTS_AT_ONCE = 64
 _NOTE_NS = 1_000_000_000
+#: A disk that has failed is tried again after this time, ns, doubled at each attempt up to the second one; from the
+#: first one again when it has worked for the third one.
+_AGAIN_NS, _LONGEST_NS, _WORKS_NS = 1_000_000_000, 60_000_000_000, 30_000_000_000
 #: It flushes this much before the interval ends: looking, compressing and writing take time, too.
 _EARLY_NS = 100_000_000
 #: The worker has raised priority from when the first part of the queue's bound waits until the second part does.
 _HURRY_PART, _CALM_PART = 8, 64
-#: Also where that took longer which should take less than two looks: others leave it too little time.
-_LATE_NS = 200_000_000
-#: Of the greatest lateness, which flushes expect again, this part is forgotten at each look.
-_FORGOTTEN_PART = 64
+#: Also where that took longer which should take less than two looks: others leave it too little time.  Then it stays
+#: raised for some time: a machine that is busy stays busy.
+_LATE_NS, _RAISED_NS = 150_000_000, 30_000_000_000
+#: Of the greatest lateness, which flushes expect again, this part is forgotten at each look: half of it in 18 s.
+_FORGOTTEN_PART = 512
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,6 +142,8 @@ class WorkerState:
         before: entries that were written, left out and dropped before the last start.
         saved: snapshots and files of the black box: their number and bytes.
         window: the file of the black box that is being written, or "".
+        free_bytes: free bytes of the disk; None: not known.
+        left_s: how long it lasts at the present rate, s; None: not known, or it does not fill.
     """
 
     written_entries: int = 0
@@ -147,6 +156,8 @@ class WorkerState:
     before: tuple[int, int, int] = (0, 0, 0)
     saved: tuple[int, int] = (0, 0)
     window: str = ""
+    free_bytes: int | None = None
+    left_s: int | None = None
 
     def counters(self, not_queued: Counter[str]) -> dict[str, Any]:
         """As they go into the ledger, with what the queue did not take."""
@@ -236,6 +247,7 @@ class _RecorderWorker:
         self._hurried = True
         self._empty_ns = clock.monotonic_ns()  # when the queue was empty
         self._late_ns = 0  # since it was so before
+        self._raised_ns: int | None = None  # when it was late last
         self._taken = 0  # entries and commands at the last poll
         self.options = settings.options
         self._session = dict(settings.session) | settings.options.selection.facts()
@@ -272,7 +284,10 @@ class _RecorderWorker:
         self._before_start = 0, 0, 0
         self._flushed_ns = self._stated_ns = self._due_ns = clock.monotonic_ns()
         self._seen_refused = 0
-        self._requests: list[tuple[str, int, int]] = []  # start, stop or snapshot; its number; UTC ns
+        self._requests: list[tuple[str, int, int]] = []  # start, stop, snapshot or again; its number; UTC ns
+        self._again_ns: int | None = None  # when a disk that has failed is tried again, monotonic
+        self._attempts = 0
+        self._failed_ns = self._begun_ns = 0  # the disk; the file after that, monotonic
         self._box: BlackBox | None = None
         self._refused_text = ""  # what the disk has refused at the start
         try:
@@ -288,6 +303,9 @@ class _RecorderWorker:
 
             self._retention = RetentionThread(settings.path, self.options, clock, self._files)
         self._rests = self.options.waits
+        self._spaced_ns = 0
+        self._closed_bytes, self._present_bytes = 0, 0  # of files before the present one, and of that
+        self._space = SpaceWatch(lambda: free_bytes(settings.path.absolute().parent), self._until_deleted)
         self._row_writer = self._writer_of_rows()
 
     def _writer_of_rows(self) -> SoleFile | None:
@@ -503,6 +521,8 @@ class _RecorderWorker:
             self._before_start,
             (len(self._writer.files), self._writer.size) if isinstance(self._writer, Ring) else (0, 0),
             str(self._box.present or "") if self._box else "",
+            self._space.free_bytes,
+            None if self._space.left_s is None else round(self._space.left_s),
         )
 
     def _present(self) -> str:
@@ -615,12 +635,16 @@ class _RecorderWorker:
         self._flush_if_due(now_ns)
         self._report_drops(now_ns)
         self._report_retention()
+        self._look_at_disk(now_ns)
         if looks:
             self._stated_ns = now_ns
             self._send_state()
             if self._ledger is None:
                 part = _CALM_PART if self._hurried else _HURRY_PART
-                self._set_hurried(late_ns > _LATE_NS or self._queue.waiting_bytes > self.options.queue_bytes // part)
+                if late_ns > _LATE_NS:
+                    self._raised_ns = now_ns
+                is_late = self._raised_ns is not None and now_ns - self._raised_ns < _RAISED_NS
+                self._set_hurried(is_late or self._queue.waiting_bytes > self.options.queue_bytes // part)
         self._due_ns = min(self._flushed_ns + self._flush_ns, self._stated_ns + _LOOK_NS)
 
     def _expect_late(self, late_ns: int) -> None:
@@ -733,6 +757,9 @@ class _RecorderWorker:
         """
         requests, self._requests = self._requests, []
         for what, number, utc_ns in requests:
+            if what == "again":
+                self._go_on_after_failure()
+                continue
             try:
                 path = self._take_snapshot(utc_ns) if what == "snapshot" else self._start_or_stop(what == "start")
             except (RecordingError, OSError) as error:
@@ -749,6 +776,8 @@ class _RecorderWorker:
         if not isinstance(writer, SoleFile | PartsWriter):
             raise RecordingError("found a snapshot buffer, expected a recording")
         present = writer.present
+        if not start and self._again_ns is not None:  # it was stopped
+            self._again_ns, self._rests = None, True
         if start == bool(present):
             return present or writer.path
         try:
@@ -756,7 +785,7 @@ class _RecorderWorker:
         except (RecordingError, OSError) as error:
             self._fail(f"the recording is not {'started' if start else 'closed'}: {error}")
             raise
-        self._failure = ""
+        self._failure, self._again_ns = "", None
         self._gate.paused, self._rests = False, not start
         self._queue.row_streams[:] = [None] * len(self._queue.row_streams)  # of the channels of the file before
         self._row_writer = self._writer_of_rows()
@@ -824,6 +853,7 @@ class _RecorderWorker:
             self._go_on_or_fail(error)
         except RecordingError as error:
             self._fail(str(error))
+        self._queue.flushed()  # or counted as lost
         self._report_missing(_PARTS_AT_ONCE)
 
     def _report_missing(self, at_most: int = sys.maxsize) -> None:
@@ -881,8 +911,13 @@ class _RecorderWorker:
         writer = self._writer
         if isinstance(writer, SoleFile | PartsWriter):
             self._abandon(writer)
-            then = "the bridge stops" if self.options.stop_on_failure else "the bridge goes on without recording"
-            then += "" if self.options.stop_on_failure else " until the next start"
+            if self.options.stop_on_failure:
+                then = "the bridge stops"
+            elif self._rests or self._ledger is not None:
+                then = "the bridge goes on without recording until the next start"
+            else:
+                self._try_later()
+                then = "the bridge goes on without recording; the disk is tried again, in a new file"
         else:
             then = "it is tried again when a file is due"
         self._note(Note(Level.ERROR, FAILED, f"{text}; {then}"))
@@ -893,6 +928,60 @@ class _RecorderWorker:
         lost, was_taken = writer.abandon()
         if lost:
             self._dropped[TAKEN if was_taken else UNFLUSHED] += lost
+
+    def _try_later(self) -> None:
+        """Have a file begun later: after a second, then after longer times, as long as the disk does not work."""
+        now_ns = self._clock.monotonic_ns()
+        if now_ns - self._begun_ns > _WORKS_NS and not self._again_ns:
+            self._attempts = 0
+        if not self._attempts:
+            self._failed_ns = now_ns
+        self._again_ns = now_ns + min(_AGAIN_NS << self._attempts // 4, _LONGEST_NS)  # four times each
+        self._attempts += 1
+
+    def _go_on_after_failure(self) -> None:
+        """Begin the next file after a failure of the disk; before an input.  If that fails, it is tried later."""
+        writer = self._writer
+        if self._again_ns is None or not isinstance(writer, SoleFile | PartsWriter):
+            return
+        self._is_cut = True
+        try:
+            path = writer.begin()
+        except (RecordingError, OSError):
+            self._try_later()
+            return
+        finally:
+            self._is_cut = False
+        now_ns = self._begun_ns = self._clock.monotonic_ns()
+        self._failure, self._again_ns = "", None
+        self._queue.row_streams[:] = [None] * len(self._queue.row_streams)  # of the channels of the file before
+        self._row_writer = self._writer_of_rows()
+        if isinstance(writer, SoleFile) and writer.forgotten:
+            self._note(_without(writer.forgotten))
+        missing_s = (now_ns - self._failed_ns) / 1_000_000_000
+        text = f"the disk works again after {missing_s:.1f} s; the recording goes on in {path}"
+        self._note(Note(Level.WARN, AGAIN, text, data={"path": str(path), "missing_s": round(missing_s, 1)}))
+
+    def _look_at_disk(self, now_ns: int) -> None:
+        """Try a disk again that has failed, and look how much room it has."""
+        if (
+            self._again_ns is not None
+            and now_ns >= self._again_ns
+            and not any(each[0] == "again" for each in self._requests)
+        ):
+            self._requests.append(("again", 0, self._clock.utc_ns()))
+        if now_ns - self._spaced_ns < LOOK_NS:
+            return
+        self._spaced_ns = now_ns
+        size = self._writer.size
+        if size < self._present_bytes:
+            self._closed_bytes += self._present_bytes
+        self._present_bytes = size
+        if note := self._space.look(now_ns, self._closed_bytes + size):
+            self._note(note)
+
+    def _until_deleted(self) -> int | None:
+        return self._retention.until_deleted if self._retention else None
 
     # -- the end ----------------------------------------------------------------------------------------------
 

@@ -107,6 +107,20 @@ def test_peers_and_the_recorder_have_statuses() -> None:
     assert told()["igtl_gateway: recorder"].message == "disk full"
 
 
+def test_a_disk_that_fills_and_a_file_that_is_behind_are_warnings() -> None:
+    told = Told(Config())
+    counts = {"dropped_entries": 0, "written_entries": 5, "failure": "", "behind_s": 0.0}
+    for more, level, text in (
+        ({"disk_left_s": 1900}, OK, "recording"),
+        ({"disk_left_s": 600}, WARN, "the disk is full in 10 min at the present rate"),
+        ({"disk_left_s": None, "behind_s": 1.25}, WARN, "the file is 1.2 s behind"),
+        ({"disk_left_s": 60, "failure": "disk full"}, ERROR, "disk full"),
+    ):
+        told.recorder = counts | more
+        found = told()["igtl_gateway: recorder"]
+        assert (found.level, found.message) == (level, text)
+
+
 def test_more_streams_than_anybody_reads_are_told_as_one() -> None:
     streams = {"ros_in": {f"/t{number}": {"received": 1} for number in range(MAX_STREAMS + 5)}}
     array = Diagnostics("host").array(NS_PER_S, NS_PER_S, streams, [], [], None)

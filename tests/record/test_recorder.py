@@ -42,6 +42,7 @@ from igtl_gateway.record.sessionfile.compression import Compression
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.seal_check import SEALED, check_seal
 from igtl_gateway.record.sessionfile.writer import SessionWriter
+from igtl_gateway.record.shared_queue import QueueReader
 from tests.places import ROOT
 from tests.processes import kill
 from tests.record import samples
@@ -1146,3 +1147,22 @@ def test_a_closed_part_that_is_taken_away_is_reported(tmp_path: Path, by: str) -
         assert (note.level, summary.failure) == (Level.ERROR, told)
         assert summary.dropped == {worker_module.TAKEN: note.data["lost"]}
     assert first not in summary.files
+
+
+def test_a_file_that_is_behind_is_said_while_it_is(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as slow:
+        slow.setattr(QueueReader, "flushed", lambda _queue: None)  # as if it never got to a flush
+        bench = Bench(path)
+        for seq in range(1, 12):
+            bench.recorder(samples.igtl(seq))
+        wait_until(lambda: len(bench.recorder._put) > 0)
+        bench.clock.advance(1_500_000_000)
+        wait_until(lambda: any(note.code == recorder_module.LATE for note in bench.notes))
+        assert bench.recorder.counters()["behind_s"] == 1.5
+        (note,) = (note for note in bench.notes if note.code == recorder_module.LATE)
+        assert "1.5 s behind" in note.text and "entries wait" in note.text
+    bench.clock.advance(1_000_000_000)
+    wait_until(lambda: bench.recorder.counters()["behind_s"] == 0)
+    bench.clock.advance(11_000_000_000)
+    wait_until(lambda: any(note.code == recorder_module.ON_TIME for note in bench.notes))
+    bench.recorder.close({"streams": {}})

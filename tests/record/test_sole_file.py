@@ -32,7 +32,7 @@ from igtl_gateway.record.sessionfile import new_file, stream, writer
 from igtl_gateway.record.sessionfile.new_file import cannot_begin
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.seals import stated_seals
-from igtl_gateway.record.worker import FAILED, STARTED, STOPPED
+from igtl_gateway.record.worker import AGAIN, FAILED, STARTED, STOPPED
 from igtl_gateway.replay.verify import DeclaredLosses, verify
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.message import Message, encode
@@ -250,6 +250,55 @@ def test_a_recording_that_has_failed_begins_again_with_what_is_known(
     assert numbers_of(last) == [entry.seq for entry in entries[thirds[1] :]]
     assert summary.entries + sum(summary.dropped.values()) == len(entries) and "Read-only" in summary.failure
     assert recorder.facts()["dropped_since_start"] == 0
+
+
+@pytest.mark.parametrize("options", [{}, {"split_s": 1e3}], ids=["one file", "parts"])
+@pytest.mark.parametrize("from_start", [False, True], ids=["", "from the start"])
+def test_after_an_error_of_the_disk_the_recording_goes_on_by_itself_in_a_new_file(
+    tmp_path: Path, disk: Disk, options: dict[str, Any], from_start: bool
+) -> None:
+    notes, entries = list[Note](), session(3)
+    disk.refuses = from_start
+    recorder = recorder_of(tmp_path / "a.mcap", notes, flush_s=0.01, **options)
+    clock = recorder._clock
+    thirds = [at for at, entry in enumerate(entries) if entry.kind.is_input][20:110:40]
+    for at, entry in enumerate(entries):
+        if at == thirds[0]:
+            disk.refuses = True
+            clock.advance(10**9)  # type: ignore[attr-defined]
+        if at == thirds[1]:
+            wait_until(lambda: not recorder.counters()["queued_entries"])
+            disk.refuses = False
+            clock.advance(10**9)  # type: ignore[attr-defined]
+            wait_until(lambda: not recorder.failure)
+        recorder(entry)
+        if at == thirds[0]:
+            wait_until(lambda: bool(recorder.failure))
+    summary = recorder.close({"streams": {}})
+    assert [note.code for note in notes] == [FAILED, AGAIN]
+    assert "the disk is tried again" in notes[0].text and "goes on in" in notes[1].text
+    last = max(path for path in summary.files if path.suffix == ".mcap")
+    assert numbers_of(last) == [entry.seq for entry in entries[thirds[1] :]]
+    assert summary.entries + sum(summary.dropped.values()) == len(entries)
+    assert "Read-only" in summary.failure, "exit code 1: something is lost"
+
+
+def test_a_disk_that_stays_away_is_tried_ever_less_often_and_leaves_no_files(tmp_path: Path, disk: Disk) -> None:
+    notes = list[Note]()
+    recorder = recorder_of(tmp_path / "a.mcap", notes, flush_s=0.01)
+    disk.refuses = True
+    recorder(session(1)[0])
+    recorder._clock.advance(10**9)  # type: ignore[attr-defined]
+    wait_until(lambda: bool(recorder.failure))
+    for _ in range(300):
+        recorder._clock.advance(10**9)  # type: ignore[attr-defined]
+        recorder.wake()
+    recorder.stop().result(30)
+    disk.refuses = False
+    recorder._clock.advance(100 * 10**9)  # type: ignore[attr-defined]
+    summary = recorder.close({"streams": {}})
+    assert [note.code for note in notes] == [FAILED], "not after the stop"
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"] and summary.failure
 
 
 def test_an_earlier_recording_is_not_replaced(tmp_path: Path) -> None:

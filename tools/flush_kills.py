@@ -1,0 +1,152 @@
+"""SIGKILL for bridge and recorder at random moments of a loaded machine: what is lost, by the log of an own sender.
+
+The recording must have what was sent longer ago than the flush interval.  A program of its own sends poses and notes
+when each was handed to its socket; the load is a number of programs that use a processor each, in sessions of their
+own, as programs of others are.  What a kill lost are the poses in the log of the sender that the file
+does not have.
+
+.venv/bin/python tools/flush_kills.py [--kills 60] [--loads 0 4 16] [--hz 1000] [--seed 1]     print a row for each load
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import random
+import re
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+from igtl_gateway.base.buffers import join
+from igtl_gateway.gateway.log.entry import Kind
+from igtl_gateway.record.sessionfile.salvage import Salvage
+from igtl_gateway.wire import Message, decode, encode
+from igtl_gateway.wire.transform import Transform
+
+#: Entries that are younger may be lost: the flush interval of 0.5 s, and 0.15 s for the kill and for the socket.
+MOST_AGE_S = 0.65
+
+
+def poses(place: tuple[str, int], hz: float, sent: list[float], ends: threading.Event) -> None:
+    """Send poses whose x is their number, until the connection ends; note when each was handed over."""
+    with socket.create_connection(place) as link:
+        begun, number = time.monotonic(), 0
+        while not ends.is_set():
+            due = int((time.monotonic() - begun) * hz) - number
+            try:
+                for _ in range(due):
+                    pose = Transform((1.0, 0, 0, 0, 1, 0, 0, 0, 1, number, 0, 0))
+                    link.sendall(join(encode(Message("TRANSFORM", "ToolToBase", pose))))
+                    sent.append(time.monotonic())
+                    number += 1
+            except OSError:
+                return
+            time.sleep(1 / hz)
+
+
+def one_kill(folder: Path, hz: float, seconds: float) -> tuple[int, float, bool]:
+    """Record, kill both after a time; return lost poses, the age of the oldest, and if a note reported it.
+
+    The age is that at the moment of the kill, s; 0 without any.
+    """
+    path = folder / "killed.mcap"
+    path.unlink(missing_ok=True)
+    gateway = str(Path(sys.executable).with_name("igtl-gateway"))
+    command = [gateway, "bridge", "--no-ros", "--listen", "127.0.0.1:0", "--record", str(path), "--log-format", "json"]
+    with (folder / "out.txt").open("wb") as out:
+        bridge = subprocess.Popen(command, stdout=out, stderr=subprocess.STDOUT)
+    said = folder / "out.txt"
+    sent: list[float] = []
+    ends = threading.Event()
+    try:
+        deadline = time.monotonic() + 120
+        while not (found := re.search(rb'"port": (\d{2,5})', said.read_bytes())) or b"started" not in said.read_bytes():
+            if time.monotonic() > deadline:
+                raise RuntimeError(f"the bridge does not start: {said.read_bytes()[:500]!r}")
+            time.sleep(0.05)
+        sender = threading.Thread(target=poses, args=(("127.0.0.1", int(found[1])), hz, sent, ends), daemon=True)
+        sender.start()
+        time.sleep(seconds)
+        recorder = _recorder(bridge.pid)
+        os.kill(recorder, signal.SIGKILL)
+        bridge.send_signal(signal.SIGKILL)
+        killed = time.monotonic()
+    finally:
+        ends.set()
+        bridge.kill()
+        bridge.wait()
+    while Path(f"/proc/{recorder}/fd").is_dir() and _is_alive(recorder):
+        time.sleep(0.01)
+    sender.join()
+    with Salvage.open(path) as file:
+        kept = {
+            int(decode(entry.payload[0]).content.wire_matrix[9])  # type: ignore[attr-defined]
+            for entry in file.entries()
+            if entry.kind is Kind.IGTL_IN
+        }
+    lost = [at for number, at in enumerate(sent) if number not in kept and at <= killed]
+    return len(lost), killed - min(lost) if lost else 0.0, b"record_late" in said.read_bytes()
+
+
+def _recorder(bridge: int) -> int:
+    """Return the process of the recorder of a bridge."""
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            words = path.read_text().rpartition(")")[2].split()
+            command = (path.parent / "cmdline").read_bytes()
+        except OSError:
+            continue
+        if int(words[1]) == bridge and b"igtl_gateway.record.host" in command:
+            return int(path.parent.name)
+    raise RuntimeError(f"process {bridge} has no recorder")
+
+
+def _is_alive(process: int) -> bool:
+    """Return whether a process still runs: one that was killed may wait for its parent."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except OSError:
+        return False
+
+
+def main() -> int:
+    """Kill recordings and print what was lost."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--kills", type=int, default=60)
+    parser.add_argument("--loads", type=int, nargs="+", default=[0, 4, 16])
+    parser.add_argument("--hz", type=float, default=1000.0)
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    chance = random.Random(options.seed)
+    late = 0
+    print("| load | kills | lost above 0.65 s | reported before | oldest, s | median lost | most |")
+    print("|---|---|---|---|---|---|---|", flush=True)
+    for load in options.loads:
+        words = [sys.executable, "-c", "while True: pass"]
+        hogs = [subprocess.Popen(words, start_new_session=True) for _ in range(load)]
+        try:
+            with tempfile.TemporaryDirectory() as name:
+                rows = [one_kill(Path(name), options.hz, chance.uniform(1.0, 6.0)) for _ in range(options.kills)]
+        finally:
+            for hog in hogs:
+                hog.kill()
+                hog.wait()
+        old = [row for row in rows if row[1] > MOST_AGE_S]
+        late += len(old)
+        lost = sorted(row[0] for row in rows)
+        print(
+            f"| {load} (1 min: {os.getloadavg()[0]:.0f}) | {len(rows)} | {len(old)} | {sum(row[2] for row in old)} "
+            f"| {max(row[1] for row in rows):.2f} | {lost[len(lost) // 2]:,} | {lost[-1]:,} |",
+            flush=True,
+        )
+    return 1 if late else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
