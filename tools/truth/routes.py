@@ -261,11 +261,11 @@ def _lookup(case: Case, recording: Any, result: Result) -> None:
     frames = list(arrays.looked_up(recording, on))
     samples = [one for reference, others in frames for one in (reference, *others)]
     result.findings = case.truth.judge(samples, interpolated=True)
-    # pictures without stamps are at their gateway times, which is what is asked for: later by their delay
-    shown = "/camera/image" if on.key.endswith("/camera/image") else "IMAGE/Image"
-    stream = next(one for one in case.plan.streams if one.key == shown)
-    sender = stream.sender
-    late_s = 0.0 if sender.stamped else (sender.delay_ns + sender.jitter_ns + stream.extra_ns) / 1e9 + 0.0005
+    # what has no stamp is at its time of receipt: later by its delay
+    late_s = max(
+        0.0 if one.sender.stamped else (one.sender.delay_ns + one.sender.jitter_ns + one.extra_ns) / 1e9 + 0.0005
+        for one in case.plan.streams
+    )
     case.truth.judge_frames(frames, result.findings, _JITTER_S + late_s)
     if any(stream.kind == "tf_static" for stream in case.plan.streams):
         case.truth.lost(result.findings, ("tf_static",))

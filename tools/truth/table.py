@@ -103,9 +103,12 @@ def run(
         for job in jobs:
             yield from world(*job)
         return
-    with ProcessPoolExecutor(workers) as pool:
-        for found in pool.map(world, *zip(*jobs, strict=True), chunksize=4):
+    pool = ProcessPoolExecutor(workers)
+    try:
+        for found in pool.map(world, *zip(*jobs, strict=True)):
             yield from found
+    finally:
+        pool.shutdown(cancel_futures=True)
 
 
 def summed(verdicts: Iterable[Verdict]) -> dict[str, Counter[str]]:
@@ -166,6 +169,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("--route", action="append", default=[], choices=list(ROUTES))
     parser.add_argument("--conditions", help="names with commas, instead of those of the seed; empty: none")
     parser.add_argument("--workers", type=int, default=1)
+    parser.add_argument("--seconds", type=float, default=0, help="end after this time with the worlds that are done")
     parser.add_argument("--verbose", action="store_true", help="what was stated and refused, too")
     parser.add_argument("--write", action="store_true", help="write the table to docs/evidence/truth.md")
     options = parser.parse_args(argv)
@@ -175,6 +179,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             parser.error(f"found condition {name!r}, expected one of {', '.join(CONDITIONS)}")
     started, verdicts = time.monotonic(), []
     for one in run(range(options.seed, options.seed + options.worlds), options.route, conditions, options.workers):
+        if options.seconds and time.monotonic() - started > options.seconds and one.seed != verdicts[-1].seed:
+            break
         verdicts.append(one)
         if one.verdict == SILENT or options.verbose:
             print(f"{one.verdict} {one.command}")
@@ -183,12 +189,12 @@ def main(argv: Sequence[str] | None = None) -> int:
             sys.stdout.flush()
     counts = summed(verdicts)
     print(table(counts))
-    seconds = time.monotonic() - started
-    print(f"{options.worlds:,} worlds from seed {options.seed} in {seconds:.0f} s")
+    seconds, worlds = time.monotonic() - started, len({one.seed for one in verdicts})
+    print(f"{worlds:,} worlds from seed {options.seed} in {seconds:.0f} s")
     if options.write:
         commit = subprocess.check_output(["git", "rev-parse", "--short=8", "HEAD"], cwd=_ROOT, text=True)
         write_page(
-            f"{options.worlds:,} worlds from seed {options.seed} on commit {commit.strip()}, "
+            f"{worlds:,} worlds from seed {options.seed} on commit {commit.strip()}, "
             f"{options.workers} at a time, {seconds:,.0f} s.\n\n{table(counts)}\n\n{conditions_table(verdicts)}"
         )
     return int(any(one.verdict == SILENT for one in verdicts))

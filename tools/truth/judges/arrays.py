@@ -119,13 +119,12 @@ def aligned(recording: Any, on: Any, clock: Any, method: Any, tolerance_s: float
 
 
 def looked_up(recording: Any, on: Any) -> Frames:
-    """Frames of tf at the stamps of pictures, as the docstring of ``lookup`` does it."""
-    times = np.where(on.source_times != 0, on.source_times, on.times)
+    """Frames of tf at pictures, as the docstring of ``lookup`` does it."""
     edges = [(edge.parent, edge.child) for edge in recording.tf.edges]
     found = {}
     for parent, child in edges:
         try:
-            found[child] = recording.tf.lookup(parent, child, times, unit="mm", out_of_range="nan")
+            found[child] = recording.tf.lookup(parent, child, on, unit="mm", out_of_range="nan")
         except (ConfigError, GatewayError):
             continue
     for number, view in enumerate(on.images()):

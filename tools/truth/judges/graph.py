@@ -14,7 +14,7 @@ from tests import domains
 from tools.truth.judges.ros import of_message
 from tools.truth.judges.samples import Sample
 
-_QUIET_S, _DEADLINE_S = 0.3, 10.0
+_QUIET_S, _DEADLINE_S = 2.0, 30.0
 
 
 class Listener:
