@@ -21,7 +21,11 @@ from igtl_gateway.addons.exchange.source import Source, library_errors_as_damage
 START = 512
 #: The format of raw messages.
 IGTL = "igtl"
-_META_KEYS = (b"ObjectType", b"NDims", b"DimSize")
+_META_KEYS = (
+    b"ObjectType", b"ObjectSubType", b"Comment", b"NDims", b"DimSize", b"BinaryData", b"CompressedData", b"Element",
+    b"TransformMatrix", b"Offset", b"Position", b"Origin", b"CenterOfRotation", b"AnatomicalOrientation", b"Kinds",
+    b"TransformType", b"ID", b"Name", b"Color", b"HeaderSize", b"Modality", b"UltrasoundImage", b"Seq_Frame",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,13 +59,19 @@ FORMATS = (
     ImportFormat(
         "sequence",
         (".igs.mha", ".mha", ".mhd", ".igs.nrrd", ".seq.nrrd", ".nrrd", ".nhdr"),
-        lambda start: start.startswith((b"NRRD000", *_META_KEYS)),
+        lambda start: start.startswith(b"NRRD000") or _is_metaimage(start),
         Sequence,
     ),
     ImportFormat("nifti", (".nii", ".nii.gz"), looks_like_nifti, lambda path, epoch: Sequence(path, epoch, read_nifti)),
     ImportFormat("pcap", (".pcap", ".cap", ".pcapng"), is_capture, lambda path, _epoch: Pcap(path)),
     ImportFormat(IGTL, (".igtl",), looks_like_igtl, Capture),
 )
+
+
+def _is_metaimage(start: bytes) -> bool:
+    """Return whether the first line is a field of MetaImage, whose fields have any order: ``Key = value``."""
+    key, equals, _ = start.partition(b"\n")[0].partition(b"=")
+    return bool(equals) and key.strip().startswith(_META_KEYS)
 
 
 def format_of(start: bytes) -> ImportFormat | None:

@@ -19,11 +19,13 @@ from igtl_gateway.addons.exchange.raster import (
     COMPONENT,
     FRAME,
     MAX_STEP_S,
+    MIN_STEP_S,
     RAW,
     SPACE,
     ZLIB,
     Raster,
     check_axes,
+    check_steps,
     fourth_axis_as_time,
     parse_number,
     parse_whole,
@@ -68,6 +70,7 @@ def read_metaimage(path: Path, stream: BinaryIO) -> ImageFile:
     axes = check_axes(roles, sizes, where)
     spatial = [role for role in roles if role != COMPONENT]
     data, offset = _data(path, fields, header.end, where)
+    placed = _with_spacing_of_frames(header, len(spatial), where, notes)
     raster = Raster(
         where,
         axes,
@@ -76,7 +79,8 @@ def read_metaimage(path: Path, stream: BinaryIO) -> ImageFile:
         ZLIB if _flag(fields, "CompressedData") else RAW,
         data,
         offset,
-        _placement(fields, spatial, where, notes),
+        _placement(placed, spatial, where, notes),
+        is_beside=data != path,
     )
     if len(spatial) == 4 and not header.frames:
         raster = replace(raster, times_s=_times(fields, spatial, raster.frames, where))
@@ -120,6 +124,26 @@ def _roles(fields: dict[str, str], frames: Frames, sizes: list[int], where: str,
     if frames and len(sizes) > 2:
         return [*([SPACE] * (len(sizes) - 1)), FRAME]
     return fourth_axis_as_time([SPACE] * len(sizes), notes)
+
+
+def _with_spacing_of_frames(header: ImageFileHeader, dims: int, where: str, notes: list[str]) -> dict[str, str]:
+    """Return the fields with the spacing that the frames have, if they have one.
+
+    Raises UnsupportedRecording if it differs between frames: all images of a sequence have one size of pixels.
+    """
+    spacings = {number: frame[_SPACING[0]].split() for number, frame in header.frames.items() if _SPACING[0] in frame}
+    if not spacings:
+        return header.fields
+    first = min(spacings)
+    for number, words in sorted(spacings.items()):
+        if words != spacings[first]:
+            raise UnsupportedRecording(
+                f"{where}: ElementSpacing: found {' '.join(spacings[first])[:60]} in frame {first} and "
+                f"{' '.join(words)[:60]} in frame {number}, expected the same in all frames"
+            )
+    words = [*spacings[first], "1", "1"][: max(dims, len(spacings[first]))]
+    notes.append(f"the spacing is that of the frames: {' '.join(spacings[first])[:60]}")
+    return header.fields | {_SPACING[0]: " ".join(words)}
 
 
 def _dims(fields: dict[str, str], where: str) -> int:
@@ -178,9 +202,7 @@ def _placement(fields: dict[str, str], roles: list[str], where: str, notes: list
     offset, spacing = offset or [0.0] * dims, spacing or [1.0] * dims
     matrix = matrix or [float(i == j) for i in range(dims) for j in range(dims)]
     spaces = [axis for axis, role in enumerate(roles) if role == SPACE]
-    if any(not spacing[axis] > 0 for axis in spaces):
-        found = " ".join(f"{value:g}" for value in spacing)
-        raise DamagedRecording(f"{where}: ElementSpacing: found {found}, expected numbers above 0")
+    check_steps([spacing[axis] for axis in spaces], "ElementSpacing", where, notes)
     coordinates = spaces
     if dims == 3 and len(spaces) == 2 and roles[-1] == FRAME:
         coordinates = [0, 1, 2]
@@ -197,6 +219,6 @@ def _placement(fields: dict[str, str], roles: list[str], where: str, notes: list
 def _times(fields: dict[str, str], roles: list[str], count: int, where: str) -> tuple[float, ...]:
     """Return the times of the frames of a plain image with four axes, in seconds, from its time spacing."""
     step = (_floats(fields, _SPACING, len(roles), where) or [0.0] * len(roles))[roles.index(FRAME)]
-    if not 0 < step < MAX_STEP_S or count > limits.current_limits().count:
+    if not MIN_STEP_S <= step < MAX_STEP_S or count > limits.current_limits().count:
         return ()
     return tuple(index * step for index in range(count))

@@ -17,7 +17,17 @@ import numpy as np
 
 from igtl_gateway.addon import DamagedRecording, Unavailable, UnsupportedRecording, limits, millimetres, missing
 from igtl_gateway.addons.exchange.header import ImageFile
-from igtl_gateway.addons.exchange.raster import COMPONENT, FRAME, MAX_STEP_S, RAW, SPACE, ZLIB, Raster, check_axes
+from igtl_gateway.addons.exchange.raster import (
+    COMPONENT,
+    FRAME,
+    MAX_STEP_S,
+    MIN_STEP_S,
+    RAW,
+    SPACE,
+    ZLIB,
+    Raster,
+    check_axes,
+)
 from igtl_gateway.api.placement import ImagePlacement
 
 _GZIP = b"\x1f\x8b"
@@ -136,7 +146,7 @@ def _placement(header: Any, axes: int, where: str, notes: list[str]) -> ImagePla
     if codes["sform"] > 0:
         affine = header.get_sform()
         if codes["qform"] > 0 and not np.allclose(affine, _qform(header, where), atol=1e-3):
-            notes.append("sform and qform differ: the position is that of sform")
+            notes.append("sform and qform differ: the position is that of sform; ITK may take that of qform")
     elif codes["qform"] > 0:
         affine = _qform(header, where)
     else:
@@ -148,12 +158,16 @@ def _placement(header: Any, axes: int, where: str, notes: list[str]) -> ImagePla
 
 
 def _qform(header: Any, where: str) -> Any:
+    if not float(header["pixdim"][0]):
+        # nifti1.h: a qfac of 0 means 1; nibabel takes only 1 and -1
+        header = header.copy()
+        header["pixdim"][0] = 1.0
     try:
         return header.get_qform()
     except Exception:  # of several types
         values = " ".join(f"{float(header[name]):g}" for name in ("quatern_b", "quatern_c", "quatern_d"))
         found = f"quatern {values} and pixdim[0] {float(header['pixdim'][0]):g}"
-        raise DamagedRecording(f"{where}: qform: found {found}, expected a rotation, and 1 or -1") from None
+        raise DamagedRecording(f"{where}: qform: found {found}, expected a rotation, and 1, -1 or 0") from None
 
 
 def _times(header: Any, roles: list[str], shape: list[int]) -> tuple[float, ...]:
@@ -162,6 +176,9 @@ def _times(header: Any, roles: list[str], shape: list[int]) -> tuple[float, ...]
     count = shape[roles.index(FRAME)]
     scale = _SECONDS.get(int(header["xyzt_units"]) & 56, 0.0)
     step = float(header["pixdim"][4]) * scale
-    if not 0 < step < MAX_STEP_S or not 1 < count <= limits.current_limits().count:
+    begin = float(header["toffset"]) * scale
+    if not 0 <= begin < MAX_STEP_S:
+        begin = 0.0
+    if not MIN_STEP_S <= step < MAX_STEP_S or not 1 < count <= limits.current_limits().count:
         return ()
-    return tuple(index * step for index in range(count))
+    return tuple(begin + index * step for index in range(count))

@@ -20,11 +20,13 @@ from igtl_gateway.addons.exchange.raster import (
     COMPONENT,
     FRAME,
     MAX_STEP_S,
+    MIN_STEP_S,
     RAW,
     SPACE,
     ZLIB,
     Raster,
     check_axes,
+    check_steps,
     fourth_axis_as_time,
     parse_number,
     parse_whole,
@@ -58,9 +60,13 @@ _SPACES = {
     "left-posterior-superior": "LPS",
     "lps": "LPS",
 }
+#: Short names of spaces with time, which ITK does not know.
+_UNLIKE_ITK = ("rast", "last")
 #: Spaces that are not anatomical.
 _OTHER_SPACES = ("scanner-xyz", "3d-right-handed", "3d-left-handed")
 _FRAME_KINDS, _SPACE_KINDS = ("list", "time"), ("domain", "space")
+#: Fields that give the ends of axes without a direction; coordinates of a space with time.
+_ENDS, _WITH_TIME = ("spacings", "axis mins", "axis maxs"), 4
 _UNKNOWN_KINDS = ("???", "none", "")
 _VECTOR = re.compile(r"none|\(([^()]*)\)")
 #: Units that programs use for a time axis → seconds.
@@ -88,9 +94,10 @@ def read_nrrd(path: Path, stream: BinaryIO) -> ImageFile:
         _packing(fields, where),
         data,
         offset,
-        _placement(fields, roles, vectors, where, notes),
+        _placement(fields, roles, sizes, vectors, where, notes),
         skip,
         _times(fields, roles, sizes, vectors, where, notes),
+        is_beside=data != path,
     )
     return ImageFile(fields, header.frames, raster, notes)
 
@@ -189,13 +196,18 @@ def _data(path: Path, fields: dict[str, str], end: int, where: str) -> tuple[Pat
 
 
 def _placement(
-    fields: dict[str, str], roles: list[str], vectors: list[list[float] | None], where: str, notes: list[str]
+    fields: dict[str, str],
+    roles: list[str],
+    sizes: list[int],
+    vectors: list[list[float] | None],
+    where: str,
+    notes: list[str],
 ) -> ImagePlacement | None:
     spaces = [axis for axis, role in enumerate(roles) if role == SPACE]
     directions = [vector for axis in spaces if (vector := vectors[axis]) is not None]
     space = _space(fields, where, notes)
     if not directions:
-        return _undirected_placement(fields, spaces, len(roles), where, notes)
+        return _undirected_placement(fields, spaces, sizes, where, notes)
     if len(directions) != len(spaces):
         raise DamagedRecording(f"{where}: space directions: found none for a spatial axis, expected a vector")
     dims = {len(vector) for vector in directions}
@@ -223,6 +235,8 @@ def _space(fields: dict[str, str], where: str, notes: list[str]) -> str:
     name = fields.get("space", "")
     known = re.sub(r"(-time|(?<=^ras|^las|^lps)t)$", "", name.lower())
     if known in _SPACES:
+        if name.lower() in _UNLIKE_ITK:
+            notes.append(f"space {name}: read as {_SPACES[known]}, as NRRD defines it; ITK reads it as LPS")
         return _SPACES[known]
     if name and known not in _OTHER_SPACES:
         raise DamagedRecording(f"{where}: space: found {name[:40]!r}, expected one of {', '.join(_SPACES)}")
@@ -232,21 +246,28 @@ def _space(fields: dict[str, str], where: str, notes: list[str]) -> str:
 
 
 def _undirected_placement(
-    fields: dict[str, str], spaces: list[int], count: int, where: str, notes: list[str]
+    fields: dict[str, str], spaces: list[int], sizes: list[int], where: str, notes: list[str]
 ) -> ImagePlacement | None:
-    """Return the position from ``spacings`` and ``axis mins``, which have no directions; None without spacings."""
-    words = fields.get("spacings", "").split()
-    if not words:
+    """Return the position from ``spacings``, ``axis mins`` and ``axis maxs``, which have no directions; None without.
+
+    Without a spacing, it is that of the samples between the ends of the axis (Definition of NRRD, section 5).
+    """
+    steps, first, last = (_of_axes(fields, name, spaces, len(sizes), where) for name in _ENDS)
+    centred = "node" not in (fields.get("centers", "") or fields.get("centerings", "")).lower()
+    if not steps and first and last:
+        numbers = [sizes[axis] if centred else sizes[axis] - 1 for axis in spaces]
+        steps = [
+            (high - low) / number if number else math.nan
+            for low, high, number in zip(first, last, numbers, strict=True)
+        ]
+        notes.append("the voxels lie between axis mins and axis maxs, as NRRD defines them; ITK reads voxels of 1 mm")
+    if not steps:
+        if first or last:
+            alone = "mins" if first else "maxs"
+            raise UnsupportedRecording(f"{where}: found axis {alone} alone, expected spacings, or axis mins and maxs")
         notes.append("the header has no position: the image is centred, with voxels of 1 mm")
         return None
-    if len(words) != count:
-        raise DamagedRecording(f"{where}: spacings: found {len(words)} numbers, expected {count}")
-    steps = [parse_number(words[axis], "spacings", where) for axis in spaces]
-    if any(not step > 0 for step in steps):
-        raise DamagedRecording(f"{where}: spacings: found {' '.join(words)[:60]}, expected numbers above 0")
-    mins = fields.get("axis mins", "").split()
-    first = [parse_number(mins[axis], "axis mins", where) for axis in spaces] if len(mins) == count else []
-    centred = "node" not in (fields.get("centers", "") or fields.get("centerings", "")).lower()
+    check_steps(steps, "spacings", where, notes)
     # the minimum of cell-centred samples is half a step before the first centre
     origin = [low + (step / 2 if centred else 0.0) for low, step in zip(first, steps, strict=True)] if first else []
     axes: list[Vector] = [(steps[0], 0.0, 0.0), (0.0, steps[1], 0.0)]
@@ -254,6 +275,17 @@ def _undirected_placement(
         axes.append((0.0, 0.0, steps[2]))
     notes.append("the header has spacings without directions: axes are treated as left, posterior, superior, as in ITK")
     return ImagePlacement.of_file(axes, origin or [0.0] * len(axes), "LPS", where)
+
+
+def _of_axes(fields: dict[str, str], name: str, spaces: list[int], count: int, where: str) -> list[float]:
+    """Return the numbers of a field for the spatial axes; none if the field is absent, or NaN for one of them."""
+    words = fields.get(name, "").split()
+    if not words:
+        return []
+    if len(words) != count:
+        raise DamagedRecording(f"{where}: {name}: found {len(words)} numbers, expected {count}")
+    values = [parse_number(words[axis], name, where) for axis in spaces]
+    return [] if any(map(math.isnan, values)) else values
 
 
 def _times(
@@ -280,7 +312,19 @@ def _times(
     vector = vectors[axis]
     words = fields.get("spacings", "").split()
     step = vector[-1] if vector else parse_number(words[axis], "spacings", where) if len(words) == len(sizes) else 0.0
-    return tuple(index * step for index in range(sizes[axis])) if 0 < step < MAX_STEP_S else ()
+    if not MIN_STEP_S <= step < MAX_STEP_S:
+        return ()
+    begin = _first_time(fields, vector, where)
+    return tuple(begin + index * step for index in range(sizes[axis]))
+
+
+def _first_time(fields: dict[str, str], vector: list[float] | None, where: str) -> float:
+    """Return the time of the first frame, the fourth number of ``space origin``, in seconds; 0 if it has none."""
+    words = fields.get("space origin", "").strip(" ()").split(",")
+    if vector is None or len(words) != len(vector) or len(words) != _WITH_TIME:
+        return 0.0
+    begin = parse_number(words[-1], "space origin", where)
+    return begin if 0 <= begin < MAX_STEP_S else 0.0
 
 
 def _word(text: str, axis: int) -> str:

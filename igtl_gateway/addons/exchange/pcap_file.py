@@ -48,6 +48,8 @@ _INTERFACE, _OBSOLETE_PACKET, _SIMPLE_PACKET, _ENHANCED_PACKET = 1, 2, 3, 6
 _INTERFACE_HEAD, _PACKET_HEAD, _CAPTURED = 8, 20, 12
 #: if_tsresol and if_tsoffset.
 _OPTIONS = (9, 14)
+#: Bits of the link type; those above are of the frame check sequence.
+_LINK_TYPE = 0xFFFF
 _MICROSECONDS = 6  # the default of if_tsresol, as a negative power of ten
 
 
@@ -111,7 +113,7 @@ class PacketFile:
         if head[:4] not in MAGICS or len(head) < 24:
             raise UnsupportedRecording(f"{self._path}: found {head[:4].hex(' ')}, expected a pcap or pcapng file")
         order, unit_ns = MAGICS[head[:4]]
-        link_type = int(struct.unpack(f"{order}I", head[20:])[0]) & 0x0FFF_FFFF
+        link_type = int(struct.unpack(f"{order}I", head[20:])[0]) & _LINK_TYPE
         if link_type not in self._link_types:
             expected = ", ".join(map(str, sorted(self._link_types)))
             raise UnsupportedRecording(f"{self._path}: found link type {link_type}, expected one of {expected}")

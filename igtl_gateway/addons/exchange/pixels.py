@@ -15,13 +15,31 @@ from typing import Any, BinaryIO, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import DamagedRecording, files, limits
+from igtl_gateway.addon import DamagedRecording, UnsupportedRecording, files, limits
 from igtl_gateway.addons.exchange.raster import BZIP2, COMPONENT, FRAME, RAW, WIDER, Raster, check_room
 from igtl_gateway.addons.exchange.source import library_errors_as_damage
 
 _READ = 1 << 20
+#: Fewer bytes than these behind the last pixel may be white space without a note.
+_WHITE = 16
 #: Up to this value float64 represents every integer.
 _EXACT = 1 << 53
+#: What a file with a header of its own begins with: name, offset and bytes.
+_GZIP = "a gzip file"
+_HEADERS = (
+    ("an NRRD file", 0, b"NRRD0"),
+    ("a MetaImage file", 0, b"ObjectType"),
+    ("a MetaImage file", 0, b"NDims"),
+    ("a NIfTI file", 344, b"n+1\0"),
+    ("a NIfTI file", 4, b"n+2\0"),
+    ("a PNG file", 0, b"\x89PNG\r\n"),
+    ("a JPEG file", 0, b"\xff\xd8\xff"),
+    ("a TIFF file", 0, b"II*\0"),
+    ("a TIFF file", 0, b"MM\0*"),
+    ("a DICOM file", 128, b"DICM"),
+    (_GZIP, 0, b"\x1f\x8b\x08"),
+)
+_START = 512
 
 
 def read_frames(raster: Raster, notes: list[str]) -> Iterator[bytearray | bytes]:
@@ -31,6 +49,7 @@ def read_frames(raster: Raster, notes: list[str]) -> Iterator[bytearray | bytes]
     """
     packed = files.size_of(raster.data)
     check_room(raster, packed)
+    _check_bare(raster, packed)
     deadline = files.deadline_of(raster.data)
     with files.open_file(raster.data) as stream:
         pixels = _PixelStream(raster, stream, packed)
@@ -48,6 +67,20 @@ def read_frames(raster: Raster, notes: list[str]) -> Iterator[bytearray | bytes]
         for index in range(raster.frames):
             deadline.check(raster.where)
             yield _ordered(raster, data, index, framed=True)
+
+
+def _check_bare(raster: Raster, size: int) -> None:
+    """Raise UnsupportedRecording for a pixel file that is an image file itself: its header is not pixels."""
+    if not raster.is_beside or size == max(raster.offset, 0) + raster.frame_bytes * raster.frames:
+        return
+    with files.open_file(raster.data) as stream:
+        start = stream.read(_START)
+    kind = next((name for name, at, magic in _HEADERS if start[at:].startswith(magic)), "")
+    if kind and (raster.packing == RAW or kind != _GZIP):
+        raise UnsupportedRecording(
+            f"{raster.where}: found {kind} as its pixel file {raster.data.name}, expected pixels without a header: "
+            f"import {raster.data.name} itself"
+        )
 
 
 def _ordered(raster: Raster, data: bytearray, index: int, *, framed: bool) -> bytearray | bytes:
@@ -125,11 +158,14 @@ class _PixelStream:
 
     def note_rest(self, notes: list[str]) -> None:
         """Add a note if there are bytes after the last pixel."""
+        rest = b""
         try:
-            more = self._read_some(1)
+            while len(rest) < _WHITE and (more := self._read_some(_WHITE - len(rest))):
+                rest += more
         except (OSError, ValueError, EOFError, zlib.error):
-            more = b"?"
-        if more.strip():
+            rest = b"?"
+        # some programs end a file with a line end
+        if rest.strip() or len(rest) == _WHITE:
             notes.append("bytes after the last pixel that the header declares are ignored")
 
     def _read_some(self, missing: int) -> bytes:

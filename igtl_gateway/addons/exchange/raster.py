@@ -8,6 +8,7 @@ which the formats declare the roles.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,8 +22,8 @@ RAW, ZLIB, BZIP2 = "raw", "zlib", "bzip2"
 
 #: Ranges of the fields of IMAGE: sizes are u16, the number of components is u8.
 _MAX_SIZE, _MAX_COMPONENTS = 65_535, 255
-#: Upper bound of a plausible time step of frames, in seconds.
-MAX_STEP_S = 1e6
+#: Bounds of a plausible time step of frames, in seconds: stamps have nanoseconds, and a smaller step is none.
+MIN_STEP_S, MAX_STEP_S = 1e-9, 1e6
 #: Types that IMAGE does not support → type for their values; a value that is not exact is an error.
 WIDER = {"i8": "f8", "u8": "f8"}
 
@@ -49,6 +50,7 @@ class Raster:
         offset: offset of the first byte in that file; -1: the pixels are the end of the file.
         place: position and orientation of all frames; None if the header contains none.
         skip: for compressed pixels the number of decompressed bytes before the first pixel.
+        is_beside: whether the pixels have a file of their own.
         times_s: time of each frame in seconds, from the header but not from fields of frames; empty if unknown.
     """
 
@@ -62,6 +64,7 @@ class Raster:
     place: ImagePlacement | None
     skip: int = 0
     times_s: tuple[float, ...] = ()
+    is_beside: bool = False
 
     @property
     def size(self) -> tuple[int, int, int]:
@@ -110,6 +113,15 @@ def fourth_axis_as_time(roles: list[str], notes: list[str]) -> list[str]:
     notes.append("the fourth axis is imported as time")
     last = len(roles) - 1 - roles[::-1].index(SPACE)
     return [*roles[:last], FRAME, *roles[last + 1 :]]
+
+
+def check_steps(steps: Sequence[float], what: str, where: str, notes: list[str]) -> None:
+    """Check the distances of voxels; add a note if an axis runs the other way.  Raises DamagedRecording."""
+    if any(not step or not math.isfinite(step) for step in steps):
+        found = " ".join(f"{step:g}" for step in steps)
+        raise DamagedRecording(f"{where}: {what}: found {found}, expected numbers other than 0")
+    if any(step < 0 for step in steps):
+        notes.append(f"{what} has negative numbers: these axes run the other way, as in ITK")
 
 
 def parse_number(word: str, what: str, where: str) -> float:

@@ -165,10 +165,11 @@ class Sequence(NonRosSource):
         start_ns = time_ns = self._time_ns(0, self.epoch_ns)
         yield link_up_item(start_ns, _LINK, peer)
         yield note_item(start_ns, "imported", f"imported from {self._path.name}; no gateway received these messages")
-        self._stampless = 0
+        self._stampless = same = 0
         invalid: set[str] = set()
         for index in self._indices(count):
-            time_ns = self._time_ns(index, time_ns)
+            before_ns, time_ns = time_ns, self._time_ns(index, time_ns)
+            same += index > 0 and time_ns == before_ns
             fields = self._frames.get(index, {})
             yield from self._transforms(index, time_ns, fields, invalid)
             if index >= count:
@@ -183,6 +184,8 @@ class Sequence(NonRosSource):
             yield peer_item(time_ns, _LINK, _with_head(head, data))
         yield link_down_item(time_ns, _LINK, peer, "the end of the file")
         next(images, None)  # adds a note if there is data after the last frame
+        if same and not self._stampless and (self._tracked or raster.times_s):
+            self.notes.append(f"frames with the time of the frame before them: {same}")
         if self._stampless:
             self.notes.append(f"frames without a time stamp: {self._stampless}; they get that of the previous frame")
 

@@ -58,6 +58,8 @@ _POLYGONS = 2
 #: 3D Slicer takes points for LPS, and turns them by 180°, where a file does not state their space.
 _TITLE = "igtl-gateway, millimetres, SPACE=RAS"
 _MOST_OF_A_BYTE = 255
+#: Type and components of an attribute → its section in a VTK file; other sections mean no more than a field.
+_SECTION_OF = {(NORMAL, 3): "NORMALS"}
 #: Number of notes on changes by conversions: an untrusted file could cause a different one for each message.
 _MAX_NOTES = 20
 
@@ -243,14 +245,35 @@ def _misfit(attribute: Attribute, content: PolyData) -> str:
 
 
 def _fields(head: str, attributes: list[Attribute]) -> Iterator[bytes]:
+    """Yield the attributes of points or cells.
+
+    The first normals have a section of their own, so that a program uses them as such, and the first colours are there
+    as bytes, too, for its screen.  All others are fields, with the values as they are.
+    """
     if not attributes:
         return
-    yield f"{head}\nFIELD attributes {len(attributes)}\n".encode()
+    yield f"{head}\n".encode()
     names = FreeNames()  # VTK requires unique names
-    for number, attribute in enumerate(attributes):
-        values, name = attribute.values, names.take(attribute.name or f"attribute{number}")
-        yield f"{_encoded(name)} {values.shape[1]} {values.shape[0]} float\n".encode()
-        yield values.astype(">f4").tobytes() + b"\n"
+    named = [(names.take(each.name or f"attribute{number}"), each) for number, each in enumerate(attributes)]
+    if colours := next((each for each in attributes if colour_field(each)), None):
+        values = colour_bytes(colours.values)
+        yield f"COLOR_SCALARS {_encoded(names.take('colours'))} {values.shape[1]}\n".encode()
+        yield values.tobytes() + b"\n"
+    fields = []
+    taken: set[str] = set()
+    for name, each in named:
+        section = _SECTION_OF.get((each.type & ~CELL, each.components), "")
+        if not section or section in taken:
+            fields.append((name, each))
+            continue
+        taken.add(section)
+        yield f"{section} {_encoded(name)} float\n".encode()
+        yield each.values.astype(">f4").tobytes() + b"\n"
+    if fields:
+        yield f"FIELD attributes {len(fields)}\n".encode()
+    for name, each in fields:
+        yield f"{_encoded(name)} {each.values.shape[1]} {each.values.shape[0]} float\n".encode()
+        yield each.values.astype(">f4").tobytes() + b"\n"
 
 
 def _encoded(name: str) -> str:

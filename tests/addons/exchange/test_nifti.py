@@ -153,8 +153,34 @@ def test_a_qform_that_is_no_rotation_is_named(tmp_path: Path, offset: int, value
     bent = bytearray((tmp_path / "some.nii").read_bytes())
     bent[offset : offset + 4] = np.float32(value).tobytes()
     (tmp_path / "some.nii").write_bytes(bent)
-    with pytest.raises(DamagedRecording, match=f"qform: found {text}, expected a rotation, and 1 or -1"):
+    with pytest.raises(DamagedRecording, match=f"qform: found {text}, expected a rotation, and 1, -1 or 0"):
         open_source(tmp_path / "some.nii")
+
+
+def test_a_qfac_of_0_means_1(tmp_path: Path) -> None:
+    """nifti1.h; ITK agrees."""
+    data = np.arange(60, dtype=np.int16).reshape(SIZE)
+    image = nib.Nifti1Image(data, affine_of(orthonormal(OBLIQUE)))
+    image.set_sform(None, 0)
+    image.set_qform(affine_of(orthonormal(OBLIQUE)), 1)
+    nib.save(image, tmp_path / "some.nii")
+    bent = bytearray((tmp_path / "some.nii").read_bytes())
+    assert np.frombuffer(bent[76:80], np.float32) == 1
+    bent[76:80] = bytes(4)
+    (tmp_path / "some.nii").write_bytes(bent)
+    (one,) = images_of(tmp_path / "some.nii")
+    assert np.abs(corners(one) - itk_corners(read(tmp_path / "some.nii"), SIZE)).max() < 5 * MICROMETRE
+
+
+@pytest.mark.parametrize(("code", "seconds"), [(8, 3000.0), (16, 3.0), (24, 0.003)])
+def test_the_first_frame_has_the_time_of_toffset(tmp_path: Path, code: int, seconds: float) -> None:
+    path = saved(tmp_path / "some.nii", np.zeros((2, 3, 1, 4), np.uint8), np.eye(4), toffset=3000, xyzt_units=2 | code)
+    bent = bytearray(path.read_bytes())
+    bent[92:96] = np.float32(2000 if code == 16 else 2).tobytes()
+    path.write_bytes(bent)
+    with closing(open_source(path)) as source:
+        first = next(item.time_ns for item in source.items() if item.kind is Kind.IGTL_IN)
+    assert first - DEFAULT_EPOCH_NS == round(seconds * 1e9)
 
 
 @table(

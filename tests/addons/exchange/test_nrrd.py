@@ -41,6 +41,7 @@ def test_each_space_is_that_of_itk(tmp_path: Path, space: str) -> None:
         ("spacings: 1 2 3",),
         ("spacings: 1 2 3", "axis mins: 10 20 30"),
         ("spacings: 1 2 3", "axis mins: 10 20 30", "centers: cell cell cell"),
+        ("spacings: -1 2 -3",),
         ("space: RAS", OBLIQUE),
         ("space: LPS", OBLIQUE, "space origin: (1,2,3)", 'space units: "cm" "cm" "cm"'),
     ],
@@ -49,6 +50,41 @@ def test_less_of_a_place_is_that_of_itk(tmp_path: Path, lines: tuple[str, ...]) 
     path = nrrd(tmp_path / "some.nrrd", bytes(24), *VOLUME, *lines)
     assert np.abs(corners(images_of(path)[0]) - itk_corners(read(path), (4, 3, 2))).max() < MICROMETRE
     assert Sequence(path).notes
+
+
+@pytest.mark.parametrize(
+    ("centers", "spacing", "first"),
+    [("cell", (1.0, 2.0, 4.0), (10.5, 11.0, 12.0)), ("node", (4 / 3, 3.0, 8.0), (10.0, 10.0, 10.0))],
+)
+def test_voxels_between_the_ends_of_their_axes(
+    tmp_path: Path, centers: str, spacing: tuple[float, ...], first: tuple[float, ...]
+) -> None:
+    """As NRRD defines it; ITK ignores the upper ends, which a note states."""
+    ends = ("axis mins: 10 10 10", "axis maxs: 14 16 18", f"centers: {centers} {centers} {centers}")
+    path = nrrd(tmp_path / "some.nrrd", bytes(24), *VOLUME, *ends)
+    found = corners(images_of(path)[0])
+    assert np.allclose(found.min(axis=0), first) and np.allclose(np.ptp(found, axis=0), np.multiply(spacing, (3, 2, 1)))
+    assert any("ITK reads voxels of 1 mm" in note for note in Sequence(path).notes)
+
+
+def test_a_space_with_time_has_its_own_name(tmp_path: Path) -> None:
+    """RAST is RAS with time, and its origin has the time of the first frame; ITK reads LPS."""
+    lines = ("type: uchar", "dimension: 4", "sizes: 2 3 1 4", "kinds: domain domain domain domain", "space: RAST")
+    directions = "space directions: (1,0,0,0) (0,1,0,0) (0,0,1,0) (0,0,0,0.5)"
+    path = nrrd(tmp_path / "some.nrrd", bytes(24), *lines, directions, "space origin: (1,2,3,9)")
+    assert np.allclose(images_of(path)[0].wire_matrix[9:], (1.5, 3.0, 3.0))
+    with closing(Sequence(path)) as source:
+        times = [item.time_ns - DEFAULT_EPOCH_NS for item in source.items() if item.kind is Kind.IGTL_IN]
+        assert [time_ns / 1e9 for time_ns in times] == [9.0, 9.5, 10.0, 10.5]
+        assert any("ITK reads it as LPS" in note for note in source.notes)
+
+
+def test_a_step_that_is_none_is_no_time(tmp_path: Path) -> None:
+    """3D Slicer has written a denormal number as time step."""
+    lines = ("type: uchar", "dimension: 4", "sizes: 2 3 1 4", "kinds: domain domain domain domain")
+    directions = "space directions: (1,0,0,0) (0,1,0,0) (0,0,1,0) (0,0,0,1.2e-313)"
+    path = nrrd(tmp_path / "some.nrrd", bytes(24), *lines, "space dimension: 4", directions)
+    assert any("the frames have no times" in note for note in Sequence(path).notes)
 
 
 def test_no_place_at_all_is_noted(tmp_path: Path) -> None:
@@ -102,8 +138,10 @@ def test_sequences_of_slicer(tmp_path: Path, first: bool) -> None:
         (("sizes: 4 3 2", "space: RAS", "space directions: (1,0,0) (0,inf,0) (0,0,1)"), "finite"),
         (("sizes: 4 3 2", "space: RAS", "space directions: (1,0,0) (0,nan,0) (0,0,1)"), "finite"),
         (("sizes: 4 3 2", "space: RAS", "space directions: (1,0,0) (0,0,0) (0,0,1)"), "span"),
-        (("sizes: 4 3 2", "spacings: 1 0 1"), "above 0"),
-        (("sizes: 4 3 2", "spacings: 1 nan 1"), "above 0"),
+        (("sizes: 4 3 2", "spacings: 1 0 1"), "other than 0"),
+        (("sizes: 4 3 2", "axis mins: 1 2 3"), "axis mins alone"),
+        (("sizes: 4 3 2", "axis maxs: 1 2 3"), "axis maxs alone"),
+        (("sizes: 4 3 2", "axis mins: 1 2 3", "axis maxs: 1 4 5"), "other than 0"),
         (("sizes: 4 3 2", "spacings: 1 1"), "found 2 numbers"),
         (("sizes: 70000 3 2",), "65535"),
         (("sizes: 300 4 3 2", "kinds: vector domain domain domain"), "values per pixel"),

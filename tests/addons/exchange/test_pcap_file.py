@@ -318,3 +318,14 @@ def test_random_changes_are_read_or_rejected(tmp_path: Path) -> None:
                 list(source.items())
         except GatewayError:
             continue
+
+
+@table("bits", [0x0400_0000, 0x2400_0000, 0x0800_0000, 0x0001_0000])
+def test_bits_above_the_link_type_are_of_the_check_sequence(tmp_path: Path, bits: int) -> None:
+    talk = Talk().open().say(message("a")).close()
+    path = write(tmp_path / "some.pcap", talk.packets)
+    data = bytearray(path.read_bytes())
+    data[20:24] = struct.pack("<I", struct.unpack("<I", data[20:24])[0] | bits)
+    write_anew(path, bytes(data))
+    items, _ = read(path)
+    assert said(items) == [message("a")]

@@ -9,17 +9,20 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from igtl_gateway.addons.exchange.formats import open_source
 from igtl_gateway.addons.exchange.sequence import DEFAULT_EPOCH_NS, EPOCH_FIELD, TRANSFORM_STATUS, Sequence
 from igtl_gateway.addons.exchange.source import ImportedItem
-from igtl_gateway.base.errors import DamagedRecording
+from igtl_gateway.base.errors import DamagedRecording, UnsupportedRecording
 from igtl_gateway.gateway.log.entry import Kind
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.wire import decode
 from igtl_gateway.wire.image import Image
 from igtl_gateway.wire.transform import Transform
 from tests import plus_sequences
+from tests.addons.exchange.itk import images_of
 from tests.tables import table
 
 WIDTH, HEIGHT, FRAMES = 4, 3, 3
@@ -333,3 +336,67 @@ def test_sequences_of_every_version_of_plus_come_whole(
     assert all(row.good for row in source.rows)
     assert sum(row.left_out for row in tracked) == left_out
     assert pictures.declared == pictures.taken + pictures.left_out
+
+
+@table(
+    "first",
+    [
+        "CompressedData = False",
+        "NDims = 3",
+        "BinaryData = True",
+        "ElementType = MET_UCHAR",
+        "Kinds = domain domain list",
+    ],
+)
+def test_the_fields_of_a_metaimage_have_any_order(tmp_path: Path, first: str) -> None:
+    path = mha(tmp_path / "some.igs.mha")
+    path.write_bytes(first.encode() + b"\n" + path.read_bytes())
+    with closing(open_source(path)) as source:
+        assert source.rows
+
+
+@table(
+    "beside, name",
+    [
+        (b"NRRD0004\ntype: unsigned char\n\n", "an NRRD file"),
+        (b"ObjectType = Image\n", "a MetaImage file"),
+        (b"\x89PNG\r\n\x1a\n", "a PNG file"),
+        (gzip.compress(bytes(10)), "a gzip file"),
+    ],
+)
+def test_a_file_with_a_header_is_no_pixel_file(tmp_path: Path, beside: bytes, name: str) -> None:
+    path = mha(tmp_path / "some.igs.mhd", local=False)
+    (tmp_path / "pixels.raw").write_bytes(beside + PIXELS)
+    with pytest.raises(UnsupportedRecording, match=f"found {name} as its pixel file pixels.raw, .* import pixels.raw"):
+        list(open_source(path).items())
+
+
+def test_pixels_that_begin_as_a_header_are_pixels(tmp_path: Path) -> None:
+    path = mha(tmp_path / "some.igs.mhd", local=False)
+    (tmp_path / "pixels.raw").write_bytes(b"NRRD0" + PIXELS[5:])
+    with closing(open_source(path)) as source:
+        list(source.items())
+
+
+@table(
+    "rest, noted", [(b"", False), (b"\n", False), (b"\r\n", False), (b" more", True), (b" " * 40, True), (b"x", True)]
+)
+def test_bytes_after_the_last_pixel_are_noted_whatever_they_begin_with(
+    tmp_path: Path, rest: bytes, noted: bool
+) -> None:
+    path = mha(tmp_path / "some.igs.mha", pixels=PIXELS + rest)
+    with closing(open_source(path)) as source:
+        list(source.items())
+        assert any("bytes after the last pixel" in note for note in source.notes) == noted
+
+
+def test_the_spacing_of_the_frames_is_that_of_the_images(tmp_path: Path) -> None:
+    lines = "\n".join(f"Seq_Frame{number:04d}_ElementSpacing = 0.0256 0.0256 1" for number in range(FRAMES))
+    path = mha(tmp_path / "some.igs.mha", header=f"ElementSpacing = 1 1 1\n{lines}")
+    images = images_of(path)
+    assert np.allclose([np.linalg.norm(images[0].wire_matrix[at : at + 3]) for at in (0, 3)], 0.0256)
+    with closing(open_source(path)) as source:
+        assert any("the spacing is that of the frames" in note for note in source.notes)
+    other = lines.replace("Seq_Frame0001_ElementSpacing = 0.0256", "Seq_Frame0001_ElementSpacing = 0.5")
+    with pytest.raises(UnsupportedRecording, match=r"found 0\.0256 0.0256 1 in frame 0 and 0.5 0.0256 1 in frame 1"):
+        open_source(mha(tmp_path / "other.igs.mha", header=other))

@@ -68,7 +68,7 @@ def test_vtk_reads_every_attribute_that_fits(tmp_path: Path) -> None:
     found = by_vtk(path)
     assert (found.points == POINTS).all()
     assert found.cells == [cell for cells in content.cells for cell in cells.lists()]
-    assert list(found.of_points) == ["heat", "flow", "normals", "stress", "of 7"]
+    assert list(found.of_points) == ["normals", "heat", "flow", "stress", "of 7"]
     assert list(found.of_cells) == ["quality", "heat"]
     for one in fitting:
         array = (found.of_cells if one.type & CELL else found.of_points)[one.name]
@@ -107,6 +107,24 @@ def test_colours_of_ply_are_bytes(tmp_path: Path, highest: float, scale: float) 
     assert (by_vtk(path).of_points["RGBA"] == expected).all()
     other = by_meshio(path).of_points
     assert (np.stack([other[name] for name in ("red", "green", "blue", "alpha")], axis=1) == expected).all()
+
+
+def test_programs_use_normals_and_colours_of_vtk_as_such(tmp_path: Path) -> None:
+    """A plain field is neither: the surface would be flat-shaded and grey."""
+    vtk = pytest.importorskip("vtk")
+    colours = np.array([[1, 0, 0, 1], [0, 1, 0, 1], [0, 0, 1, 0], [0.2, 0.4, 0.6, 1]], ">f4")
+    given = (attribute(NORMAL, "n", 4, 3), attribute(NORMAL, "m", 4, 3), Attribute.of(RGBA, "RGBA", colours))
+    path, account = exported(tmp_path, "vtk", PolyData(POINTS, attributes=given))
+    reader = vtk.vtkPolyDataReader()
+    reader.SetFileName(str(path))
+    reader.Update()
+    data = reader.GetOutput().GetPointData()
+    assert data.GetNormals().GetName() == "n"
+    scalars = data.GetScalars()
+    assert (scalars.GetName(), scalars.GetDataTypeAsString()) == ("colours", "unsigned char")
+    found = by_vtk(path).of_points
+    assert (found["colours"] == np.rint(colours * 255)).all() and (found["RGBA"] == colours).all()
+    assert told(account, "attributes") == (3, 3, 0, "")
 
 
 def test_names_of_attributes_are_kept_apart(tmp_path: Path) -> None:

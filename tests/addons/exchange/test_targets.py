@@ -135,6 +135,9 @@ def test_surfaces_are_read_by_others(exported: Export, entries: Any, name: str, 
     files = sorted(folder.iterdir())
     assert len(files) == account.files == sum(row.taken for row in account.rows)
     found = [by_vtk(path) for path in files]
+    for shape in found if to == "vtk" else ():  # the bytes of colours, which are a field, too
+        for arrays in (shape.of_points, shape.of_cells):
+            assert arrays.pop("colours", np.zeros(0, np.uint8)).dtype == np.uint8
     assert {shape.title for shape in found} == {"igtl-gateway, millimetres, SPACE=RAS"}
     told = Counter[str]()
     for part in account.parts:
