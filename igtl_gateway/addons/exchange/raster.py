@@ -22,7 +22,7 @@ RAW, ZLIB, BZIP2 = "raw", "zlib", "bzip2"
 
 #: Ranges of the fields of IMAGE: sizes are u16, the number of components is u8.
 _MAX_SIZE, _MAX_COMPONENTS = 65_535, 255
-#: Bounds of a plausible time step of frames, in seconds: stamps have nanoseconds, and a smaller step is none.
+#: Bounds of a plausible time step of frames, in seconds: stamps have nanoseconds.
 MIN_STEP_S, MAX_STEP_S = 1e-9, 1e6
 #: Types that IMAGE does not support → type for their values; a value that is not exact is an error.
 WIDER = {"i8": "f8", "u8": "f8"}
