@@ -60,8 +60,6 @@ _SPACES = {
     "left-posterior-superior": "LPS",
     "lps": "LPS",
 }
-#: Short names of spaces with time, which ITK does not know.
-_UNLIKE_ITK = ("rast", "last")
 #: Spaces that are not anatomical.
 _OTHER_SPACES = ("scanner-xyz", "3d-right-handed", "3d-left-handed")
 _FRAME_KINDS, _SPACE_KINDS = ("list", "time"), ("domain", "space")
@@ -235,7 +233,7 @@ def _space(fields: dict[str, str], where: str, notes: list[str]) -> str:
     name = fields.get("space", "")
     known = re.sub(r"(-time|(?<=^ras|^las|^lps)t)$", "", name.lower())
     if known in _SPACES:
-        if name.lower() in _UNLIKE_ITK:
+        if known != name.lower() and _SPACES[known] != "LPS":
             notes.append(f"space {name}: read as {_SPACES[known]}, as NRRD defines it; ITK reads it as LPS")
         return _SPACES[known]
     if name and known not in _OTHER_SPACES:

@@ -285,7 +285,9 @@ def test_vtk_holds_the_surface_and_its_attributes(recording: Path, tmp_path: Pat
     assert (np.frombuffer(rest, ">f4", 12).reshape(4, 3) == CORNERS).all()
     _, _, rest = data.partition(b"POLYGONS 2 8\n")
     assert np.frombuffer(rest, ">i4", 8).tolist() == [3, 0, 1, 2, 3, 0, 2, 3]
-    _, _, rest = data.partition(b"POINT_DATA 4\nFIELD attributes 1\nRGBA 4 4 float\n")
+    _, _, rest = data.partition(b"POINT_DATA 4\nCOLOR_SCALARS colours 4\n")
+    assert (np.frombuffer(rest, "u1", 16).reshape(4, 4) == np.rint(COLOURS * 255)).all()
+    _, _, rest = rest.partition(b"\nFIELD attributes 1\nRGBA 4 4 float\n")
     assert (np.frombuffer(rest, ">f4", 16).reshape(4, 4) == COLOURS).all()
 
 

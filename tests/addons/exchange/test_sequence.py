@@ -381,9 +381,7 @@ def test_pixels_that_begin_as_a_header_are_pixels(tmp_path: Path) -> None:
 @table(
     "rest, noted", [(b"", False), (b"\n", False), (b"\r\n", False), (b" more", True), (b" " * 40, True), (b"x", True)]
 )
-def test_bytes_after_the_last_pixel_are_noted_whatever_they_begin_with(
-    tmp_path: Path, rest: bytes, noted: bool
-) -> None:
+def test_bytes_after_the_last_pixel_are_noted_whatever_they_are(tmp_path: Path, rest: bytes, noted: bool) -> None:
     path = mha(tmp_path / "some.igs.mha", pixels=PIXELS + rest)
     with closing(open_source(path)) as source:
         list(source.items())
