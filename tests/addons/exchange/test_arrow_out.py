@@ -76,7 +76,9 @@ def test_every_number_is_that_of_csv(name: str, form: str, tmp_path: Path) -> No
         for line in expected:
             own = by_entry[line["entry"], line.get("item", "")]
             for column, cell in line.items():
-                assert own.get(column, "") == cell or column == "item", (path.name, column)
+                # csv is written before it is known that another peer sends the stream, too
+                is_before = column == "link" and not cell
+                assert own.get(column, "") == cell or column == "item" or is_before, (path.name, column)
                 compared += 1
     assert compared > 5_000
 

@@ -275,7 +275,8 @@ def test_ply_holds_the_surface(recording: Path, tmp_path: Path) -> None:
     vertices = np.frombuffer(body, [("xyz", "<f4", 3), ("rgba", "u1", 4)], 4)
     assert (vertices["xyz"] == CORNERS).all()
     assert vertices["rgba"].tolist()[:2] == [[255, 0, 0, 255], [0, 255, 0, 255]]
-    assert np.frombuffer(body[vertices.nbytes :], "<u4").tolist() == [3, 0, 1, 2, 3, 0, 2, 3]
+    faces = np.frombuffer(body[vertices.nbytes :], [("count", "u1"), ("points", "<i4", 3)])
+    assert faces["count"].tolist() == [3, 3] and faces["points"].tolist() == [[0, 1, 2], [0, 2, 3]]
 
 
 def test_vtk_holds_the_surface_and_its_attributes(recording: Path, tmp_path: Path) -> None:
