@@ -49,7 +49,7 @@ def with_hash(ros_type: str, found: Definition, note: Callable[[str], None] = la
         found: its definition.
         note: called with a line for people if messages of the type are not decoded here.
     """
-    # an empty text with a hash is the definition of a type without fields; without a hash it is none
+    # an empty text with a hash is the definition of a type without fields; without a hash there is no definition
     if found.encoding not in (definitions.MSG, definitions.IDL) or not (found.data.strip() or found.type_hash):
         return None
     place = f"definition of {ros_type[:100]}"
