@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from igtl_gateway.api.named_numbers import by_name as by_name
     from igtl_gateway.api.named_numbers import completed as completed
     from igtl_gateway.api.poses import between_poses as between_poses
+    from igtl_gateway.api.poses import matrices_of as matrices_of
     from igtl_gateway.api.recording import Recording as Recording
     from igtl_gateway.api.recording import of_session as of_session
     from igtl_gateway.api.recording import open as open_recording
@@ -307,7 +308,7 @@ HOMES: tuple[tuple[str, str], ...] = (
     ("gateway.log.interleaving", "Interleaving is_mixed"),
     ("gateway.log", "joining"),
     ("gateway.log.joining", "END_NS GAP_NS NEAR_NS pick"),
-    ("api.poses", "between_poses"),
+    ("api.poses", "between_poses matrices_of"),
     # Numbers of joints, by their names
     ("api.named_numbers", "NAME_FIELDS by_name completed"),
     ("gateway.log.marks", "Mark MarkNote ago_ns"),

