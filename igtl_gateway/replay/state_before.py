@@ -7,14 +7,16 @@ are the first messages of the part, at their recorded times, as in a slice.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Iterator
+from io import BytesIO
 
 from igtl_gateway.config.configuration import Config
-from igtl_gateway.gateway.log.entry import MESSAGES, Entry, Kind
-from igtl_gateway.record.sessionfile.channels import ChannelSummary
+from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.with_state import SessionWithState
-from igtl_gateway.replay.latched import STATE_TYPES, part_of_session
+from igtl_gateway.record.sessionfile.writer import packed_session
+from igtl_gateway.replay.latched import part_of_session
+from igtl_gateway.replay.recorded_config import config_to_run
 from igtl_gateway.replay.source import through_gateway
 
 #: Latched topics of ROS, for recordings whose prologue has no quality of service: the ends of their names.
@@ -24,21 +26,22 @@ _LATCHED_TOPICS = ("/tf_static", "/robot_description")
 def with_state(file: SessionFile) -> SessionFile:
     """Return the file with the latched messages from before it; the same file if there are none.
 
-    Latched are ROS topics with transient-local durability, and the OpenIGTLink types that are a state and not a sample.
-    The caller closes only the file that it has opened.
+    Latched are ROS topics with transient-local durability, the OpenIGTLink types that are a state and not a sample, and
+    what the gateway made of them.  The caller closes only the file that it has opened.
 
     Raises DamagedRecording.
     """
     before = file.prologue_file()
-    if before is None:
+    entries = list(latched_before(file, config_to_run(file.session))) if before else []
+    if before is None or not entries:
         return file
-    known = {(each.topic, each.type) for each in file.channels if each.qos and each.qos.latched}
-    latched = [
-        each
-        for each in before.channels
-        if each.count and each.kind in MESSAGES and each.kind.is_input and _is_latched(each, known)
-    ]
-    return SessionWithState(file, before, latched) if latched else file
+    qos = {(each.topic, each.type): each.qos for each in (*before.channels, *file.channels) if each.qos}
+    data = packed_session(
+        entries,
+        lambda topic, ros_type: qos.get((topic, ros_type)),
+        lambda ros_type: file.definition_of(ros_type) or before.definition_of(ros_type),
+    )
+    return SessionWithState(file, SessionFile(file.path, BytesIO(data)))
 
 
 def latched_before(file: SessionFile, config: Config) -> Iterator[Entry]:
@@ -62,10 +65,3 @@ def latched_before(file: SessionFile, config: Config) -> Iterator[Entry]:
 def without_state(file: SessionFile) -> SessionFile:
     """Return the file itself, without what :func:`with_state` has added."""
     return file.itself if isinstance(file, SessionWithState) else file
-
-
-def _is_latched(channel: ChannelSummary, known: Collection[tuple[str, str]]) -> bool:
-    if channel.kind is not Kind.ROS_IN:
-        return channel.entry_type in STATE_TYPES
-    is_known = (channel.qos is not None and channel.qos.latched) or (channel.topic, channel.type) in known
-    return is_known or channel.topic.endswith(_LATCHED_TOPICS)

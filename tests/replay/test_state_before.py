@@ -114,6 +114,7 @@ def test_a_bag_of_a_part_has_its_static_frames(part: Path, tmp_path: Path) -> No
     with Reader(tmp_path / "bag") as bag:
         topics = [connection.topic for connection, _, _ in bag.messages()]
     assert topics.count("/tf_static") == 1 and topics.count(ROBOT) == 1
+    assert topics.count("/igtl/in/Navigation/status") == 1, "what the gateway made of it"
 
 
 def test_what_the_gateway_made_of_latched_messages_is_there_for_the_viewer(part: Path) -> None:

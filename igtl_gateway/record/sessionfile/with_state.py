@@ -20,21 +20,21 @@ _END_NS = 1 << 63
 
 
 class SessionWithState(SessionFile):
-    """A session file, of which some channels begin with their messages in the prologue.
+    """A session file, of which some channels begin with messages from before it.
 
     Args:
         itself: the file, which the caller closes.
-        before: its prologue.
-        latched: channels of the prologue.
+        before: these messages.
     """
 
-    def __init__(self, itself: SessionFile, before: SessionFile, latched: list[ChannelSummary]) -> None:
+    def __init__(self, itself: SessionFile, before: SessionFile) -> None:
         for name in (
             "path size session format_version ledger foreign skipped recorded_session recorded_ledger merge parts "
             "missing_parts start_ns end_ns"
         ).split():
             setattr(self, name, getattr(itself, name))
         self.itself, self._before = itself, before
+        latched = [each for each in before.channels if each.count and each.kind in MESSAGES]
         self._own = {_key(each) for each in itself.channels}
         self._latched = {_key(each) for each in latched}
         self.channels = joined((*latched, *itself.channels))

@@ -113,7 +113,7 @@ class SessionWriter:
         self._closed = False
         self._failure = ""
         self._fsync = fsync
-        before = _packed(prologue, self._types, qos_of, definition_of)
+        before = packed_session(prologue, qos_of, definition_of, self._types)
         with replaced(path) if overwrite and os.path.lexists(path) else nullcontext(path) as place:
             self._file = memory or create_file(place)
             self._mcap = McapStream(self._file, chunk_bytes=chunk_bytes, compression=compression, sealer=sealer)
@@ -359,8 +359,10 @@ def _data(entry: Entry) -> bytes | memoryview:
     return entry.data()
 
 
-def _packed(entries: Iterable[Entry], types: RosTypes, qos_of: QosOf, definition_of: DefinitionOf) -> bytes:
-    """Entries as the bytes of an MCAP file of the same layout; no bytes without entries."""
+def packed_session(
+    entries: Iterable[Entry], qos_of: QosOf, definition_of: DefinitionOf, types: RosTypes | None = None
+) -> bytes:
+    """Return entries as the bytes of an MCAP file of the same layout; no bytes without entries."""
     entries = list(entries)
     if not entries:
         return b""
