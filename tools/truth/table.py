@@ -177,7 +177,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     for name in conditions or ():
         if name not in CONDITIONS:
             parser.error(f"found condition {name!r}, expected one of {', '.join(CONDITIONS)}")
-    started, verdicts = time.monotonic(), []
+    started = time.monotonic()
+    verdicts: list[Verdict] = []
     for one in run(range(options.seed, options.seed + options.worlds), options.route, conditions, options.workers):
         if options.seconds and time.monotonic() - started > options.seconds and one.seed != verdicts[-1].seed:
             break

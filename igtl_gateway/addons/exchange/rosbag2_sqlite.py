@@ -117,7 +117,7 @@ class SqliteStorage:
         base.text_factory = _text
         for setting in ("trusted_schema=OFF", "query_only=ON", "cell_size_check=ON", "mmap_size=0"):
             base.execute(f"PRAGMA {setting}")
-        limit_values(base, min(limits.current_limits().memory, max(self._size, 1 << 16)))
+        limit_values(base, self._longest)
         base.set_progress_handler(self._exceeds_work, _EVERY)
         base.set_authorizer(_authorized)
         self._check_tables()
@@ -134,13 +134,31 @@ class SqliteStorage:
                 continue
             self._add_topic(number, str(topic), str(ros_type), str(encoding), str(profiles or ""))
 
+    @property
+    def _longest(self) -> int:
+        """Bytes of the longest value."""
+        return min(limits.current_limits().memory, max(self._size, 1 << 16))
+
     def _take_definitions(self) -> set[str]:
         """Add the definitions; return the types that have another one in the recording."""
         if not self._columns("message_definitions"):
             return set()
+        # before a value is read into memory: SQLite refuses a longer one
+        most = 4 * limits.current_limits().definition
+        limit_values(self._base, most)
         self._base.text_factory = bytes  # as they are
-        found = self._rows("SELECT topic_type, encoding, encoded_message_definition FROM message_definitions", "topics")
+        try:
+            found = self._rows(
+                "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions", "topics"
+            )
+        except sqlite3.DataError:
+            found = [(b"", b"", bytes(most + 1))]
+        if any(isinstance(data, bytes) and len(data) > most for _, _, data in found):  # by itself, on Python 3.10
+            raise LimitExceeded(
+                f"{self._path}: found a definition of more than {most:,} bytes, expected fewer (--limit definition)"
+            )
         self._base.text_factory = _text
+        limit_values(self._base, self._longest)
         others = set()
         for name, encoding, data in found:
             definition = Definition(data if isinstance(data, bytes) else b"", _text(encoding or b""))

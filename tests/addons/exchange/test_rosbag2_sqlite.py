@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sqlite3
+import sys
 import time
+import tracemalloc
 from collections import Counter
 from contextlib import closing
 from pathlib import Path
@@ -136,3 +138,23 @@ def test_a_file_that_is_cut_off_says_so(tmp_path: Path) -> None:
         (tmp_path / "y.db3").write_bytes(whole[: int(len(whole) * part)])
         with pytest.raises(DamagedRecording, match=r"y\.db3: (cut off or damaged|SQLite reports|messages)"):
             read(tmp_path / "y.db3")
+
+
+@pytest.mark.parametrize("kind", ["TEXT", "BLOB"])
+def test_a_long_definition_is_refused_before_it_is_in_memory(tmp_path: Path, kind: str) -> None:
+    table = (
+        "CREATE TABLE message_definitions (id, topic_type TEXT, encoding TEXT, encoded_message_definition, hash TEXT)"
+    )
+    text = "float64 a # " + "x" * (64 << 20)
+    path = made(tmp_path / "long.db3", *GOOD, table)
+    with closing(sqlite3.connect(path)) as base:
+        value = text if kind == "TEXT" else text.encode()
+        base.execute("INSERT INTO message_definitions VALUES (1, 'a_msgs/msg/A', 'ros2msg', ?, '')", (value,))
+        base.commit()
+    tracemalloc.start()
+    try:
+        with pytest.raises(LimitExceeded, match=r"found a definition of more than 1,048,576 bytes.*--limit definition"):
+            read(path)
+        assert tracemalloc.get_traced_memory()[1] < 16 << 20 or sys.version_info < (3, 11)
+    finally:
+        tracemalloc.stop()
