@@ -121,7 +121,7 @@ LIVE: Mapping[str, bool | int | float] = {
 }
 #: The rules by which devices, tools and topics get names; older recordings do not state them, which is 0.
 #: 1: each frame on /tf has one sender, what shares a name is noted, full names and frames of known programs are read;
-#: tracking data of frames of the tf tree has the poses of its stamp.
+#: tracking data of frames of the tf tree and of single poses has the poses of its stamp.
 NAMING = 1
 #: Former names of the policies, in the configurations of old recordings.
 _STAMP_ALIASES = {"now": RECEIVE}

@@ -97,7 +97,14 @@ class Gateway:
 
         composer = Composer(config, streams)
         self._latest = latest = Latest(
-            streams, guard, tf, composer, forms=config.knows_peers, room=room, latched_room=latched_room
+            streams,
+            guard,
+            tf,
+            composer,
+            moments=bool(config.naming),
+            forms=config.knows_peers,
+            room=room,
+            latched_room=latched_room,
         )
         delivery = Delivery(denied_out, tf.tree)
         tracking = Tracking(peers, latest)

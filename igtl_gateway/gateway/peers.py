@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -46,12 +46,16 @@ class StreamRequest:
         interval_ns: minimum time between two messages.
         frame: requested coordinate frame of tracking data; "": the frame of the stream.
         sent_ns: gateway time of the last message of each device.
+        more_ns: gateway time at which messages of several moments follow one another.
+        tool_stamps: of composed tracking data: tool → stamp of its last pose, UTC ns.
     """
 
     wanted: bool
     interval_ns: int = 0
     frame: str = ""
     sent_ns: dict[str, int] = field(default_factory=dict)
+    more_ns: int = -1
+    tool_stamps: dict[str, int] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -169,7 +173,17 @@ class Peer:
         request = self.stream_request(igtl_type, device)
         if request is None:
             return True
-        return request.wanted and now_ns - request.sent_ns.get(device, -request.interval_ns) >= request.interval_ns
+        waited_ns = now_ns - request.sent_ns.get(device, -request.interval_ns)
+        return request.wanted and (waited_ns >= request.interval_ns or now_ns == request.more_ns)
+
+    def take_news(self, igtl_type: str, device: str, stamps: Mapping[str, int], now_ns: int) -> bool:
+        """Return whether poses of tracking data are news, which may all be sent now: tool → stamp, UTC ns."""
+        request = self.stream_request(igtl_type, device)
+        if request is None or all(request.tool_stamps.get(tool) == stamp_ns for tool, stamp_ns in stamps.items()):
+            return False
+        request.tool_stamps.update(stamps)
+        request.more_ns = now_ns
+        return True
 
     def start_stream(self, igtl_type: str, device: str, interval_ns: int, frame: str) -> bool:
         """Start a stream (STT_); return False if the peer has too many."""

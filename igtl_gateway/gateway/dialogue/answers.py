@@ -15,7 +15,7 @@ import numpy as np
 from igtl_gateway.base.stamp import NS_PER_MS, ns_to_ticks
 from igtl_gateway.gateway.peers import MAX_STREAM_REQUESTS, TRACKING, Peer, interval_ns
 from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
-from igtl_gateway.gateway.to_igtl.trackdata import NAME_BYTES, Latest, name_field, tracking_content
+from igtl_gateway.gateway.to_igtl.trackdata import NAME_BYTES, Latest, name_field, tracking_moments
 from igtl_gateway.wire import Message, Raw
 from igtl_gateway.wire.body import Body
 from igtl_gateway.wire.capability import Capability
@@ -59,8 +59,11 @@ class StartedStream(NamedTuple):
     reason: str = ""
 
 
-def answer(igtl_type: str, device: str, now_ns: int, latest: Latest) -> list[OutboundMessage]:
-    """Return the answers to a GET_; none if there is no message of that type and device."""
+def answer(igtl_type: str, device: str, now_ns: int, latest: Latest, *, moments: bool = True) -> list[OutboundMessage]:
+    """Return the answers to a GET_; none if there is no message of that type and device.
+
+    Composed tracking data is one message for each moment, the newest first; without ``moments`` one of all poses.
+    """
     if igtl_type == "STATUS":
         return [OutboundMessage(igtl_type, device, Status(_STATUS_OK), now_ns)]
     if igtl_type == "CAPABILITY":
@@ -68,8 +71,8 @@ def answer(igtl_type: str, device: str, now_ns: int, latest: Latest) -> list[Out
     found = latest(igtl_type, device)
     if not found and igtl_type == "IMGMETA":
         return _images(device, now_ns, latest)
-    if not found and igtl_type in TRACKING and (out := tracking_content(igtl_type, device, now_ns, latest)):
-        return [out]
+    if not found and igtl_type in TRACKING:
+        return [each.message for each in tracking_moments(igtl_type, device, latest, moments=moments)][::-1]
     return found
 
 

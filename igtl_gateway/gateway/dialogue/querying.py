@@ -14,6 +14,7 @@ from igtl_gateway.gateway.output import Output
 from igtl_gateway.gateway.peers import Peer, Peers
 from igtl_gateway.gateway.to_igtl.delivery import Delivery
 from igtl_gateway.gateway.to_igtl.latest import Latest
+from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
 from igtl_gateway.wire import Message
 from igtl_gateway.wire.fields import visible
 from igtl_gateway.wire.query import split_query
@@ -74,11 +75,11 @@ class Queries:
         return self._delivery.to(entry, [peer], outs)
 
     def _get(self, entry: Entry, peer: Peer, message: Message, igtl_type: str, device: str) -> list[Item]:
-        outs = answers.answer(igtl_type, device, entry.stamp_ns, lambda *key: self._latest.of(entry, *key))
+        outs = self._answer(entry, igtl_type, device)
         if (
             not outs and device and peer.recent
         ):  # programs on the C++ library, such as its examples, send their own name
-            every = answers.answer(igtl_type, "", entry.stamp_ns, lambda *key: self._latest.of(entry, *key))
+            every = self._answer(entry, igtl_type, "")
             outs = every if len(every) == 1 else []
         items = self._delivery.deliver_each(entry, outs, lambda out: self._delivery.to(entry, [peer], [out]))
         sent = any(isinstance(item, Output) and item.kind is Kind.IGTL_OUT for item in items)
@@ -93,6 +94,15 @@ class Queries:
             *self._delivery.to(entry, [peer], [refusal]),
             _noted_once(entry, Level.INFO, "query_unanswered", text, entry.channel, peer),
         ]
+
+    def _answer(self, entry: Entry, igtl_type: str, device: str) -> list[OutboundMessage]:
+        return answers.answer(
+            igtl_type,
+            device,
+            entry.stamp_ns,
+            lambda *key: self._latest.of(entry, *key),
+            moments=self._latest.moments,
+        )
 
     def _start(self, entry: Entry, peer: Peer, message: Message, igtl_type: str, device: str) -> list[Item]:
         status, reason = answers.start_stream(message, igtl_type, peer, self._knows_frame)

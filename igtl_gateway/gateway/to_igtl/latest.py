@@ -25,12 +25,14 @@ class Latest:
     """Keeps the latest message of each bridged topic.
 
     Args:
+        moments: tracking data has the poses of its stamp; False in old recordings: all poses.
         forms: answer with frames of the tf tree as the other type of poses, too; False in old recordings.
         room: bytes of large messages that ``forget`` leaves, of streams that are not latched; None: any number, as in
             old recordings.
         latched_room: the same of latched streams.
 
     Attributes:
+        moments: as above.
         entries: topic → its latest message, without its payload if it was forgotten; one for each bridged topic.
     """
 
@@ -41,11 +43,13 @@ class Latest:
         tf: TfOut,
         composer: Composer,
         *,
+        moments: bool = True,
         forms: bool = True,
         room: int | None = None,
         latched_room: int | None = None,
     ) -> None:
         self.entries: dict[str, Entry] = {}
+        self.moments = moments
         self._room = room
         self._latched_room = latched_room
         self._streams = streams
@@ -142,7 +146,8 @@ class Latest:
         if conversion is None:
             return []
         try:
-            return [self._composer.convert(entry, stream, conversion)]
+            out = self._composer.convert(entry, stream, conversion)
+            return [replace(out, is_static=stream.latched and not out.ros_stamp_ns)]
         except ConversionError:  # reported when it arrived
             return []
 

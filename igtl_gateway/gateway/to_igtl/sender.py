@@ -37,6 +37,7 @@ class OutboundMessage:
         full_name: full device name; "" if ``device`` is complete.
         ros_stamp_ns, frame_id, child_frame_id: from the ROS message, for the metadata.
         metadata: metadata of the user.
+        is_static: whether the pose is valid at all times.
     """
 
     igtl_type: str
@@ -48,6 +49,7 @@ class OutboundMessage:
     frame_id: str = ""
     child_frame_id: str = ""
     metadata: tuple[MetadataItem, ...] = ()
+    is_static: bool = False
 
     @property
     def channel(self) -> str:

@@ -105,7 +105,7 @@ class TfOut:
         changed = [stamp_ns for frame, (stamp_ns, _) in known if one.sent.get(frame) != places[frame]]
         one.sent = places
         # recordings without rules of names are older than this one, too
-        moments = _moments(changed) if self._config.naming else [max(ns for ns, _ in places.values())]
+        moments = moments_of(changed) if self._config.naming else [max(ns for ns, _ in places.values())]
         outs = []
         for stamp_ns in moments:
             least_ns = stamp_ns - MOMENT_NS if self._config.naming else 0
@@ -139,6 +139,7 @@ class TfOut:
             stamp_ns,
             request.base,
             "" if len(request.frames) > 1 else request.frames[0],
+            is_static=not stamp_ns,
         )
 
     def latest(self, now_ns: int | None = None) -> list[OutboundMessage]:
@@ -159,7 +160,7 @@ class TfOut:
         return [one.last for one in self._requests if one.last and not one.last.ros_stamp_ns]
 
 
-def _moments(stamps: Sequence[int]) -> list[int]:
+def moments_of(stamps: Sequence[int]) -> list[int]:
     """The moments of stamps in their order: each is the last of those that are near; 0, of static frames, if alone."""
     found: list[int] = []
     first_ns = 0

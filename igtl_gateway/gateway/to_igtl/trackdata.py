@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from igtl_gateway.gateway.peers import TRACKING, Peer
 from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
+from igtl_gateway.gateway.to_igtl.tf_out import MOMENT_NS, moments_of
 from igtl_gateway.wire.fields import cut_text, encode_text
 from igtl_gateway.wire.tracking import (
     QTRACKING_DTYPE,
@@ -28,26 +30,62 @@ TRACKING_DEVICE = "Tracking"
 Latest = Callable[[str, str], list[OutboundMessage]]
 
 
-def tracking_content(igtl_type: str, device: str, now_ns: int, latest: Latest) -> OutboundMessage | None:
-    """Return a TDATA or QTDATA of all single poses that are sent; None without any."""
+@dataclass(frozen=True, slots=True)
+class TrackedMoment:
+    """Tracking data of one moment.
+
+    Attributes:
+        message: with the poses of its stamp.
+        stamps: tool → stamp of its pose, UTC ns; without tools that do not move.
+    """
+
+    message: OutboundMessage
+    stamps: dict[str, int]
+
+
+def tracking_moments(igtl_type: str, device: str, latest: Latest, *, moments: bool = True) -> list[TrackedMoment]:
+    """Return a TDATA or QTDATA for each moment of the single poses that are sent, the oldest first.
+
+    A message has one stamp: poses of several moments are several messages.  What does not move is in each.
+
+    Args:
+        igtl_type: TDATA or QTDATA.
+        device: of the messages; "": ``TRACKING_DEVICE``.
+        latest: the latest poses.
+        moments: False: one message of all poses with the newest stamp, as in old recordings.
+    """
     poses = latest(TRACKING[igtl_type], "")
     if not poses:
-        return None
+        return []
+    stamps = [pose.stamp_ns for pose in poses if not pose.is_static]
+    if not moments or not stamps:
+        return [_moment(igtl_type, device, poses, poses if moments else [])]
+    found = []
+    for end_ns in moments_of(stamps):
+        near = [pose for pose in poses if pose.is_static or end_ns - MOMENT_NS < pose.stamp_ns <= end_ns]
+        found.append(_moment(igtl_type, device, near, [pose for pose in near if not pose.is_static]))
+    return found
+
+
+def _moment(
+    igtl_type: str, device: str, poses: Sequence[OutboundMessage], moving: Sequence[OutboundMessage]
+) -> TrackedMoment:
+    """Tracking data of poses, with the newest stamp of those that move."""
     dtype = TRACKING_DTYPE if igtl_type == "TDATA" else QTRACKING_DTYPE
     elements = np.zeros(len(poses), dtype)
     for element, pose in zip(elements, poses, strict=True):
         _fill(element, pose)
     content = (TrackingData if igtl_type == "TDATA" else QuaternionTrackingData)(elements)
-    stamp_ns = max(pose.stamp_ns for pose in poses)
     frames = {pose.frame_id for pose in poses}
-    return OutboundMessage(
+    message = OutboundMessage(
         igtl_type,
         device or TRACKING_DEVICE,
         content,
-        stamp_ns,
-        ros_stamp_ns=max(pose.ros_stamp_ns for pose in poses),
+        max(pose.stamp_ns for pose in moving or poses),
+        ros_stamp_ns=max(pose.ros_stamp_ns for pose in moving or poses),
         frame_id=frames.pop() if len(frames) == 1 else "",
     )
+    return TrackedMoment(message, {pose.full_name or pose.device: pose.stamp_ns for pose in moving})
 
 
 def _fill(element: Any, pose: OutboundMessage) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 from igtl_gateway.gateway.log.entry import Entry
@@ -10,7 +10,7 @@ from igtl_gateway.gateway.peers import TRACKING, Peer, Peers
 from igtl_gateway.gateway.to_igtl.latest import Latest
 from igtl_gateway.gateway.to_igtl.pose_forms import as_type
 from igtl_gateway.gateway.to_igtl.sender import OutboundMessage
-from igtl_gateway.gateway.to_igtl.trackdata import TRACKING_DEVICE, trackers, tracking_content
+from igtl_gateway.gateway.to_igtl.trackdata import TRACKING_DEVICE, TrackedMoment, trackers, tracking_moments
 
 _POSES = frozenset(TRACKING.values())
 #: Type of tracking data → the other one.
@@ -30,19 +30,22 @@ class Tracking:
             yield from self._other_form(out)
         if out.igtl_type not in _POSES:
             return
-        made: dict[str, OutboundMessage | None] = {}  # shared by all requested device names
+        made: dict[str, list[TrackedMoment]] = {}  # shared by all requested device names
         for (igtl_type, device), peers in trackers(self._peers.all()).items():
             name = device or TRACKING_DEVICE
-            if not any(peer.is_due(igtl_type, name, entry.stamp_ns) for peer in peers):
+            due = [peer for peer in peers if peer.is_due(igtl_type, name, entry.stamp_ns)]
+            if not due:
                 continue
             if igtl_type not in made:
-                made[igtl_type] = (
-                    None
-                    if self._latest.has_stream_of(igtl_type)
-                    else tracking_content(igtl_type, "", entry.stamp_ns, lambda *key: self._latest.of(entry, *key))
-                )
-            if found := made[igtl_type]:
-                yield peers, replace(found, device=name)
+                made[igtl_type] = self._moments(entry, igtl_type)
+            if not self._latest.moments:
+                due = peers
+            yield from _news(made[igtl_type], out, entry, name, due)
+
+    def _moments(self, entry: Entry, igtl_type: str) -> list[TrackedMoment]:
+        if self._latest.has_stream_of(igtl_type):
+            return []
+        return tracking_moments(igtl_type, "", lambda *key: self._latest.of(entry, *key), moments=self._latest.moments)
 
     def _other_form(self, out: OutboundMessage) -> Iterator[tuple[Iterable[Peer], OutboundMessage]]:
         """Yield a message of tracking data as the other type, for the peers that requested that and have no other."""
@@ -53,3 +56,20 @@ class Tracking:
             if igtl_type == other and (form := as_type(out, other)):
                 name = device or out.device
                 yield [peer for peer in peers if peer.recent], replace(form, device=name)
+
+
+def _news(
+    moments: Sequence[TrackedMoment], cause: OutboundMessage, entry: Entry, name: str, peers: Sequence[Peer]
+) -> Iterator[tuple[Iterable[Peer], OutboundMessage]]:
+    """Yield the moments with the peers that have not had all of their poses, or get that of ``cause`` again."""
+    if len(moments) == 1:
+        for peer in peers:
+            peer.take_news(moments[0].message.igtl_type, name, moments[0].stamps, entry.stamp_ns)
+        yield peers, replace(moments[0].message, device=name)
+        return
+    tool = cause.full_name or cause.device
+    for number, moment in enumerate(moments):
+        is_caused = tool in moment.stamps if not cause.is_static else number == len(moments) - 1
+        news = [peer for peer in peers if peer.take_news(moment.message.igtl_type, name, moment.stamps, entry.stamp_ns)]
+        if is_caused or news:
+            yield peers if is_caused else news, replace(moment.message, device=name)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -225,13 +227,13 @@ def test_tracking_data_by_many_names_costs_little(monkeypatch: pytest.MonkeyPatc
     assert "note stream_refused" in script.igtl(query("STT_QTDATA", "One more", StartTracking(1)))
     assert "note stream_started" in script.igtl(query("STT_TDATA", "T0", StartTracking(0))), "one that it has"
     made = []
-    tracking = trackdata.tracking_content
+    tracking = trackdata.tracking_moments
 
-    def counted(*args: object) -> object:
+    def counted(*args: Any, **options: Any) -> object:
         made.append(args)
-        return tracking(*args)  # type: ignore[arg-type]
+        return tracking(*args, **options)
 
-    monkeypatch.setattr(tracking_room, "tracking_content", counted)
+    monkeypatch.setattr(tracking_room, "tracking_moments", counted)
     lines = script.ros("/igtl/out/Tool", tool())
     assert [f"igtl TDATA/T{index} v1 to 1" in lines for index in range(MAX_TRACKED)] == [True] * MAX_TRACKED
     assert len(made) == 1
