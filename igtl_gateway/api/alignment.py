@@ -78,7 +78,7 @@ class Aligned:
 
     def __repr__(self) -> str:
         others = ", ".join(key for key in self.matches if key != self.on)
-        notes = "".join(f"; {note}" for note in self.notes)
+        notes = f", {len(self.notes)} in .notes" if self.notes else ""
         return f"<Aligned: {others} at {len(self):,} times of {self.on}, clock: {self.clock}{notes}>"
 
     def __getitem__(self, key: str) -> Match:

@@ -26,6 +26,7 @@ from igtl_gateway.base.near import did_you_mean, near_names
 from igtl_gateway.base.untrusted import files
 from igtl_gateway.base.untrusted import limits as file_limits
 from igtl_gateway.base.untrusted.limits import FileLimits
+from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.config.configuration import Config
 from igtl_gateway.gateway.log.entry import MESSAGES, Kind
 from igtl_gateway.gateway.log.marks import Mark
@@ -174,8 +175,8 @@ class Recording(Mapping[str, Stream]):
         if both:
             raise KeyError(f"{self.path}: found stream {key!r} {len(both)} times, expected one of {both}")
         name, at, link = key.rpartition("@")
-        if at and link.isdecimal() and len(link) < 10:
-            return self[name].of_link(int(link))
+        if at and (number := whole_number(link)) is not None:
+            return self[name].of_link(number)
         near = near_names(key, streams, 0.5) or [each for each in streams if key.lower() in each.lower()][:3]
         expected = did_you_mean(near) or "recording.streams has the names"
         raise KeyError(f"{self.path}: found no stream {key!r}; {expected}")

@@ -84,6 +84,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from string import Formatter
+from types import MappingProxyType
 from typing import Any, TypeVar
 
 from igtl_gateway.base.errors import ConfigError, DamagedRecording, UnsupportedRecording
@@ -125,6 +126,8 @@ LIVE: Mapping[str, bool | int | float] = {
 NAMING = 1
 #: Former names of the policies, in the configurations of old recordings.
 _STAMP_ALIASES = {"now": RECEIVE}
+#: Of a field that a session records, and that is no setting.
+_RECORDED: Mapping[str, bool] = MappingProxyType({"recorded": True})
 #: Commands to robots: of a stream only the newest counts, so that nothing older is sent again to a reader that lags.
 COMMAND_QOS, SET_POINT_QOS = Qos(10), Qos(1)
 OUT_PREFIX = "/igtl/out/"
@@ -234,7 +237,7 @@ class Config:
     keep_mib: int | None = None
     latched_mib: int | None = None
     max_behind_s: float | None = None
-    naming: int = NAMING
+    naming: int = dataclasses.field(default=NAMING, metadata=_RECORDED)
     to_igtl: tuple[ToIgtlRow, ...] = ()
     to_ros: tuple[ToRosRow, ...] = ()
     tf_out: tuple[TfOutRow, ...] = ()
@@ -448,7 +451,7 @@ class Config:
     @classmethod
     def of_values(cls, values: Mapping[str, Any]) -> Config:
         """Return the configuration of a new session.  Raises ConfigError as ``from_dict``."""
-        return cls.from_dict({"naming": NAMING, **values})
+        return cls.from_dict({**values, "naming": NAMING})
 
     @classmethod
     def from_toml(cls, path: Path) -> Config:
@@ -571,7 +574,8 @@ def from_values(place: str, kind: type[T], settings: Mapping[str, Any]) -> T:
     arguments: dict[str, Any] = {}
     for name, value in settings.items():
         if name not in fields:
-            raise ConfigError(f"{place}.{name}: unknown setting, expected one of {', '.join(fields)}")
+            known = (each for each, item in fields.items() if not item.metadata.get("recorded"))
+            raise ConfigError(f"{place}.{name}: unknown setting, expected one of {', '.join(known)}")
         _check_text(f"{place}.{name}", value)
         arguments[name] = _checked(f"{place}.{name}", name, type(fields[name].default), value)
     return kind(**arguments)

@@ -17,6 +17,7 @@ from typing import Any
 
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.base.stamp import NS_PER_MS, NS_PER_S
+from igtl_gateway.base.untrusted.numbers import whole_number
 from igtl_gateway.gateway.log.entry import Entry, Kind
 from igtl_gateway.gateway.log.note import Level, Note
 
@@ -132,10 +133,9 @@ def orders_of(note: Note) -> dict[int, Unwritten]:
     if note.code != UNWRITTEN or not isinstance(found, dict):
         return {}
     orders: dict[int, Unwritten] = {}
-    for number, pair in found.items():
-        if not (number.isascii() and number.isdecimal() and isinstance(pair, list)):
+    for text, pair in found.items():
+        number = whole_number(text)
+        if number is None or not isinstance(pair, list) or [type(each) for each in pair] != [str, str]:
             return {}
-        if [type(each) for each in pair] != [str, str]:
-            return {}
-        orders[int(number)] = Unwritten(*pair)
+        orders[number] = Unwritten(*pair)
     return orders

@@ -162,7 +162,7 @@ def test_longer_lists_are_refused() -> None:
     """Each of their rows is an object: 16 MB of them would be seconds of work."""
     with pytest.raises(ConversionError, match="TRAJ: found 10001 elements"):
         trajectories.trajectories_to_ros(Trajectories(np.zeros(MAX_ROWS + 1, Trajectories.DTYPE)), TO)
-    with pytest.raises(ConversionError, match="POINT: found 65536 elements"):
+    with pytest.raises(ConversionError, match=f"POINT: found {trajectories.MAX_POINTS + 1} elements"):
         trajectories.points_to_point_list(Points(np.zeros(trajectories.MAX_POINTS + 1, Points.DTYPE)), TO)
 
 

@@ -489,4 +489,6 @@ def test_in_random_worlds_every_promise_is_kept() -> None:
     assert passed > sent / 10, f"{passed} of {sent} commands"
     rules = {"begins", "goes on", "window", "workspace", "named frame", "range jp", "range jr", "force"}
     assert rules <= {rule for rule, times in seen.items() if times >= WORLDS / 8}, seen
-    assert set(REFUSED_COMMANDS) <= set(codes), "no world has the others"
+    # those of the write are in tests/app; here, each arm follows
+    elsewhere = {"command_late", "command_unheard", "command_failed", "command_newcomer", "command_behind"}
+    assert set(REFUSED_COMMANDS) - elsewhere <= set(codes), "no world has the others"

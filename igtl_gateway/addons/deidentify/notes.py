@@ -19,6 +19,7 @@ from igtl_gateway.addon import (
     Mark,
     MarkNote,
     Note,
+    whole_number,
 )
 from igtl_gateway.addon.igtl import BODIES
 from igtl_gateway.addons.deidentify.context import Context
@@ -96,7 +97,7 @@ def _data(data: dict[str, Any], context: Context) -> dict[str, Any]:
         elif key == "dropped" and type(value) is int:
             kept[key] = value
         elif key == ORDERS and isinstance(value, dict):
-            kept[key] = {number: _clean_order(order) for number, order in value.items() if number.isdecimal()}
+            kept[key] = {number: _clean_order(order) for number, order in value.items() if _is_number(number)}
         elif key == SETTINGS and isinstance(value, dict):
             kept[key] = _settings(value, context)
     return kept
@@ -130,3 +131,7 @@ def known_types(names: Any) -> list[str]:
 def known_kinds(names: Any, context: Context) -> list[str]:
     """Return the kinds of the conversion table among names, with their sign."""
     return [name for name in names if isinstance(name, str) and name.lstrip("+") in context.names.words]
+
+
+def _is_number(text: object) -> bool:
+    return whole_number(text) is not None
