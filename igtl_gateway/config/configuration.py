@@ -126,7 +126,7 @@ LIVE: Mapping[str, bool | int | float] = {
 NAMING = 1
 #: Former names of the policies, in the configurations of old recordings.
 _STAMP_ALIASES = {"now": RECEIVE}
-#: Of a field that a session records, and that is no setting.
+#: Of a field that a session records, and a user cannot set.
 _RECORDED: Mapping[str, bool] = MappingProxyType({"recorded": True})
 #: Commands to robots: of a stream only the newest counts, so that nothing older is sent again to a reader that lags.
 COMMAND_QOS, SET_POINT_QOS = Qos(10), Qos(1)
