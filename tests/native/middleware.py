@@ -9,6 +9,7 @@ from contextlib import nullcontext
 from types import SimpleNamespace
 from typing import Any
 
+from igtl_gateway.base.clock import SystemClock
 from igtl_gateway.base.errors import RosError
 from igtl_gateway.base.qos import Qos
 from igtl_gateway.edges.interface import TopicCounts
@@ -16,6 +17,7 @@ from igtl_gateway.edges.ros.receiver import NativeReceiver
 from igtl_gateway.edges.ros.subscribing import message_callback
 from igtl_gateway.edges.ros.topics import TopicSubscription
 from igtl_gateway.gateway.log.note import Level, Note
+from igtl_gateway.gateway.orders import Heard, Order, Unwritten, unwritten
 from igtl_gateway.native.passage import Passage, Publisher, Subscription
 
 _OK, _NOTHING = 0, 401
@@ -144,6 +146,8 @@ class RosEdge:
         self._native: dict[str, Publisher] = {}
         self._latched: set[str] = set()
         self._counts: dict[str, TopicCounts] = {}
+        self._clock = SystemClock()
+        self._written_ns: dict[str, int] = {}  # topic of a robot → end of the last write, monotonic
         self._reports: Any = SimpleNamespace(
             callback_failed=lambda what, error, *_: self.errors.append(f"{what}: {error}")
         )
@@ -204,12 +208,29 @@ class RosEdge:
             self._native[topic] = Publisher(self.middleware.pointer(topic), topic in self._latched)
         return self._native[topic]
 
-    def publish(self, topic: str, type_name: str, cdr: bytes, qos: Qos) -> str:
+    def publish(self, topic: str, type_name: str, cdr: bytes, qos: Qos, until_ns: int = 0) -> str:
+        """Publish a message at once: nothing is held, so ``until_ns`` is never over."""
         self._counts.setdefault(topic, TopicCounts()).published += 1
         if qos.latched:
             self._latched.add(topic)
         self.middleware.published.append((topic, cdr))
         return ""
+
+    def expect_orders(self, topic: str, type_name: str, qos: Qos, lifespan_ns: int) -> None:
+        """Every topic has a publisher already."""
+
+    def write(self, order: Order) -> Unwritten | None:
+        """Write a command to a robot now, or never, by the rule of the edges."""
+        clock, written_ns = self._clock, self._written_ns.get(order.topic)
+        passed_ns = None if written_ns is None else clock.monotonic_ns() - written_ns
+        heard = Heard(self.middleware.subscribers.get(order.topic, 1))
+        refused = unwritten(order, heard, clock.utc_ns(), passed_ns)
+        if refused:
+            self._counts.setdefault(order.topic, TopicCounts()).unwritten += 1
+            return refused
+        self.publish(order.topic, order.type, order.cdr, order.qos)
+        self._written_ns[order.topic] = clock.monotonic_ns()
+        return None
 
     def has_subscriber(self, topic: str) -> bool:
         return self.middleware.subscribers.get(topic, 1) > 0
@@ -239,6 +260,7 @@ class RosEdge:
                 "lost": one.lost,
                 "failed": one.failed,
                 "held": one.held,
+                "unwritten": one.unwritten,
             }
             for topic, one in self._counts.items()
         }

@@ -1364,6 +1364,8 @@ def test_a_burst_of_commands_beside_native_streams_moves_the_robot_at_its_limit(
             time.sleep(0.03)
         assert (here.native > 0) is native if native else here.bridge._passage is None
     check_recording(path, here.bridge.gateway.config, here.bridge.losses)
+    written = [cdr for topic, cdr in here.middleware.published if topic == "/PSM1/servo_cp"]
+    assert written == [entry.data() for entry in entries_of(path) if entry.channel == "/PSM1/servo_cp"], "once each"
     points: list[tuple[int, float]] = []
     cause_ns = 0
     for entry in entries_of(path):
