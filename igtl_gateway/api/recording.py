@@ -33,7 +33,7 @@ from igtl_gateway.gateway.log.marks import Mark
 from igtl_gateway.gateway.log.note import Note
 from igtl_gateway.record.sessionfile import layout
 from igtl_gateway.record.sessionfile.added_marks import marks_files
-from igtl_gateway.record.sessionfile.new_file import write_bytes
+from igtl_gateway.record.sessionfile.new_file import make_folder, write_bytes
 from igtl_gateway.record.sessionfile.ranges import named
 from igtl_gateway.record.sessionfile.reader import SessionFile
 from igtl_gateway.record.sessionfile.remote import RemoteFile, is_url
@@ -401,7 +401,7 @@ def _salvaged_parts(path: Path, copy: Path, resources: ExitStack, warnings: list
     """As `_salvaged`, for the folder of a split recording: parts that are whole are not copied."""
     from igtl_gateway.record.sessionfile.recovery import copy_readable
 
-    copy.mkdir()
+    make_folder(copy)
     for part in part_files(path):
         place = copy / part.name
         try:

@@ -453,7 +453,7 @@ def test_a_clock_that_is_set_by_an_hour_while_a_recording_is_made(tmp_path: Path
 def test_a_replay_does_not_wait_for_the_hour_by_which_a_clock_was_set(tmp_path: Path) -> None:
     path = tmp_path / "out.mcap"
     talk_while_the_clock_is_set(path, HOUR_NS)
-    replay = gateway("replay", str(path), "--to", "igtl", "--listen", "127.0.0.1:0")
+    replay = gateway("replay", str(path), "--to", "igtl", "--side", "gateway", "--listen", "127.0.0.1:0")
     try:
         replay.wait_until(lambda: any("server on" in line for line in replay.lines), "server")
         port = next(int(line.rpartition(":")[2]) for line in replay.lines if "server on" in line)
