@@ -38,9 +38,10 @@ from igtl_gateway.record.sessionfile.records import (
 )
 
 #: Where a record may begin, for the search: a record that is never inside a chunk, or, in files that have messages
-#: outside of chunks, a message.  None is larger than a terabyte.
+#: outside of chunks, a message.  None is as large as ``_TOO_LARGE``.
 _CANDIDATE = re.compile(rb"[\x06\x07\x09\x0c\x0f](?=.{5}\0\0\0)", re.DOTALL)
 _CANDIDATE_MESSAGE = re.compile(rb"[\x05\x06\x07\x09\x0c\x0f](?=.{5}\0\0\0)", re.DOTALL)
+_TOO_LARGE = 1 << 40
 _WINDOW = 1 << 20
 #: Number of consecutive records that have to fit for the first one to be taken as a message.
 _CHAIN = 4
@@ -199,9 +200,12 @@ class DamagedFile:
         return RecordSpan(0, at, at)
 
     def _is_torn(self, opcode: int, at: int, outer: int) -> bool:
-        """Whether the file ends inside a record: its fields state the same end as its length, as far as they go."""
+        """Whether the file ends inside a record: its fields state the same end as its length, as far as they go.
+
+        A length of nonsense is beyond every end that its fields may state, and not one of a record.
+        """
         fields = FIELDS.get(opcode)
-        if not fields:
+        if not fields or outer - at - HEAD.size >= _TOO_LARGE:
             return False
         end = at + HEAD.size
         for each in fields:

@@ -112,3 +112,12 @@ def test_a_chunk_that_is_cut_off_hides_what_is_in_its_messages() -> None:
     assert len(own) == 2
     for cut in range(own[1][0], own[1][1]):
         assert chunks_in(whole[:cut]) == own[:1], cut
+
+
+def test_a_record_whose_length_and_fields_are_nonsense_is_not_taken_for_one_that_is_cut_off() -> None:
+    whole = bag(*(Chunk((*DEFINITIONS, *messages(number))) for number in (7, 9, 11))).data
+    first, *others = chunks_in(whole)
+    at, end = first
+    for kept in range(1, 8):  # bytes of the head
+        data = whole[: at + kept] + b"\xfa" * (60 - kept) + whole[at + 60 :]
+        assert end - at > 60 and chunks_in(data) == others, kept
