@@ -84,6 +84,8 @@ _NEVER: frozenset[Callable[..., bool]] = frozenset(
 )
 #: The smallest surface: a template needs no other.
 _TRIANGLE = PolyData(np.zeros((3, 3), ">f4"), polygons=Cells.of(np.arange(3).reshape(1, 3)))
+#: The smallest cloud, for the template of one: the sample may have colours, which the compiled messages have not.
+_ONE_POINT = PolyData(np.zeros((1, 3), ">f4"))
 #: Types whose streams can be compiled.
 TYPES = frozenset({*_POSES, "STRING", "POINT", "POLYDATA", "IMAGE", "TDATA", "QTDATA"})
 _U32 = struct.Struct("<I")
@@ -194,7 +196,11 @@ def _bulk_form(row: ConversionToRos, content: Any, to: ToRosContext, beforehand:
         return MESH, b"", 0, 0, 0
     if form == TRIANGLES:
         return TRIANGLES, *_marker_template(row.convert(_TRIANGLE, to))
-    made: Any = beforehand.message(content, row.convert) or row.convert(content, to)
+    made: Any
+    if form == CLOUD:
+        made = row.convert(_ONE_POINT, to)
+    else:
+        made = beforehand.message(content, row.convert) or row.convert(content, to)
     # without its data, which may be a hundred megabytes; their size is the last of the template
     cdr, size = replace(made, data=b"").pack(), _U32.pack(memoryview(made.data).nbytes)
     if form == PICTURE:

@@ -757,6 +757,19 @@ def test_a_surface_waits_for_the_first_subscriber_of_its_other_topic(heard: set[
     assert counts["ros_out"].keys() >= {"/igtl/in/B/mesh", "/igtl/in/B/marker"}
 
 
+@compiled
+@pytest.mark.parametrize("attributes", [(3, 0, 0), (0, 3, 0, 0), (4, 4, 0, 3, 0)])
+def test_a_cloud_has_no_field_of_the_one_before(attributes: tuple[int, ...]) -> None:
+    """Its stream was compiled from a cloud with colours, and plain ones then had their field, and no data for it."""
+    steps: list[Step] = []
+    for count, components in enumerate(attributes, 2):
+        colours = (Attribute.of(SCALAR, "RGB", np.ones((count, components))),) if components else ()
+        cloud = PolyData(ROWS[:count].astype(">f4"), Cells.of_all(count), attributes=colours)
+        steps.append(("igtl", join(encode(Message("POLYDATA", "B", cloud, ns_to_ticks(T0_NS)))), 1))
+    entries, counts = played(steps, Config(), None, fast_path=True)
+    assert (entries, counts) == played(steps, Config(), None, fast_path=False)
+
+
 @pytest.mark.usefixtures("vectors")
 @table("encoding", ["rgb8", "bgr8"])
 @table("width", [1, 2, 5, 6, 253])
