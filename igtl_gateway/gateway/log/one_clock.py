@@ -40,6 +40,8 @@ _PART_NS, _PARTS = 2 * NS_PER_S, 64
 _ENOUGH = 3
 #: Least ages that differ by more are reported: it is a latency, or an offset of clocks.
 _SAID_NS = 20 * NS_PER_MS
+#: Least ages that differ by more are rather an offset of clocks: few streams that are joined are so late at the least.
+_UNLIKELY_NS = 100 * NS_PER_MS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,7 +83,7 @@ class OneClock:
         name: ``source``: the senders' stamps; ``gateway``: times of receipt.
         shifts: of each stream what is added to its stamps, ns.
         notes: sentences for the user: what was corrected, and what is not known.
-        is_sure: whether the notes report nothing but latencies.
+        is_sure: whether the notes report nothing but likely latencies, of up to 100 ms.
         is_chosen: whether the user has chosen times of receipt.
     """
 
@@ -178,9 +180,11 @@ def _joined(streams: Sequence[StreamTimes], least: Sequence[int]) -> OneClock:
     is_sure = not notes
     for members in clocks.values():
         first, last = (extreme(members, key=lambda index: least[index]) for extreme in (min, max))
+        is_sure = is_sure and least[last] - least[first] <= _UNLIKELY_NS
         if least[last] - least[first] > _SAID_NS:
+            late = [index for index in members if least[index] - least[first] > _SAID_NS]
             notes.append(
-                f"clock: one clock is assumed: the stamps of {streams[last].name} are at least "
+                f"clock: one clock is assumed: the stamps of {_names(streams, late)} are up to "
                 f"{_ms(least[last] - least[first])} older on receipt than those of {streams[first].name}, "
                 "which is latency, or an offset of their clocks: `igtl-gateway sync` measures it"
             )

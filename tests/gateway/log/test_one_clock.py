@@ -110,3 +110,15 @@ def test_a_latched_message_is_on_the_clock_that_fits() -> None:
     assert clock.shifts == (0, 0, 0)
     assert "plan" in clock.notes[0]  # it may be an offset
     assert one_clock(streams, "gateway").notes == ()
+
+
+def test_more_than_a_likely_latency_is_not_sure_and_all_late_streams_are_named() -> None:
+    """A clock that is behind by 0.4 s looks like a latency: who joins the streams is warned, with their names."""
+    now = np.arange(10, dtype=np.int64) * 100 * MS + START
+    at_once = StreamTimes("image", now + 2 * MS, now)
+    for late_ms, is_sure in ((60, True), (400, False)):
+        late = [StreamTimes(name, now + 2 * MS, now - late_ms * MS) for name in ("probe", "needle")]
+        clock = one_clock([at_once, *late])
+        assert (clock.name, clock.shifts, clock.is_sure) == ("source", (0, 0, 0), is_sure)
+        (note,) = clock.notes
+        assert f"the stamps of probe, needle are up to {late_ms:.1f} ms older on receipt than those of image" in note
