@@ -1,7 +1,7 @@
 #!/bin/sh
 # nibabel: a NIfTI whose pixdim[0] is 0 cannot give its qform, although nifti1.h defines 0 as 1.
 #
-# Expected: nifti1.h, METHOD 2: "the scaling factor qfac is either 1 or -1 ... if it is 0 (which should not occur), take 1".
+# Expected: by nifti1.h (method 2) a pixdim[0] of 0, which should not occur, stands for a qfac of 1.
 #           Guess before the run: get_qform takes 1, as SimpleITK does.
 # Found: get_qform raises HeaderDataError; loading the file takes 1 for its affine.  SimpleITK reads the position.
 # Versions: nibabel 5.4.2, SimpleITK 2.5.7.
