@@ -55,15 +55,10 @@ class AwaitedSources:
         missing = missing_sources(self._awaited, present)
         # who has come once may pause: silence has notes of its own
         absent = {each.source for each in missing}
-        self._awaited = [each for each in self._awaited if each in absent or not self._is_known(each, present)]
+        self._awaited = [each for each in self._awaited if each in absent or present.names(each.kind) is None]
         too_early = self._heard_ns is None or now_ns - self._heard_ns < WAIT_NS
         self.missing = tuple(each for each in missing if not (too_early and each.source.kind == "device"))
         for each in self.missing:
             if each.source not in self._noted:
                 self._noted.add(each.source)
                 self._on_note(each.note())
-
-    @staticmethod
-    def _is_known(source: ExpectedSource, present: PresentSources) -> bool:
-        known = {"frame": present.frames, "device": present.devices}.get(source.kind, present.topics)
-        return known is not None

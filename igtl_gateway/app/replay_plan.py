@@ -133,18 +133,18 @@ def check_streams(
     Raises ConfigError if none of them matches one: a replay of nothing should not wait for peers.  If outputs are
     computed again, or streams share a channel of the file, the entries are read until one matches.
     """
-    found = {(channel.stream, channel.kind) for channel in file.channels if channel.count and channel.kind in how.kinds}
-    without = [glob for glob in streams if not any(is_stream_of(kind, name, (glob,)) for name, kind in found)]
-    is_known = not how.recompute and all(name for name, _ in found)
+    found = {channel.stream for channel in file.channels if channel.count and channel.kind in how.kinds}
+    without = without_match(streams, found)
+    is_known = not how.recompute and all(found)
     if len(without) < len(streams) or not streams:
-        return [f"{glob}: {unmatched(glob, {name for name, _ in found})}" for glob in without] if is_known else []
+        return [f"{glob}: {unmatched(glob, found)}" for glob in without] if is_known else []
     if not is_known:
         found = set()
         for entry in planned_entries(file, config, how, ()):
             if is_stream_of(entry.kind, entry.channel, streams):
                 return []
-            found.add((entry.channel, entry.kind))
-    names = sorted({name for name, _ in found})
+            found.add(entry.channel)
+    names = sorted(found)
     few = ", ".join(names[:_NAMED_STREAMS]) + (" …" if len(names) > _NAMED_STREAMS else "")
     expected = f"one of these streams: {few}" if names else "a recording with messages for this side"
     question = did_you_mean(near for glob in without for near in near_streams(glob, names))

@@ -76,6 +76,12 @@ class PresentSources:
     frames: Collection[str] | None = None
     devices: Collection[str] | None = None
 
+    def names(self, kind: SourceKind) -> Collection[str] | None:
+        """Return the names of a kind, of arms the name spaces of the topics; None if they are not known."""
+        if kind == "arm":
+            return None if self.topics is None else {topic.rpartition("/")[0] for topic in self.topics}
+        return {"topic": self.topics, "frame": self.frames, "device": self.devices}[kind]
+
 
 def expected_sources(config: Config, recorded: Iterable[str] = ()) -> list[ExpectedSource]:
     """Return the sources that a configuration names.
@@ -100,7 +106,7 @@ def missing_sources(expected: Iterable[ExpectedSource], present: PresentSources)
     """Return the expected sources that are not there, of the kinds that are known."""
     found = []
     for source in expected:
-        names = _names(source.kind, present)
+        names = present.names(source.kind)
         if names is None or _is_there(source, names):
             continue
         near = near_names(source.name, sorted(set(names)), 0.7)[:1]
@@ -108,12 +114,6 @@ def missing_sources(expected: Iterable[ExpectedSource], present: PresentSources)
         text = f"{source.name} is configured ({source.setting}), but {_ABSENT[source.kind]}"
         found.append(MissingSource(source, f"{text}; {question}" if question else text))
     return found
-
-
-def _names(kind: SourceKind, present: PresentSources) -> Collection[str] | None:
-    if kind == "arm":
-        return None if present.topics is None else {topic.rpartition("/")[0] for topic in present.topics}
-    return {"topic": present.topics, "frame": present.frames, "device": present.devices}[kind]
 
 
 def _is_there(source: ExpectedSource, names: Collection[str]) -> bool:

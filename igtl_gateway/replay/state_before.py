@@ -32,8 +32,7 @@ def with_state(file: SessionFile) -> SessionFile:
     Raises DamagedRecording.
     """
     before = file.prologue_file()
-    entries = list(latched_before(file, config_to_run(file.session))) if before else []
-    if before is None or not entries:
+    if before is None or not (entries := list(_latched(file, before, config_to_run(file.session)))):
         return file
     qos = {(each.topic, each.type): each.qos for each in (*before.channels, *file.channels) if each.qos}
     data = packed_session(
@@ -50,15 +49,18 @@ def latched_before(file: SessionFile, config: Config) -> Iterator[Entry]:
     Raises DamagedRecording.
     """
     before = file.prologue_file()
-    if before is None:
-        return
+    if before is not None:
+        yield from _latched(file, before, config)
+
+
+def _latched(file: SessionFile, before: SessionFile, config: Config) -> Iterator[Entry]:
     latched = {(each.topic, each.type) for each in (*before.channels, *file.channels) if each.qos and each.qos.latched}
 
     def is_latched(topic: str, ros_type: str) -> bool:
         return (topic, ros_type) in latched or topic.endswith(_LATCHED_TOPICS)
 
     has_links = any(each.kind is Kind.LINK for each in before.channels)
-    entries = through_gateway((), config, has_links=has_links, before=file.prologue())
+    entries = through_gateway((), config, has_links=has_links, before=before.entries())
     yield from part_of_session(entries, file.start_ns, None, is_latched)
 
 
